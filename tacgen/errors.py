@@ -1,0 +1,54 @@
+"""Errors that a user can mend; the command line turns each into one message and exit code 2."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class TacgenError(Exception):
+    """Wrong input: the message says what is wrong, where, and how to mend it."""
+
+    exit_code = 2
+
+    @classmethod
+    def from_problems(cls, problems: Sequence[str]) -> TacgenError:
+        """One error that lists every problem found, a line each."""
+        return cls("\n".join(problems))
+
+
+class RecipeError(TacgenError):
+    """A recipe, sensor or object description that cannot be used."""
+
+
+class ObjectError(TacgenError):
+    """An object folder or mesh that cannot be used."""
+
+
+class PhysicsError(TacgenError):
+    """A simulation that cannot be set up on this machine."""
+
+
+class ContactError(TacgenError):
+    """A contact problem with no solution, or a contact law that cannot be used."""
+
+
+class TableError(TacgenError):
+    """A lookup table that cannot be read or does not fit the sensor."""
+
+
+class DatasetError(TacgenError):
+    """A dataset that cannot be read, written or continued."""
+
+
+class VerificationError(TacgenError):
+    """A check that failed: the input was readable, what it holds is not right."""
+
+    exit_code = 1
+
+
+class PressError(TacgenError):
+    """A press log or a set of press images that cannot be used."""
+
+
+class LearningError(TacgenError):
+    """Training or evaluation that cannot go on."""

@@ -1,0 +1,139 @@
+"""The calibrated lookup table: slope of the gel surface and image position in, colour change out."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.errors import TableError
+
+N_FEATURES = 6
+"""x², y², xy, x, y, 1 in image position, Taxim's order."""
+
+
+@dataclass(frozen=True, slots=True)
+class LookupTable:
+    """Taxim's polynomial lookup table of one sensor.
+
+    The slope of the gel-frame height map h is (gx, gy) = (∂h/∂x, ∂h/∂y), x along columns, y along
+    rows (down), h out of the gel. Its magnitude is atan √(gx² + gy²) in [0, ``max_slope_rad``] and
+    its direction atan2(gy, gx) in [−π, π). Node (i, j) of the table stands at magnitude
+    i·max_slope_rad/(n_slope − 1) and direction −π + 2π·j/n_direction; between nodes the renderer
+    interpolates linearly (``interpolation="linear"``, direction wraps around) or takes the node
+    below (``"floor"``, what Taxim does). Positions are u = (column + ½)/width − ½ and
+    v = (row + ½)/height − ½, so a table does not depend on the resolution it is stored for.
+
+    Attributes
+    ----------
+    coefficients : (n_slope, n_direction, 3, 6) float32
+        Grey levels, channels RGB, features u², v², uv, u, v, 1.
+    background : (H, W, 3) float32
+        RGB grey levels such that the undeformed gel (dome included) renders the reference image.
+    mm_per_px : float
+    max_slope_rad : float
+        At most π/2.
+    noise_grey : float
+        Standard deviation of the camera's noise, for renders that ask for noise.
+    effects : mapping
+        Optical effects found by the loop, name → parameters, which the renderer applies.
+    provenance : mapping
+        What it was made of: hashes, versions, chosen settings, held-out error.
+
+    Source
+    ------
+    Si & Yuan 2022, Taxim, Eq. 3.
+    """
+
+    coefficients: NDArray[np.float32]
+    background: NDArray[np.float32]
+    mm_per_px: float
+    max_slope_rad: float
+    interpolation: str = "linear"
+    sensor: str = ""
+    noise_grey: float = 0.0
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
+    provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        if self.coefficients.ndim != 4 or self.coefficients.shape[2:] != (3, N_FEATURES):
+            msg = (
+                f"coefficients have shape {self.coefficients.shape}, "
+                f"not (n_slope, n_direction, 3, {N_FEATURES})"
+            )
+            raise TableError(msg)
+        if self.background.ndim != 3 or self.background.shape[2] != 3:
+            msg = f"background has shape {self.background.shape}, not (H, W, 3)"
+            raise TableError(msg)
+        if self.interpolation not in ("linear", "floor"):
+            msg = f"interpolation is {self.interpolation!r}, not 'linear' or 'floor'"
+            raise TableError(msg)
+
+    @property
+    def shape_px(self) -> tuple[int, int]:
+        """(height, width) of the images it renders."""
+        return self.background.shape[0], self.background.shape[1]
+
+
+_SCALARS = ("mm_per_px", "max_slope_rad", "interpolation", "sensor", "noise_grey")
+
+
+def save_table(table: LookupTable, path: Path) -> None:
+    """Write ``table`` as an .npz that ``load_table`` reads; the file appears whole or not at all."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".part")
+    meta = {name: getattr(table, name) for name in _SCALARS}
+    meta["effects"] = {name: dict(parameters) for name, parameters in table.effects.items()}
+    meta["provenance"] = dict(table.provenance)
+    with partial.open("wb") as file:
+        np.savez_compressed(
+            file,
+            coefficients=table.coefficients,
+            background=table.background,
+            meta=np.frombuffer(json.dumps(meta, sort_keys=True).encode(), dtype=np.uint8),
+        )
+    os.replace(partial, path)
+
+
+def load_table(path: Path | str) -> LookupTable:
+    """Read a ``table.npz``.
+
+    Raises
+    ------
+    TableError
+        If the file is missing, damaged, or not a tacgen table.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in ("coefficients", "background", "meta")}
+    except FileNotFoundError:
+        msg = f"{path}: no such table; `tacgen calibrate lookup` makes one"
+        raise TableError(msg) from None
+    except KeyError as error:
+        msg = (
+            f"{path}: not a tacgen table ({error.args[0]}); "
+            "a Taxim polycalib.npz is read by `tacgen calibrate import`"
+        )
+        raise TableError(msg) from None
+    except (OSError, ValueError, BadZipFile) as error:
+        msg = f"{path}: cannot be read as a table: {error}"
+        raise TableError(msg) from None
+    meta = json.loads(arrays["meta"].tobytes())
+    scalars = {name: meta[name] for name in _SCALARS}
+    return LookupTable(
+        coefficients=arrays["coefficients"].astype(np.float32),
+        background=arrays["background"].astype(np.float32),
+        effects=meta["effects"],
+        provenance=meta["provenance"],
+        **scalars,
+    )

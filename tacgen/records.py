@@ -1,0 +1,200 @@
+"""The frozen records that the stages exchange; nothing here computes.
+
+Units: N, mm, s, rad, kg. Frames: see ``docs/frames.md``. The gel frame has its origin at the
+centre of the gel surface at rest, x along image columns, y along image rows (down) and z out of
+the gel towards the object. Poses are 4×4 homogeneous matrices with translations in mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.floating]
+
+Status = Literal["executed", "unreachable", "no_contact", "crashed"]
+FailureMode = Literal["", "translational_slip", "rotational_slip"]
+
+LABEL_SUCCESS, LABEL_FAILURE, LABEL_NOT_EXECUTED = 1, 0, -1
+
+
+def frozen_array(values: object, dtype: type = np.float64) -> NDArray:
+    """A read-only copy of ``values``."""
+    array = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class GraspConfig:
+    """One point of the grid: what the gripper is asked to do.
+
+    ``x_mm``, ``y_mm`` are the gripper's centre relative to the centre of the object's footprint,
+    ``z_mm`` is the height of the pad's centre above the table, ``yaw_rad`` turns the gripper
+    about z; at yaw 0 the fingers close along world x. ``index`` counts over the whole grid of
+    the recipe and identifies the grasp's random numbers.
+    """
+
+    index: int
+    object: str
+    force_n: float
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """A triangle mesh: ``vertices_mm`` (n, 3) float64 and ``faces`` (m, 3) int32."""
+
+    vertices_mm: NDArray[np.float64]
+    faces: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class GraspObject:
+    """A rigid object, in its own frame: footprint centre at the origin, z up, table at z = 0.
+
+    Attributes
+    ----------
+    surface : Mesh
+        The true surface, watertight: what the gel feels.
+    collision : tuple of Mesh
+        Convex parts: what the physics collides.
+    center_of_mass_mm : (3,) float64
+    inertia_kg_mm2 : (3, 3) float64
+        About the centre of mass, along the object's axes.
+    friction : float
+        Coulomb coefficient against the gel.
+    grasp_ranges : mapping
+        Axis values (``force_n``, ``x_mm``, ``y_mm``, ``z_mm``) a recipe falls back on.
+    """
+
+    name: str
+    surface: Mesh
+    collision: tuple[Mesh, ...]
+    mass_kg: float
+    center_of_mass_mm: NDArray[np.float64]
+    inertia_kg_mm2: NDArray[np.float64]
+    friction: float
+    spinning_friction_mm: float
+    grasp_ranges: Mapping[str, tuple[float, ...]]
+    color_rgb: tuple[int, int, int] = (190, 190, 190)
+    folder: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Markers:
+    """The printed dots of a gel: a grid of ``rows`` × ``columns`` at ``pitch_mm``."""
+
+    rows: int
+    columns: int
+    pitch_mm: float
+    radius_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The geometry of a vision-based tactile sensor.
+
+    ``dome_radius_mm`` is the radius of curvature of the gel at rest (0: flat). ``gel_depth_mm``
+    is the gel's thickness, the largest indentation there can be. ``leds`` holds one unit vector
+    a light in gel axes, pointing from the gel's centre towards the light, and its RGB weight.
+    """
+
+    name: str
+    height_px: int
+    width_px: int
+    mm_per_px: float
+    gel_depth_mm: float
+    dome_radius_mm: float = 0.0
+    markers: Markers | None = None
+    leds: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
+    table: str = ""
+
+    @property
+    def shape_px(self) -> tuple[int, int]:
+        """(height, width) of its images."""
+        return self.height_px, self.width_px
+
+    @property
+    def pixel_area_mm2(self) -> float:
+        """Area of the gel that one pixel stands for."""
+        return self.mm_per_px**2
+
+
+@dataclass(frozen=True, slots=True)
+class ContactFrame:
+    """What one pad feels at one time, and where the object then is.
+
+    ``force_shear_n`` (2,) is the force of the object on the gel along the gel's x and y;
+    ``force_normal_n`` presses into the gel. ``torsion_n_mm`` is the moment about the gel's z.
+    ``pose_gel_object`` (4, 4) takes object coordinates (mm) into the gel frame (mm); its
+    translation along z is only known up to the physics' collision margin.
+    """
+
+    time_s: float
+    force_normal_n: float
+    force_shear_n: NDArray[np.float64]
+    torsion_n_mm: float
+    pose_gel_object: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SlipMargin:
+    """How far a grasp is from slipping: positive holds, negative slips.
+
+    ``translational`` is (friction limit − tangential load) / weight; ``rotational`` is (torsional
+    limit − moment of gravity about the pads' axis) / (weight × 1 mm). ``first_slip_time_s`` is
+    NaN and ``first_slip_direction`` (2,), in the gel's x and y, is 0 where nothing slips.
+    """
+
+    translational: float
+    rotational: float
+    first_slip_time_s: float
+    first_slip_direction: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class GraspTrace:
+    """Everything the physics says about one grasp.
+
+    ``frames`` maps each tactile pad (``left``, ``right``) to its T frames: the first is the
+    moment of grasp when only a single image is asked for. ``object_pose`` (T, 7) is x, y, z (mm)
+    and the quaternion x, y, z, w of the object in the world at the frames' times.
+    """
+
+    config: GraspConfig
+    status: Status
+    label: int
+    failure_mode: FailureMode
+    frames: Mapping[str, tuple[ContactFrame, ...]]
+    object_pose: NDArray[np.float64]
+    rise_mm: float
+    turn_rad: float
+    margin: SlipMargin | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A fitted number with its standard error and unit."""
+
+    value: float
+    stderr: float = float("nan")
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a fitted file comes from."""
+
+    data_sha256: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, object] = field(default_factory=dict)
