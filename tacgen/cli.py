@@ -20,14 +20,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-calibrate_app = typer.Typer(help="Fit the lookup table and the contact law to ball presses.", no_args_is_help=True)
-diagnose_app = typer.Typer(help="Trace what a calibrated model leaves over to an effect it lacks.", no_args_is_help=True)
-objects_app = typer.Typer(help="Objects to grasp: add your own mesh, list, show.", no_args_is_help=True)
+calibrate_app = typer.Typer(
+    help="Fit the lookup table and the contact law to ball presses.", no_args_is_help=True
+)
+diagnose_app = typer.Typer(
+    help="Trace what a calibrated model leaves over to an effect it lacks.", no_args_is_help=True
+)
+objects_app = typer.Typer(
+    help="Objects to grasp: add your own mesh, list, show.", no_args_is_help=True
+)
 app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(diagnose_app, name="diagnose")
 app.add_typer(objects_app, name="objects")
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print machine-readable results on standard output.")]
+JsonFlag = Annotated[
+    bool, typer.Option("--json", help="Print machine-readable results on standard output.")
+]
 
 
 @app.command()

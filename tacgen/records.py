@@ -25,7 +25,7 @@ LABEL_SUCCESS, LABEL_FAILURE, LABEL_NOT_EXECUTED = 1, 0, -1
 
 def frozen_array(values: object, dtype: type = np.float64) -> NDArray:
     """A read-only copy of ``values``."""
-    array = np.array(values, dtype=dtype)
+    array: NDArray = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array
 

@@ -1,9 +1,8 @@
-"""The calibrated lookup table: slope of the gel surface and image position in, colour change out."""
+"""The calibrated lookup table: gel slope and image position in, colour change out."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.errors import TableError
+from tacgen.files import atomic_path
 
 N_FEATURES = 6
 """x², y², xy, x, y, 1 in image position, Taxim's order."""
@@ -87,21 +87,17 @@ _SCALARS = ("mm_per_px", "max_slope_rad", "interpolation", "sensor", "noise_grey
 
 
 def save_table(table: LookupTable, path: Path) -> None:
-    """Write ``table`` as an .npz that ``load_table`` reads; the file appears whole or not at all."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
+    """Write ``table`` as an .npz that ``load_table`` reads, whole or not at all."""
     meta = {name: getattr(table, name) for name in _SCALARS}
     meta["effects"] = {name: dict(parameters) for name, parameters in table.effects.items()}
     meta["provenance"] = dict(table.provenance)
-    with partial.open("wb") as file:
+    with atomic_path(Path(path)) as partial, partial.open("wb") as file:
         np.savez_compressed(
             file,
             coefficients=table.coefficients,
             background=table.background,
             meta=np.frombuffer(json.dumps(meta, sort_keys=True).encode(), dtype=np.uint8),
         )
-    os.replace(partial, path)
 
 
 def load_table(path: Path | str) -> LookupTable:

@@ -1,0 +1,15 @@
+"""Fixtures that every part of the suite shares."""
+
+from pathlib import Path
+
+import pytest
+
+MEASURED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def measured_data() -> Path:
+    """The folder of measured data beside the checkout, which is not part of the repository."""
+    if not MEASURED_DATA.is_dir():
+        pytest.skip("measured data not found beside the checkout (../shared/data)")
+    return MEASURED_DATA
