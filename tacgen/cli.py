@@ -6,12 +6,16 @@ extra only matters to the commands that need it.
 
 from __future__ import annotations
 
+import csv
+import json
+import signal
 import sys
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
-from tacgen.errors import TacgenError
+from tacgen.errors import Interrupted, TacgenError
 
 app = typer.Typer(
     name="tacgen",
@@ -33,6 +37,9 @@ app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(diagnose_app, name="diagnose")
 app.add_typer(objects_app, name="objects")
 
+RecipeArgument = Annotated[
+    str, typer.Argument(help="A recipe's YAML file, or the name of one that tacgen ships.")
+]
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="Print machine-readable results on standard output.")
 ]
@@ -46,13 +53,50 @@ def version() -> None:
     typer.echo(__version__)
 
 
+@app.command()
+def doctor(json_output: JsonFlag = False) -> None:
+    """Say what this machine can do, and how to mend what is missing."""
+    from tacgen import doctor as examination
+
+    findings = examination.examine()
+    if json_output:
+        typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        for finding in findings:
+            mark = "ok" if finding.ok else "MISSING" if finding.needed else "none"
+            mend = f"  → {finding.mend}" if finding.mend else ""
+            typer.echo(f"{mark:>7}  {finding.name:<10} {finding.detail}{mend}")
+    if any(finding.needed and not finding.ok for finding in findings):
+        raise typer.Exit(1)
+
+
+@app.command()
+def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
+    """List the grasps of a recipe and the shard of each, as CSV."""
+    from tacgen.grid import grid_rows
+
+    rows = grid_rows(recipe)
+    if json_output:
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+
+
 def main() -> None:
     """Run the command line; a ``TacgenError`` becomes one message and its exit code."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         app()
     except TacgenError as error:
         typer.echo(f"tacgen: {error}", err=True)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
+    except Interrupted:
         typer.echo("tacgen: interrupted; finished work is kept", err=True)
         sys.exit(130)
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    raise Interrupted

@@ -16,6 +16,10 @@ class TacgenError(Exception):
         return cls("\n".join(problems))
 
 
+class Interrupted(BaseException):
+    """Ctrl-C or a request to terminate; passes through ``except Exception`` as it should."""
+
+
 class RecipeError(TacgenError):
     """A recipe, sensor or object description that cannot be used."""
 

@@ -1,0 +1,44 @@
+# Everything runs in .venv, which `setup` makes from the lock files.
+PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c 'import venv' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: setup demo test check format bench trust lock clean
+
+setup: $(READY)
+
+$(READY): pyproject.toml requirements.lock requirements-learn.lock
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet -r requirements.lock -r requirements-learn.lock
+	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	touch $(READY)
+
+demo: setup
+	$(BIN)/tacgen collect quickstart --out out/quickstart --workers 2
+	@echo "Look at out/quickstart/index.html"
+
+test: setup
+	$(BIN)/python -m pytest
+
+check: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: setup
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: setup
+	$(BIN)/tacgen bench
+
+trust: setup
+	$(BIN)/python -m tacgen.loop.trust
+
+lock: setup
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --universal --python-version 3.10 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock
+	@echo "requirements-learn.lock pins torch by hand: its CPU and CUDA builds share a version"
+
+clean:
+	rm -rf .venv build dist *.egg-info out
