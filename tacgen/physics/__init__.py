@@ -1,0 +1,6 @@
+"""Simulated grasps in PyBullet: robots, object bodies, phases, labels and slip margins."""
+
+from tacgen.physics.grasp import GraspSimulator, run_grasp
+from tacgen.physics.settings import FrameRequest, PhysicsSettings
+
+__all__ = ["FrameRequest", "GraspSimulator", "PhysicsSettings", "run_grasp"]
