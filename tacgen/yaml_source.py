@@ -17,6 +17,8 @@ MAX_BYTES = 1 << 20
 MAX_NODES = 200_000
 """Bounds on a file's size and on what its aliases may unfold to."""
 
+_STANDARD_TAG = "tag:yaml.org,2002:"
+
 KeyPath = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -115,9 +117,13 @@ class _NodeReader:
         if self._nodes > MAX_NODES or len(key_path) > 50:
             msg = f"{self._source.path}: unfolds to too many parts; write it without aliases"
             raise RecipeError(msg)
-        self._source.origins.setdefault(
-            key_path, (self._source.path, node.start_mark.line + 1)
-        )
+        self._source.origins.setdefault(key_path, (self._source.path, node.start_mark.line + 1))
+        if not node.tag.startswith(_STANDARD_TAG) or node.tag.startswith(f"{_STANDARD_TAG}python"):
+            line = node.start_mark.line + 1
+            msg = (
+                f"{self._source.path}:{line}: {dotted(key_path)} has the tag {node.tag}; remove it"
+            )
+            raise RecipeError(msg)
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, key_path)
         if isinstance(node, yaml.SequenceNode):
