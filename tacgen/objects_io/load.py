@@ -1,0 +1,68 @@
+"""From an object's name to the ``GraspObject`` that the physics and the gel work with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.errors import ObjectError
+from tacgen.objects_io.description import ObjectDescription, read_description
+from tacgen.objects_io.mass_properties import mass_properties
+from tacgen.objects_io.mesh_files import read_parts, read_surface
+from tacgen.records import GraspObject, frozen_array
+from tacgen.resources import find_object_folder
+from tacgen.shapes import BUILDERS, Shape
+
+
+def load_object(name_or_folder: str | Path) -> GraspObject:
+    """The object of that name (``./objects`` first, then what tacgen ships) or in that folder.
+
+    The same object gives the same arrays bit for bit. The inertia is that of the solid's own
+    mass distribution, scaled to the measured mass and carried to the stated centre of mass.
+
+    Raises
+    ------
+    ObjectError
+        If there is no such object or its files cannot be used; every problem is listed.
+    """
+    folder = find_object_folder(str(name_or_folder))
+    description = read_description(folder)
+    shape = build_shape(description, folder)
+    bodies = [(body.mesh, body.density_kg_m3) for body in shape.bodies]
+    properties = mass_properties(bodies or [(shape.surface, 1.0)], description.mass_kg.value)
+    return GraspObject(
+        name=description.name,
+        surface=shape.surface,
+        collision=shape.collision,
+        mass_kg=description.mass_kg.value,
+        center_of_mass_mm=frozen_array(description.center_of_mass_mm.value),
+        inertia_kg_mm2=frozen_array(properties.inertia_kg_mm2),
+        friction=description.friction.value,
+        spinning_friction_mm=description.spinning_friction_mm.value,
+        grasp_ranges=description.grasp_ranges.axes(),
+        color_rgb=description.color_rgb,
+        folder=folder,
+    )
+
+
+def build_shape(description: ObjectDescription, folder: Path) -> Shape:
+    """The shape that a description names: built, or read from the files in its folder."""
+    source = description.shape
+    if source.builder is not None:
+        try:
+            shape = BUILDERS[source.builder](**description.build_arguments())
+        except (ValueError, ArithmeticError, IndexError) as error:
+            msg = (
+                f"{folder / 'object.yaml'}: shape.parameters do not make a {source.builder}: "
+                f"{error}; check the dimensions"
+            )
+            raise ObjectError(msg) from None
+        if not np.isfinite(shape.surface.vertices_mm).all():
+            msg = f"{folder / 'object.yaml'}: shape.parameters give points that are not finite"
+            raise ObjectError(msg)
+        return shape
+    return Shape(
+        read_surface(folder / str(source.mesh), source.scale),
+        read_parts(folder / str(source.collision), source.scale),
+    )
