@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -182,12 +183,14 @@ def validate(
 def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     key_path = _written_path(source.data, details["loc"])
     kind, given = details["type"], details.get("input")
-    if kind == "extra_forbidden":
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         parent = _field_names(model, key_path[:-1])
         known = f"; known here: {', '.join(parent)}" if parent else ""
         return source.problem(key_path, f"is not a known key{known}")
     if kind == "missing":
         return source.problem(details["loc"], "is missing; add it")
+    if kind in ("model_type", "dataclass_type"):
+        return source.problem(key_path, f"= {given!r} must hold `key: value` pairs")
     text = details["msg"].removeprefix("Value error, ")
     if isinstance(given, (str, int, float, bool)):
         return source.problem(key_path, f"= {given!r}: {text}")
@@ -213,16 +216,26 @@ def _field_names(model: Any, key_path: KeyPath) -> list[str]:
     for key in key_path:
         if isinstance(key, int):
             continue
-        info = getattr(model, "model_fields", {}).get(key)
-        if info is None:
+        annotation = _annotations(model).get(str(key))
+        if annotation is None:
             return []
-        model = _model_within(info.annotation)
-    return sorted(getattr(model, "model_fields", {}))
+        model = _model_within(annotation)
+    return sorted(_annotations(model))
+
+
+def _annotations(model: Any) -> dict[str, Any]:
+    """The fields of a pydantic model or a dataclass, with their types."""
+    if dataclasses.is_dataclass(model):
+        return {item.name: item.type for item in dataclasses.fields(model)}
+    fields = getattr(model, "model_fields", {})
+    return {name: info.annotation for name, info in fields.items()}
 
 
 def _model_within(annotation: Any) -> Any:
-    """The first pydantic model inside a type such as ``Grid | None`` or ``tuple[Grid, ...]``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    """The first model or dataclass inside a type such as ``Grid | None`` or ``tuple[Grid, ...]``."""
+    if isinstance(annotation, type) and (
+        issubclass(annotation, BaseModel) or dataclasses.is_dataclass(annotation)
+    ):
         return annotation
     for argument in getattr(annotation, "__args__", ()):
         found = _model_within(argument)

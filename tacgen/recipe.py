@@ -1,0 +1,292 @@
+"""Recipes: one YAML a job, checked whole before anything runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+)
+
+from tacgen.errors import RecipeError
+from tacgen.physics.settings import PhysicsSettings
+from tacgen.resources import find_recipe, object_folders, sensor_path
+from tacgen.yaml_source import YamlSource, finite, read_yaml, validate
+
+MAX_AXIS_VALUES = 10_000
+
+
+class Section(BaseModel):
+    """A part of a recipe: frozen, and no key that is not known."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def _axis_values(given: Any) -> Any:
+    """``4.0``, ``[1, 2]``, ``{linspace: [a, b, n]}`` or ``{range: [a, b, step]}`` as a list."""
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        return [given]
+    if not isinstance(given, dict):
+        return given
+    if len(given) != 1 or next(iter(given)) not in ("linspace", "range"):
+        msg = "is no list, {linspace: [start, stop, count]} or {range: [start, stop, step]}"
+        raise ValueError(msg)
+    kind, arguments = next(iter(given.items()))
+    if not (isinstance(arguments, list) and len(arguments) == 3):
+        msg = f"{kind} takes three numbers, got {arguments!r}"
+        raise ValueError(msg)
+    start, stop, third = (float(argument) for argument in arguments)
+    if kind == "linspace":
+        count = int(third)
+        if count < 1 or count != third:
+            msg = f"linspace takes a whole number of values, at least 1, got {arguments[2]!r}"
+            raise ValueError(msg)
+    else:
+        if third == 0 or (stop - start) / third < 0:
+            msg = f"range from {start:g} to {stop:g} cannot be walked in steps of {third:g}"
+            raise ValueError(msg)
+        # A half step of slack keeps the end value in, whatever 0.05 is in binary.
+        count = int(np.floor((stop - start) / third + 1e-9)) + 1
+        stop = start + (count - 1) * third
+    if count > MAX_AXIS_VALUES:
+        msg = f"has {count} values, more than {MAX_AXIS_VALUES}"
+        raise ValueError(msg)
+    return [round(float(value), 9) for value in np.linspace(start, stop, count)]
+
+
+def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:
+    if not values:
+        msg = "is empty; give at least one value"
+        raise ValueError(msg)
+    return tuple(dict.fromkeys(values))
+
+
+Finite = Annotated[float, AfterValidator(finite)]
+Axis = Annotated[tuple[Finite, ...], BeforeValidator(_axis_values), AfterValidator(_distinct)]
+
+
+class Grid(Section):
+    """Axes of the grid; an axis left out is taken from the object's own grasp ranges."""
+
+    force_n: Axis | None = None
+    x_mm: Axis | None = None
+    y_mm: Axis | None = None
+    z_mm: Axis | None = None
+    yaw_rad: Axis = (0.0,)
+    sample: PositiveInt | None = None
+
+
+class ObjectEntry(Section):
+    """An object to grasp, with what this recipe says otherwise than its ``object.yaml``."""
+
+    name: str
+    friction: NonNegativeFloat | None = None
+    mass_kg: PositiveFloat | None = None
+    center_of_mass_offset_mm: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    grid: Grid | None = None
+
+
+def _object_entry(given: Any) -> Any:
+    return {"name": given} if isinstance(given, str) else given
+
+
+class Robot(Section):
+    """Which robot grasps, and what it can do."""
+
+    name: Literal["wsg50", "ur5e_wsg50"] = "wsg50"
+    max_force_n: PositiveFloat = 40.0
+    tactile_pads: Literal["left", "right", "both"] = "left"
+
+
+class SensorChoice(Section):
+    """A sensor of ``recipes/sensors`` and what to change about it."""
+
+    name: str = "gelsight"
+    table: str | None = None
+    dome_radius_mm: NonNegativeFloat | None = None
+    mm_per_px: PositiveFloat | None = None
+
+
+def _sensor_choice(given: Any) -> Any:
+    return {"name": given} if isinstance(given, str) else given
+
+
+class Contact(Section):
+    """How force becomes deformation: a calibrated ``contact.yaml``, or the figures themselves."""
+
+    file: str | None = None
+    law: Literal["volume_linear", "linear_depth"] = "volume_linear"
+    k_n_mm3_per_n: PositiveFloat = 5.135
+    k_s_mm_per_n: NonNegativeFloat = 1.0
+    depth_mm_per_n: PositiveFloat = 0.02
+    camera: Literal["raster", "pyrender"] = "raster"
+
+
+class Optics(Section):
+    """Switches of the renderer."""
+
+    shadows: bool = False
+    markers: bool = False
+    noise: bool = True
+
+
+class Frames(Section):
+    """The tactile frames of a grasp: the moment of grasp alone, or a sequence from closing on."""
+
+    mode: Literal["single", "sequence"] = "single"
+    count: PositiveInt = 24
+    span_s: PositiveFloat = 3.0
+
+
+class Split(Section):
+    """How configurations are divided; no configuration is on both sides."""
+
+    test_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.2
+
+
+class DatasetOptions(Section):
+    """What the shards hold."""
+
+    shard_size: PositiveInt = 25
+    depth: bool = False
+    scene_pictures: bool = True
+
+
+class Randomize(Section):
+    """Domain randomisation: standard deviations, drawn anew for each grasp from its own seed."""
+
+    friction_relative: NonNegativeFloat = 0.0
+    mass_relative: NonNegativeFloat = 0.0
+    center_of_mass_mm: NonNegativeFloat = 0.0
+    k_n_relative: NonNegativeFloat = 0.0
+    sensor_gain_relative: NonNegativeFloat = 0.0
+    position_mm: NonNegativeFloat = 0.0
+    yaw_rad: NonNegativeFloat = 0.0
+
+
+_BELONGS_TO_ROBOT = {"max_force_n", "tactile_pads"}
+
+
+def _physics_settings(given: Any) -> Any:
+    moved = _BELONGS_TO_ROBOT & set(given if isinstance(given, dict) else ())
+    if moved:
+        msg = f"{', '.join(sorted(moved))}: belongs to the section `robot`; move it there"
+        raise ValueError(msg)
+    return given
+
+
+class Recipe(Section):
+    """One job, from the grid to the shards."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    description: str = ""
+    seed: Annotated[int, Field(ge=0)] = 0
+    objects: tuple[Annotated[ObjectEntry, BeforeValidator(_object_entry)], ...] = Field(
+        min_length=1
+    )
+    grid: Grid = Grid()
+    split: Split = Split()
+    robot: Robot = Robot()
+    physics: Annotated[PhysicsSettings, BeforeValidator(_physics_settings)] = PhysicsSettings()
+    sensor: Annotated[SensorChoice, BeforeValidator(_sensor_choice)] = SensorChoice()
+    contact: Contact = Contact()
+    optics: Optics = Optics()
+    frames: Frames = Frames()
+    dataset: DatasetOptions = DatasetOptions()
+    randomize: Randomize = Randomize()
+
+    @property
+    def physics_settings(self) -> PhysicsSettings:
+        """The settings of the simulation, with what the section ``robot`` says of the gripper."""
+        return replace(
+            self.physics,
+            max_force_n=self.robot.max_force_n,
+            tactile_pads=self.robot.tactile_pads,
+        )
+
+    def resolved(self) -> dict[str, Any]:
+        """Every setting, written or not, as plain data."""
+        return self.model_dump(mode="json", exclude={"physics": _BELONGS_TO_ROBOT})
+
+    def sha256(self) -> str:
+        """A hash of every setting, the same for recipes that mean the same."""
+        return hashlib.sha256(json.dumps(self.resolved(), sort_keys=True).encode()).hexdigest()
+
+
+def load_recipe(name: str | Path) -> Recipe:
+    """Read and check the recipe ``name`` (a path, or the name of a shipped one).
+
+    Raises
+    ------
+    RecipeError
+        Lists everything that is wrong, each with its file, line and mend.
+    """
+    source = read_yaml(find_recipe(str(name)))
+    recipe = validate(Recipe, source)
+    problems = [
+        *_unknown_names(recipe, source),
+        *_repeated_objects(recipe, source),
+        *_forces_out_of_range(recipe, source),
+    ]
+    if problems:
+        raise RecipeError.from_problems(problems)
+    return recipe
+
+
+def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+    known = object_folders()
+    for i, entry in enumerate(recipe.objects):
+        if entry.name not in known and not (Path(entry.name) / "object.yaml").is_file():
+            yield source.problem(
+                ("objects", i),
+                f"= {entry.name!r} is not an object here; known: {', '.join(known)}; "
+                "add your own mesh with `tacgen objects add`",
+            )
+    try:
+        sensor_path(recipe.sensor.name)
+    except RecipeError as error:
+        yield source.problem(("sensor",), f"= {recipe.sensor.name!r}: {error}")
+
+
+def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+    names = [entry.name for entry in recipe.objects]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            yield source.problem(
+                ("objects", i), f"= {name!r} stands there twice; keep one, or make two recipes"
+            )
+
+
+def _forces_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+    limit = recipe.robot.max_force_n
+    grids: list[tuple[tuple[str | int, ...], Grid]] = [(("grid",), recipe.grid)]
+    grids += [
+        (("objects", i, "grid"), entry.grid)
+        for i, entry in enumerate(recipe.objects)
+        if entry.grid is not None
+    ]
+    for key_path, grid in grids:
+        for k, force_n in enumerate(grid.force_n or ()):
+            if force_n <= 0:
+                yield source.problem(
+                    (*key_path, "force_n", k), f"= {force_n:g} is no force to grip with; raise it"
+                )
+            elif force_n > limit:
+                yield source.problem(
+                    (*key_path, "force_n", k),
+                    f"= {force_n:g} exceeds robot.max_force_n = {limit:g}; "
+                    "lower it or raise robot.max_force_n",
+                )

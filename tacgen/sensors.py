@@ -1,0 +1,71 @@
+"""Sensors by name: the YAML files of ``recipes/sensors`` and their tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
+
+from tacgen.errors import RecipeError
+from tacgen.recipe import Finite, Section, SensorChoice
+from tacgen.records import Markers, Sensor
+from tacgen.resources import sensor_path
+from tacgen.yaml_source import read_yaml, validate
+
+
+class _MarkersYaml(Section):
+    rows: PositiveInt
+    columns: PositiveInt
+    pitch_mm: PositiveFloat
+    radius_mm: PositiveFloat
+
+
+class _Led(Section):
+    direction: tuple[Finite, Finite, Finite]
+    rgb: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
+
+
+class _SensorYaml(Section):
+    name: str
+    height_px: PositiveInt
+    width_px: PositiveInt
+    mm_per_px: PositiveFloat
+    gel_depth_mm: PositiveFloat
+    dome_radius_mm: NonNegativeFloat = 0.0
+    markers: _MarkersYaml | None = None
+    leds: tuple[_Led, ...] = ()
+    table: str = ""
+
+
+def load_sensor(choice: SensorChoice | str) -> Sensor:
+    """The sensor that ``choice`` names, with its changes; ``table`` becomes a path that exists.
+
+    Raises
+    ------
+    RecipeError
+        If the sensor is unknown, its YAML is wrong or its table is not there.
+    """
+    choice = SensorChoice(name=choice) if isinstance(choice, str) else choice
+    path = sensor_path(choice.name)
+    given = validate(_SensorYaml, read_yaml(path))
+    table = choice.table or given.table
+    places = [path.parent / table, Path(table)]
+    if choice.table:
+        places.reverse()
+    found = next((place for place in places if table and place.is_file()), None)
+    if found is None:
+        msg = f"{path}: there is no table {table!r}; `tacgen calibrate lookup` makes one"
+        raise RecipeError(msg)
+    return Sensor(
+        name=given.name,
+        height_px=given.height_px,
+        width_px=given.width_px,
+        mm_per_px=choice.mm_per_px or given.mm_per_px,
+        gel_depth_mm=given.gel_depth_mm,
+        dome_radius_mm=(
+            given.dome_radius_mm if choice.dome_radius_mm is None else choice.dome_radius_mm
+        ),
+        markers=Markers(**given.markers.model_dump()) if given.markers else None,
+        leds=tuple((led.direction, led.rgb) for led in given.leds),
+        table=str(found),
+    )
