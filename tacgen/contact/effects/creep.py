@@ -1,0 +1,99 @@
+"""Creep: the gel goes on yielding while the load stays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.contact.effects import kernels
+from tacgen.contact.effects.history import LoadHistory
+from tacgen.contact.effects.registry import (
+    Channel,
+    Effect,
+    Parameters,
+    Variant,
+    amount,
+    no_references,
+    register,
+    shape,
+    variant,
+)
+
+TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
+
+
+def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
+    """Load plus one or two Prony terms.
+
+    A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew;
+    with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial began, which is gone
+    with the load; in between, a share of each.
+
+    Source
+    ------
+    Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
+    """
+    result = load.copy()
+    for amount_name, tau_name in TERMS:
+        if p[amount_name] == 0.0:
+            continue
+        tau = p[tau_name]
+        if p["recovery"] > 0.0:
+            for axis in range(load.shape[1]):
+                values = np.ascontiguousarray(load[:, axis])
+                slow = kernels.low_pass(values, history.time_s, history.starts, tau, True)
+                result[:, axis] += p["recovery"] * p[amount_name] * slow
+        if p["recovery"] < 1.0:
+            grown = -np.expm1(-history.time_in_trial_s / tau)
+            result += (1.0 - p["recovery"]) * p[amount_name] * load * grown[:, None]
+    return result
+
+
+def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
+    duration = float(np.median(history.time_in_trial_s[history.starts[1:] - 1]))
+    duration = max(duration, 4 * history.sample_period_s)
+    taus = [share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5)]
+    single = [
+        variant(
+            f"{kind}, tau {tau:.3g} s",
+            [{"amount": 0.05}],
+            {"tau_s": tau, "recovery": recovery},
+            fit_shapes=False,
+        )
+        for tau in taus
+        for kind, recovery in (("recovering", 1.0), ("with the load", 0.0))
+    ]
+    double = [
+        variant(
+            f"two terms, {kind}",
+            [{"amount": 0.05}, {"amount_2": 0.05}],
+            {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration, "recovery": recovery},
+            fit_shapes=False,
+        )
+        for kind, recovery in (("recovering", 1.0), ("with the load", 0.0))
+    ]
+    fitted = [Variant(v.label, v.probes, ("amount", "tau_s"), v.shapes) for v in single]
+    return (*fitted, *(Variant(v.label, v.probes, (*v.free, "tau_s"), v.shapes) for v in double))
+
+
+def _effect(channel: Channel) -> Effect:
+    return Effect(
+        name="creep",
+        channel=channel,
+        stage="memory",
+        about="the gel goes on yielding under a held load",
+        parameters=(
+            amount("amount", -0.9, 10.0),
+            amount("amount_2", -0.9, 10.0),
+            shape("tau_s", 1e-3, 1e5, 1.0, "s"),
+            shape("tau_2_s", 1e-3, 1e5, 10.0, "s"),
+            shape("recovery", 0.0, 1.0, 1.0),
+        ),
+        apply=_apply,
+        references=no_references,
+        variants=_variants,
+    )
+
+
+register(_effect("normal"))
+register(_effect("shear"))

@@ -1,0 +1,186 @@
+"""The load history of a press log, or of one simulated grasp, as the effects see it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tacgen.contact.effects import kernels
+from tacgen.errors import ContactError
+
+REQUIRED = ("trial", "time_s", "force_normal_n")
+SHEAR_FORCE = ("force_shear_x_n", "force_shear_y_n")
+
+
+class LoadHistory:
+    """Samples of a log sorted by trial and time, with what the effects derive from them.
+
+    Parameters
+    ----------
+    columns : mapping of name to (N,) array, or a data frame
+        Columns of a press log in tacgen's units; ``trial``, ``time_s`` and ``force_normal_n`` are
+        required. Nothing is written to them.
+
+    Raises
+    ------
+    ContactError
+        If a required column is missing or not finite, or columns differ in length.
+    """
+
+    def __init__(self, columns: Mapping[str, ArrayLike]) -> None:
+        arrays = {str(name): np.asarray(columns[name]) for name in columns}
+        _require_usable(arrays)
+        self.order = np.lexsort((arrays["time_s"], arrays["trial"]))
+        self._columns = arrays
+        trial = arrays["trial"][self.order]
+        self.starts: NDArray[np.int64] = np.concatenate(
+            [[0], np.flatnonzero(trial[1:] != trial[:-1]) + 1, [trial.size]]
+        ).astype(np.int64)
+        if trial.size == 0:
+            self.starts = np.zeros(1, dtype=np.int64)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return int(self.order.size)
+
+    @property
+    def n_trials(self) -> int:
+        """Number of trials."""
+        return int(self.starts.size - 1)
+
+    def has(self, *names: str) -> bool:
+        """Whether every one of these columns is there."""
+        return all(name in self._columns for name in names)
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A numeric column (N,), sorted."""
+        try:
+            return self._columns[name][self.order].astype(np.float64)
+        except KeyError:
+            msg = f"the log has no column {name!r}; it has {', '.join(self._columns)}"
+            raise ContactError(msg) from None
+
+    def text(self, name: str) -> NDArray[np.str_]:
+        """A text column (N,), sorted."""
+        return self._columns[name][self.order].astype(str)
+
+    def unsorted(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``values`` (N, …) back in the order of the rows that were given."""
+        result = np.empty_like(values)
+        result[self.order] = values
+        return result
+
+    @cached_property
+    def time_s(self) -> NDArray[np.float64]:
+        """Session clock."""
+        return self.column("time_s")
+
+    @cached_property
+    def trial(self) -> NDArray[np.float64]:
+        """Number of the trial, as the log has it."""
+        return self.column("trial")
+
+    @cached_property
+    def trial_index(self) -> NDArray[np.int64]:
+        """0 for the samples of the first trial, 1 for those of the second, …"""
+        return np.repeat(np.arange(self.n_trials), np.diff(self.starts))
+
+    @cached_property
+    def time_in_trial_s(self) -> NDArray[np.float64]:
+        """Time since the first sample of the trial."""
+        first = self.time_s[self.starts[:-1]] if self.n_samples else np.zeros(0)
+        return self.time_s - np.repeat(first, np.diff(self.starts))
+
+    @cached_property
+    def force_normal_n(self) -> NDArray[np.float64]:
+        """Force into the gel (N,)."""
+        return self.column("force_normal_n")
+
+    @cached_property
+    def force_shear_n(self) -> NDArray[np.float64]:
+        """Force along the gel (N, 2); 0 where it was not measured."""
+        if not self.has(*SHEAR_FORCE):
+            return np.zeros((self.n_samples, 2))
+        return np.nan_to_num(np.stack([self.column(name) for name in SHEAR_FORCE], axis=1))
+
+    @cached_property
+    def shear_size_n(self) -> NDArray[np.float64]:
+        """|F_s| of a lightly smoothed shear force (N,)."""
+        smooth = [kernels.moving_mean(self.force_shear_n[:, k], self.starts, 2) for k in (0, 1)]
+        return np.hypot(*smooth)
+
+    @cached_property
+    def normal_smooth_n(self) -> NDArray[np.float64]:
+        """A lightly smoothed normal force (N,), for what noise would bias: peaks and ratios."""
+        return kernels.moving_mean(self.force_normal_n, self.starts, 2)
+
+    @cached_property
+    def normal_span_n(self) -> float:
+        """A high quantile of |force|: the scale of the log's loads."""
+        return _span(self.normal_smooth_n)
+
+    @cached_property
+    def shear_span_n(self) -> float:
+        """A high quantile of |shear force|."""
+        return _span(self.shear_size_n)
+
+    def reversal(self, channel: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Row of the largest load so far in the trial, and whether the load has turned back.
+
+        The load is taken to have turned once it is below its last local maximum by more than a
+        twentieth of the log's span, so that noise on a hold is not taken for unloading.
+        """
+        if channel == "shear":
+            return self._reversal_shear
+        return self._reversal_normal
+
+    @cached_property
+    def _reversal_normal(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        return kernels.reversal(self.normal_smooth_n, self.starts, 0.05 * self.normal_span_n)
+
+    @cached_property
+    def _reversal_shear(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        return kernels.reversal(self.shear_size_n, self.starts, 0.05 * self.shear_span_n)
+
+    @cached_property
+    def sample_period_s(self) -> float:
+        """Median time between samples of a trial; 1 where no trial has two."""
+        steps = np.diff(self.time_s)
+        inside = np.ones(max(self.n_samples - 1, 0), dtype=bool)
+        inside[self.starts[1:-1] - 1] = False
+        steps = steps[inside & (steps > 0)]
+        return float(np.median(steps)) if steps.size else 1.0
+
+
+def _span(load: NDArray[np.float64]) -> float:
+    if not load.size:
+        return 1.0
+    return float(np.quantile(np.abs(load), 0.99)) or 1.0
+
+
+def _require_usable(arrays: Mapping[str, NDArray]) -> None:
+    missing = [name for name in REQUIRED if name not in arrays]
+    if missing:
+        msg = f"the log lacks {', '.join(missing)}; a contact law needs {', '.join(REQUIRED)}"
+        raise ContactError(msg)
+    problems = _shape_problems(arrays)
+    problems += [
+        f"column {name!r} holds a value that is not a finite number; drop those rows"
+        for name in REQUIRED
+        if not np.issubdtype(arrays[name].dtype, np.number) or not np.isfinite(arrays[name]).all()
+    ]
+    if problems:
+        raise ContactError.from_problems(problems)
+
+
+def _shape_problems(arrays: Mapping[str, NDArray]) -> list[str]:
+    length = arrays["trial"].size
+    return [
+        f"column {name!r} has shape {array.shape}, not ({length},) as 'trial' has"
+        for name, array in arrays.items()
+        if array.shape != (length,)
+    ]

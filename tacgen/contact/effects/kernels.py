@@ -1,0 +1,111 @@
+"""Recursions along time, trial by trial: the state that effects with memory carry.
+
+Every function takes values (N,) sorted by trial and time and ``starts`` (n_trials + 1,), where
+trial k is rows ``starts[k]`` to ``starts[k + 1]``; no state passes from one trial to the next.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+@njit(cache=True)
+def low_pass(
+    values: NDArray[np.float64],
+    time_s: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    tau_s: float,
+    from_rest: bool,
+) -> NDArray[np.float64]:
+    """Solution q of τ q' = values − q, exact for values linear between samples.
+
+    q starts at 0 (``from_rest``: nothing had been loaded before) or at the first value.
+    """
+    result = np.empty(values.size)
+    for k in range(starts.size - 1):
+        first, stop = starts[k], starts[k + 1]
+        state = 0.0 if from_rest else values[first]
+        result[first] = state
+        for i in range(first + 1, stop):
+            step = time_s[i] - time_s[i - 1]
+            if step > 0.0:
+                decay = np.exp(-step / tau_s)
+                lag = (values[i] - values[i - 1]) / step * tau_s
+                state = values[i] - lag + (state - values[i - 1] + lag) * decay
+            result[i] = state
+    return result
+
+
+@njit(cache=True)
+def delayed(
+    values: NDArray[np.float64],
+    time_s: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    delay_s: float,
+) -> NDArray[np.float64]:
+    """values(t − delay) by linear interpolation, the ends of each trial held."""
+    result = np.empty(values.size)
+    for k in range(starts.size - 1):
+        first, stop = starts[k], starts[k + 1]
+        result[first:stop] = np.interp(
+            time_s[first:stop] - delay_s, time_s[first:stop], values[first:stop]
+        )
+    return result
+
+
+@njit(cache=True)
+def play(
+    values: NDArray[np.float64], starts: NDArray[np.int64], width: float
+) -> NDArray[np.float64]:
+    """The play (backlash) operator of half-width ``width``, starting at rest.
+
+    Source
+    ------
+    Krasnosel'skii & Pokrovskii 1989, Systems with Hysteresis: the Prandtl play.
+    """
+    result = np.empty(values.size)
+    for k in range(starts.size - 1):
+        state = 0.0
+        for i in range(starts[k], starts[k + 1]):
+            state = min(max(state, values[i] - width), values[i] + width)
+            result[i] = state
+    return result
+
+
+@njit(cache=True)
+def moving_mean(
+    values: NDArray[np.float64], starts: NDArray[np.int64], reach: int
+) -> NDArray[np.float64]:
+    """Mean over the samples from i − reach to i + reach, symmetric and narrower at the ends."""
+    result = np.empty(values.size)
+    for k in range(starts.size - 1):
+        first, stop = starts[k], starts[k + 1]
+        for i in range(first, stop):
+            half = min(reach, i - first, stop - 1 - i)
+            result[i] = values[i - half : i + half + 1].mean()
+    return result
+
+
+@njit(cache=True)
+def reversal(
+    load: NDArray[np.float64], starts: NDArray[np.int64], margin: float
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Row of the largest load so far in the trial, and whether the load is on its way back."""
+    peak_row = np.empty(load.size, dtype=np.int64)
+    unloading = np.zeros(load.size, dtype=np.bool_)
+    for k in range(starts.size - 1):
+        best = starts[k]
+        turn = load[starts[k]]
+        back = False
+        for i in range(starts[k], starts[k + 1]):
+            if load[i] > load[best]:
+                best = i
+            turn = min(turn, load[i]) if back else max(turn, load[i])
+            if abs(load[i] - turn) > margin:
+                back = not back
+                turn = load[i]
+            peak_row[i] = best
+            unloading[i] = back
+    return peak_row, unloading

@@ -1,0 +1,80 @@
+"""Shear coupling: pulling sideways changes the volume that the same normal force presses in."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.contact.effects.history import LoadHistory
+from tacgen.contact.effects.registry import (
+    Effect,
+    Parameters,
+    Variant,
+    amount,
+    reference,
+    register,
+    shape,
+    variant,
+)
+from tacgen.contact.effects.shapes import with_gain
+
+
+def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
+    """Gain by a power of |F_s|/F_n, by a power of |F_s|, and force leaking from |F_s|, x and y."""
+    shear = history.shear_size_n
+    relative = np.zeros(history.n_samples)
+    if p["ratio"] != 0.0:
+        pressed = np.maximum(history.normal_smooth_n, p["floor_n"])
+        scaled = np.minimum(shear / pressed / p["ratio_reference"], 2.0)
+        relative = relative + p["ratio"] * scaled ** p["exponent"]
+    if p["size"] != 0.0:
+        relative = relative + p["size"] * (shear / p["reference_n"]) ** p["exponent"]
+    leak = p["leak"] * shear + history.force_shear_n @ np.array([p["leak_x"], p["leak_y"]])
+    return with_gain(load, relative) + leak[:, None]
+
+
+def _references(history: LoadHistory) -> dict[str, float]:
+    floor = 0.05 * history.normal_span_n
+    ratio = history.shear_size_n / np.maximum(history.normal_smooth_n, floor)
+    high = float(np.quantile(ratio, 0.98)) if ratio.size else 1.0
+    return {
+        "floor_n": floor,
+        "ratio_reference": max(high, 1e-3),
+        "reference_n": history.shear_span_n,
+    }
+
+
+def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
+    return (
+        variant("ratio", [{"ratio": 0.05}], {"exponent": 1.0}),
+        variant("ratio squared", [{"ratio": 0.05}], {"exponent": 2.0}),
+        variant("shear", [{"size": 0.05}], {"exponent": 1.0}),
+        variant("shear squared", [{"size": 0.05}], {"exponent": 2.0}),
+        variant("added", [{"leak": 0.02}]),
+        variant("leaking from x and y", [{"leak_x": 0.02}, {"leak_y": 0.02}]),
+    )
+
+
+register(
+    Effect(
+        name="shear_coupling",
+        channel="normal",
+        stage="gain",
+        about="shear changes the volume",
+        parameters=(
+            amount("ratio", -3.0, 5.0),
+            amount("size", -3.0, 5.0),
+            amount("leak", -3.0, 3.0),
+            amount("leak_x", -3.0, 3.0),
+            amount("leak_y", -3.0, 3.0),
+            shape("exponent", 0.5, 4.0, 2.0),
+            reference("ratio_reference", "1"),
+            reference("reference_n", "N"),
+            reference("floor_n", "N"),
+        ),
+        apply=_apply,
+        references=_references,
+        variants=_variants,
+        needs=("force_shear_x_n", "force_shear_y_n"),
+    )
+)

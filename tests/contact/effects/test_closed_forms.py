@@ -1,0 +1,134 @@
+"""Each effect against the closed form that its source gives."""
+
+import numpy as np
+import pytest
+
+from tacgen.contact.effects import LoadHistory, find_effect
+from tacgen.contact.effects.shapes import power_shape
+from tacgen.contact.law import respond
+
+
+def history_of(force, time=None, **more):
+    force = np.asarray(force, dtype=float)
+    time = np.arange(force.size) * 0.1 if time is None else np.asarray(time, dtype=float)
+    return LoadHistory(
+        {"trial": np.zeros(force.size, int), "time_s": time, "force_normal_n": force, **more}
+    )
+
+
+def volume(history, name, channel="normal", **parameters):
+    effect = find_effect(channel, name)
+    complete = effect.complete(effect.references(history) | parameters)
+    return respond(history, channel, 2.0, [(effect, complete)])
+
+
+def test_creep_under_a_constant_load_is_the_prony_series():
+    time = np.linspace(0.0, 20.0, 57) ** 1.1
+    history = history_of(np.full(57, 3.0), time)
+    creeping = volume(history, "creep", amount=0.2, tau_s=1.5, amount_2=0.1, tau_2_s=9.0)
+    grown = 0.2 * (1 - np.exp(-time / 1.5)) + 0.1 * (1 - np.exp(-time / 9.0))
+    np.testing.assert_allclose(creeping[:, 0], 6.0 * (1 + grown), rtol=1e-12)
+
+
+def test_creep_under_a_ramp_is_the_convolution_integral():
+    time = np.linspace(0.0, 5.0, 11)
+    history = history_of(2.0 * time, time)
+    creeping = volume(history, "creep", amount=0.3, tau_s=0.7)[:, 0]
+    integral = 2.0 * (time - 0.7 * (1 - np.exp(-time / 0.7)))
+    np.testing.assert_allclose(creeping, 2.0 * (2.0 * time + 0.3 * integral), rtol=1e-12)
+
+
+def test_creep_is_superposed_and_recovers_after_unloading():
+    time = np.linspace(0.0, 40.0, 4001)
+    pulse = ((time >= 5.0) & (time < 15.0)).astype(float)
+    creeping = volume(history_of(pulse, time), "creep", amount=0.5, tau_s=3.0)[:, 0]
+    late = time > 15.1
+    expected = 2.0 * 0.5 * (np.exp(-(time - 15.0) / 3.0) - np.exp(-(time - 5.0) / 3.0))
+    np.testing.assert_allclose(creeping[late], expected[late], atol=0.005)
+
+
+def test_memory_does_not_pass_from_one_trial_to_the_next():
+    one = history_of(np.full(9, 4.0))
+    two = LoadHistory(
+        {
+            "trial": np.repeat([0, 1], 9),
+            "time_s": np.tile(np.arange(9) * 0.1, 2) + np.repeat([0.0, 0.9], 9),
+            "force_normal_n": np.full(18, 4.0),
+        }
+    )
+    alone = volume(one, "creep", amount=0.4, tau_s=0.5)
+    both = volume(two, "creep", amount=0.4, tau_s=0.5)
+    np.testing.assert_allclose(both, np.concatenate([alone, alone]), rtol=1e-9)
+
+
+def test_latency_shifts_a_ramp_by_its_delay():
+    time = np.linspace(0.0, 4.0, 41)
+    late = volume(history_of(3.0 * time, time), "latency", delay_s=0.25)[:, 0]
+    np.testing.assert_allclose(late[5:], 6.0 * (time[5:] - 0.25), rtol=1e-9)
+    early = volume(history_of(3.0 * time, time), "latency", delay_s=-0.25)[:, 0]
+    np.testing.assert_allclose(early[:-5], 6.0 * (time[:-5] + 0.25), rtol=1e-9)
+
+
+def test_stiffening_is_one_at_its_reference_and_logarithmic_at_exponent_zero():
+    force = np.linspace(0.5, 8.0, 20)
+    bent = volume(history_of(force), "stiffening", amount=-0.2, exponent=0.0, reference_n=4.0)
+    np.testing.assert_allclose(bent[:, 0], 2.0 * force * (1 - 0.2 * np.log(force / 4.0)))
+    assert power_shape(np.array([2.0]), 1e-4)[0] == pytest.approx(np.log(2.0), rel=1e-4)
+
+
+def test_residual_hysteresis_leaves_a_share_of_the_peak_behind():
+    force = np.concatenate([np.linspace(0, 5, 50), np.linspace(5, 0, 50), np.zeros(20)])
+    left = volume(history_of(force), "hysteresis", residual=0.1)[:, 0]
+    np.testing.assert_allclose(left[:49], 2.0 * force[:49], atol=0.06)
+    assert left[-1] == pytest.approx(2.0 * 0.1 * 5.0, rel=1e-2)
+
+
+def test_a_hysteresis_loop_closes_at_both_ends():
+    force = np.concatenate([np.linspace(0, 5, 80), np.linspace(5, 0, 80)])
+    loop = volume(history_of(force), "hysteresis", loop=0.2)[:, 0] - 2.0 * force
+    assert abs(loop[80]) < 0.05
+    assert loop[-1] == pytest.approx(0.0, abs=1e-9)
+    assert loop.max() == pytest.approx(2.0 * 0.2 * 5.0 / 4.0, rel=0.02)
+
+
+def test_play_lags_by_its_width_each_way():
+    force = np.concatenate([np.linspace(0, 5, 80), np.linspace(5, 0, 80)])
+    lag = volume(history_of(force), "hysteresis", play=-1.0, width_n=0.5)[:, 0] - 2.0 * force
+    assert lag[79] == pytest.approx(-1.0)
+    assert lag[-1] == pytest.approx(1.0)
+
+
+def test_a_sharp_saturation_is_a_limit_and_a_soft_one_stays_below():
+    history = history_of(np.linspace(0, 10, 30))
+    hard = volume(history, "saturation", limit_mm3=12.0, sharpness=60.0)[:, 0]
+    np.testing.assert_allclose(hard, np.minimum(2.0 * np.linspace(0, 10, 30), 12.0), atol=0.15)
+    assert (volume(history, "saturation", limit_mm3=12.0, sharpness=2.0)[:, 0] < 12.0).all()
+
+
+def test_mindlin_slip_follows_the_published_law():
+    shear = np.linspace(0.0, 1.9, 30)
+    history = history_of(np.full(30, 4.0), force_shear_x_n=shear, force_shear_y_n=np.zeros(30))
+    moved = volume(history, "slip", "shear", mindlin=1.0, mu=0.5)[:, 0]
+    published = 2.0 * 2.0 * 1.5 * (1 - (1 - history.shear_size_n / 2.0) ** (2 / 3))
+    inner = slice(2, -2)
+    np.testing.assert_allclose(moved[inner], published[inner], rtol=1e-4)
+
+
+def test_anisotropy_stretches_one_axis_and_shrinks_the_other():
+    history = history_of(
+        np.full(4, 5.0), force_shear_x_n=np.ones(4), force_shear_y_n=np.full(4, 2.0)
+    )
+    moved = volume(history, "anisotropy", "shear", along_x=0.1)
+    np.testing.assert_allclose(moved[0], [2.2, 3.6])
+    turned = volume(history, "anisotropy", "shear", rotation_rad=np.pi / 2)
+    np.testing.assert_allclose(turned[0], [-4.0, 2.0], atol=1e-12)
+
+
+def test_the_first_press_shows_all_of_conditioning_and_a_late_one_none():
+    history = LoadHistory(
+        {"trial": np.arange(40), "time_s": np.arange(40) * 9.0, "force_normal_n": np.full(40, 2.0)}
+    )
+    worn = volume(history, "conditioning", amount=-0.3, trials=2.0)[:, 0]
+    assert worn[0] == pytest.approx(4.0 * 0.7)
+    assert worn[2] == pytest.approx(4.0 * (1 - 0.3 * np.exp(-1.0)))
+    assert worn[-1] == pytest.approx(4.0, rel=1e-6)

@@ -1,0 +1,155 @@
+"""The contact law: closed forms, the file, and what it says about wrong input."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+from tacgen.contact.law import ContactLaw, FittedEffect, load_law, save_law
+from tacgen.errors import ContactError
+from tacgen.records import Estimate
+
+COLUMNS = {
+    "trial": np.zeros(5, int),
+    "time_s": np.arange(5) * 0.5,
+    "force_normal_n": np.array([0.0, 1.0, 2.0, 3.0, 4.0]),
+    "force_shear_x_n": np.array([0.0, 0.0, 0.5, 1.0, 1.0]),
+    "force_shear_y_n": np.array([0.0, 0.0, -0.5, 0.0, 1.0]),
+}
+
+
+def creeping(channel="normal", **parameters):
+    given = {"amount": 0.2, "tau_s": 2.0} | parameters
+    return FittedEffect("creep", channel, {k: Estimate(v, 0.01, "") for k, v in given.items()})
+
+
+def effect(name, channel="normal", **parameters):
+    return FittedEffect(name, channel, {k: Estimate(v, 0.0, "") for k, v in parameters.items()})
+
+
+def law_with(*effects):
+    return ContactLaw(
+        "volume_linear", Estimate(5.0, 0.1, "mm3/N"), Estimate(0.8, 0.02, "mm/N"), 1.5, effects
+    )
+
+
+def test_a_linear_law_is_proportional():
+    volume, shear = ContactLaw.linear(5.0, 0.8).predict(COLUMNS)
+    np.testing.assert_allclose(volume, 5.0 * COLUMNS["force_normal_n"])
+    np.testing.assert_allclose(shear[:, 1], 0.8 * COLUMNS["force_shear_y_n"])
+
+
+def test_without_shear_columns_the_motion_is_zero():
+    columns = {name: COLUMNS[name] for name in ("trial", "time_s", "force_normal_n")}
+    assert not ContactLaw.linear(5.0, 0.8).predict(columns)[1].any()
+
+
+def test_a_held_load_creeps():
+    held = COLUMNS | {"force_normal_n": np.full(5, 2.0)}
+    volume, _ = law_with(creeping()).predict(held)
+    expected = 10.0 * (1 + 0.2 * (1 - np.exp(-held["time_s"] / 2.0)))
+    np.testing.assert_allclose(volume, expected, rtol=1e-12)
+
+
+def test_a_law_survives_its_file(tmp_path):
+    law = law_with(creeping(), effect("slip", "shear", amount=0.3, exponent=2.0))
+    save_law(law, tmp_path / "contact.yaml")
+    again = load_law(tmp_path / "contact.yaml")
+    assert again.k_n_mm3_per_n == law.k_n_mm3_per_n
+    assert again.marker_pitch_mm == 1.5
+    for left, right in zip(again.predict(COLUMNS), law.predict(COLUMNS), strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+def test_the_file_is_the_contract(tmp_path):
+    save_law(law_with(creeping()), tmp_path / "contact.yaml")
+    content = yaml.safe_load((tmp_path / "contact.yaml").read_text())
+    assert content["law"] == "volume_linear"
+    assert content["k_n_mm3_per_n"] == {"value": 5.0, "stderr": 0.1}
+    assert content["effects"][0]["parameters"]["tau_s"] == {
+        "value": 2.0,
+        "stderr": 0.01,
+        "unit": "",
+    }
+    assert set(content) >= {"k_s_mm_per_n", "marker_pitch_mm", "provenance"}
+
+
+def test_a_simulated_grasp_feels_the_gel_and_not_the_measurement():
+    columns = {name: COLUMNS[name] for name in ("trial", "time_s", "force_normal_n")}
+    measured = law_with(
+        creeping(),
+        effect("zero_offset", force_n=0.4),
+        effect("temperature", linear_per_c=0.02),
+        effect("drift", linear=0.3, span_s=100.0),
+    )
+    simulated, _ = measured.predict(columns, simulate=True)
+    gel_only, _ = law_with(creeping()).predict(columns)
+    np.testing.assert_allclose(simulated, gel_only)
+
+
+def test_a_log_without_the_thermometer_is_refused():
+    with pytest.raises(ContactError, match=r"'temperature' needs the column temperature_c"):
+        law_with(effect("temperature", linear_per_c=0.02)).predict(COLUMNS)
+
+
+def test_depth_of_the_linear_depth_law():
+    law = ContactLaw("linear_depth", Estimate(5.0), k_depth_mm_per_n=Estimate(0.05, 0.0, "mm/N"))
+    np.testing.assert_allclose(law.predict_depth(COLUMNS), 0.05 * COLUMNS["force_normal_n"])
+    with pytest.raises(ContactError, match="only linear_depth gives a depth"):
+        ContactLaw.linear(5.0).predict_depth(COLUMNS)
+
+
+def test_every_problem_of_a_law_is_listed_at_once():
+    with pytest.raises(ContactError) as caught:
+        ContactLaw(
+            "volume_linear",
+            Estimate(math.nan),
+            effects=(
+                effect("crep"),
+                effect("creep", amount=-2.0, tau=3.0),
+                effect("slip", "normal"),
+            ),
+        )
+    message = str(caught.value)
+    for words in ("k_n_mm3_per_n", "'crep' is unknown", "not in [-0.9, 10]", "'tau' is unknown"):
+        assert words in message
+    assert "amount, amount_2, tau_s" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("law: volume_linear", "k_n_mm3_per_n is missing"),
+        ("law: cubic\nk_n_mm3_per_n: {value: 5}", "'cubic' is unknown; there are volume_linear"),
+        ("law: volume_linear\nk_n_mm3_per_n: many", "is not a number"),
+        ("law: volume_linear\nk_n_mm3_per_n: 5\nk_q: 3", "k_q is unknown"),
+        ("law: volume_linear\nk_n_mm3_per_n: 5\neffects: [creep]", "lacks name or channel"),
+        ("[1, 2]", "is not a contact law"),
+        ("{", "cannot be read as a contact law"),
+    ],
+)
+def test_a_wrong_file_says_what_and_where(tmp_path, text, words):
+    path = tmp_path / "contact.yaml"
+    path.write_text(text)
+    with pytest.raises(ContactError, match=r"contact\.yaml: ") as caught:
+        load_law(path)
+    assert words in str(caught.value)
+
+
+def test_a_missing_file_names_the_command(tmp_path):
+    with pytest.raises(ContactError, match="tacgen calibrate contact"):
+        load_law(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"trial": [0], "time_s": [0.0]}, "lacks force_normal_n"),
+        ({**COLUMNS, "force_normal_n": np.full(5, np.nan)}, "not a finite number"),
+        ({**COLUMNS, "x_mm": np.zeros(3)}, r"'x_mm' has shape \(3,\), not \(5,\)"),
+    ],
+)
+def test_columns_that_cannot_be_used(columns, words):
+    with pytest.raises(ContactError, match=words):
+        ContactLaw.linear(5.0).predict(columns)
