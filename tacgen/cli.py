@@ -73,9 +73,10 @@ def doctor(json_output: JsonFlag = False) -> None:
 @app.command()
 def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     """List the grasps of a recipe and the shard of each, as CSV."""
-    from tacgen.grid import grid_rows
+    from tacgen.grid import grid_rows, plan_recipe
+    from tacgen.recipe import load_recipe
 
-    rows = grid_rows(recipe)
+    rows = grid_rows(plan_recipe(load_recipe(recipe)))
     if json_output:
         typer.echo(json.dumps(rows, indent=2))
         return

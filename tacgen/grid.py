@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from tacgen.errors import RecipeError
+from tacgen.objects_io.description import read_description
 from tacgen.recipe import Grid, ObjectEntry, Recipe
 from tacgen.records import GraspConfig
+from tacgen.resources import find_object_folder
 
 AXES = ("force_n", "x_mm", "y_mm", "z_mm")
 MAX_GRASPS = 10_000_000
@@ -62,6 +64,22 @@ def plan_grasps(recipe: Recipe, ranges_of: RangesOf) -> tuple[PlannedGrasp, ...]
                 )
             )
     return tuple(planned)
+
+
+def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
+    """Every grasp of ``recipe``, axes left out taken from its objects' ``object.yaml``."""
+    ranges = {
+        entry.name: read_description(find_object_folder(entry.name)).grasp_ranges.axes()
+        for entry in recipe.objects
+    }
+    return plan_grasps(recipe, ranges.__getitem__)
+
+
+def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
+    """The plan as rows of a table: the configuration, its side of the split and its shard."""
+    return [
+        asdict(grasp.config) | {"split": grasp.split, "shard": grasp.shard} for grasp in planned
+    ]
 
 
 def shard_ranges(n_grasps: int, shard_size: int) -> list[range]:
