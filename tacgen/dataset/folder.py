@@ -1,0 +1,271 @@
+"""The folder of a dataset: all its paths, who may write to it, and how a shard gets there."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+import socket
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import tacgen
+from tacgen.dataset.manifest import (
+    ShardLine,
+    merge_manifest,
+    parse_line,
+    read_manifest,
+    shard_file,
+)
+from tacgen.dataset.samples import DatasetSpec, GraspSample
+from tacgen.dataset.writer import write_shard_file
+from tacgen.errors import DatasetError
+from tacgen.files import atomic_path, write_text
+
+_NO_LOCKS_HERE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+
+
+class DatasetFolder:
+    """Every path of a dataset, and the steps that change it.
+
+    A writer calls ``prepare`` once, then for each shard of its share::
+
+        with folder.claim(shard) as mine:
+            if mine:
+                folder.write_shard(shard, samples, spec)
+        folder.merge()
+
+    A shard counts as done when its line of the manifest is there and the file has its size;
+    what a killed process leaves behind is neither, and is made anew.
+    """
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+        self.recipe_path = self.root / "recipe.yaml"
+        self.plan_path = self.root / "dataset.json"
+        self.manifest_path = self.root / "manifest.jsonl"
+        self.card_path = self.root / "README.md"
+        self.gallery_path = self.root / "index.html"
+
+    def shard_path(self, shard: int) -> Path:
+        """``shards/shard-00000.h5``."""
+        return self.root / shard_file(shard)
+
+    def line_path(self, shard: int) -> Path:
+        """``shards/shard-00000.json``: the shard's line of the manifest."""
+        return self.shard_path(shard).with_suffix(".json")
+
+    def lock_path(self, shard: int) -> Path:
+        """``shards/shard-00000.lock``: held while a process works on the shard."""
+        return self.shard_path(shard).with_suffix(".lock")
+
+    def prepare(self, spec: DatasetSpec) -> None:
+        """Make the folder ready for shards of ``spec``, or check that it is.
+
+        Raises
+        ------
+        DatasetError
+            If it cannot be written to, or holds a dataset of another recipe, calibration or
+            version of tacgen; the message shows the difference and says how to go on.
+        """
+        with _told_plainly(self.root):
+            (self.root / "shards").mkdir(parents=True, exist_ok=True)
+            plan = _plan_of(spec)
+            recipe_text = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
+            # The first to create the plan decides; everyone else compares with it.
+            if not _create_whole(self.plan_path, json.dumps(plan, indent=1, sort_keys=True)):
+                self._refuse_another(plan, spec.recipe)
+            if not self.recipe_path.is_file():
+                write_text(self.recipe_path, recipe_text)
+
+    def line(self, shard: int) -> ShardLine | None:
+        """The manifest's line of one shard, or None while it is not finished."""
+        path = self.line_path(shard)
+        if path.is_file():
+            return parse_line(path.read_text(encoding="utf-8"), str(path))
+        return self.manifest().get(shard) if self.manifest_path.is_file() else None
+
+    def is_done(self, shard: int) -> bool:
+        """Whether the shard is finished and its file is there, whole by its size."""
+        line = self.line(shard)
+        path = self.shard_path(shard)
+        return line is not None and path.is_file() and path.stat().st_size == line.bytes
+
+    @contextlib.contextmanager
+    def claim(self, shard: int, *, redo: bool = False) -> Iterator[bool]:
+        """Whether the caller may write the shard now; it holds the lock until the block ends.
+
+        False where another process works on it, or where it is done (unless ``redo``). The
+        system frees the lock of a process that dies. Where the file system has no locks, two
+        processes may do the same work; they write the same bytes under names of their own.
+        """
+        path = self.lock_path(shard)
+        with _told_plainly(self.root):
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            # Whoever held the lock before may have finished the shard and removed the file.
+            if not _lock(descriptor) or (self.is_done(shard) and not redo):
+                yield False
+                return
+            _write_holder(descriptor)
+            self._remove_leftovers(shard)
+            yield True
+            path.unlink(missing_ok=True)
+        finally:
+            os.close(descriptor)
+
+    def write_shard(
+        self, shard: int, samples: Iterable[GraspSample], spec: DatasetSpec
+    ) -> ShardLine:
+        """Write one shard, whole or not at all, and then its line of the manifest.
+
+        Raises
+        ------
+        DatasetError
+            If a grasp does not fit, or the disk is full, or may not be written to.
+        """
+        with _told_plainly(self.root):
+            self.line_path(shard).unlink(missing_ok=True)
+            with atomic_path(self.shard_path(shard)) as partial:
+                line = write_shard_file(partial, samples, spec, shard)
+            write_text(self.line_path(shard), f"{line.to_json()}\n")
+        return line
+
+    def manifest(self) -> dict[int, ShardLine]:
+        """Every finished shard's line, by shard; complete whether or not it was merged."""
+        return read_manifest(self.root)
+
+    def merge(self) -> dict[int, ShardLine]:
+        """Make the one ``manifest.jsonl`` out of the shards' own lines."""
+        with _told_plainly(self.root):
+            return merge_manifest(self.root)
+
+    def plan(self) -> dict[str, Any]:
+        """What ``dataset.json`` says: ``n_grasps``, ``shard_size``, ``n_shards``, hashes, version.
+
+        Raises
+        ------
+        DatasetError
+            If the folder is not a dataset's.
+        """
+        return _read_plan(self.plan_path)
+
+    def running(self) -> list[tuple[int, str]]:
+        """(shard, who) for each shard that some process holds now."""
+        found = []
+        for path in sorted(self.root.glob("shards/shard-*.lock")):
+            with contextlib.suppress(FileNotFoundError), path.open("r+") as file:
+                if not _lock(file.fileno()):
+                    found.append((int(path.stem.removeprefix("shard-")), file.read(200).strip()))
+        return found
+
+    def _remove_leftovers(self, shard: int) -> None:
+        for path in self.root.glob(f"shards/.{self.shard_path(shard).stem}.*.part"):
+            path.unlink(missing_ok=True)
+
+    def _refuse_another(self, plan: Mapping[str, Any], recipe: Mapping[str, Any]) -> None:
+        made = _read_plan(self.plan_path)
+        if made == plan:
+            return
+        differences = list(_differences(made, plan))
+        if made.get("recipe_sha256") != plan["recipe_sha256"] and self.recipe_path.is_file():
+            old = yaml.safe_load(self.recipe_path.read_text(encoding="utf-8"))
+            told = list(_differences(old, json.loads(json.dumps(recipe))))
+            differences = told + [d for d in differences if not d.startswith("recipe_sha256")]
+        raise DatasetError.from_problems(
+            [
+                f"{self.root} holds a dataset made otherwise:",
+                *(f"  {text}" for text in differences),
+                "give another --out, set these back to what made it, or delete the folder",
+            ]
+        )
+
+
+def _plan_of(spec: DatasetSpec) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "tacgen_version": tacgen.__version__,
+        "recipe": spec.recipe.get("name", ""),
+        "recipe_sha256": spec.recipe_sha256,
+        "calibration": dict(sorted(spec.calibration.items())),
+        "sensor": spec.sensor.name,
+        "pads": list(spec.pads),
+        "n_grasps": spec.n_grasps,
+        "shard_size": spec.shard_size,
+        "n_shards": spec.n_shards,
+    }
+
+
+def _read_plan(path: Path) -> dict[str, Any]:
+    try:
+        plan = json.loads(path.read_text(encoding="utf-8"))
+        numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
+        if all(isinstance(number, int) and number > 0 for number in numbers):
+            return plan
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    msg = (
+        f"{path.parent} is not a dataset: {path.name} is missing or broken; "
+        "give the folder that `tacgen collect --out` made"
+    )
+    raise DatasetError(msg)
+
+
+def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """One line for each setting that differs: where, what it was, what it would be."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in dict.fromkeys([*old, *new]):
+            yield from _differences(old.get(key), new.get(key), f"{where}.{key}" if where else key)
+    elif old != new:
+        yield f"{where}: {json.dumps(old)} there, {json.dumps(new)} now"
+
+
+def _create_whole(path: Path, text: str) -> bool:
+    """Create ``path`` with all of ``text``; False if it exists, whoever came first."""
+    partial = path.with_name(f".{path.name}.{socket.gethostname()}.{os.getpid()}.part")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.link(partial, path)
+    except FileExistsError:
+        return False
+    finally:
+        partial.unlink(missing_ok=True)
+    return True
+
+
+def _lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno in _NO_LOCKS_HERE
+    return True
+
+
+def _write_holder(descriptor: int) -> None:
+    os.ftruncate(descriptor, 0)
+    os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+
+
+@contextlib.contextmanager
+def _told_plainly(root: Path) -> Iterator[None]:
+    """Turn the errors of a disk into one message that says how to mend them."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:
+            raise
+        mend = {
+            errno.ENOSPC: "free some and run the same command again; finished shards are kept",
+            errno.EDQUOT: "your quota is used up; free some and run the same command again",
+            errno.EACCES: "give a folder that you may write to",
+            errno.EPERM: "give a folder that you may write to",
+            errno.EROFS: "give a folder that you may write to",
+        }.get(error.errno, "finished shards are kept; run the same command again")
+        what = error.strerror or str(error)
+        msg = f"{root}: {what[:1].lower()}{what[1:]}; {mend}"
+        raise DatasetError(msg) from error

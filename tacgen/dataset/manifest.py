@@ -1,0 +1,217 @@
+"""The manifest: one line of JSON for each finished shard, and one small file beside it.
+
+The small files (``shards/shard-00000.json``) are the truth: each is written by the one process
+that finished its shard. ``manifest.jsonl`` is all of them in one file, made by ``merge``; a
+reader adds the small files that it does not hold yet. So no two writers share a file, and
+merging twice, or at the same time on two machines, loses nothing.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tacgen.errors import DatasetError
+from tacgen.files import write_text
+
+SCHEMA = 1
+MAX_LINE_BYTES = 1 << 20
+OUTCOMES = ("success", "failure", "not_executed")
+
+
+@dataclass(frozen=True, slots=True)
+class ShardLine:
+    """What the manifest says of one shard.
+
+    ``counts`` counts ``success``, ``failure`` and ``not_executed``; ``objects`` does so by
+    object. ``raw_bytes`` is the size of the arrays uncompressed.
+    """
+
+    shard: int
+    file: str
+    index_range: tuple[int, int]
+    sha256: str
+    bytes: int
+    raw_bytes: int
+    recipe: str
+    recipe_sha256: str
+    calibration: Mapping[str, str]
+    sensor: str
+    pads: tuple[str, ...]
+    frames: int
+    versions: Mapping[str, str]
+    counts: Mapping[str, int]
+    status: Mapping[str, int]
+    failure_modes: Mapping[str, int]
+    splits: Mapping[str, int]
+    objects: Mapping[str, Mapping[str, int]]
+    schema: int = SCHEMA
+
+    def to_json(self) -> str:
+        """One line, the same for the same shard."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+
+def parse_line(text: str, where: str) -> ShardLine:
+    """The record that ``text`` holds; ``where`` names the place in the error.
+
+    Raises
+    ------
+    DatasetError
+        If it is no such record.
+    """
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        data = None
+    problem = _problem_of(data)
+    if problem:
+        msg = f"{where}: {problem}; remake the manifest with `tacgen merge`"
+        raise DatasetError(msg)
+    data["index_range"] = tuple(data["index_range"])
+    data["pads"] = tuple(data["pads"])
+    return ShardLine(**data)
+
+
+_COUNTS: dict[str, type] = {
+    "counts": int,
+    "status": int,
+    "failure_modes": int,
+    "splits": int,
+    "calibration": str,
+    "versions": str,
+}
+_FIELDS: dict[str, type] = {
+    "shard": int,
+    "file": str,
+    "index_range": list,
+    "sha256": str,
+    "bytes": int,
+    "raw_bytes": int,
+    "recipe": str,
+    "recipe_sha256": str,
+    "sensor": str,
+    "pads": list,
+    "frames": int,
+    "objects": dict,
+    "schema": int,
+} | dict.fromkeys(_COUNTS, dict)
+
+
+def _problem_of(data: Any) -> str:
+    """What is wrong with a parsed line; empty where nothing is."""
+    if not isinstance(data, dict):
+        return "not a line of a manifest"
+    if data.get("schema") != SCHEMA:
+        return f"schema {data.get('schema')!r} is not {SCHEMA}"
+    odd = sorted(set(_FIELDS) ^ set(data))
+    if odd:
+        return f"keys missing or unknown: {', '.join(odd)}"
+    for key, kind in _FIELDS.items():
+        if not isinstance(data[key], kind) or isinstance(data[key], bool):
+            return f"{key} = {data[key]!r} is not {kind.__name__}"
+    for key, kind in _COUNTS.items():
+        if not all(isinstance(value, kind) for value in data[key].values()):
+            return f"{key} = {data[key]!r} does not hold {kind.__name__}"
+    for tally in data["objects"].values():
+        if not isinstance(tally, dict) or not all(isinstance(n, int) for n in tally.values()):
+            return f"objects = {data['objects']!r} does not hold counts"
+    span = data["index_range"]
+    if len(span) != 2 or not all(isinstance(n, int) for n in span) or not 0 <= span[0] < span[1]:
+        return f"index_range = {span!r} is not [start, stop]"
+    if data["shard"] < 0 or data["file"] != shard_file(data["shard"]):
+        return f"file = {data['file']!r} is not that of shard {data['shard']}"
+    return ""
+
+
+def shard_file(shard: int) -> str:
+    """Path of a shard inside the dataset's folder."""
+    return f"shards/shard-{shard:05d}.h5"
+
+
+def read_manifest(folder: Path) -> dict[int, ShardLine]:
+    """Every finished shard's line, by shard, from ``manifest.jsonl`` and the files it lacks.
+
+    Raises
+    ------
+    DatasetError
+        If a line cannot be understood.
+    """
+    lines = _read_lines(folder / "manifest.jsonl")
+    missing = (path for path in _part_paths(folder) if _part_number(path) not in lines)
+    lines.update((line.shard, line) for line in map(_read_part, missing))
+    return dict(sorted(lines.items()))
+
+
+def merge_manifest(folder: Path) -> dict[int, ShardLine]:
+    """Make the one ``manifest.jsonl`` of every finished shard; what it said before is kept.
+
+    Raises
+    ------
+    DatasetError
+        If a line cannot be understood, or nothing is there to merge.
+    """
+    path = folder / "manifest.jsonl"
+    parts = [_read_part(part) for part in _part_paths(folder)]
+    try:
+        lines = _read_lines(path)
+    except DatasetError:
+        # A broken manifest is remade as long as the files that it was made of are all there.
+        lines = {}
+        if not parts:
+            raise
+    lines.update((line.shard, line) for line in parts)
+    if not lines:
+        msg = f"{folder}: no finished shard to merge; `tacgen collect` makes them"
+        raise DatasetError(msg)
+    lines = dict(sorted(lines.items()))
+    text = "".join(f"{line.to_json()}\n" for line in lines.values())
+    if not path.is_file() or path.read_text(encoding="utf-8", errors="replace") != text:
+        write_text(path, text)
+    return lines
+
+
+def total(lines: Iterable[ShardLine], name: str) -> dict[str, int]:
+    """The sum over lines of one of their ``counts``, ``status``, ``splits``, ``failure_modes``."""
+    tally: dict[str, int] = {}
+    for line in lines:
+        for key, count in getattr(line, name).items():
+            tally[key] = tally.get(key, 0) + count
+    return dict(sorted(tally.items()))
+
+
+def _read_lines(path: Path) -> dict[int, ShardLine]:
+    if not path.is_file():
+        return {}
+    lines: dict[int, ShardLine] = {}
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, text in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), ""), start=1):
+            line = parse_line(text, f"{path}:{number}")
+            if line.shard in lines:
+                msg = f"{path}:{number}: shard {line.shard} stands there twice; run `tacgen merge`"
+                raise DatasetError(msg)
+            lines[line.shard] = line
+    return lines
+
+
+def _part_paths(folder: Path) -> list[Path]:
+    return sorted(folder.glob("shards/shard-*.json"))
+
+
+def _part_number(path: Path) -> int:
+    digits = path.stem.removeprefix("shard-")
+    return int(digits) if digits.isdecimal() else -1
+
+
+def _read_part(path: Path) -> ShardLine:
+    if path.stat().st_size > MAX_LINE_BYTES:
+        msg = f"{path}: larger than a line of a manifest can be; remake the shard"
+        raise DatasetError(msg)
+    line = parse_line(path.read_text(encoding="utf-8", errors="replace"), str(path))
+    if line.shard != _part_number(path):
+        msg = f"{path}: holds the line of shard {line.shard}"
+        raise DatasetError(msg)
+    return line

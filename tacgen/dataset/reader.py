@@ -1,0 +1,296 @@
+"""Reading a dataset: lazily, one grasp at a time, without pickle."""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.dataset.manifest import ShardLine, read_manifest, total
+from tacgen.dataset.samples import GraspSample, PadSample
+from tacgen.dataset.schema import GRASP_ARRAYS, Layout
+from tacgen.dataset.shard import broken_as_error, open_shard
+from tacgen.errors import DatasetError
+from tacgen.files import sha256_of
+from tacgen.records import GraspConfig, SlipMargin
+
+_MAX_OPEN = 8
+
+
+class Dataset:
+    """The grasps of a folder that ``tacgen collect`` made.
+
+    Grasps are named by their index in the recipe's grid: ``indices`` lists those there are. Each
+    shard is hashed once before it is first opened, so damage is told rather than trained on.
+    The object can be pickled and used after a fork; every process opens files of its own.
+
+    Parameters
+    ----------
+    root : Path
+    partial : bool
+        Take what is finished; otherwise a dataset with missing shards is an error.
+    check_hashes : bool
+        Compare each shard with the hash in the manifest when it is first opened.
+
+    Raises
+    ------
+    DatasetError
+        If there is no dataset, it is not complete, or shards of different recipes, calibrations
+        or sensors are mixed.
+    """
+
+    def __init__(
+        self, root: Path | str, *, partial: bool = False, check_hashes: bool = True
+    ) -> None:
+        self.root = Path(root)
+        self._check_hashes = check_hashes
+        self._lines = list(read_manifest(self.root).values())
+        problems = manifest_problems(self._lines, None if partial else planned_grasps(self.root))
+        if not self._lines:
+            problems = ["no finished shard there; `tacgen collect --out` makes a dataset"]
+        if problems:
+            raise DatasetError.from_problems([f"{self.root}: {text}" for text in problems])
+        self._starts = [line.index_range[0] for line in self._lines]
+        self._pid = os.getpid()
+        self._open: OrderedDict[int, tuple[h5py.File, Layout]] = OrderedDict()
+        self._checked: set[int] = set()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_open": OrderedDict(), "_pid": -1}
+
+    def __len__(self) -> int:
+        return sum(stop - start for start, stop in (line.index_range for line in self._lines))
+
+    def __iter__(self) -> Iterator[GraspSample]:
+        for index in self.indices:
+            yield self.read(int(index))
+
+    @property
+    def lines(self) -> tuple[ShardLine, ...]:
+        """The manifest, in the order of the shards."""
+        return tuple(self._lines)
+
+    @property
+    def indices(self) -> NDArray[np.int64]:
+        """Index of every grasp there is, ascending."""
+        return np.concatenate([np.arange(*line.index_range) for line in self._lines])
+
+    @property
+    def pads(self) -> tuple[str, ...]:
+        """The tactile pads."""
+        return self._lines[0].pads
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor."""
+        return self._lines[0].sensor
+
+    @property
+    def n_frames(self) -> int:
+        """Tactile frames of a grasp."""
+        return self._lines[0].frames
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Times of the frames, (T,)."""
+        return self._read(self._starts[0], "/time_s", whole=True)
+
+    @property
+    def shape_px(self) -> tuple[int, int]:
+        """Height and width of the tactile images."""
+        height, width, _ = self.reference().shape
+        return height, width
+
+    def counts(self, name: str = "counts") -> dict[str, int]:
+        """Grasps by outcome, or by ``status``, ``splits`` or ``failure_modes``."""
+        return total(self._lines, name)
+
+    def columns(self) -> dict[str, NDArray]:
+        """Everything that is said of each grasp, by name, (N, …), in the order of ``indices``."""
+        parts: dict[str, list[NDArray]] = {}
+        for start in self._starts:
+            for array in GRASP_ARRAYS:
+                values = self._read(start, array.path, whole=True)
+                parts.setdefault(array.path.rsplit("/", 1)[1], []).append(_as_text(values))
+        return {name: np.concatenate(values) for name, values in parts.items()}
+
+    def rgb(
+        self, index: int, pad: str | None = None, frame: int | None = None
+    ) -> NDArray[np.uint8]:
+        """Tactile images of a grasp, (T, H, W, 3), or one ``frame`` of them, (H, W, 3)."""
+        path = self._layout(index).tactile(self._pad(pad), "rgb")
+        return self._read(index, path, then=() if frame is None else (frame,))
+
+    def reference(self, pad: str | None = None) -> NDArray[np.uint8]:
+        """The image of the undeformed gel, (H, W, 3)."""
+        start = self._starts[0]
+        path = self._layout(start).tactile(self._pad(pad), "reference")
+        return self._read(start, path, whole=True)
+
+    def picture(self, index: int) -> NDArray[np.uint8] | None:
+        """The scene from outside, (h, w, 3), if there are pictures."""
+        return self._read(index, "/scene/picture") if self._layout(index).picture else None
+
+    def contact(self, index: int, name: str, pad: str | None = None) -> NDArray[np.float64]:
+        """``force_normal_n`` (T,), ``force_shear_n`` (T, 2) or ``indentation_mm`` (T,)."""
+        return self._read(index, self._layout(index).contact(self._pad(pad), name))
+
+    def read(self, index: int) -> GraspSample:
+        """Everything there is about one grasp."""
+        said = {
+            array.path.rsplit("/", 1)[1]: _as_text(self._read(index, array.path))
+            for array in GRASP_ARRAYS
+        }
+        executed = said["status"] == "executed"
+        return GraspSample(
+            config=GraspConfig(
+                index=int(said["index"]),
+                object=str(said["object"]),
+                force_n=float(said["force_n"]),
+                x_mm=float(said["x_mm"]),
+                y_mm=float(said["y_mm"]),
+                z_mm=float(said["z_mm"]),
+                yaw_rad=float(said["yaw_rad"]),
+            ),
+            seed=int(said["seed"]),
+            split=str(said["split"]),
+            status=str(said["status"]),  # type: ignore[arg-type]
+            label=int(said["label"]),
+            failure_mode=str(said["failure_mode"]),  # type: ignore[arg-type]
+            pads={pad: self._pad_sample(index, pad) for pad in self.pads} if executed else {},
+            object_pose=self._read(index, "/object/pose"),
+            rise_mm=float(said["rise_mm"]),
+            turn_rad=float(said["turn_rad"]),
+            margin=_margin(said),
+            grasp_frame=int(said["grasp_frame"]),
+            picture=self.picture(index),
+            reason=str(said["reason"]),
+        )
+
+    def close(self) -> None:
+        """Close the files; they open again when they are needed."""
+        while self._open:
+            self._open.popitem()[1][0].close()
+
+    def _pad_sample(self, index: int, pad: str) -> PadSample:
+        layout = self._layout(index)
+        return PadSample(
+            rgb=self.rgb(index, pad),
+            force_normal_n=self.contact(index, "force_normal_n", pad),
+            force_shear_n=self.contact(index, "force_shear_n", pad),
+            indentation_mm=self.contact(index, "indentation_mm", pad),
+            depth_mm=(self._read(index, layout.tactile(pad, "depth_mm")) if layout.depth else None),
+        )
+
+    def _pad(self, pad: str | None) -> str:
+        if pad is None:
+            return self.pads[0]
+        if pad not in self.pads:
+            msg = f"{self.root}: no {pad!r} pad in this dataset; it has {', '.join(self.pads)}"
+            raise DatasetError(msg)
+        return pad
+
+    def _layout(self, index: int) -> Layout:
+        return self._file(self._place(index))[1]
+
+    def _read(
+        self, index: int, path: str, *, whole: bool = False, then: tuple[int, ...] = ()
+    ) -> NDArray:
+        """The array at ``path`` of a grasp's shard: the ``whole``, or the grasp's row of it."""
+        place = self._place(index)
+        file, _ = self._file(place)
+        line = self._lines[place]
+        with broken_as_error(self.root / line.file):
+            dataset = file[path]
+            return dataset[()] if whole else dataset[(index - line.index_range[0], *then)]
+
+    def _place(self, index: int) -> int:
+        place = bisect_right(self._starts, index) - 1
+        if place < 0 or index >= self._lines[place].index_range[1]:
+            msg = f"{self.root}: no grasp {index} in this dataset"
+            raise DatasetError(msg)
+        return place
+
+    def _file(self, place: int) -> tuple[h5py.File, Layout]:
+        if self._pid != os.getpid():
+            # Files of the parent process are the parent's to close.
+            self._open, self._pid = OrderedDict(), os.getpid()
+        if place in self._open:
+            self._open.move_to_end(place)
+            return self._open[place]
+        line = self._lines[place]
+        path = self.root / line.file
+        if self._check_hashes and place not in self._checked and path.is_file():
+            if sha256_of(path) != line.sha256:
+                msg = f"{path}: is not what was written; `tacgen collect --repair` remakes it"
+                raise DatasetError(msg)
+            self._checked.add(place)
+        self._open[place] = open_shard(path)
+        if len(self._open) > _MAX_OPEN:
+            self._open.popitem(last=False)[1][0].close()
+        return self._open[place]
+
+
+def planned_grasps(root: Path) -> int | None:
+    """How many grasps the dataset is to have, where ``dataset.json`` says so."""
+    from tacgen.dataset.folder import DatasetFolder
+
+    folder = DatasetFolder(root)
+    return folder.plan()["n_grasps"] if folder.plan_path.is_file() else None
+
+
+def manifest_problems(lines: list[ShardLine], n_grasps: int | None) -> list[str]:
+    """Gaps, overlaps and mixtures in a manifest; ``n_grasps`` is how many there are to be."""
+    problems = []
+    due = 0
+    for line in lines:
+        start, stop = line.index_range
+        if start > due and n_grasps is not None:
+            problems.append(f"grasps {due} to {start - 1} are missing; `tacgen collect` resumes")
+        if start < due:
+            problems.append(f"{line.file}: grasps {start} to {due - 1} are there twice")
+        due = stop
+    if n_grasps is not None and due < n_grasps:
+        problems.append(f"grasps {due} to {n_grasps - 1} are missing; `tacgen collect` resumes")
+    if n_grasps is not None and due > n_grasps:
+        problems.append(f"grasps {n_grasps} to {due - 1} are more than the recipe asks for")
+    for name in ("recipe_sha256", "calibration", "sensor", "pads", "frames"):
+        problems += _mixed(lines, name)
+    versions = {line.versions.get("tacgen", "") for line in lines}
+    if len(versions) > 1:
+        problems.append(f"shards of different versions of tacgen: {', '.join(sorted(versions))}")
+    return problems
+
+
+def _mixed(lines: list[ShardLine], name: str) -> list[str]:
+    odd = [line.file for line in lines if getattr(line, name) != getattr(lines[0], name)]
+    if not odd:
+        return []
+    return [f"{', '.join(odd[:3])} and {lines[0].file} differ in {name}; keep them in two folders"]
+
+
+def _as_text(values: Any) -> Any:
+    """Bytes become text; everything else stays."""
+    if isinstance(values, bytes):
+        return values.decode("utf-8", errors="replace")
+    if isinstance(values, np.ndarray) and values.dtype.kind == "S":
+        return np.char.decode(values, "utf-8", errors="replace")
+    return values
+
+
+def _margin(said: Mapping[str, Any]) -> SlipMargin | None:
+    if np.isnan(said["margin_translational"]) and np.isnan(said["margin_rotational"]):
+        return None
+    return SlipMargin(
+        translational=float(said["margin_translational"]),
+        rotational=float(said["margin_rotational"]),
+        first_slip_time_s=float(said["first_slip_time_s"]),
+        first_slip_direction=said["first_slip_direction"],
+    )

@@ -1,0 +1,113 @@
+"""The frozen records that go into a dataset and come out of it: one grasp, and what all share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.records import FailureMode, GraspConfig, Sensor, SlipMargin, Status
+
+
+@dataclass(frozen=True, slots=True)
+class PadSample:
+    """What one tactile pad felt during one grasp.
+
+    Attributes
+    ----------
+    rgb : (T, H, W, 3) uint8
+        The sensor's images, RGB.
+    force_normal_n : (T,) float
+        Force pressing into the gel.
+    force_shear_n : (T, 2) float
+        Force of the object on the gel along the gel's x and y.
+    indentation_mm : (T,) float
+        δ of the contact law: how far the object stands in the gel at its deepest point.
+    depth_mm : (H, W) float16, or None
+        Indentation of each pixel at the moment of grasp.
+    """
+
+    rgb: NDArray[np.uint8]
+    force_normal_n: NDArray[np.floating]
+    force_shear_n: NDArray[np.floating]
+    indentation_mm: NDArray[np.floating]
+    depth_mm: NDArray[np.floating] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSample:
+    """One grasp of a dataset.
+
+    ``pads`` maps ``left`` and/or ``right`` to what was felt there; it is empty where the grasp
+    was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z (mm)
+    and the quaternion x, y, z, w in the world. ``grasp_frame`` is the frame of the moment of
+    grasp. ``picture`` (h, w, 3) uint8 shows the scene from outside.
+    """
+
+    config: GraspConfig
+    seed: int
+    split: str
+    status: Status
+    label: int
+    failure_mode: FailureMode = ""
+    pads: Mapping[str, PadSample] = field(default_factory=dict)
+    object_pose: NDArray[np.floating] | None = None
+    rise_mm: float = 0.0
+    turn_rad: float = 0.0
+    margin: SlipMargin | None = None
+    grasp_frame: int = 0
+    picture: NDArray[np.uint8] | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetSpec:
+    """What all shards of a dataset have in common; their bytes follow from it and the grasps.
+
+    Attributes
+    ----------
+    recipe : mapping
+        The resolved recipe as plain data (``Recipe.resolved()``), written to ``recipe.yaml``.
+    recipe_sha256 : str
+        ``Recipe.sha256()``.
+    calibration : mapping
+        SHA-256 of each file the images depend on, by role: ``table``, ``contact_law`` …
+    sensor : Sensor
+    pads : tuple of str
+        The tactile pads, ``("left",)``, ``("right",)`` or ``("left", "right")``.
+    time_s : tuple of float
+        Times of the T frames, from the start of closing on (0 for a single image).
+    n_grasps, shard_size : int
+        Grasps in all, and how many a shard holds (the last may hold fewer).
+    reference_rgb : (H, W, 3) uint8
+        The image of the undeformed gel, so that a reader can take the difference.
+    depth : bool
+        Whether ``depth_mm`` is kept.
+    picture_px : (height, width), or None
+        Size of the scene pictures, if there are any.
+    """
+
+    recipe: Mapping[str, Any]
+    recipe_sha256: str
+    calibration: Mapping[str, str]
+    sensor: Sensor
+    pads: tuple[str, ...]
+    time_s: tuple[float, ...]
+    n_grasps: int
+    shard_size: int
+    reference_rgb: NDArray[np.uint8]
+    depth: bool = False
+    picture_px: tuple[int, int] | None = None
+
+    @property
+    def n_shards(self) -> int:
+        """How many shards the dataset has."""
+        return -(-self.n_grasps // self.shard_size)
+
+    def shard_range(self, shard: int) -> range:
+        """The grasp indices of one shard."""
+        start = shard * self.shard_size
+        return range(start, min(start + self.shard_size, self.n_grasps))

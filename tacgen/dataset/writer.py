@@ -1,0 +1,210 @@
+"""Writing one shard: a stream of grasps into one HDF5 file whose bytes depend on nothing else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import h5py
+import hdf5plugin
+import numpy as np
+
+import tacgen
+from tacgen.dataset.check import sample_problems
+from tacgen.dataset.manifest import ShardLine, shard_file
+from tacgen.dataset.samples import DatasetSpec, GraspSample
+from tacgen.dataset.schema import FORMAT_VERSION, ArraySpec, Layout, array_sizes
+from tacgen.errors import DatasetError
+from tacgen.files import sha256_of
+from tacgen.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
+
+# The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
+LIBRARY_VERSION = ("v110", "v110")
+OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
+LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "pybullet", "h5py", "hdf5plugin")
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
+    versions = {"tacgen": tacgen.__version__, "hdf5": h5py.version.hdf5_version}
+    for name in LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return dict(sorted(versions.items()))
+
+
+def layout_of(spec: DatasetSpec) -> Layout:
+    """The arrays that a dataset of this spec has."""
+    return Layout(spec.sensor.name, spec.pads, spec.depth, spec.picture_px is not None)
+
+
+def write_shard_file(
+    path: Path, samples: Iterable[GraspSample], spec: DatasetSpec, shard: int
+) -> ShardLine:
+    """Write the grasps of one shard to ``path`` and say what it holds.
+
+    Grasps are taken one at a time, in the order of their indices; only one is in memory.
+
+    Raises
+    ------
+    DatasetError
+        If a grasp does not fit the spec, or one is missing, or one too many.
+    """
+    indices = spec.shard_range(shard)
+    layout = layout_of(spec)
+    sizes = array_sizes(len(indices), len(spec.time_s), spec.sensor, spec.picture_px)
+    tally = _Tally()
+    with h5py.File(path, "w", libver=LIBRARY_VERSION, locking=False) as file:
+        _write_attributes(file, spec, indices)
+        small = {}
+        for array in layout.arrays():
+            dataset = _create(file, array, array.resolve(sizes))
+            if not array.image:
+                small[array.path] = np.zeros(dataset.shape, dataset.dtype)
+        for row, sample in enumerate(_expected(samples, indices, spec)):
+            tally.add(sample)
+            for place, values in grasp_values(sample, layout):
+                if place in small:
+                    small[place][row] = values
+                else:
+                    file[place][row] = values
+        small["/time_s"][:] = spec.time_s
+        for place, values in small.items():
+            file[place][...] = values
+        for pad in spec.pads:
+            file[layout.tactile(pad, "reference")][...] = spec.reference_rgb
+    raw = sum(np.dtype(a.dtype).itemsize * int(np.prod(a.resolve(sizes))) for a in layout.arrays())
+    return ShardLine(
+        shard=shard,
+        file=shard_file(shard),
+        index_range=(indices.start, indices.stop),
+        sha256=sha256_of(path),
+        bytes=path.stat().st_size,
+        raw_bytes=raw,
+        recipe=str(spec.recipe.get("name", "")),
+        recipe_sha256=spec.recipe_sha256,
+        calibration=dict(sorted(spec.calibration.items())),
+        sensor=spec.sensor.name,
+        pads=spec.pads,
+        frames=len(spec.time_s),
+        versions=library_versions(),
+        **tally.counts(),
+    )
+
+
+def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, object]]:
+    """(path, values) of everything that one grasp contributes; what it lacks stays zero."""
+    config, margin = sample.config, sample.margin
+    yield "/grasp/index", config.index
+    yield "/grasp/object", config.object.encode()
+    for name in ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad"):
+        yield f"/grasp/{name}", getattr(config, name)
+    for name in ("seed", "label", "rise_mm", "turn_rad", "grasp_frame"):
+        yield f"/grasp/{name}", getattr(sample, name)
+    for name in ("split", "status", "failure_mode"):
+        yield f"/grasp/{name}", getattr(sample, name).encode()
+    reason = sample.reason.encode()[: _text_length("/grasp/reason", layout)]
+    yield "/grasp/reason", reason.decode(errors="ignore").encode()
+    unknown = float("nan")
+    yield "/grasp/margin_translational", margin.translational if margin else unknown
+    yield "/grasp/margin_rotational", margin.rotational if margin else unknown
+    yield "/grasp/first_slip_time_s", margin.first_slip_time_s if margin else unknown
+    if margin:
+        yield "/grasp/first_slip_direction", margin.first_slip_direction
+    if sample.object_pose is not None:
+        yield "/object/pose", sample.object_pose
+    if layout.picture and sample.picture is not None:
+        yield "/scene/picture", sample.picture
+    for pad, felt in sample.pads.items():
+        yield layout.tactile(pad, "rgb"), felt.rgb
+        if layout.depth and felt.depth_mm is not None:
+            yield layout.tactile(pad, "depth_mm"), felt.depth_mm
+        for name in ("force_normal_n", "force_shear_n", "indentation_mm"):
+            yield layout.contact(pad, name), getattr(felt, name)
+
+
+def _text_length(path: str, layout: Layout) -> int:
+    return next(np.dtype(a.dtype).itemsize for a in layout.arrays() if a.path == path)
+
+
+def _create(file: h5py.File, array: ArraySpec, shape: tuple[int, ...]) -> h5py.Dataset:
+    dtype = np.dtype(array.dtype)
+    stored = h5py.string_dtype("utf-8", dtype.itemsize) if dtype.kind == "S" else dtype
+    options: dict[str, object] = {"track_times": False}
+    if array.image:
+        lead = len(shape) - (2 if array.dtype == "float16" else 3)
+        options |= {"chunks": (1,) * lead + shape[lead:], **hdf5plugin.Zstd(clevel=1)}
+    dataset = file.create_dataset(array.path, shape, stored, **options)
+    for name in ("unit", "frame", "description"):
+        dataset.attrs[name] = getattr(array, name)
+    return dataset
+
+
+def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> None:
+    sensor = spec.sensor
+    file.attrs["format"] = "tacgen"
+    file.attrs["format_version"] = FORMAT_VERSION
+    file.attrs["tacgen_version"] = tacgen.__version__
+    file.attrs["recipe_sha256"] = spec.recipe_sha256
+    file.attrs["index_range"] = (indices.start, indices.stop)
+    file.attrs["sensor"] = sensor.name
+    file.attrs["pads"] = ",".join(spec.pads)
+    file.attrs["mm_per_px"] = sensor.mm_per_px
+
+
+def _expected(
+    samples: Iterable[GraspSample], indices: range, spec: DatasetSpec
+) -> Iterator[GraspSample]:
+    """The samples, each checked to be the one that is due and to fit."""
+    row = 0
+    for sample in samples:
+        due = indices[row] if row < len(indices) else None
+        if sample.config.index != due:
+            wanted = "no further one" if due is None else f"grasp {due}"
+            msg = f"grasp {sample.config.index} came where {wanted} was due"
+            raise DatasetError(msg)
+        problems = sample_problems(sample, spec)
+        if problems:
+            raise DatasetError.from_problems([f"grasp {due}: {text}" for text in problems])
+        row += 1
+        yield sample
+    if row < len(indices):
+        msg = f"grasps {indices[row]} to {indices[-1]} are missing from the shard"
+        raise DatasetError(msg)
+
+
+class _Tally:
+    """Counts for the manifest."""
+
+    def __init__(self) -> None:
+        self._status: Counter[str] = Counter()
+        self._outcome: Counter[str] = Counter(dict.fromkeys(OUTCOME.values(), 0))
+        self._mode: Counter[str] = Counter()
+        self._split: Counter[str] = Counter()
+        self._objects: dict[str, Counter[str]] = {}
+
+    def add(self, sample: GraspSample) -> None:
+        outcome = OUTCOME[sample.label]
+        self._status[sample.status] += 1
+        self._outcome[outcome] += 1
+        self._split[sample.split] += 1
+        if sample.failure_mode:
+            self._mode[sample.failure_mode] += 1
+        mine = self._objects.setdefault(
+            sample.config.object, Counter(dict.fromkeys(OUTCOME.values(), 0))
+        )
+        mine[outcome] += 1
+
+    def counts(self) -> dict[str, Any]:
+        return {
+            "counts": dict(self._outcome),
+            "status": dict(sorted(self._status.items())),
+            "failure_modes": dict(sorted(self._mode.items())),
+            "splits": dict(sorted(self._split.items())),
+            "objects": {name: dict(tally) for name, tally in sorted(self._objects.items())},
+        }

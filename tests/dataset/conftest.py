@@ -1,0 +1,93 @@
+"""Small synthetic grasps: no physics, but every array a real dataset has."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample, PadSample
+from tacgen.records import GraspConfig, Sensor, SlipMargin
+
+SENSOR = Sensor("gelsight", height_px=24, width_px=32, mm_per_px=0.5, gel_depth_mm=2.0)
+
+
+def make_spec(**changes: object) -> DatasetSpec:
+    height, width = SENSOR.shape_px
+    given: dict = {
+        "recipe": {"name": "toy", "seed": 3, "physics": {"time_step_s": 0.004}, "objects": ["can"]},
+        "recipe_sha256": "ab" * 32,
+        "calibration": {"table": "cd" * 32},
+        "sensor": SENSOR,
+        "pads": ("left",),
+        "time_s": (0.0, 0.5, 1.0),
+        "n_grasps": 10,
+        "shard_size": 4,
+        "reference_rgb": np.full((height, width, 3), 100, np.uint8),
+        "picture_px": (12, 16),
+    }
+    return DatasetSpec(**(given | changes))
+
+
+def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
+    """A grasp whose numbers all follow from its index; every fifth one could not be executed."""
+    rng = np.random.default_rng(index)
+    frames, (height, width) = len(spec.time_s), spec.sensor.shape_px
+    config = GraspConfig(index, "can" if index % 2 else "cup", 5.0 + index, 0.5 * index, -1.0, 40.0)
+    split = "test" if index % 4 == 3 else "train"
+    if index % 5 == 4:
+        return GraspSample(config, 77 + index, split, "unreachable", -1, reason="too far away")
+    label = int(index % 3 > 0)
+    force_n = np.linspace(0, config.force_n, frames)
+    pads = {
+        pad: PadSample(
+            rgb=rng.integers(90, 110, (frames, height, width, 3), dtype=np.uint8),
+            force_normal_n=force_n,
+            force_shear_n=np.stack([0.1 * force_n, -0.2 * force_n], axis=1),
+            indentation_mm=0.05 * force_n,
+            depth_mm=np.full((height, width), 0.25, np.float16) if spec.depth else None,
+        )
+        for pad in spec.pads
+    }
+    return GraspSample(
+        config=config,
+        seed=77 + index,
+        split=split,
+        status="executed",
+        label=label,
+        failure_mode="" if label else ("translational_slip", "rotational_slip")[index % 2],
+        pads=pads,
+        object_pose=np.tile([0, 0, 10.0 * index, 0, 0, 0, 1.0], (frames, 1)),
+        rise_mm=180.0 * label,
+        turn_rad=0.01,
+        margin=SlipMargin(0.5 if label else -0.5, 1.0, np.nan if label else 1.5, np.zeros(2)),
+        grasp_frame=1,
+        picture=rng.integers(0, 255, (*spec.picture_px, 3), dtype=np.uint8)
+        if spec.picture_px
+        else None,
+    )
+
+
+def collect_toy(
+    root: Path, spec: DatasetSpec, shards: tuple[int, ...] | None = None
+) -> DatasetFolder:
+    """Write ``shards`` (all of them by default) of synthetic grasps."""
+    folder = DatasetFolder(root)
+    folder.prepare(spec)
+    for shard in range(spec.n_shards) if shards is None else shards:
+        with folder.claim(shard) as mine:
+            assert mine
+            folder.write_shard(shard, (make_sample(i, spec) for i in spec.shard_range(shard)), spec)
+    return folder
+
+
+@pytest.fixture
+def spec() -> DatasetSpec:
+    return make_spec()
+
+
+@pytest.fixture
+def toy(tmp_path: Path, spec: DatasetSpec) -> DatasetFolder:
+    """A finished dataset of ten grasps in three shards, merged."""
+    folder = collect_toy(tmp_path / "toy", spec)
+    folder.merge()
+    return folder

@@ -1,0 +1,145 @@
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from tacgen.dataset import Dataset, DatasetFolder
+from tacgen.errors import DatasetError
+
+from .conftest import collect_toy, make_sample, make_spec
+
+
+def digests(root: Path) -> list[str]:
+    return [hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(root.glob("shards/*.h5"))]
+
+
+def test_contract_layout(toy):
+    with h5py.File(toy.shard_path(0)) as file:
+        for name in (
+            *("index", "force_n", "x_mm", "y_mm", "z_mm", "seed"),
+            *("label", "failure_mode", "status", "object"),
+        ):
+            assert file[f"/grasp/{name}"].shape == (4,)
+        rgb = file["/tactile/gelsight/rgb"]
+        assert (rgb.shape, rgb.dtype) == ((4, 3, 24, 32, 3), np.uint8)
+        assert file["/contact/force_normal_n"].shape == (4, 3)
+        assert file["/contact/force_shear_n"].shape == (4, 3, 2)
+        assert file["/contact/indentation_mm"].shape == (4, 3)
+        assert file["/object/pose"].shape == (4, 3, 7)
+        np.testing.assert_array_equal(file["/time_s"], [0.0, 0.5, 1.0])
+        assert file["/contact/force_normal_n"].attrs["unit"] == "N"
+        assert file["/contact/force_normal_n"].attrs["frame"] == "gel"
+        assert list(file["/grasp/object"].asstr()) == ["cup", "can", "cup", "can"]
+
+
+def test_manifest_line_of_each_shard(toy):
+    lines = [json.loads(text) for text in toy.manifest_path.read_text().splitlines()]
+    assert [line["index_range"] for line in lines] == [[0, 4], [4, 8], [8, 10]]
+    assert [line["sha256"] for line in lines] == digests(toy.root)
+    assert lines[0]["recipe_sha256"] == "ab" * 32
+    assert lines[0]["calibration"] == {"table": "cd" * 32}
+    assert {"tacgen", "h5py", "numpy"} <= set(lines[0]["versions"])
+    # Grasps 4 and 9 are not executed; of the others those with index % 3 > 0 succeed.
+    outcome = {"success": 5, "failure": 3, "not_executed": 2}
+    for name, count in outcome.items():
+        assert sum(line["counts"][name] for line in lines) == count
+
+
+def test_what_was_written_is_read(toy, spec):
+    for sample in Dataset(toy.root):
+        given = make_sample(sample.config.index, spec)
+        assert sample.config == given.config
+        for name in ("seed", "split", "status", "label", "failure_mode", "reason", "rise_mm"):
+            assert getattr(sample, name) == getattr(given, name)
+        assert set(sample.pads) == set(given.pads)
+        for pad, felt in given.pads.items():
+            np.testing.assert_array_equal(sample.pads[pad].rgb, felt.rgb)
+            np.testing.assert_array_equal(sample.pads[pad].force_shear_n, felt.force_shear_n)
+
+
+def test_a_grasp_not_executed_is_kept_with_zeros(toy):
+    with h5py.File(toy.shard_path(1)) as file:
+        assert file["/grasp/label"][0] == -1
+        assert file["/grasp/status"].asstr()[0] == "unreachable"
+        assert file["/grasp/reason"].asstr()[0] == "too far away"
+        assert not file["/tactile/gelsight/rgb"][0].any()
+
+
+def test_two_pads_stand_in_groups_of_their_own(tmp_path):
+    spec = make_spec(pads=("left", "right"), depth=True)
+    toy = collect_toy(tmp_path, spec)
+    with h5py.File(toy.shard_path(0)) as file:
+        assert set(file["/tactile"]) == {"gelsight_left", "gelsight_right"}
+        assert set(file["/contact"]) == {"gelsight_left", "gelsight_right"}
+        assert file["/tactile/gelsight_right/depth_mm"].shape == (4, 24, 32)
+        assert file["/tactile/gelsight_right/depth_mm"].dtype == np.float16
+    sample = Dataset(tmp_path).read(1)
+    assert set(sample.pads) == {"left", "right"}
+    assert not np.array_equal(sample.pads["left"].rgb, sample.pads["right"].rgb)
+
+
+def test_same_bytes_in_another_order_and_another_process(tmp_path, spec):
+    one = collect_toy(tmp_path / "one", spec, shards=(0, 1, 2))
+    two = collect_toy(tmp_path / "two", spec, shards=(2, 0, 1))
+    script = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from tests.dataset.conftest import collect_toy, make_spec\n"
+        "from pathlib import Path\n"
+        "collect_toy(Path(sys.argv[2]), make_spec())"
+    )
+    checkout = str(Path(__file__).parents[2])
+    command = [sys.executable, "-c", script, checkout, str(tmp_path / "three")]
+    subprocess.run(command, check=True, cwd=checkout)
+    assert digests(one.root) == digests(two.root) == digests(tmp_path / "three")
+
+
+def test_another_grasp_gives_other_bytes(tmp_path, spec):
+    collect_toy(tmp_path / "one", spec, shards=(0,))
+    other = DatasetFolder(tmp_path / "two")
+    other.prepare(spec)
+    samples = [make_sample(i, spec) for i in range(4)]
+    samples[2] = replace(samples[2], seed=5)
+    other.write_shard(0, samples, spec)
+    assert digests(tmp_path / "one") != digests(tmp_path / "two")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"label": -1}, "label -1 does not go with status executed"),
+        ({"status": "sleepy"}, "status 'sleepy' is not one of"),
+        ({"split": "half"}, "split 'half' is not one of train, test"),
+        ({"pads": {}}, "pads none are not left"),
+        ({"object_pose": np.full((3, 7), np.nan)}, "object_pose is not finite"),
+        ({"object_pose": np.zeros((2, 7))}, r"object_pose has shape \(2, 7\), not \(3, 7\)"),
+    ],
+)
+def test_a_grasp_that_does_not_fit_is_refused_and_leaves_nothing(tmp_path, spec, change, words):
+    folder = DatasetFolder(tmp_path)
+    folder.prepare(spec)
+    samples = [make_sample(i, spec) for i in range(4)]
+    samples[1] = replace(samples[1], **change)
+    with pytest.raises(DatasetError, match=f"grasp 1: {words}"):
+        folder.write_shard(0, samples, spec)
+    assert not list((tmp_path / "shards").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("indices", "words"),
+    [
+        ((0, 1, 3), "grasp 3 came where grasp 2 was due"),
+        ((0, 1, 2), "grasps 3 to 3 are missing"),
+        ((0, 1, 2, 3, 4), "grasp 4 came where no further one was due"),
+    ],
+)
+def test_grasps_missing_or_too_many_are_refused(tmp_path, spec, indices, words):
+    folder = DatasetFolder(tmp_path)
+    folder.prepare(spec)
+    with pytest.raises(DatasetError, match=words):
+        folder.write_shard(0, (make_sample(i, spec) for i in indices), spec)
