@@ -15,11 +15,13 @@ from typing import Any
 import yaml
 
 import tacgen
+from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.manifest import (
     ShardLine,
     merge_manifest,
-    parse_line,
+    read_lines,
     read_manifest,
+    read_part,
     shard_file,
 )
 from tacgen.dataset.samples import DatasetSpec, GraspSample
@@ -51,6 +53,7 @@ class DatasetFolder:
         self.manifest_path = self.root / "manifest.jsonl"
         self.card_path = self.root / "README.md"
         self.gallery_path = self.root / "index.html"
+        self._merged_seen: tuple[tuple[int, ...], dict[int, ShardLine]] = ((), {})
 
     def shard_path(self, shard: int) -> Path:
         """``shards/shard-00000.h5``."""
@@ -73,7 +76,7 @@ class DatasetFolder:
             If it cannot be written to, or holds a dataset of another recipe, calibration or
             version of tacgen; the message shows the difference and says how to go on.
         """
-        with _told_plainly(self.root):
+        with disk_errors(self.root):
             (self.root / "shards").mkdir(parents=True, exist_ok=True)
             plan = _plan_of(spec)
             recipe_text = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
@@ -87,8 +90,8 @@ class DatasetFolder:
         """The manifest's line of one shard, or None while it is not finished."""
         path = self.line_path(shard)
         if path.is_file():
-            return parse_line(path.read_text(encoding="utf-8"), str(path))
-        return self.manifest().get(shard) if self.manifest_path.is_file() else None
+            return read_part(path)
+        return self._merged().get(shard)
 
     def is_done(self, shard: int) -> bool:
         """Whether the shard is finished and its file is there, whole by its size."""
@@ -105,18 +108,20 @@ class DatasetFolder:
         processes may do the same work; they write the same bytes under names of their own.
         """
         path = self.lock_path(shard)
-        with _told_plainly(self.root):
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        with disk_errors(self.root):
+            descriptor, held = _open_locked(path)
         try:
-            # Whoever held the lock before may have finished the shard and removed the file.
-            if not _lock(descriptor) or (self.is_done(shard) and not redo):
+            # Whoever held the lock before may have finished the shard.
+            if held is False or (self.is_done(shard) and not redo):
                 yield False
                 return
-            _write_holder(descriptor)
-            self._remove_leftovers(shard)
+            if held:
+                _write_holder(descriptor)
+                self._remove_leftovers(shard)
             yield True
-            path.unlink(missing_ok=True)
         finally:
+            if held is not False:
+                path.unlink(missing_ok=True)
             os.close(descriptor)
 
     def write_shard(
@@ -129,7 +134,7 @@ class DatasetFolder:
         DatasetError
             If a grasp does not fit, or the disk is full, or may not be written to.
         """
-        with _told_plainly(self.root):
+        with disk_errors(self.root):
             self.line_path(shard).unlink(missing_ok=True)
             with atomic_path(self.shard_path(shard)) as partial:
                 line = write_shard_file(partial, samples, spec, shard)
@@ -142,7 +147,7 @@ class DatasetFolder:
 
     def merge(self) -> dict[int, ShardLine]:
         """Make the one ``manifest.jsonl`` out of the shards' own lines."""
-        with _told_plainly(self.root):
+        with disk_errors(self.root):
             return merge_manifest(self.root)
 
     def plan(self) -> dict[str, Any]:
@@ -160,9 +165,19 @@ class DatasetFolder:
         found = []
         for path in sorted(self.root.glob("shards/shard-*.lock")):
             with contextlib.suppress(FileNotFoundError), path.open("r+") as file:
-                if not _lock(file.fileno()):
+                if _lock(file.fileno()) is False:
                     found.append((int(path.stem.removeprefix("shard-")), file.read(200).strip()))
         return found
+
+    def _merged(self) -> dict[int, ShardLine]:
+        """``manifest.jsonl`` as it stands, read anew when it changed."""
+        if not self.manifest_path.is_file():
+            return {}
+        status = self.manifest_path.stat()
+        key = (status.st_mtime_ns, status.st_size, status.st_ino)
+        if self._merged_seen[0] != key:
+            self._merged_seen = (key, read_lines(self.manifest_path))
+        return self._merged_seen[1]
 
     def _remove_leftovers(self, shard: int) -> None:
         for path in self.root.glob(f"shards/.{self.shard_path(shard).stem}.*.part"):
@@ -238,34 +253,35 @@ def _create_whole(path: Path, text: str) -> bool:
     return True
 
 
-def _lock(descriptor: int) -> bool:
+def _open_locked(path: Path) -> tuple[int, bool | None]:
+    """Open and lock ``path``; (descriptor, True), or False where another holds it.
+
+    None instead of True where this file system has no locks.
+    """
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        held = _lock(descriptor)
+        # The holder removes the file when it is through: a lock on a removed file is no lock.
+        if not held or _is_same_file(descriptor, path):
+            return descriptor, held
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool | None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        return error.errno in _NO_LOCKS_HERE
+        return None if error.errno in _NO_LOCKS_HERE else False
     return True
+
+
+def _is_same_file(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def _write_holder(descriptor: int) -> None:
     os.ftruncate(descriptor, 0)
     os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-
-
-@contextlib.contextmanager
-def _told_plainly(root: Path) -> Iterator[None]:
-    """Turn the errors of a disk into one message that says how to mend them."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None:
-            raise
-        mend = {
-            errno.ENOSPC: "free some and run the same command again; finished shards are kept",
-            errno.EDQUOT: "your quota is used up; free some and run the same command again",
-            errno.EACCES: "give a folder that you may write to",
-            errno.EPERM: "give a folder that you may write to",
-            errno.EROFS: "give a folder that you may write to",
-        }.get(error.errno, "finished shards are kept; run the same command again")
-        what = error.strerror or str(error)
-        msg = f"{root}: {what[:1].lower()}{what[1:]}; {mend}"
-        raise DatasetError(msg) from error

@@ -140,9 +140,9 @@ def read_manifest(folder: Path) -> dict[int, ShardLine]:
     DatasetError
         If a line cannot be understood.
     """
-    lines = _read_lines(folder / "manifest.jsonl")
-    missing = (path for path in _part_paths(folder) if _part_number(path) not in lines)
-    lines.update((line.shard, line) for line in map(_read_part, missing))
+    lines = read_lines(folder / "manifest.jsonl")
+    missing = (path for path in part_paths(folder) if _part_number(path) not in lines)
+    lines.update((line.shard, line) for line in map(read_part, missing))
     return dict(sorted(lines.items()))
 
 
@@ -155,9 +155,9 @@ def merge_manifest(folder: Path) -> dict[int, ShardLine]:
         If a line cannot be understood, or nothing is there to merge.
     """
     path = folder / "manifest.jsonl"
-    parts = [_read_part(part) for part in _part_paths(folder)]
+    parts = [read_part(part) for part in part_paths(folder)]
     try:
-        lines = _read_lines(path)
+        lines = read_lines(path)
     except DatasetError:
         # A broken manifest is remade as long as the files that it was made of are all there.
         lines = {}
@@ -183,7 +183,14 @@ def total(lines: Iterable[ShardLine], name: str) -> dict[str, int]:
     return dict(sorted(tally.items()))
 
 
-def _read_lines(path: Path) -> dict[int, ShardLine]:
+def read_lines(path: Path) -> dict[int, ShardLine]:
+    """The lines of one ``manifest.jsonl``, by shard; none where it does not exist.
+
+    Raises
+    ------
+    DatasetError
+        If a line cannot be understood, or two are of the same shard.
+    """
     if not path.is_file():
         return {}
     lines: dict[int, ShardLine] = {}
@@ -197,7 +204,8 @@ def _read_lines(path: Path) -> dict[int, ShardLine]:
     return lines
 
 
-def _part_paths(folder: Path) -> list[Path]:
+def part_paths(folder: Path) -> list[Path]:
+    """The lines that stand beside the shards."""
     return sorted(folder.glob("shards/shard-*.json"))
 
 
@@ -206,7 +214,14 @@ def _part_number(path: Path) -> int:
     return int(digits) if digits.isdecimal() else -1
 
 
-def _read_part(path: Path) -> ShardLine:
+def read_part(path: Path) -> ShardLine:
+    """The line that stands beside a shard.
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be understood, or is that of another shard.
+    """
     if path.stat().st_size > MAX_LINE_BYTES:
         msg = f"{path}: larger than a line of a manifest can be; remake the shard"
         raise DatasetError(msg)

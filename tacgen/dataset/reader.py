@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tacgen.dataset.manifest import ShardLine, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample
 from tacgen.dataset.schema import GRASP_ARRAYS, Layout
-from tacgen.dataset.shard import broken_as_error, open_shard
+from tacgen.dataset.shard import broken_as_error, open_shard, read_image
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
 from tacgen.records import GraspConfig, SlipMargin
@@ -126,17 +126,19 @@ class Dataset:
     ) -> NDArray[np.uint8]:
         """Tactile images of a grasp, (T, H, W, 3), or one ``frame`` of them, (H, W, 3)."""
         path = self._layout(index).tactile(self._pad(pad), "rgb")
-        return self._read(index, path, then=() if frame is None else (frame,))
+        if frame is not None:
+            return self._image(index, path, frame)
+        return np.stack([self._image(index, path, frame) for frame in range(self.n_frames)])
 
     def reference(self, pad: str | None = None) -> NDArray[np.uint8]:
         """The image of the undeformed gel, (H, W, 3)."""
-        start = self._starts[0]
-        path = self._layout(start).tactile(self._pad(pad), "reference")
-        return self._read(start, path, whole=True)
+        file, layout = self._file(0)
+        with broken_as_error(self.root / self._lines[0].file):
+            return read_image(file[layout.tactile(self._pad(pad), "reference")], ())
 
     def picture(self, index: int) -> NDArray[np.uint8] | None:
         """The scene from outside, (h, w, 3), if there are pictures."""
-        return self._read(index, "/scene/picture") if self._layout(index).picture else None
+        return self._image(index, "/scene/picture") if self._layout(index).picture else None
 
     def contact(self, index: int, name: str, pad: str | None = None) -> NDArray[np.float64]:
         """``force_normal_n`` (T,), ``force_shear_n`` (T, 2) or ``indentation_mm`` (T,)."""
@@ -200,16 +202,22 @@ class Dataset:
     def _layout(self, index: int) -> Layout:
         return self._file(self._place(index))[1]
 
-    def _read(
-        self, index: int, path: str, *, whole: bool = False, then: tuple[int, ...] = ()
-    ) -> NDArray:
+    def _image(self, index: int, path: str, *then: int) -> NDArray:
+        """One image of a grasp, out of the image array at ``path``."""
+        place = self._place(index)
+        file, _ = self._file(place)
+        line = self._lines[place]
+        with broken_as_error(self.root / line.file):
+            return read_image(file[path], (index - line.index_range[0], *then))
+
+    def _read(self, index: int, path: str, *, whole: bool = False) -> NDArray:
         """The array at ``path`` of a grasp's shard: the ``whole``, or the grasp's row of it."""
         place = self._place(index)
         file, _ = self._file(place)
         line = self._lines[place]
         with broken_as_error(self.root / line.file):
             dataset = file[path]
-            return dataset[()] if whole else dataset[(index - line.index_range[0], *then)]
+            return dataset[()] if whole else dataset[index - line.index_range[0]]
 
     def _place(self, index: int) -> int:
         place = bisect_right(self._starts, index) - 1

@@ -61,6 +61,12 @@ class ArraySpec:
         """The shape in numbers."""
         return tuple(sizes[n] if isinstance(n, str) else n for n in self.shape)
 
+    def chunks(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """The chunk of an ``image`` array of that shape: one image."""
+        image_axes = 3 if self.shape[-1] == 3 else 2
+        lead = len(shape) - image_axes
+        return (1,) * lead + shape[lead:]
+
 
 _NOWHERE, _WORLD, _GEL = "", "world", "gel"
 

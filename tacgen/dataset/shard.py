@@ -7,25 +7,23 @@ the memory. Such a file is refused before any array is read; the limits are stat
 from __future__ import annotations
 
 import contextlib
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import hdf5plugin
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.dataset.schema import FORMAT_VERSION, PADS, ArraySpec, Layout
 from tacgen.errors import DatasetError
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
-MAX_CHUNK_BYTES = 256 << 20
-ALLOWED_FILTERS = {
-    h5py.h5z.FILTER_DEFLATE,
-    h5py.h5z.FILTER_SHUFFLE,
-    h5py.h5z.FILTER_FLETCHER32,
-    hdf5plugin.BLOSC2_ID,
-    hdf5plugin.ZSTD_ID,
-}
+ALLOWED_FILTERS = {hdf5plugin.HTJ2K_ID, hdf5plugin.ZSTD_ID}
+_HEADER_BYTES = 120
+# The coding style that the writer uses: one layer, five levels, blocks of 64 × 64, reversible.
+_JPEG2000_CODING = bytes.fromhex("ff52 000c 00 02 0001 00 05 04 04 40 01")
 # What h5py raises on a file that is damaged, truncated or not one at all.
 _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError, MemoryError)
 
@@ -66,6 +64,49 @@ def open_shard(path: Path) -> tuple[h5py.File, Layout]:
     return file, layout
 
 
+def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray:
+    """One image of an image array: the one at ``place``, its leading indices.
+
+    What is compressed has a header of its own, with a size of its own: one that lies would have
+    the codec take any amount of memory, so it is read first.
+
+    Raises
+    ------
+    ValueError
+        If the header is not that of an image of this size.
+    """
+    if not _is_sound(dataset, place):
+        msg = f"the image {place} of {dataset.name} is damaged"
+        raise ValueError(msg)
+    return dataset[place]
+
+
+def has_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
+    """Whether the image at ``place`` was written; otherwise it reads as zeros."""
+    corner = place + (0,) * (dataset.ndim - len(place))
+    return dataset.id.get_chunk_info_by_coord(corner).byte_offset is not None
+
+
+def _is_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
+    if not has_image(dataset, place):
+        return True
+    corner = place + (0,) * (dataset.ndim - len(place))
+    skipped_filters, raw = dataset.id.read_direct_chunk(corner)
+    if skipped_filters:
+        return False
+    if dataset.dtype != np.uint8:
+        return True
+    start = raw[:_HEADER_BYTES]
+    return start.startswith(_jpeg2000_size(*dataset.shape[-3:])) and _JPEG2000_CODING in start
+
+
+def _jpeg2000_size(height: int, width: int, channels: int) -> bytes:
+    """Start of a codestream: one tile of the whole image, 8 bits a channel."""
+    extent = struct.pack(">8I", width, height, 0, 0, width, height, 0, 0)
+    body = struct.pack(">H", 0x4000) + extent + struct.pack(">H", channels) + b"\x07\x01\x01" * 3
+    return b"\xff\x4f\xff\x51" + struct.pack(">H", len(body) + 2) + body
+
+
 def _structure(file: h5py.File) -> tuple[Layout, list[str]]:
     layout, problems = _layout_of(file)
     if problems:
@@ -97,10 +138,10 @@ def _layout_of(file: h5py.File) -> tuple[Layout, list[str]]:
 def _sizes_of(file: h5py.File, layout: Layout) -> tuple[dict[str, int], list[str]]:
     """What the letters of the layout stand for here, within the limits."""
     path = layout.tactile(layout.pads[0], "rgb")
-    if not _is_plain(file, path) or file[path].ndim != 5:
+    if not _is_plain(file, path) or getattr(file[path], "ndim", 0) != 5:
         return {}, [f"{path} is missing or not of five axes"]
     sizes = dict(zip("NTHW", file[path].shape, strict=False)) | {"h": 0, "w": 0}
-    if layout.picture and file["/scene/picture"].ndim == 4:
+    if layout.picture and getattr(file["/scene/picture"], "ndim", 0) == 4:
         sizes["h"], sizes["w"] = file["/scene/picture"].shape[1:3]
     limits = {"N": MAX_GRASPS, "T": MAX_FRAMES} | dict.fromkeys("HWhw", MAX_SIDE_PX)
     too_large = [
@@ -129,16 +170,16 @@ def _array_problems(file: h5py.File, array: ArraySpec, sizes: dict[str, int]) ->
     elif dataset.external or dataset.is_virtual:
         yield f"{array.path} lies in another file"
     else:
-        yield from _storage_problems(dataset, array.path)
+        yield from _storage_problems(dataset, array)
 
 
-def _storage_problems(dataset: h5py.Dataset, path: str) -> Iterator[str]:
+def _storage_problems(dataset: h5py.Dataset, array: ArraySpec) -> Iterator[str]:
     creation = dataset.id.get_create_plist()
     filters = {creation.get_filter(i)[0] for i in range(creation.get_nfilters())}
     if not filters <= ALLOWED_FILTERS:
-        yield f"{path} is stored by filters {sorted(filters - ALLOWED_FILTERS)}, not allowed here"
-    if dataset.chunks and int(np.prod(dataset.chunks)) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
-        yield f"{path} has chunks of more than {MAX_CHUNK_BYTES >> 20} MB"
+        yield f"{array.path} is stored by filters {sorted(filters)}, which are not all known here"
+    if dataset.chunks != (array.chunks(dataset.shape) if array.image else None):
+        yield f"{array.path} is stored in chunks of {dataset.chunks}"
 
 
 def _is_plain(file: h5py.File, path: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 import tacgen
 from tacgen.dataset.check import sample_problems
+from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.schema import FORMAT_VERSION, ArraySpec, Layout, array_sizes
@@ -59,25 +60,24 @@ def write_shard_file(
     layout = layout_of(spec)
     sizes = array_sizes(len(indices), len(spec.time_s), spec.sensor, spec.picture_px)
     tally = _Tally()
-    with h5py.File(path, "w", libver=LIBRARY_VERSION, locking=False) as file:
-        _write_attributes(file, spec, indices)
-        small = {}
-        for array in layout.arrays():
-            dataset = _create(file, array, array.resolve(sizes))
-            if not array.image:
-                small[array.path] = np.zeros(dataset.shape, dataset.dtype)
-        for row, sample in enumerate(_expected(samples, indices, spec)):
-            tally.add(sample)
-            for place, values in grasp_values(sample, layout):
-                if place in small:
-                    small[place][row] = values
-                else:
-                    file[place][row] = values
-        small["/time_s"][:] = spec.time_s
-        for place, values in small.items():
-            file[place][...] = values
-        for pad in spec.pads:
-            file[layout.tactile(pad, "reference")][...] = spec.reference_rgb
+    with DiskFile(path) as disk:
+        with h5py.File(disk, "w", libver=LIBRARY_VERSION) as file:
+            _write_attributes(file, spec, indices)
+            small = _create_arrays(file, layout, sizes)
+            for row, sample in enumerate(_expected(samples, indices, spec)):
+                tally.add(sample)
+                for place, values in grasp_values(sample, layout):
+                    if place in small:
+                        small[place][row] = values
+                    else:
+                        file[place][row] = values
+                disk.raise_failure()
+            small["/time_s"][:] = spec.time_s
+            for place, values in small.items():
+                file[place][...] = values
+            for pad in spec.pads:
+                file[layout.tactile(pad, "reference")][...] = spec.reference_rgb
+        disk.raise_failure()
     raw = sum(np.dtype(a.dtype).itemsize * int(np.prod(a.resolve(sizes))) for a in layout.arrays())
     return ShardLine(
         shard=shard,
@@ -132,14 +132,27 @@ def _text_length(path: str, layout: Layout) -> int:
     return next(np.dtype(a.dtype).itemsize for a in layout.arrays() if a.path == path)
 
 
+def _create_arrays(
+    file: h5py.File, layout: Layout, sizes: Mapping[str, int]
+) -> dict[str, np.ndarray]:
+    """Create every array; those that are small are given back, to be filled and written last."""
+    small = {}
+    for array in layout.arrays():
+        dataset = _create(file, array, array.resolve(sizes))
+        if not array.image:
+            small[array.path] = np.zeros(dataset.shape, dataset.dtype)
+    return small
+
+
 def _create(file: h5py.File, array: ArraySpec, shape: tuple[int, ...]) -> h5py.Dataset:
     dtype = np.dtype(array.dtype)
     stored = h5py.string_dtype("utf-8", dtype.itemsize) if dtype.kind == "S" else dtype
-    options: dict[str, object] = {"track_times": False}
+    storage: dict[str, Any] = {}
     if array.image:
-        lead = len(shape) - (2 if array.dtype == "float16" else 3)
-        options |= {"chunks": (1,) * lead + shape[lead:], **hdf5plugin.Zstd(clevel=1)}
-    dataset = file.create_dataset(array.path, shape, stored, **options)
+        # JPEG 2000 without loss: only a codec of images gets a noisy one to a third of its size.
+        codec = hdf5plugin.Htj2k() if array.dtype == "uint8" else hdf5plugin.Zstd(clevel=3)
+        storage = {"chunks": array.chunks(shape), **codec}
+    dataset = file.create_dataset(array.path, shape, stored, track_times=False, **storage)
     for name in ("unit", "frame", "description"):
         dataset.attrs[name] = getattr(array, name)
     return dataset

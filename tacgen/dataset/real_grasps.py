@@ -1,0 +1,190 @@
+"""Real grasps: a folder with ``grasps.csv`` and, where there are any, images by grasp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tacgen.errors import DatasetError
+from tacgen.records import FailureMode, GraspConfig
+
+REQUIRED = ("grasp_id", "object", "force_n", "x_mm", "y_mm", "z_mm", "label")
+FAILURE_MODES: tuple[FailureMode, ...] = ("", "translational_slip", "rotational_slip")
+MAX_BYTES = 256 << 20
+MAX_PROBLEMS_SHOWN = 20
+
+
+@dataclass(frozen=True, slots=True)
+class RealGrasp:
+    """One real grasp: what was asked for, and how it ended (label 1 success, 0 failure)."""
+
+    grasp_id: str
+    config: GraspConfig
+    label: int
+    failure_mode: FailureMode
+    images: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RealGrasps:
+    """The grasps of a folder, in the order of the file, and words about what is doubtful."""
+
+    folder: Path
+    grasps: tuple[RealGrasp, ...]
+    warnings: tuple[str, ...]
+
+    def by_object(self) -> Mapping[str, tuple[RealGrasp, ...]]:
+        """The grasps of each object, objects in the order of the file."""
+        names = dict.fromkeys(grasp.config.object for grasp in self.grasps)
+        return {
+            name: tuple(grasp for grasp in self.grasps if grasp.config.object == name)
+            for name in names
+        }
+
+
+def read_real_grasps(folder: Path | str, *, known_objects: Sequence[str] = ()) -> RealGrasps:
+    """Read and check a folder of real grasps.
+
+    Exact repeats of a configuration are kept (they are evidence); repeats whose labels contradict
+    each other are kept too, with a warning that no model can fit both.
+
+    Parameters
+    ----------
+    known_objects : sequence of str
+        Names an object may have; any name if empty.
+
+    Raises
+    ------
+    DatasetError
+        Listing every row that cannot be used, with its line and mend.
+    """
+    folder = Path(folder)
+    path = folder / "grasps.csv"
+    table = _read_table(path)
+    problems = list(_problems(table, path, known_objects))
+    if problems:
+        shown = problems[:MAX_PROBLEMS_SHOWN]
+        if len(problems) > len(shown):
+            shown.append(f"{path}: and {len(problems) - len(shown)} more")
+        raise DatasetError.from_problems(shown)
+    grasps = tuple(
+        _grasp(folder, number, row) for number, row in enumerate(table.to_dict("records"))
+    )
+    return RealGrasps(folder, grasps, tuple(_warnings(grasps, path)))
+
+
+def _read_table(path: Path) -> pd.DataFrame:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            msg = f"{path}: larger than {MAX_BYTES >> 20} MiB; this is not a list of grasps"
+            raise DatasetError(msg)
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except FileNotFoundError:
+        msg = f"{path}: no such file; real grasps are a folder with grasps.csv and images/"
+        raise DatasetError(msg) from None
+    except (OSError, ValueError) as error:
+        msg = f"{path}: cannot be read as CSV: {error}"
+        raise DatasetError(msg) from None
+    table.columns = [str(name).strip() for name in table.columns]
+    missing = [name for name in REQUIRED if name not in table.columns]
+    if missing:
+        msg = f"{path}: has no column {', '.join(missing)}; it needs {', '.join(REQUIRED)}"
+        raise DatasetError(msg)
+    if table.empty:
+        msg = f"{path}: holds no grasps"
+        raise DatasetError(msg)
+    return table
+
+
+def _problems(table: pd.DataFrame, path: Path, known_objects: Sequence[str]) -> list[str]:
+    problems = []
+    numbers = ("force_n", "x_mm", "y_mm", "z_mm", *(["yaw_rad"] if "yaw_rad" in table else []))
+    for row, record in enumerate(table.to_dict("records")):
+        where = f"{path}:{row + 2}"
+        for name in numbers:
+            if not np.isfinite(_number(record[name])):
+                problems.append(
+                    f"{where}: {name} = {record[name]!r} is no number; give it or drop the row"
+                )
+        if _number(record["force_n"]) <= 0:
+            problems.append(f"{where}: force_n = {record['force_n']} is no force to grip with")
+        if _number(record["label"]) not in (0.0, 1.0):
+            problems.append(
+                f"{where}: label = {record['label']!r} is neither 1 (success) nor 0 (failure)"
+            )
+        if record.get("failure_mode", "") not in FAILURE_MODES:
+            known = ", ".join(mode for mode in FAILURE_MODES if mode)
+            problems.append(
+                f"{where}: failure_mode = {record['failure_mode']!r} is none of {known}"
+            )
+        if known_objects and record["object"] not in known_objects:
+            problems.append(
+                f"{where}: object = {record['object']!r} is not an object here; "
+                f"known: {', '.join(known_objects)}"
+            )
+    for grasp_id in table["grasp_id"][table["grasp_id"].duplicated()].unique():
+        rows = np.flatnonzero(table["grasp_id"] == grasp_id) + 2
+        problems.append(
+            f"{path}:{rows[1]}: grasp_id {grasp_id!r} stands on line {rows[0]} already; "
+            "give each grasp its own"
+        )
+    return problems
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def _grasp(folder: Path, number: int, record: Mapping[str, str]) -> RealGrasp:
+    config = GraspConfig(
+        index=number,
+        object=record["object"],
+        force_n=float(record["force_n"]),
+        x_mm=float(record["x_mm"]),
+        y_mm=float(record["y_mm"]),
+        z_mm=float(record["z_mm"]),
+        yaw_rad=float(record.get("yaw_rad", 0.0)),
+    )
+    mode = next(mode for mode in FAILURE_MODES if mode == record.get("failure_mode", ""))
+    return RealGrasp(
+        record["grasp_id"],
+        config,
+        int(float(record["label"])),
+        mode,
+        _images(folder, record["grasp_id"]),
+    )
+
+
+def _images(folder: Path, grasp_id: str) -> tuple[Path, ...]:
+    """``images/<grasp_id>/<k>.png`` in time order; a name cannot lead out of the folder."""
+    if Path(grasp_id).name != grasp_id:
+        return ()
+    found = (folder / "images" / grasp_id).glob("*.png")
+    return tuple(sorted((p for p in found if p.stem.isdecimal()), key=lambda p: int(p.stem)))
+
+
+def _warnings(grasps: Sequence[RealGrasp], path: Path) -> list[str]:
+    labels_at: dict[tuple[object, ...], dict[int, str]] = {}
+    for grasp in grasps:
+        c = grasp.config
+        key = (c.object, c.force_n, c.x_mm, c.y_mm, c.z_mm, c.yaw_rad)
+        labels_at.setdefault(key, {}).setdefault(grasp.label, grasp.grasp_id)
+    contradictions = [ids for ids in labels_at.values() if len(ids) > 1]
+    warnings = [
+        f"{path}: grasps {ids[0]!r} and {ids[1]!r} have the same configuration and opposite "
+        "labels; both are kept, and no simulation can match both"
+        for ids in contradictions
+    ]
+    for name in dict.fromkeys(grasp.config.object for grasp in grasps):
+        labels = {grasp.label for grasp in grasps if grasp.config.object == name}
+        if len(labels) == 1:
+            word = "succeeded" if labels == {1} else "failed"
+            warnings.append(f"{path}: every grasp of {name} {word}; friction can only be bounded")
+    return warnings
