@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from tacgen.errors import ObjectError, TacgenError
+from tacgen.recipe import Axis
 from tacgen.shapes import BUILDERS
 from tacgen.yaml_source import finite, read_yaml, validate
 
@@ -27,7 +28,6 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 Finite = Annotated[float, AfterValidator(finite)]
 Source = Annotated[str, Field(min_length=3)]
 Vector = tuple[Finite, Finite, Finite]
-Values = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=10_000)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
 
 
@@ -75,10 +75,10 @@ class Dimensions(Section):
 class GraspRanges(Section):
     """Axis values that a recipe falls back on."""
 
-    force_n: Values
-    x_mm: Values = (0.0,)
-    y_mm: Values = (0.0,)
-    z_mm: Values
+    force_n: Axis
+    x_mm: Axis = (0.0,)
+    y_mm: Axis = (0.0,)
+    z_mm: Axis
     source: Source
 
     def axes(self) -> dict[str, tuple[float, ...]]:

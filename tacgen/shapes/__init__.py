@@ -9,12 +9,33 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from tacgen.shapes.boxes import carton
+from tacgen.shapes.boxes import carton, wood_block
 from tacgen.shapes.cans import drawn_can, round_can
+from tacgen.shapes.containers import mug, squeeze_bottle
+from tacgen.shapes.fruit import strawberry
+from tacgen.shapes.scissors import scissors
+from tacgen.shapes.screwdriver import flat_screwdriver
 from tacgen.shapes.shape import Body, Shape
+from tacgen.shapes.spatula import slotted_spatula
+from tacgen.shapes.toys import golf_ball, twisty_cube
+
+_BUILDERS = (
+    carton,
+    drawn_can,
+    flat_screwdriver,
+    golf_ball,
+    mug,
+    round_can,
+    scissors,
+    slotted_spatula,
+    squeeze_bottle,
+    strawberry,
+    twisty_cube,
+    wood_block,
+)
 
 BUILDERS: Mapping[str, Callable[..., Shape]] = MappingProxyType(
-    {builder.__name__: builder for builder in (round_can, drawn_can, carton)}
+    {builder.__name__: builder for builder in _BUILDERS}
 )
 
 __all__ = ["BUILDERS", "Body", "Shape"]

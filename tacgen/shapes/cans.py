@@ -21,7 +21,7 @@ def round_can(
     label_thickness_mm: float = 0.12,
     label_margin_mm: float = 2.2,
     label_overlap_mm: float = 12.0,
-    segments: int = 640,
+    segments: int = 600,
 ) -> Shape:
     """A three-piece can: double seams at both ends, recessed lids, a label with its overlap."""
     radius, rim = body_diameter_mm / 2, seam_diameter_mm / 2
@@ -84,7 +84,7 @@ def drawn_can(
     base_radius_mm: float = 3.0,
     bead_depth_mm: float = 0.35,
     beads: int = 2,
-    spacing_mm: float = 0.45,
+    spacing_mm: float = 0.5,
 ) -> Shape:
     """A two-piece can with rounded corners: a drawn base, shallow beads, one seam at the top.
 
@@ -125,7 +125,7 @@ def _drawn_profile(
 ) -> Curve:
     """(outward offset, height) from the base, up the wall, over the seam, into the lid."""
     start = height_mm - seam_height_mm
-    wall = np.linspace(base_mm + 3, start - 3, 1 + 24 * beads)
+    wall = np.linspace(base_mm + 3, start - 3, 1 + 18 * beads)
     waves = np.zeros_like(wall)
     for middle in np.linspace(wall[0], wall[-1], 2 * beads + 1)[1::2]:
         waves -= bead_mm * np.exp(-(((wall - middle) / 1.6) ** 2))

@@ -83,3 +83,45 @@ def circle(radius_mm: float, count: int) -> Curve:
     """``count`` points (count, 2) around a circle."""
     angle = angles_rad(count)
     return radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def rounded_polygon(
+    corners_mm: Curve, radius_mm: float, *, steps: int, spacing_mm: float = 1e3
+) -> tuple[Curve, Curve]:
+    """Points (n, 2) around a convex polygon with rounded corners, and their outward normals.
+
+    ``corners_mm`` (m, 2) counter-clockwise. Each corner has ``steps`` + 1 points; each side has
+    one about every ``spacing_mm``.
+    """
+    corners_mm = np.asarray(corners_mm, dtype=np.float64)
+    points, normals = [], []
+    for i, corner in enumerate(corners_mm):
+        before = corner - corners_mm[i - 1]
+        after = corners_mm[(i + 1) % len(corners_mm)] - corner
+        # Angles of the outward normals of the two sides; the arc runs from one to the other.
+        start = np.arctan2(-before[0], before[1])
+        turn = np.mod(np.arctan2(-after[0], after[1]) - start, 2 * np.pi)
+        center = corner - radius_mm / np.cos(turn / 2) * _direction(start + turn / 2)[0]
+        outward = _direction(start + turn * np.linspace(0, 1, steps + 1))
+        points.append(center + radius_mm * outward)
+        normals.append(outward)
+    filled = [
+        _with_side(points[i], points[(i + 1) % len(points)], normals[i], spacing_mm)
+        for i in range(len(points))
+    ]
+    return np.concatenate([p for p, _ in filled]), np.concatenate([n for _, n in filled])
+
+
+def _direction(angle_rad: NDArray[np.float64] | float) -> Curve:
+    angle_rad = np.atleast_1d(angle_rad)
+    return np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
+
+
+def _with_side(
+    arc_mm: Curve, following_mm: Curve, normals: Curve, spacing_mm: float
+) -> tuple[Curve, Curve]:
+    """A corner's arc and the points along the side that follows it."""
+    end, start = following_mm[0], arc_mm[-1]
+    count = max(1, round(float(np.linalg.norm(end - start)) / spacing_mm))
+    side = start + (end - start) * np.arange(1, count)[:, None] / count
+    return np.vstack([arc_mm, side]), np.vstack([normals, np.repeat(normals[-1:], len(side), 0)])

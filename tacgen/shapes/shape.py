@@ -141,3 +141,38 @@ def moved(solid: Mesh, *, turn: Points | None = None, shift_mm: Points | None = 
     if shift_mm is not None:
         vertices = vertices + np.asarray(shift_mm, dtype=np.float64)
     return mesh(vertices, solid.faces)
+
+
+def sweep(path_mm: Points, across: Points, sections_mm: Points) -> Points:
+    """Rings (k, n, 3) of plane sections carried along a path.
+
+    Parameters
+    ----------
+    path_mm : (k, 3)
+        Where each section's origin goes; its direction of travel is the section's normal.
+    across : (3,)
+        A direction perpendicular to the whole path: each section's first axis. The second is
+        travel × across, so that sections counter-clockwise in their plane face outward.
+    sections_mm : (k, n, 2) or (n, 2)
+    """
+    path_mm = np.asarray(path_mm, dtype=np.float64)
+    travel = np.gradient(path_mm, axis=0)
+    travel /= np.linalg.norm(travel, axis=1, keepdims=True)
+    first = np.broadcast_to(np.asarray(across, dtype=np.float64), path_mm.shape)
+    second = np.cross(travel, first)
+    sections = np.broadcast_to(sections_mm, (len(path_mm), *np.shape(sections_mm)[-2:]))
+    return (
+        path_mm[:, None]
+        + sections[:, :, :1] * first[:, None]
+        + sections[:, :, 1:] * second[:, None]
+    )
+
+
+def path_hulls(rings_mm: Points, parts: int, count: int = 16) -> tuple[Mesh, ...]:
+    """Convex hulls of ``parts`` equal stretches of a sweep, each ring thinned to ``count``.
+
+    A stretch's middle ring belongs to its hull, so that a bend is followed from outside.
+    """
+    thinned = rings_mm[:, :: max(1, rings_mm.shape[1] // count)]
+    rows = np.linspace(0, len(rings_mm) - 1, 2 * parts + 1).round().astype(int)
+    return tuple(hull(thinned[rows[i : i + 3]]) for i in range(0, 2 * parts, 2))
