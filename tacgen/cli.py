@@ -11,6 +11,7 @@ import json
 import signal
 import sys
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -39,6 +40,9 @@ app.add_typer(objects_app, name="objects")
 
 RecipeArgument = Annotated[
     str, typer.Argument(help="A recipe's YAML file, or the name of one that tacgen ships.")
+]
+DatasetArgument = Annotated[
+    Path, typer.Argument(help="The folder of a dataset, made by `tacgen collect --out`.")
 ]
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="Print machine-readable results on standard output.")
@@ -83,6 +87,66 @@ def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]))
     writer.writeheader()
     writer.writerows(rows)
+
+
+@app.command()
+def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
+    """Show what a dataset holds: counts, labels by object, splits, sizes, origin."""
+    from tacgen.dataset.summary import summarize, summary_text
+
+    summary = summarize(folder)
+    typer.echo(json.dumps(summary.as_dict(), indent=2) if json_output else summary_text(summary))
+
+
+@app.command()
+def verify(
+    folder: DatasetArgument,
+    decode: Annotated[bool, typer.Option("--decode", help="Also decompress every image.")] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Check a dataset: every hash, shape and label; exit 1 and the bad shards if any is wrong."""
+    from tqdm import tqdm
+
+    from tacgen.dataset import verify as check
+    from tacgen.errors import VerificationError
+
+    with tqdm(unit="B", unit_scale=True, disable=None, leave=False) as bar:
+        found = check.verify(folder, decode=decode, progress=bar.update)
+    if json_output:
+        typer.echo(json.dumps(found.as_dict(), indent=2))
+        raise typer.Exit(1 if found.problems else 0)
+    if found.problems:
+        raise VerificationError.from_problems(
+            [
+                f"{folder}: {len(found.problems)} problems, {len(found.bad_shards)} bad shards",
+                *(f"  {problem.file}: {problem.reason}" for problem in found.problems),
+                "`tacgen collect` makes what is missing, `tacgen collect --repair` the bad shards",
+            ]
+        )
+    typer.echo(f"{found.n_grasps} grasps in {found.n_shards} shards, all as they were written")
+
+
+@app.command()
+def merge(folder: DatasetArgument) -> None:
+    """Make the one manifest out of those of all shards, wherever they were made."""
+    from tacgen.dataset import DatasetFolder
+
+    lines = DatasetFolder(folder).merge()
+    typer.echo(f"{folder}/manifest.jsonl: {len(lines)} shards")
+
+
+@app.command()
+def export(
+    folder: DatasetArgument,
+    out: Annotated[Path, typer.Option(help="The folder to write; it must not exist.")],
+    format_name: Annotated[
+        str, typer.Option("--format", help="What to write: lerobot.")
+    ] = "lerobot",
+) -> None:
+    """Write a dataset in a format that other tools read."""
+    from tacgen.dataset.lerobot import export_dataset
+
+    typer.echo(export_dataset(folder, out, format_name))
 
 
 def main() -> None:

@@ -25,6 +25,7 @@ from tacgen.dataset.manifest import (
     shard_file,
 )
 from tacgen.dataset.samples import DatasetSpec, GraspSample
+from tacgen.dataset.shard_check import content_problems
 from tacgen.dataset.writer import write_shard_file
 from tacgen.errors import DatasetError
 from tacgen.files import atomic_path, write_text
@@ -138,6 +139,11 @@ class DatasetFolder:
             self.line_path(shard).unlink(missing_ok=True)
             with atomic_path(self.shard_path(shard)) as partial:
                 line = write_shard_file(partial, samples, spec, shard)
+                problems = content_problems(partial, line, decode="grasp")
+                if problems:
+                    raise DatasetError.from_problems(
+                        [f"{self.shard_path(shard)}: {text}" for text in problems]
+                    )
             write_text(self.line_path(shard), f"{line.to_json()}\n")
         return line
 

@@ -19,7 +19,6 @@ from tacgen.files import write_text
 
 SCHEMA = 1
 MAX_LINE_BYTES = 1 << 20
-OUTCOMES = ("success", "failure", "not_executed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +171,36 @@ def merge_manifest(folder: Path) -> dict[int, ShardLine]:
     if not path.is_file() or path.read_text(encoding="utf-8", errors="replace") != text:
         write_text(path, text)
     return lines
+
+
+def manifest_problems(lines: list[ShardLine], n_grasps: int | None) -> list[str]:
+    """Gaps, overlaps and mixtures in a manifest; ``n_grasps`` is how many there are to be."""
+    problems = []
+    due = 0
+    for line in lines:
+        start, stop = line.index_range
+        if start > due and n_grasps is not None:
+            problems.append(f"grasps {due} to {start - 1} are missing; `tacgen collect` resumes")
+        if start < due:
+            problems.append(f"{line.file}: grasps {start} to {due - 1} are there twice")
+        due = stop
+    if n_grasps is not None and due < n_grasps:
+        problems.append(f"grasps {due} to {n_grasps - 1} are missing; `tacgen collect` resumes")
+    if n_grasps is not None and due > n_grasps:
+        problems.append(f"grasps {n_grasps} to {due - 1} are more than the recipe asks for")
+    for name in ("recipe_sha256", "calibration", "sensor", "pads", "frames"):
+        problems += _mixed(lines, name)
+    versions = {line.versions.get("tacgen", "") for line in lines}
+    if len(versions) > 1:
+        problems.append(f"shards of different versions of tacgen: {', '.join(sorted(versions))}")
+    return problems
+
+
+def _mixed(lines: list[ShardLine], name: str) -> list[str]:
+    odd = [line.file for line in lines if getattr(line, name) != getattr(lines[0], name)]
+    if not odd:
+        return []
+    return [f"{', '.join(odd[:3])} and {lines[0].file} differ in {name}; keep them in two folders"]
 
 
 def total(lines: Iterable[ShardLine], name: str) -> dict[str, int]:

@@ -13,7 +13,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.dataset.manifest import ShardLine, read_manifest, total
+from tacgen.dataset.folder import DatasetFolder
+from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample
 from tacgen.dataset.schema import GRASP_ARRAYS, Layout
 from tacgen.dataset.shard import broken_as_error, open_shard, read_image
@@ -248,40 +249,8 @@ class Dataset:
 
 def planned_grasps(root: Path) -> int | None:
     """How many grasps the dataset is to have, where ``dataset.json`` says so."""
-    from tacgen.dataset.folder import DatasetFolder
-
     folder = DatasetFolder(root)
     return folder.plan()["n_grasps"] if folder.plan_path.is_file() else None
-
-
-def manifest_problems(lines: list[ShardLine], n_grasps: int | None) -> list[str]:
-    """Gaps, overlaps and mixtures in a manifest; ``n_grasps`` is how many there are to be."""
-    problems = []
-    due = 0
-    for line in lines:
-        start, stop = line.index_range
-        if start > due and n_grasps is not None:
-            problems.append(f"grasps {due} to {start - 1} are missing; `tacgen collect` resumes")
-        if start < due:
-            problems.append(f"{line.file}: grasps {start} to {due - 1} are there twice")
-        due = stop
-    if n_grasps is not None and due < n_grasps:
-        problems.append(f"grasps {due} to {n_grasps - 1} are missing; `tacgen collect` resumes")
-    if n_grasps is not None and due > n_grasps:
-        problems.append(f"grasps {n_grasps} to {due - 1} are more than the recipe asks for")
-    for name in ("recipe_sha256", "calibration", "sensor", "pads", "frames"):
-        problems += _mixed(lines, name)
-    versions = {line.versions.get("tacgen", "") for line in lines}
-    if len(versions) > 1:
-        problems.append(f"shards of different versions of tacgen: {', '.join(sorted(versions))}")
-    return problems
-
-
-def _mixed(lines: list[ShardLine], name: str) -> list[str]:
-    odd = [line.file for line in lines if getattr(line, name) != getattr(lines[0], name)]
-    if not odd:
-        return []
-    return [f"{', '.join(odd[:3])} and {lines[0].file} differ in {name}; keep them in two folders"]
 
 
 def _as_text(values: Any) -> Any:

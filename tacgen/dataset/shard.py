@@ -23,7 +23,7 @@ MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
 ALLOWED_FILTERS = {hdf5plugin.HTJ2K_ID, hdf5plugin.ZSTD_ID}
 _HEADER_BYTES = 120
 # The coding style that the writer uses: one layer, five levels, blocks of 64 × 64, reversible.
-_JPEG2000_CODING = bytes.fromhex("ff52 000c 00 02 0001 00 05 04 04 40 01")
+_CODING = bytes.fromhex("ff52 000c 00 02 0001 00 05 04 04 40 01")
 # What h5py raises on a file that is damaged, truncated or not one at all.
 _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError, MemoryError)
 
@@ -75,9 +75,8 @@ def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray:
     ValueError
         If the header is not that of an image of this size.
     """
-    if not _is_sound(dataset, place):
-        msg = f"the image {place} of {dataset.name} is damaged"
-        raise ValueError(msg)
+    if has_image(dataset, place):
+        require_sound(dataset, place)
     return dataset[place]
 
 
@@ -87,17 +86,23 @@ def has_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
     return dataset.id.get_chunk_info_by_coord(corner).byte_offset is not None
 
 
-def _is_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
-    if not has_image(dataset, place):
-        return True
+def require_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> None:
+    """Look at the header of the image at ``place`` without decompressing it.
+
+    Raises
+    ------
+    ValueError
+        If it is not that of an image of this size.
+    """
     corner = place + (0,) * (dataset.ndim - len(place))
     skipped_filters, raw = dataset.id.read_direct_chunk(corner)
-    if skipped_filters:
-        return False
-    if dataset.dtype != np.uint8:
-        return True
     start = raw[:_HEADER_BYTES]
-    return start.startswith(_jpeg2000_size(*dataset.shape[-3:])) and _JPEG2000_CODING in start
+    if skipped_filters or (
+        dataset.dtype == np.uint8
+        and not (start.startswith(_jpeg2000_size(*dataset.shape[-3:])) and _CODING in start)
+    ):
+        msg = f"the image {place} of {dataset.name} is damaged"
+        raise ValueError(msg)
 
 
 def _jpeg2000_size(height: int, width: int, channels: int) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
@@ -18,13 +17,12 @@ from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.schema import FORMAT_VERSION, ArraySpec, Layout, array_sizes
+from tacgen.dataset.tally import Tally
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
-from tacgen.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
-OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
 LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "pybullet", "h5py", "hdf5plugin")
 
 
@@ -59,13 +57,19 @@ def write_shard_file(
     indices = spec.shard_range(shard)
     layout = layout_of(spec)
     sizes = array_sizes(len(indices), len(spec.time_s), spec.sensor, spec.picture_px)
-    tally = _Tally()
+    tally = Tally()
     with DiskFile(path) as disk:
         with h5py.File(disk, "w", libver=LIBRARY_VERSION) as file:
             _write_attributes(file, spec, indices)
             small = _create_arrays(file, layout, sizes)
             for row, sample in enumerate(_expected(samples, indices, spec)):
-                tally.add(sample)
+                tally.add(
+                    sample.label,
+                    sample.status,
+                    sample.failure_mode,
+                    sample.split,
+                    sample.config.object,
+                )
                 for place, values in grasp_values(sample, layout):
                     if place in small:
                         small[place][row] = values
@@ -189,35 +193,3 @@ def _expected(
     if row < len(indices):
         msg = f"grasps {indices[row]} to {indices[-1]} are missing from the shard"
         raise DatasetError(msg)
-
-
-class _Tally:
-    """Counts for the manifest."""
-
-    def __init__(self) -> None:
-        self._status: Counter[str] = Counter()
-        self._outcome: Counter[str] = Counter(dict.fromkeys(OUTCOME.values(), 0))
-        self._mode: Counter[str] = Counter()
-        self._split: Counter[str] = Counter()
-        self._objects: dict[str, Counter[str]] = {}
-
-    def add(self, sample: GraspSample) -> None:
-        outcome = OUTCOME[sample.label]
-        self._status[sample.status] += 1
-        self._outcome[outcome] += 1
-        self._split[sample.split] += 1
-        if sample.failure_mode:
-            self._mode[sample.failure_mode] += 1
-        mine = self._objects.setdefault(
-            sample.config.object, Counter(dict.fromkeys(OUTCOME.values(), 0))
-        )
-        mine[outcome] += 1
-
-    def counts(self) -> dict[str, Any]:
-        return {
-            "counts": dict(self._outcome),
-            "status": dict(sorted(self._status.items())),
-            "failure_modes": dict(sorted(self._mode.items())),
-            "splits": dict(sorted(self._split.items())),
-            "objects": {name: dict(tally) for name, tally in sorted(self._objects.items())},
-        }

@@ -1,0 +1,126 @@
+"""Checking a dataset on disk: every byte by its hash, every grasp by what must hold for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tacgen.dataset.folder import DatasetFolder
+from tacgen.dataset.manifest import ShardLine, manifest_problems, part_paths, read_lines, read_part
+from tacgen.dataset.shard_check import shard_problems
+from tacgen.errors import DatasetError
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What is wrong, and with which file; ``shard`` is −1 where it is not one shard's fault."""
+
+    file: str
+    reason: str
+    shard: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What ``verify`` found."""
+
+    problems: tuple[Problem, ...]
+    n_shards: int
+    n_grasps: int
+    bytes: int
+
+    @property
+    def bad_shards(self) -> tuple[int, ...]:
+        """The shards to be made anew."""
+        return tuple(sorted({p.shard for p in self.problems if p.shard >= 0}))
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``--json``."""
+        return {
+            "ok": not self.problems,
+            "shards": self.n_shards,
+            "grasps": self.n_grasps,
+            "bytes": self.bytes,
+            "bad_shards": list(self.bad_shards),
+            "problems": [{"file": p.file, "reason": p.reason} for p in self.problems],
+        }
+
+
+def verify(
+    root: Path | str, *, decode: bool = False, progress: Callable[[int], None] = lambda _: None
+) -> Verification:
+    """Check the whole dataset in ``root``.
+
+    ``decode`` also decompresses every image; without it the hash of the shard vouches for them,
+    taken when the shard was written and checked. ``progress`` is told the bytes of each shard
+    that is through.
+
+    Raises
+    ------
+    DatasetError
+        If there is no dataset at all.
+    """
+    folder = DatasetFolder(root)
+    lines, problems = _all_lines(folder)
+    if not lines and not problems and not folder.plan_path.is_file():
+        msg = f"{folder.root} is not a dataset; give the folder that `tacgen collect --out` made"
+        raise DatasetError(msg)
+    for shard, line in lines.items():
+        reasons = shard_problems(folder.shard_path(shard), line, decode="all" if decode else "none")
+        problems += [Problem(line.file, reason, shard) for reason in reasons]
+        progress(line.bytes)
+    problems += _whole_problems(folder, lines)
+    return Verification(
+        problems=tuple(problems),
+        n_shards=len(lines),
+        n_grasps=sum(line.index_range[1] - line.index_range[0] for line in lines.values()),
+        bytes=sum(line.bytes for line in lines.values()),
+    )
+
+
+def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Problem]]:
+    """Every line that can be read; a shard's own wins over the merged one, which must agree."""
+    problems = []
+    try:
+        merged = read_lines(folder.manifest_path)
+    except DatasetError as error:
+        merged = {}
+        problems.append(Problem("manifest.jsonl", _without_path(error, folder.manifest_path)))
+    lines = dict(merged)
+    for path in part_paths(folder.root):
+        name = path.relative_to(folder.root).as_posix()
+        try:
+            line = read_part(path)
+        except DatasetError as error:
+            problems.append(Problem(name, _without_path(error, path)))
+            continue
+        if line.shard in merged and merged[line.shard] != line:
+            reason = f"{name} says otherwise about the shard; `tacgen merge` brings them together"
+            problems.append(Problem("manifest.jsonl", reason))
+        lines[line.shard] = line
+    return dict(sorted(lines.items())), problems
+
+
+def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[Problem]:
+    """Gaps, mixtures, and files that nobody answers for."""
+    n_grasps = None
+    problems = []
+    if folder.plan_path.is_file():
+        try:
+            n_grasps = folder.plan()["n_grasps"]
+        except DatasetError as error:
+            problems.append(Problem(folder.plan_path.name, str(error)))
+    known = {line.file for line in lines.values()}
+    problems += [
+        Problem(name, "is not in the manifest: unfinished, or not of this dataset")
+        for path in sorted(folder.root.glob("shards/*.h5"))
+        if (name := path.relative_to(folder.root).as_posix()) not in known
+    ]
+    found = manifest_problems(list(lines.values()), n_grasps)
+    return problems + [Problem("manifest.jsonl", reason) for reason in found]
+
+
+def _without_path(error: DatasetError, path: Path) -> str:
+    return str(error).removeprefix(f"{path}:").strip()
