@@ -133,8 +133,10 @@ class DatasetFolder:
         Raises
         ------
         DatasetError
-            If a grasp does not fit, or the disk is full, or may not be written to.
+            If a grasp does not fit, the folder was never prepared or is gone, or the disk is full
+            or may not be written to.
         """
+        self.plan()
         with disk_errors(self.root):
             self.line_path(shard).unlink(missing_ok=True)
             with atomic_path(self.shard_path(shard)) as partial:
