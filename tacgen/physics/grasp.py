@@ -2,23 +2,66 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import TracebackType
 
+import numpy as np
+
 from tacgen.errors import PhysicsError
-from tacgen.physics.settings import FrameRequest, PhysicsSettings, RobotName
-from tacgen.records import GraspConfig, GraspObject, GraspTrace
+from tacgen.physics import labels
+from tacgen.physics.approach import approach, grasp_target
+from tacgen.physics.bodies import ObjectBody, check_object, principal_axes
+from tacgen.physics.contacts import Bodies, Snapshot, pad_normal_force_n
+from tacgen.physics.floating import FloatingGripper
+from tacgen.physics.frames import pose
+from tacgen.physics.gripper import STROKE_MM
+from tacgen.physics.margins import Capacity, slip_margin, torsion_factor
+from tacgen.physics.motion import trapezoid
+from tacgen.physics.outcome import capacity_of, frames_of, motion_of, object_poses_mm
+from tacgen.physics.recorder import Recorder, frame_end_steps
+from tacgen.physics.robot import Robot
+from tacgen.physics.settings import PAD_NAMES, FrameRequest, PhysicsSettings, RobotName
+from tacgen.physics.world import World
+from tacgen.records import (
+    LABEL_NOT_EXECUTED,
+    LABEL_SUCCESS,
+    GraspConfig,
+    GraspObject,
+    GraspTrace,
+    Status,
+    frozen_array,
+)
+from tacgen.units import M_PER_MM
+
+CHUNK_STEPS = 5
+"""How often the closing fingers are looked at."""
+STEADY_CHUNKS = 5
+"""A force is steady when it keeps to the command this many looks in a row."""
+STEADY_TOLERANCE = 0.01
+
+_ROBOTS: dict[str, type[Robot]] = {"wsg50": FloatingGripper}
 
 
 class GraspSimulator:
-    """A PyBullet world with a robot in it; use it as a context manager.
+    """A PyBullet world and a kind of robot; use it as a context manager.
 
     A grasp's trace depends on its arguments alone, not on the grasps before it.
+
+    Raises
+    ------
+    PhysicsError
+        If the robot is unknown, or PyBullet is missing or lacks numpy.
     """
 
     def __init__(self, robot: RobotName = "wsg50") -> None:
+        if robot not in _ROBOTS:
+            msg = f"robot {robot!r} is not known; known: {', '.join(_ROBOTS)}"
+            raise PhysicsError(msg)
         self.robot = robot
+        self.world = World()
 
     def __enter__(self) -> GraspSimulator:
+        self.world.__enter__()
         return self
 
     def __exit__(
@@ -27,7 +70,7 @@ class GraspSimulator:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        return None
+        self.world.__exit__(kind, error, traceback)
 
 
 def run_grasp(
@@ -40,10 +83,176 @@ def run_grasp(
 ) -> GraspTrace:
     """Simulate one grasp of ``obj`` as ``config`` asks; frames in the gel frame (mm, N).
 
+    A grasp that cannot be executed has the status ``unreachable`` or ``no_contact``, a reason,
+    the label −1 and no frames.
+
     Raises
     ------
     PhysicsError
-        If the configuration is outside what the gripper can be asked for.
+        If the force is not one the gripper can be asked for, or the object cannot be a body.
     """
-    msg = "the simulation of grasps is not built yet"
-    raise PhysicsError(msg)
+    _check_force(config, settings)
+    check_object(obj)
+    return _Grasp(simulator, obj, config, settings, frames).run()
+
+
+def _check_force(config: GraspConfig, settings: PhysicsSettings) -> None:
+    where = f"grasp {config.index} of {config.object!r}: force_n = {config.force_n:g}"
+    if not config.force_n > 0:
+        msg = f"{where} is not a force to grip with; ask for more than 0 N"
+        raise PhysicsError(msg)
+    if config.force_n > settings.max_force_n:
+        msg = (
+            f"{where} exceeds max_force_n = {settings.max_force_n:g}; lower it or raise max_force_n"
+        )
+        raise PhysicsError(msg)
+
+
+class _Grasp:
+    """The state of one grasp while it runs."""
+
+    def __init__(
+        self,
+        simulator: GraspSimulator,
+        obj: GraspObject,
+        config: GraspConfig,
+        settings: PhysicsSettings,
+        request: FrameRequest,
+    ) -> None:
+        self.obj, self.config, self.settings = obj, config, settings
+        self.world = simulator.world
+        self.world.rebuild(settings)
+        self.body = ObjectBody(self.world, obj)
+        self.robot: Robot = _ROBOTS[simulator.robot]()
+        self.robot.build(self.world, settings)
+        self.robot.fingers.set_surface(settings, obj.friction, obj.spinning_friction_mm)
+        sequence = request.mode == "sequence"
+        self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
+        moments, axes = principal_axes(obj.inertia_kg_mm2)
+        self.bodies = Bodies(
+            object_body=self.body.body,
+            robot_body=self.robot.body,
+            pad_links=self.robot.fingers.links,
+            principal_moments_kg_m2=moments * M_PER_MM**2,
+            inertial=pose(axes, obj.center_of_mass_mm * M_PER_MM),
+            spinning_friction_m=obj.spinning_friction_mm * settings.pad_friction * M_PER_MM,
+            time_step_s=settings.time_step_s,
+        )
+
+    def run(self) -> GraspTrace:
+        """Approach, close, hold, lift, label."""
+        settings = self.settings
+        target = grasp_target(self.config, settings)
+        reason = approach(self.world, self.robot, self.body, self.obj, target, settings)
+        reason = reason or self.robot.prepare_lift(settings.lift_mm * M_PER_MM)
+        if reason:
+            return self._not_executed("unreachable", reason)
+        self.recorder = Recorder(self.world, self.robot, self.body, settings, self.frame_ends)
+        reason = self._close()
+        if reason:
+            return self._not_executed("no_contact", reason)
+        grasped = self.recorder.observe()
+        self.recorder.advance(self._steps(settings.hold_s))
+        capacity = self._load_pads(grasped)
+        motion = self._lift()
+        if self.frame_ends:
+            self.recorder.advance(self.frame_ends[-1] - self.recorder.step)
+        return self._executed(grasped, capacity, motion)
+
+    def _steps(self, seconds: float) -> int:
+        return round(seconds / self.settings.time_step_s)
+
+    def _close(self) -> str:
+        """Close until both pads press steadily with the delivered force; why not, if not."""
+        settings, recorder, fingers = self.settings, self.recorder, self.robot.fingers
+        force_n = settings.delivered_force_n(self.config.force_n)
+        speed_m_s = settings.closing_speed_mm_s * M_PER_MM
+        fingers.drive(speed_m_s, force_n)
+        half_m = STROKE_MM / 2 * M_PER_MM
+        limit_s = (half_m - min(fingers.travel_m())) / speed_m_s + settings.settle_limit_s
+        steady = 0
+        touched = dict.fromkeys(PAD_NAMES, 0.0)
+        for _ in range(self._steps(limit_s) // CHUNK_STEPS):
+            recorder.advance(CHUNK_STEPS)
+            now = recorder.snapshot()
+            if sum(now.pad_distance_m) <= 0:
+                return "the pads met with nothing between them"
+            touched = self._pad_forces_n(now)
+            near = all(
+                abs(force - force_n) <= STEADY_TOLERANCE * force_n for force in touched.values()
+            )
+            steady = steady + 1 if near else 0
+            if steady == STEADY_CHUNKS:
+                return ""
+        missing = [pad for pad, force in touched.items() if force <= 0]
+        return f"the {' and the '.join(missing)} pad did not touch" if missing else ""
+
+    def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
+        return {
+            pad: pad_normal_force_n(snapshot.contacts, self.robot.body, link)
+            for pad, link in self.robot.fingers.links.items()
+        }
+
+    def _load_pads(self, grasped: Sequence[Snapshot]) -> Capacity:
+        """Couple the jaws and leave the pads the torsion that the weight does not use up."""
+        capacity = capacity_of(grasped, self.bodies, self.obj, self.settings)
+        self.robot.fingers.set_spinning_friction(
+            self.bodies.spinning_friction_m * torsion_factor(capacity.friction_share)
+        )
+        self.robot.fingers.couple()
+        return capacity
+
+    def _lift(self) -> list[Snapshot]:
+        """Lift by the profile, looking at the object now and then."""
+        settings, recorder = self.settings, self.recorder
+        sampled = max(1, self._steps(settings.slip_sample_s))
+        heights_m, speeds_m_s = trapezoid(
+            settings.lift_mm * M_PER_MM,
+            settings.lift_speed_mm_s * M_PER_MM,
+            settings.lift_acceleration_mm_s2 * M_PER_MM,
+            settings.time_step_s,
+        )
+        samples = [recorder.snapshot()]
+        for k, (height_m, speed_m_s) in enumerate(
+            zip(heights_m.tolist(), speeds_m_s.tolist(), strict=True)
+        ):
+            self.robot.command_lift(height_m, speed_m_s)
+            recorder.advance(1)
+            if k % sampled == 0:
+                samples.append(recorder.snapshot())
+        self.robot.command_lift(settings.lift_mm * M_PER_MM, 0.0)
+        samples.append(recorder.snapshot())
+        return samples
+
+    def _executed(
+        self, grasped: Sequence[Snapshot], capacity: Capacity, lifted: Sequence[Snapshot]
+    ) -> GraspTrace:
+        settings = self.settings
+        motion = motion_of(lifted, self.bodies, settings.sensing_pads[0])
+        rise_mm, turn_rad = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
+        label = labels.label_of(rise_mm, turn_rad, settings)
+        windows = [self.recorder.window(end) for end in self.frame_ends] or [list(grasped)]
+        return GraspTrace(
+            config=self.config,
+            status="executed",
+            label=label,
+            failure_mode="" if label == LABEL_SUCCESS else labels.failure_mode(motion, settings),
+            frames=frames_of(windows, self.bodies, settings.sensing_pads),
+            object_pose=object_poses_mm([window[-1] for window in windows], self.bodies),
+            rise_mm=rise_mm,
+            turn_rad=turn_rad,
+            margin=slip_margin(capacity, self.obj.mass_kg, *labels.first_slip(motion, settings)),
+        )
+
+    def _not_executed(self, status: Status, reason: str) -> GraspTrace:
+        return GraspTrace(
+            config=self.config,
+            status=status,
+            label=LABEL_NOT_EXECUTED,
+            failure_mode="",
+            frames=dict.fromkeys(self.settings.sensing_pads, ()),
+            object_pose=frozen_array(np.zeros((0, 7))),
+            rise_mm=0.0,
+            turn_rad=0.0,
+            reason=reason,
+        )

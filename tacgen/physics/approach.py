@@ -1,0 +1,116 @@
+"""The way to the grasp: above the object, turned, down, adjusted in the plane, fingers near.
+
+Nothing touches the object on a free way, so the gripper is put at points along it and each is
+looked at for collisions; no time is simulated.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tacgen.physics.bodies import ObjectBody
+from tacgen.physics.gripper import PAD_HEIGHT_MM, STROKE_MM
+from tacgen.physics.robot import GripperTarget, Robot
+from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.world import World
+from tacgen.records import GraspConfig, GraspObject
+from tacgen.units import M_PER_MM, MM_PER_M
+
+WAYPOINT_SPACING_MM = 6.0
+ABOVE_MM = 10.0
+
+
+def grasp_target(config: GraspConfig, settings: PhysicsSettings) -> GripperTarget:
+    """Where the gripper frame is to be when the fingers close."""
+    return GripperTarget(
+        config.x_mm * M_PER_MM,
+        config.y_mm * M_PER_MM,
+        (config.z_mm + settings.height_offset_mm) * M_PER_MM,
+        config.yaw_rad,
+    )
+
+
+def approach(
+    world: World,
+    robot: Robot,
+    body: ObjectBody,
+    obj: GraspObject,
+    target: GripperTarget,
+    settings: PhysicsSettings,
+) -> str:
+    """Bring the gripper to ``target``, fingers ``clearance_mm`` from the object.
+
+    Returns why the robot cannot get there, or nothing.
+    """
+    lowest_mm = target.z_m * MM_PER_M - PAD_HEIGHT_MM / 2
+    if lowest_mm < 0:
+        return (
+            f"the pads would reach {-lowest_mm:.1f} mm into the table; "
+            f"grasp at z_mm = {PAD_HEIGHT_MM / 2:g} or higher"
+        )
+    robot.fingers.place(0.0)
+    top_mm = max(float(part.vertices_mm[:, 2].max()) for part in obj.collision)
+    above_m = max(target.z_m, (top_mm + PAD_HEIGHT_MM / 2 + ABOVE_MM) * M_PER_MM)
+    reasons = []
+    for corners in _ways(target, above_m):
+        reason = _first_obstacle(world, robot, body, corners)
+        if not reason:
+            _preposition(world, robot, body, settings)
+            return ""
+        reasons.append(reason)
+    return reasons[-1]
+
+
+def _ways(target: GripperTarget, above_m: float) -> Iterator[list[GripperTarget]]:
+    """Corners of the ways to try: adjusting in the plane at the bottom, then at the top."""
+    above_goal = replace(target, z_m=above_m)
+    if target.x_m or target.y_m:
+        middle = replace(target, x_m=0.0, y_m=0.0)
+        yield [replace(middle, z_m=above_m), middle, target]
+    yield [above_goal, target]
+
+
+def _waypoints(corners: Sequence[GripperTarget]) -> Iterator[GripperTarget]:
+    """Points along the way, the last corner last."""
+    yield corners[0]
+    for start, end in itertools.pairwise(corners):
+        a, b = (np.array([corner.x_m, corner.y_m, corner.z_m]) for corner in (start, end))
+        count = max(1, int(np.ceil(np.linalg.norm(b - a) * MM_PER_M / WAYPOINT_SPACING_MM)))
+        for k in range(1, count + 1):
+            x_m, y_m, z_m = (a + (b - a) * (k / count)).tolist()
+            yield GripperTarget(x_m, y_m, z_m, end.yaw_rad)
+
+
+def _first_obstacle(
+    world: World, robot: Robot, body: ObjectBody, corners: Sequence[GripperTarget]
+) -> str:
+    """Why the gripper cannot go along the way, or nothing; it stays at the way's end."""
+    closest = world.bullet.getClosestPoints
+    for waypoint in _waypoints(corners):
+        reason = robot.place(waypoint)
+        if reason:
+            return reason
+        if closest(robot.body, body.body, 0.0, physicsClientId=world.client):
+            return (
+                f"the open gripper meets the object {waypoint.z_m * MM_PER_M:.0f} mm above the "
+                f"table on its way; the object is wider than {STROKE_MM:g} mm there, or too tall"
+            )
+    return ""
+
+
+def _preposition(world: World, robot: Robot, body: ObjectBody, settings: PhysicsSettings) -> None:
+    """Bring the fingers near the object, symmetrically, so that closing takes little time."""
+    near_m = min(
+        (
+            point[8]
+            for point in world.bullet.getClosestPoints(
+                robot.body, body.body, STROKE_MM * M_PER_MM, physicsClientId=world.client
+            )
+        ),
+        default=0.0,
+    )
+    robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))

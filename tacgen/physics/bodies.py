@@ -1,0 +1,107 @@
+"""An object of records.py as a body of PyBullet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.errors import PhysicsError
+from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation
+from tacgen.physics.frames import rotation_from_quaternion as rotation_of
+from tacgen.physics.world import World
+from tacgen.records import GraspObject
+from tacgen.units import M_PER_MM
+
+OBJECT_FRICTION = 1.0
+"""Bullet multiplies the coefficients of two bodies: the pads and the table carry the real ones."""
+
+
+def with_friction(obj: GraspObject, friction: float) -> GraspObject:
+    """``obj`` with another coefficient of friction; its spinning friction scales along.
+
+    A pad's moment about its normal is the coefficient times the pressure times the radius, so a
+    patch of the same size resists in proportion to the coefficient.
+    """
+    if obj.friction > 0:
+        spinning_mm = obj.spinning_friction_mm * friction / obj.friction
+    else:
+        spinning_mm = obj.spinning_friction_mm
+    return replace(obj, friction=friction, spinning_friction_mm=spinning_mm)
+
+
+def principal_axes(
+    inertia: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Principal moments (3,) and the right-handed (3, 3) rotation whose columns are the axes."""
+    moments, axes = np.linalg.eigh(inertia)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] = -axes[:, 0]
+    return moments, axes
+
+
+def check_object(obj: GraspObject) -> None:
+    """Raise PhysicsError, listing everything about ``obj`` that no body can be made of."""
+    where = f"object {obj.name!r}"
+    problems = []
+    if not obj.collision:
+        problems.append(f"{where}: has no collision part; add at least one convex part")
+    if not (np.isfinite(obj.mass_kg) and obj.mass_kg > 0):
+        problems.append(f"{where}: mass_kg = {obj.mass_kg:g} is not above 0; weigh the object")
+    for name in ("friction", "spinning_friction_mm"):
+        value = getattr(obj, name)
+        if not (np.isfinite(value) and value >= 0):
+            problems.append(f"{where}: {name} = {value:g} is negative; give 0 or more")
+    moments = np.linalg.eigvalsh(obj.inertia_kg_mm2)
+    if not (moments[0] > 0 and moments[0] + moments[1] >= moments[2] * (1 - 1e-6)):
+        listed = ", ".join(f"{moment:.3g}" for moment in moments)
+        problems.append(
+            f"{where}: inertia_kg_mm2 has the principal moments {listed}, which no body has "
+            "(each is positive and at most the sum of the others); compute it anew from the mesh"
+        )
+    if problems:
+        raise PhysicsError.from_problems(problems)
+
+
+class ObjectBody:
+    """The object in the world, standing in its rest pose to begin with."""
+
+    def __init__(self, world: World, obj: GraspObject) -> None:
+        self._world = world
+        moments, axes = principal_axes(obj.inertia_kg_mm2)
+        self._inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
+        self._object_from_inertial = inverse(self._inertial)
+        bullet, client = world.bullet, world.client
+        self.body = bullet.createMultiBody(
+            obj.mass_kg,
+            world.hull_shape(obj.collision),
+            baseInertialFramePosition=self._inertial[:3, 3].tolist(),
+            baseInertialFrameOrientation=quaternion_from_rotation(axes).tolist(),
+            physicsClientId=client,
+        )
+        world.set_surface(self.body, -1, friction=OBJECT_FRICTION)
+        bullet.changeDynamics(
+            self.body,
+            -1,
+            localInertiaDiagonal=(moments * M_PER_MM**2).tolist(),
+            physicsClientId=client,
+        )
+
+    def inertial_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Position (m) of the centre of mass and quaternion of the principal axes."""
+        position, quaternion = self._world.bullet.getBasePositionAndOrientation(
+            self.body, physicsClientId=self._world.client
+        )
+        return position, quaternion
+
+    def velocity(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Linear velocity (m/s) of the centre of mass and angular velocity (rad/s), world axes."""
+        linear, angular = self._world.bullet.getBaseVelocity(
+            self.body, physicsClientId=self._world.client
+        )
+        return linear, angular
+
+    def pose_from(self, position: tuple[float, ...], quaternion: tuple[float, ...]) -> Pose:
+        """The object's own frame in the world, from what ``inertial_position`` gave."""
+        return pose(rotation_of(quaternion), position) @ self._object_from_inertial

@@ -1,0 +1,217 @@
+"""From PyBullet's contact points to what a pad feels; pure functions of recorded snapshots.
+
+Inside, lengths are in metres and axes are the world's; the frames that come out are in mm, N and
+the gel frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.physics.frames import Pose, gel_pose_in_gripper, inverse, pose
+from tacgen.physics.frames import rotation_from_quaternion as rotation_of
+from tacgen.records import ContactFrame
+from tacgen.units import MM_PER_M
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The world at one step, as PyBullet gave it: nothing is computed while it runs.
+
+    ``contacts`` are the tuples of ``getContactPoints``; ``object_position_m`` is the centre of
+    mass, ``object_quaternion`` the principal axes.
+    """
+
+    step: int
+    contacts: tuple[tuple, ...]
+    object_position_m: tuple[float, ...]
+    object_quaternion: tuple[float, ...]
+    object_angular_velocity: tuple[float, ...]
+    gripper_position_m: tuple[float, ...]
+    gripper_quaternion: tuple[float, ...]
+    pad_distance_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """Contact points on the object: (n,) other body and link, (n, 3) points, normals, forces.
+
+    Normals point into the object; ``force_n`` is the whole force on the object.
+    """
+
+    body: NDArray[np.int64]
+    link: NDArray[np.int64]
+    point_m: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    normal_force_n: NDArray[np.float64]
+    force_n: NDArray[np.float64]
+
+    def of(self, body: int, link: int) -> Contacts:
+        """Those with one link of another body."""
+        keep = (self.body == body) & (self.link == link)
+        return Contacts(
+            self.body[keep],
+            self.link[keep],
+            self.point_m[keep],
+            self.normal[keep],
+            self.normal_force_n[keep],
+            self.force_n[keep],
+        )
+
+
+def object_contacts(raw: Sequence[tuple], object_body: int) -> Contacts:
+    """Contact points of ``object_body``, from unfiltered ``getContactPoints``.
+
+    Unfiltered matters: with a filter PyBullet may swap the two bodies and turn the normal, but
+    not the friction, whose sign is then lost. As it comes, both act on the first body.
+    """
+    rows, others = [], []
+    for contact in raw:
+        if contact[1] == object_body:
+            sign, other = 1.0, (contact[2], contact[4])
+        elif contact[2] == object_body:
+            sign, other = -1.0, (contact[1], contact[3])
+        else:
+            continue
+        others.append(other)
+        point = contact[5] if sign > 0 else contact[6]
+        rows.append(
+            (*point, *contact[7], *contact[9:11], *contact[11], contact[12], *contact[13], sign)
+        )
+    table = np.array(rows, dtype=np.float64).reshape(-1, 16)
+    other_ids = np.array(others, dtype=np.int64).reshape(-1, 2)
+    sign_column = table[:, 15:]
+    normal = sign_column * table[:, 3:6]
+    friction = sign_column * (table[:, 7:8] * table[:, 8:11] + table[:, 11:12] * table[:, 12:15])
+    return Contacts(
+        body=other_ids[:, 0],
+        link=other_ids[:, 1],
+        point_m=table[:, :3],
+        normal=normal,
+        normal_force_n=table[:, 6],
+        force_n=table[:, 6:7] * normal + friction,
+    )
+
+
+def pad_normal_force_n(raw: Sequence[tuple], robot_body: int, link: int) -> float:
+    """The sum of normal forces on one link of the robot, quickly."""
+    return sum(
+        contact[9]
+        for contact in raw
+        if (contact[1] == robot_body and contact[3] == link)
+        or (contact[2] == robot_body and contact[4] == link)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """What a snapshot's numbers belong to.
+
+    ``spinning_friction_m`` maps each pad to the moment about its normal that it resists, for
+    each newton; ``inertial`` is the object's inertial frame in its own frame.
+    """
+
+    object_body: int
+    robot_body: int
+    pad_links: Mapping[str, int]
+    principal_moments_kg_m2: NDArray[np.float64]
+    inertial: Pose
+    spinning_friction_m: float
+    time_step_s: float
+
+
+def gripper_pose(snapshot: Snapshot) -> Pose:
+    """The gripper frame in the world."""
+    return pose(rotation_of(snapshot.gripper_quaternion), snapshot.gripper_position_m)
+
+
+def object_pose(snapshot: Snapshot, bodies: Bodies) -> Pose:
+    """The object's own frame in the world."""
+    inertial = pose(rotation_of(snapshot.object_quaternion), snapshot.object_position_m)
+    return inertial @ inverse(bodies.inertial)
+
+
+def gel_pose(snapshot: Snapshot, pad: str) -> Pose:
+    """The gel frame of ``pad`` in the world."""
+    distance_m = snapshot.pad_distance_m[0 if pad == "left" else 1]
+    return gripper_pose(snapshot) @ gel_pose_in_gripper(pad, distance_m)
+
+
+def contact_frames(
+    window: Sequence[Snapshot], bodies: Bodies, pads: Sequence[str]
+) -> dict[str, ContactFrame]:
+    """What each of ``pads`` feels at the end of ``window``, forces averaged over its steps.
+
+    The first snapshot of a window of several only serves to tell the object's angular
+    acceleration.
+    """
+    last = window[-1]
+    steps = [
+        object_contacts(snapshot.contacts, bodies.object_body)
+        for snapshot in (window[1:] if len(window) > 1 else window)
+    ]
+    spins = _spinning_moments_n_m(window, steps, bodies)
+    object_in_world = object_pose(last, bodies)
+    frames = {}
+    for pad in pads:
+        gel = gel_pose(last, pad)
+        force, moment = np.zeros(3), 0.0
+        for contacts in steps:
+            own = contacts.of(bodies.robot_body, bodies.pad_links[pad])
+            on_gel = -own.force_n @ gel[:3, :3]
+            at = (own.point_m - gel[:3, 3]) @ gel[:3, :3]
+            force += on_gel.sum(axis=0) / len(steps)
+            moment += float(np.sum(at[:, 0] * on_gel[:, 1] - at[:, 1] * on_gel[:, 0])) / len(steps)
+        # The spinning moment is about the gripper's x, along which both gels' z lie.
+        moment -= spins[pad] * float(gel[:3, 2] @ gripper_pose(last)[:3, 0])
+        gel_from_object = inverse(gel) @ object_in_world
+        gel_from_object[:3, 3] *= MM_PER_M
+        for array in (force, gel_from_object):
+            array.setflags(write=False)
+        frames[pad] = ContactFrame(
+            time_s=last.step * bodies.time_step_s,
+            force_normal_n=float(-force[2]),
+            force_shear_n=force[:2],
+            torsion_n_mm=moment * MM_PER_M,
+            pose_gel_object=gel_from_object,
+        )
+    return frames
+
+
+def _spinning_moments_n_m(
+    window: Sequence[Snapshot], steps: Sequence[Contacts], bodies: Bodies
+) -> dict[str, float]:
+    """The moment about the gripper's x by which each pad's spinning friction acts on the object.
+
+    PyBullet applies it but does not report it. It is what the object's balance of angular
+    momentum lacks once all reported contact forces are counted, shared between the pads as
+    their normal forces are and never more than each can give.
+    """
+    last = window[-1]
+    axis = gripper_pose(last)[:3, 0]
+    center = np.array(last.object_position_m)
+    normals = {
+        pad: float(np.mean([c.of(bodies.robot_body, link).normal_force_n.sum() for c in steps]))
+        for pad, link in bodies.pad_links.items()
+    }
+    total = sum(normals.values())
+    if total <= 0:
+        return dict.fromkeys(normals, 0.0)
+    reported = np.mean([np.cross(c.point_m - center, c.force_n).sum(axis=0) for c in steps], axis=0)
+    rotation = rotation_of(last.object_quaternion)
+    inertia = rotation @ np.diag(bodies.principal_moments_kg_m2) @ rotation.T
+    omega = np.array(last.object_angular_velocity)
+    needed = np.cross(omega, inertia @ omega)
+    if len(window) > 1:
+        span_s = (last.step - window[0].step) * bodies.time_step_s
+        needed += inertia @ (omega - np.array(window[0].object_angular_velocity)) / span_s
+    missing = float(axis @ (needed - reported))
+    spins = {}
+    for pad, normal in normals.items():
+        limit = bodies.spinning_friction_m * normal
+        spins[pad] = float(np.clip(missing * normal / total, -limit, limit))
+    return spins

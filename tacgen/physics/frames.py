@@ -1,0 +1,97 @@
+"""Rigid transforms, and where the gel frames lie on the gripper.
+
+The gripper frame has its origin midway between the pads' centres, x along the closing direction
+and z up; at yaw 0 it is parallel to the world. Inside this part of tacgen lengths are in metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Pose = NDArray[np.float64]
+
+GEL_AXES_IN_GRIPPER = {
+    "left": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+    "right": np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+}
+"""Columns are the gel's x, y, z in the gripper frame: y (image rows) down, z towards the object."""
+
+PAD_SIDE = {"left": -1.0, "right": 1.0}
+"""On which side of the gripper's centre a pad is, along the gripper's x."""
+
+
+def rotation_from_quaternion(quaternion_xyzw: Sequence[float]) -> NDArray[np.float64]:
+    """The (3, 3) rotation of a unit quaternion."""
+    x, y, z, w = quaternion_xyzw
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The unit quaternion x, y, z, w with w ≥ 0 of a (3, 3) rotation.
+
+    Source
+    ------
+    Shepperd 1978: the largest of the four components is found first, so nothing cancels.
+    """
+    trace = np.trace(rotation)
+    squares = np.array([*(2 * np.diag(rotation) - trace), trace]) + 1.0
+    k = int(np.argmax(squares))
+    r = rotation
+    products = np.array(
+        [
+            [squares[0], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [r[1, 0] + r[0, 1], squares[1], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], squares[2], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], squares[3]],
+        ]
+    )[k]
+    quaternion = products / np.linalg.norm(products)
+    return quaternion if quaternion[3] >= 0 else -quaternion
+
+
+def pose(rotation: NDArray[np.float64], position: Sequence[float] | NDArray[np.float64]) -> Pose:
+    """The (4, 4) transform of a rotation followed by a translation."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = position
+    return matrix
+
+
+def inverse(matrix: Pose) -> Pose:
+    """The inverse of a rigid transform."""
+    rotation = matrix[:3, :3].T
+    return pose(rotation, -rotation @ matrix[:3, 3])
+
+
+def rotation_about_z(angle_rad: float) -> NDArray[np.float64]:
+    """The (3, 3) rotation about z."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def gel_pose_in_gripper(pad: str, distance_m: float) -> Pose:
+    """The gel frame of ``pad`` whose surface is ``distance_m`` from the gripper's centre."""
+    return pose(GEL_AXES_IN_GRIPPER[pad], [PAD_SIDE[pad] * distance_m, 0.0, 0.0])
+
+
+def turn_rad(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The angle of each rotation of a (..., 3, 3) array, exact for small angles too."""
+    sine = np.stack(
+        [
+            rotation[..., 2, 1] - rotation[..., 1, 2],
+            rotation[..., 0, 2] - rotation[..., 2, 0],
+            rotation[..., 1, 0] - rotation[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    cosine = np.trace(rotation, axis1=-2, axis2=-1) - 1.0
+    return np.arctan2(np.linalg.norm(sine, axis=-1), cosine)

@@ -1,0 +1,265 @@
+"""The WSG-50 with gel pads: its geometry, and the fingers that both robots share.
+
+The hand's link frame is the gripper frame (``frames.py``). Finger positions count from the full
+opening towards the middle. Bullet's lengths are metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from tacgen.physics.frames import PAD_SIDE
+from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
+from tacgen.physics.world import World
+from tacgen.units import M_PER_MM
+
+STROKE_MM = 110.0
+"""Largest opening. Source: Weiss Robotics, WSG 50 data sheet."""
+HAND_MASS_KG = 1.2
+"""Source: Weiss Robotics, WSG 50 data sheet."""
+GRASPING_FORCE_RANGE_N = (5.0, 80.0)
+"""Grasping force, which is twice the force on each finger: 2.5 to 40 N a pad.
+
+Source: Weiss Robotics, WSG 50 data sheet; the factor of two from Schunk's WSG manual, GRASP.
+"""
+FINGER_MASS_KG = 0.15
+"""A finger with its sensor; assumed."""
+
+PAD_WIDTH_MM, PAD_HEIGHT_MM = 24.0, 19.0
+"""A GelSight's window of 18.9 × 14.2 mm (640 × 480 at 0.0295 mm/px) and 2.5 mm around it."""
+PAD_DEPTH_MM = 6.0
+PAD_PITCH_MM = 2.0
+HULL_MARGIN_MM = 1.0
+"""What Bullet adds around a convex hull; on a link it cannot be taken off."""
+FINGER_THICKNESS_MM = 12.0
+FINGER_LENGTH_MM = 125.0
+"""From the pad's centre to the palm; assumed, long enough to reach down a 190 mm bottle."""
+PALM_HALF_EXTENTS_MM = (73.0, 25.0, 35.0)
+
+_TWIST_FREE = (0.0, 0.0, 0.0, 1.0)
+
+
+@lru_cache(maxsize=8)
+def pad_vertices_m(side: float, dome_radius_mm: float) -> tuple[tuple[float, float, float], ...]:
+    """Vertices of the convex pad whose dome's top is at the origin and looks away from ``side``.
+
+    They lie ``HULL_MARGIN_MM`` inside it, where Bullet's margin puts its surface. Made once,
+    because PyBullet never releases the sequence of vertices that it is given.
+    """
+    half_y, half_z = PAD_WIDTH_MM / 2 - HULL_MARGIN_MM, PAD_HEIGHT_MM / 2 - HULL_MARGIN_MM
+    y, z = np.meshgrid(_symmetric_range(half_y), _symmetric_range(half_z), indexing="ij")
+    drop = dome_radius_mm - np.sqrt((dome_radius_mm - HULL_MARGIN_MM) ** 2 - y**2 - z**2)
+    front = np.stack([side * drop, y, z], axis=-1).reshape(-1, 3)
+    back = side * (PAD_DEPTH_MM - HULL_MARGIN_MM)
+    rim = np.array([[back, y, z] for y in (-half_y, half_y) for z in (-half_z, half_z)])
+    vertices = np.concatenate([front, rim]) * M_PER_MM
+    return tuple((x, y, z) for x, y, z in vertices.tolist())
+
+
+def _symmetric_range(half: float) -> np.ndarray:
+    """Values over [−half, half] about ``PAD_PITCH_MM`` apart, 0 among them."""
+    return np.linspace(-half, half, 2 * int(np.ceil(half / PAD_PITCH_MM)) + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One link for ``createMultiBody``; ``parent`` is the index of a link, −1 for the base."""
+
+    parent: int
+    joint_type: int
+    mass_kg: float = 0.0
+    shape: int = -1
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = _TWIST_FREE
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    center_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def create_body(world: World, links: Sequence[Link], base_position_m: Sequence[float]) -> int:
+    """A body of ``links`` on a base that is fixed to the world."""
+    body = world.bullet.createMultiBody(
+        baseMass=0.0,
+        basePosition=base_position_m,
+        linkMasses=[link.mass_kg for link in links],
+        linkCollisionShapeIndices=[link.shape for link in links],
+        linkVisualShapeIndices=[-1] * len(links),
+        linkPositions=[link.position_m for link in links],
+        linkOrientations=[link.quaternion for link in links],
+        linkInertialFramePositions=[link.center_of_mass_m for link in links],
+        linkInertialFrameOrientations=[_TWIST_FREE] * len(links),
+        linkParentIndices=[link.parent + 1 for link in links],
+        linkJointTypes=[link.joint_type for link in links],
+        linkJointAxis=[link.axis for link in links],
+        physicsClientId=world.client,
+    )
+    for link in range(-1, len(links)):
+        world.set_surface(body, link, friction=0.0)
+    return int(body)
+
+
+def finger_links(world: World, settings: PhysicsSettings, hand: int) -> list[Link]:
+    """The fingers and their stems, to be added right after the link ``hand`` that carries them.
+
+    Each stem follows its finger: PyBullet numbers links depth first, whatever it is given.
+    """
+    stem_height_mm = FINGER_LENGTH_MM + PAD_HEIGHT_MM / 2
+    stem_half_extents_mm = (FINGER_THICKNESS_MM / 2, PAD_WIDTH_MM / 2 - 1.0, stem_height_mm / 2)
+    links: list[Link] = []
+    for pad in PAD_NAMES:
+        side = PAD_SIDE[pad]
+        finger = hand + 1 + len(links)
+        links.append(
+            Link(
+                parent=hand,
+                joint_type=world.bullet.JOINT_PRISMATIC,
+                mass_kg=FINGER_MASS_KG,
+                shape=_pad(world, side, settings.pad_dome_radius_mm),
+                position_m=(side * STROKE_MM / 2 * M_PER_MM, 0.0, 0.0),
+                axis=(-side, 0.0, 0.0),
+            )
+        )
+        links.append(
+            Link(
+                parent=finger,
+                joint_type=world.bullet.JOINT_FIXED,
+                shape=_box(world, stem_half_extents_mm),
+                position_m=(
+                    side * (PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2) * M_PER_MM,
+                    0.0,
+                    (stem_height_mm - PAD_HEIGHT_MM) / 2 * M_PER_MM,
+                ),
+            )
+        )
+    return links
+
+
+def palm_link(world: World, hand: int) -> Link:
+    """The body of the gripper above the fingers, fixed to the link ``hand``."""
+    return Link(
+        parent=hand,
+        joint_type=world.bullet.JOINT_FIXED,
+        shape=_box(world, PALM_HALF_EXTENTS_MM),
+        position_m=(0.0, 0.0, (FINGER_LENGTH_MM + PALM_HALF_EXTENTS_MM[2]) * M_PER_MM),
+    )
+
+
+def _pad(world: World, side: float, dome_radius_mm: float) -> int:
+    return int(
+        world.bullet.createCollisionShape(
+            world.bullet.GEOM_MESH,
+            vertices=pad_vertices_m(side, dome_radius_mm),
+            physicsClientId=world.client,
+        )
+    )
+
+
+def _box(world: World, half_extents_mm: Sequence[float]) -> int:
+    return int(
+        world.bullet.createCollisionShape(
+            world.bullet.GEOM_BOX,
+            halfExtents=[half * M_PER_MM for half in half_extents_mm],
+            physicsClientId=world.client,
+        )
+    )
+
+
+class Fingers:
+    """The two fingers of a body in which ``finger_links`` follow the link ``hand``.
+
+    Each is driven by a motor of its own until the lift, so that both pads press with the
+    commanded force even where the table would take up a difference; then the jaws are coupled,
+    as the WSG-50's are, so that the grasp cannot drift sideways.
+    """
+
+    COUPLING_FORCE_N = 1000.0
+
+    def __init__(self, world: World, body: int, hand: int) -> None:
+        self._world = world
+        self._body = body
+        self.links = {"left": hand + 1, "right": hand + 3}
+
+    def set_surface(
+        self, settings: PhysicsSettings, friction: float, spinning_friction_mm: float
+    ) -> None:
+        """Friction and compliance of the pads against an object whose own friction is 1."""
+        for link in self.links.values():
+            self._world.set_surface(
+                self._body,
+                link,
+                friction=friction * settings.pad_friction,
+                spinning_friction_m=spinning_friction_mm * settings.pad_friction * M_PER_MM,
+            )
+            if settings.pad_stiffness_n_mm > 0:
+                self._world.bullet.changeDynamics(
+                    self._body,
+                    link,
+                    contactStiffness=settings.pad_stiffness_n_mm / M_PER_MM,
+                    contactDamping=settings.pad_damping_n_s_mm / M_PER_MM,
+                    physicsClientId=self._world.client,
+                )
+
+    def set_spinning_friction(self, spinning_friction_m: float) -> None:
+        """Moment about the contact normal that a pad resists, for each newton of force."""
+        for link in self.links.values():
+            self._world.bullet.changeDynamics(
+                self._body,
+                link,
+                spinningFriction=spinning_friction_m,
+                physicsClientId=self._world.client,
+            )
+
+    def place(self, travel_m: float) -> None:
+        """Put both fingers ``travel_m`` in from the full opening, at rest."""
+        for link in self.links.values():
+            self._world.bullet.resetJointState(
+                self._body, link, travel_m, 0.0, physicsClientId=self._world.client
+            )
+
+    def drive(self, speed_m_s: float, force_n: float) -> None:
+        """Close at ``speed_m_s``, pressing with ``force_n`` at most."""
+        for link in self.links.values():
+            self._world.bullet.setJointMotorControl2(
+                self._body,
+                link,
+                self._world.bullet.VELOCITY_CONTROL,
+                targetVelocity=speed_m_s,
+                force=force_n,
+                physicsClientId=self._world.client,
+            )
+
+    def couple(self) -> None:
+        """From now on the fingers move by equal amounts, about where they are."""
+        bullet, client = self._world.bullet, self._world.client
+        left_m, right_m = self.travel_m()
+        gear = bullet.createConstraint(
+            self._body,
+            self.links["left"],
+            self._body,
+            self.links["right"],
+            bullet.JOINT_GEAR,
+            (1.0, 0.0, 0.0),
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0, 0.0),
+            physicsClientId=client,
+        )
+        bullet.changeConstraint(
+            gear,
+            gearRatio=-1.0,
+            maxForce=self.COUPLING_FORCE_N,
+            relativePositionTarget=left_m - right_m,
+            erp=0.2,
+            physicsClientId=client,
+        )
+
+    def travel_m(self) -> tuple[float, float]:
+        """How far the left and the right finger are in from the full opening."""
+        state = self._world.bullet.getJointState
+        left, right = (
+            state(self._body, link, physicsClientId=self._world.client)[0]
+            for link in self.links.values()
+        )
+        return left, right

@@ -1,0 +1,92 @@
+"""Advances the world and takes snapshots of it at the steps that are asked for."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+from tacgen.physics.bodies import ObjectBody
+from tacgen.physics.contacts import Snapshot
+from tacgen.physics.gripper import STROKE_MM
+from tacgen.physics.robot import Robot
+from tacgen.physics.settings import FrameRequest, PhysicsSettings
+from tacgen.physics.world import World
+from tacgen.units import M_PER_MM
+
+
+def frame_end_steps(request: FrameRequest, time_step_s: float) -> list[int]:
+    """The step at which each frame of a sequence ends, counted from closing on."""
+    last = round(request.span_s / time_step_s)
+    if request.count == 1:
+        return [last]
+    return [round(last * k / (request.count - 1)) for k in range(request.count)]
+
+
+class Recorder:
+    """Steps the world; every snapshot is taken once and kept by its step."""
+
+    def __init__(
+        self,
+        world: World,
+        robot: Robot,
+        body: ObjectBody,
+        settings: PhysicsSettings,
+        frame_ends: Sequence[int],
+    ) -> None:
+        self._world = world
+        self._robot = robot
+        self._body = body
+        self._average = settings.contact_average_steps
+        self.frame_ends = frame_ends
+        self._planned = sorted(
+            {step for end in frame_ends for step in range(max(0, end - self._average), end + 1)}
+        )
+        self.step = 0
+        self.snapshots: dict[int, Snapshot] = {}
+        if self._planned and self._planned[0] == 0:
+            self.snapshot()
+
+    def advance(self, count: int) -> None:
+        """Advance by ``count`` steps, taking the planned snapshots on the way."""
+        end = self.step + count
+        while self.step < end:
+            following = bisect_right(self._planned, self.step)
+            planned = self._planned[following] if following < len(self._planned) else end + 1
+            target = min(end, planned)
+            self._world.step(target - self.step)
+            self.step = target
+            if target == planned:
+                self.snapshot()
+
+    def snapshot(self) -> Snapshot:
+        """The world now."""
+        if self.step not in self.snapshots:
+            world = self._world
+            object_position, object_quaternion = self._body.inertial_position()
+            _, angular_velocity = self._body.velocity()
+            gripper_position, gripper_quaternion = self._robot.gripper_position()
+            left_m, right_m = self._robot.fingers.travel_m()
+            half_m = STROKE_MM / 2 * M_PER_MM
+            self.snapshots[self.step] = Snapshot(
+                step=self.step,
+                contacts=world.bullet.getContactPoints(physicsClientId=world.client),
+                object_position_m=object_position,
+                object_quaternion=object_quaternion,
+                object_angular_velocity=angular_velocity,
+                gripper_position_m=gripper_position,
+                gripper_quaternion=gripper_quaternion,
+                pad_distance_m=(half_m - left_m, half_m - right_m),
+            )
+        return self.snapshots[self.step]
+
+    def observe(self) -> list[Snapshot]:
+        """Advance by as many steps as forces are averaged over, and look at each."""
+        window = [self.snapshot()]
+        for _ in range(self._average):
+            self.advance(1)
+            window.append(self.snapshot())
+        return window
+
+    def window(self, end: int) -> list[Snapshot]:
+        """The snapshots of the frame that ends at step ``end``."""
+        return [self.snapshots[step] for step in range(max(0, end - self._average), end + 1)]

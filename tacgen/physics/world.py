@@ -1,0 +1,183 @@
+"""One PyBullet client: its world is rebuilt for every grasp, so that none leaves a trace."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType, TracebackType
+
+from tacgen.errors import PhysicsError
+from tacgen.physics.settings import PhysicsSettings
+from tacgen.records import Mesh
+from tacgen.units import M_PER_MM, STANDARD_GRAVITY_M_S2
+
+TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
+
+
+def load_bullet() -> ModuleType:
+    """PyBullet, checked to exchange arrays with numpy.
+
+    Raises
+    ------
+    PhysicsError
+        If PyBullet is missing, or was built without numpy.
+    """
+    try:
+        import pybullet
+    except ImportError as error:
+        msg = (
+            f"PyBullet cannot be imported ({error}); install it with `pip install pybullet` under "
+            "Python 3.10 or 3.11, for which it ships wheels"
+        )
+        raise PhysicsError(msg) from error
+    return require_numpy(pybullet)
+
+
+def require_numpy(bullet: ModuleType) -> ModuleType:
+    """``bullet`` itself, if it was built with numpy.
+
+    Raises
+    ------
+    PhysicsError
+        If it was not.
+    """
+    if not bullet.isNumpyEnabled():
+        msg = (
+            "PyBullet was built without numpy (pybullet.isNumpyEnabled() is 0); with numpy "
+            "installed, run `pip install --force-reinstall --no-cache-dir pybullet` under "
+            "Python 3.10 or 3.11, for which numpy-enabled wheels exist"
+        )
+        raise PhysicsError(msg)
+    return bullet
+
+
+class World:
+    """A DIRECT client with a table at z = 0; a context manager.
+
+    ``bullet`` is the module and ``client`` the client's number, for the calls that robots and
+    bodies make. Lengths are in metres.
+    """
+
+    def __init__(self) -> None:
+        self.bullet = load_bullet()
+        self.client = -1
+        self.table = -1
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._mesh_files: dict[bytes, str] = {}
+
+    def __enter__(self) -> World:
+        self.client = self.bullet.connect(self.bullet.DIRECT)
+        if self.client < 0:
+            msg = "PyBullet accepts no further client in this process; close other simulators first"
+            raise PhysicsError(msg)
+        self._folder = tempfile.TemporaryDirectory(prefix="tacgen-physics-")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.bullet.disconnect(physicsClientId=self.client)
+        self.client = -1
+        if self._folder is not None:
+            self._folder.cleanup()
+        self._folder = None
+        self._mesh_files.clear()
+
+    def rebuild(self, settings: PhysicsSettings) -> None:
+        """Empty the world and lay the table: the state that every grasp starts from.
+
+        A rebuild rather than ``restoreState``: PyBullet's saved states leave out the cached
+        contacts of compound shapes and the motors' targets, so they do not repeat bit for bit.
+        """
+        bullet, client = self.bullet, self.client
+        if client < 0:
+            msg = "the simulator is not open; use it in a `with` block"
+            raise PhysicsError(msg)
+        bullet.resetSimulation(physicsClientId=client)
+        bullet.setPhysicsEngineParameter(
+            fixedTimeStep=settings.time_step_s,
+            numSubSteps=0,
+            numSolverIterations=settings.solver_iterations,
+            solverResidualThreshold=0.0,
+            enableConeFriction=1,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
+        )
+        bullet.setGravity(0.0, 0.0, -STANDARD_GRAVITY_M_S2, physicsClientId=client)
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_BOX, halfExtents=TABLE_HALF_EXTENTS_M, physicsClientId=client
+        )
+        self.table = bullet.createMultiBody(
+            0.0, shape, basePosition=(0.0, 0.0, -TABLE_HALF_EXTENTS_M[2]), physicsClientId=client
+        )
+        self.set_surface(self.table, -1, friction=settings.table_friction)
+
+    def step(self, count: int) -> None:
+        """Advance by ``count`` time steps."""
+        step, client = self.bullet.stepSimulation, self.client
+        for _ in range(count):
+            step(client)
+
+    def hull_shape(self, parts: Sequence[Mesh]) -> int:
+        """A collision shape of convex ``parts`` (mm).
+
+        It goes through a file because ``createCollisionShape(vertices=…)`` takes one hull only.
+        The margin around such hulls can be taken off a body's base, not off its links.
+        """
+        return int(
+            self.bullet.createCollisionShape(
+                self.bullet.GEOM_MESH,
+                fileName=self._mesh_file(parts),
+                physicsClientId=self.client,
+            )
+        )
+
+    def set_surface(
+        self, body: int, link: int, *, friction: float, spinning_friction_m: float = 0.0
+    ) -> None:
+        """Friction of a link; nothing else of Bullet's defaults (damping, margin) is kept."""
+        self.bullet.changeDynamics(
+            body,
+            link,
+            lateralFriction=friction,
+            spinningFriction=spinning_friction_m,
+            rollingFriction=0.0,
+            restitution=0.0,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            jointDamping=0.0,
+            collisionMargin=0.0,
+            physicsClientId=self.client,
+        )
+
+    def _mesh_file(self, parts: Sequence[Mesh]) -> str:
+        digest = hashlib.sha256()
+        for part in parts:
+            digest.update(part.vertices_mm.tobytes())
+            digest.update(part.faces.tobytes())
+        key = digest.digest()
+        if key not in self._mesh_files:
+            assert self._folder is not None
+            path = Path(self._folder.name) / f"{digest.hexdigest()[:32]}.obj"
+            path.write_text(_wavefront(parts), encoding="ascii")
+            self._mesh_files[key] = str(path)
+        return self._mesh_files[key]
+
+
+def _wavefront(parts: Sequence[Mesh]) -> str:
+    """An OBJ text in metres, an object for each part: Bullet makes a convex hull of each."""
+    lines: list[str] = []
+    first = 1
+    for number, part in enumerate(parts):
+        lines.append(f"o part{number}")
+        lines += [
+            f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in (part.vertices_mm * M_PER_MM).tolist()
+        ]
+        lines += [f"f {a} {b} {c}" for a, b, c in (part.faces + first).tolist()]
+        first += len(part.vertices_mm)
+    return "\n".join(lines) + "\n"
