@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ class MassProperties:
 
 def volume_mm3(solid: Mesh) -> float:
     """Volume enclosed by a closed mesh; negative where its faces point inward."""
-    return float(np.linalg.det(solid.vertices_mm[solid.faces]).sum() / 6)
+    return float(_six_volumes(solid.vertices_mm[solid.faces]).sum() / 6)
 
 
 def mass_properties(bodies: Sequence[tuple[Mesh, float]], mass_kg: float) -> MassProperties:
@@ -34,13 +35,21 @@ def mass_properties(bodies: Sequence[tuple[Mesh, float]], mass_kg: float) -> Mas
     total, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
     for solid, density in bodies:
         corners = solid.vertices_mm[solid.faces]
-        weight = density * np.linalg.det(corners)
+        weight = density * _six_volumes(corners)
         sums = corners.sum(axis=1)
         total += weight.sum() / 6
-        first += weight @ sums / 24
-        second += np.einsum("n,nci,ncj->ij", weight, corners, corners, optimize=True) / 120
-        second += (weight[:, None] * sums).T @ sums / 120
+        first += (weight[:, None] * sums).sum(axis=0) / 24
+        # Plain sums: a matrix product's last bits depend on the number of threads.
+        for i, j in itertools.product(range(3), repeat=2):
+            products = (corners[:, :, i] * corners[:, :, j]).sum(axis=1) + sums[:, i] * sums[:, j]
+            second[i, j] += (weight * products).sum() / 120
     center = first / total
     covariance = second - total * np.outer(center, center)
     inertia = np.trace(covariance) * np.eye(3) - covariance
     return MassProperties(mass_kg, center, inertia * (mass_kg / total))
+
+
+def _six_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Six times the signed volume of each tetrahedron (n, 3, 3) with a corner at the origin."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return (a * np.cross(b, c)).sum(axis=1)

@@ -38,14 +38,14 @@ def strawberry(
     seed_mm: float = 0.4,
     leaves: int = 7,
     leaf_mm: float = 1.1,
-    segments: int = 280,
+    segments: int = 260,
 ) -> Shape:
     """Lying along y with its tip towards +y, in the pose in which it comes to rest."""
     radius, flesh = diameter_mm / 2, length_mm - stem_mm
     profile = _profile(radius, flesh, stem_mm)
     angle = angles_rad(segments)
     # Rings start at the flank that faces +x; points gather there and at the opposite one.
-    angle = angle - 0.3 * np.sin(2 * angle)
+    angle = angle - 0.38 * np.sin(2 * angle)
     rings = _turned(profile, angle)
     rings += _relief(profile, angle, radius, flesh, (seeds, pit_mm, seed_mm, leaves, leaf_mm))
 
@@ -66,7 +66,7 @@ def strawberry(
 
 
 def _rows_of_flesh() -> int:
-    return 142
+    return 160
 
 
 def _profile(radius_mm: float, flesh_mm: float, stem_mm: float) -> Curve:

@@ -76,7 +76,7 @@ def scissors(
         part
         for bow, shank in zip(bows, shanks, strict=True)
         for part in (
-            *path_hulls(np.concatenate([bow, bow[:1]]), 8, count=11),
+            *path_hulls(np.concatenate([bow, bow[:1]]), 8, 11, rings_each=5),
             *path_hulls(shank, 3),
         )
     ]

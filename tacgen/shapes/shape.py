@@ -168,11 +168,14 @@ def sweep(path_mm: Points, across: Points, sections_mm: Points) -> Points:
     )
 
 
-def path_hulls(rings_mm: Points, parts: int, count: int = 16) -> tuple[Mesh, ...]:
+def path_hulls(
+    rings_mm: Points, parts: int, count: int = 16, rings_each: int = 3
+) -> tuple[Mesh, ...]:
     """Convex hulls of ``parts`` equal stretches of a sweep, each ring thinned to ``count``.
 
-    A stretch's middle ring belongs to its hull, so that a bend is followed from outside.
+    ``rings_each`` rings of a stretch belong to its hull, so that a bend is followed from outside.
     """
     thinned = rings_mm[:, :: max(1, rings_mm.shape[1] // count)]
-    rows = np.linspace(0, len(rings_mm) - 1, 2 * parts + 1).round().astype(int)
-    return tuple(hull(thinned[rows[i : i + 3]]) for i in range(0, 2 * parts, 2))
+    steps = rings_each - 1
+    rows = np.linspace(0, len(rings_mm) - 1, steps * parts + 1).round().astype(int)
+    return tuple(hull(thinned[rows[i * steps : (i + 1) * steps + 1]]) for i in range(parts))

@@ -1,0 +1,180 @@
+"""Every object that tacgen ships: closed, plausible, true to its published size, graspable."""
+
+import functools
+import itertools
+
+import numpy as np
+import pytest
+import trimesh
+
+from tacgen.objects_io import load_object
+from tacgen.objects_io.description import read_description
+from tacgen.objects_io.load import build_shape
+from tacgen.objects_io.mass_properties import mass_properties, volume_mm3
+from tacgen.objects_io.raster import depth_view, view_axes
+from tacgen.resources import packaged
+from tacgen.units import STANDARD_GRAVITY_M_S2
+
+STROKE_MM = 110.0  # WSG-50, datasheet
+PAD_MM = (20.0, 16.0)
+DOME_RADIUS_MM = 30.0
+
+FOLDERS = sorted(path.parent for path in packaged("objects").glob("*/object.yaml"))
+PUBLISHED_MM = {  # Calli et al. 2015, Table I; here sorted, for the pose is ours
+    "tomato_soup_can": (66, 66, 101),
+    "mustard_bottle": (50, 85, 175),
+    "potted_meat_can": (50, 82, 97),
+    "rubiks_cube": (57, 57, 57),
+    "cup": (80, 82),
+    "spatula": (35, 83, 350),
+    "scissors": (14, 87, 200),
+    "flat_screwdriver": (31, 31, 215),
+    "strawberry": (43.8, 43.8, 55),
+    "sugar_box": (38, 89, 175),
+    "golf_ball": (42.7, 42.7, 42.7),
+    "wood_block": (85, 85, 200),
+}
+
+every_object = pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+
+
+@functools.cache
+def loaded(folder):
+    return load_object(folder)
+
+
+def as_trimesh(mesh):
+    return trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False)
+
+
+def test_there_are_the_twelve():
+    assert {folder.name for folder in FOLDERS} == set(PUBLISHED_MM)
+
+
+@every_object
+def test_surface_is_closed_outward_and_of_tens_of_thousands_of_triangles(folder):
+    obj = loaded(folder)
+    surface = as_trimesh(obj.surface)
+    assert surface.is_watertight
+    assert surface.is_winding_consistent
+    assert volume_mm3(obj.surface) > 0
+    assert surface.body_count == 1
+    assert 20_000 <= len(obj.surface.faces) <= 91_000
+
+
+@every_object
+def test_stands_on_the_table_about_its_origin(folder):
+    vertices = loaded(folder).surface.vertices_mm
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    # The ball rests on a dimple's edge, 0.1 mm above the sphere's lowest point.
+    assert abs(low[2]) <= 0.1
+    if folder.name != "cup":  # a mug's footprint is its foot, not its handle
+        np.testing.assert_allclose((low + high)[:2] / 2, 0, atol=0.6)
+
+
+@every_object
+def test_size_is_the_published_one(folder):
+    vertices = loaded(folder).surface.vertices_mm
+    extent = np.sort(np.ptp(vertices, axis=0))
+    if folder.name == "cup":  # published without the handle
+        extent = np.sort([np.ptp(vertices[:, 0]), np.ptp(vertices[:, 2])])
+    published = np.array(PUBLISHED_MM[folder.name])
+    # 5 %: seams stand out of a can, a lying strawberry and a fluted handle are lower.
+    np.testing.assert_allclose(extent, published, rtol=0.05)
+
+
+@every_object
+def test_description_says_what_is_built(folder):
+    obj, description = loaded(folder), read_description(folder)
+    extent = np.ptp(obj.surface.vertices_mm, axis=0)
+    np.testing.assert_allclose(extent, description.dimensions_mm.value, rtol=0.05)
+    shape = build_shape(description, folder)
+    bodies = [(body.mesh, body.density_kg_m3) for body in shape.bodies] or [(shape.surface, 1.0)]
+    center = mass_properties(bodies, 1.0).center_mm
+    np.testing.assert_allclose(center, description.center_of_mass_mm.value, atol=0.1)
+
+
+@every_object
+def test_center_of_mass_is_inside_the_hull_and_the_inertia_is_a_bodys(folder):
+    obj = loaded(folder)
+    assert as_trimesh(obj.surface).convex_hull.contains([obj.center_of_mass_mm])[0]
+    np.testing.assert_allclose(obj.inertia_kg_mm2, obj.inertia_kg_mm2.T, rtol=1e-12, atol=1e-12)
+    low, middle, high = np.linalg.eigvalsh(obj.inertia_kg_mm2)
+    assert low > 0
+    assert low + middle >= high
+    # Nothing reaches farther from the centre than the object itself.
+    reach = np.linalg.norm(obj.surface.vertices_mm - obj.center_of_mass_mm, axis=1).max()
+    assert high < obj.mass_kg * reach**2
+
+
+@pytest.mark.parametrize("name", ["scissors", "flat_screwdriver"])
+def test_two_materials_together_weigh_about_what_was_weighed(name):
+    folder = packaged("objects") / name
+    description = read_description(folder)
+    bodies = build_shape(description, folder).bodies
+    grams = sum(volume_mm3(body.mesh) * body.density_kg_m3 for body in bodies) * 1e-6
+    assert grams == pytest.approx(description.mass_kg.value * 1e3, rel=0.25)
+
+
+@every_object
+def test_collision_parts_are_few_convex_and_small(folder):
+    obj = loaded(folder)
+    assert len(obj.collision) <= 30
+    for part in obj.collision:
+        solid = as_trimesh(part)
+        assert solid.is_watertight
+        assert solid.is_convex
+        assert volume_mm3(part) > 0
+        assert len(part.vertices_mm) <= 170
+
+
+def touch_mm(meshes, side, y_mm, z_mm):
+    """Where a domed pad coming from ``side`` along x first touches: its apex's |x|, or None."""
+    px = 0.2
+    size = (int(PAD_MM[1] / px), int(PAD_MM[0] / px))
+    axes = view_axes(0.0 if side > 0 else 180.0, 0.0)
+    rows, columns = np.indices(size)
+    off_y = (columns - (size[1] - 1) / 2) * px
+    off_z = (rows - (size[0] - 1) / 2) * px
+    sag = (off_y**2 + off_z**2) / (2 * DOME_RADIUS_MM)
+    reach = -np.inf
+    for mesh in meshes:
+        depth, _ = depth_view(mesh, axes, np.array([0.0, y_mm, z_mm]), size, px)
+        reach = max(reach, float(np.max(depth - sag)))
+    return reach if np.isfinite(reach) else None
+
+
+@every_object
+def test_pads_meet_the_object_within_the_stroke_wherever_its_ranges_go(folder):
+    obj = loaded(folder)
+    ranges = obj.grasp_ranges
+    for y_mm, z_mm in itertools.product(ranges["y_mm"], ranges["z_mm"]):
+        right, left = (touch_mm([obj.surface], side, y_mm, z_mm) for side in (1, -1))
+        assert right is not None
+        assert left is not None
+        # Rounded or pointed things may be thinner than the pads' domes are deep at their edge.
+        assert -2.0 < right + left <= STROKE_MM - 10
+
+
+@every_object
+def test_what_collides_is_where_the_surface_is(folder):
+    obj = loaded(folder)
+    ranges = obj.grasp_ranges
+    for y_mm, z_mm, side in itertools.product(ranges["y_mm"], ranges["z_mm"], (1, -1)):
+        felt = touch_mm([obj.surface], side, y_mm, z_mm)
+        collided = touch_mm(obj.collision, side, y_mm, z_mm)
+        # Half a millimetre: the hulls are coarse, and the gap map is re-zeroed at first touch.
+        assert collided == pytest.approx(felt, abs=0.5), (y_mm, z_mm, side)
+
+
+@every_object
+def test_ranges_bring_both_outcomes(folder):
+    obj = loaded(folder)
+    forces = np.array(obj.grasp_ranges["force_n"])
+    weight_n = obj.mass_kg * STANDARD_GRAVITY_M_S2
+    slip_n = weight_n / (2 * obj.friction)
+    arms_mm = np.abs(np.array(obj.grasp_ranges["y_mm"]) - obj.center_of_mass_mm[1])
+    turn_n = weight_n * arms_mm.max() / (2 * obj.spinning_friction_mm)
+    assert forces.max() <= 40
+    assert forces.max() > slip_n
+    assert forces.min() < max(slip_n, turn_n)
