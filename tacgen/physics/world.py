@@ -140,7 +140,11 @@ class World:
     def set_surface(
         self, body: int, link: int, *, friction: float, spinning_friction_m: float = 0.0
     ) -> None:
-        """Friction of a link; nothing else of Bullet's defaults (damping, margin) is kept."""
+        """Friction of a link; none of Bullet's default damping is kept.
+
+        The margin is a call of its own, for bodies only: on a link Bullet does not apply it, and
+        drops the rest of the call.
+        """
         self.bullet.changeDynamics(
             body,
             link,
@@ -151,9 +155,12 @@ class World:
             linearDamping=0.0,
             angularDamping=0.0,
             jointDamping=0.0,
-            collisionMargin=0.0,
             physicsClientId=self.client,
         )
+        if link == -1:
+            self.bullet.changeDynamics(
+                body, link, collisionMargin=0.0, physicsClientId=self.client
+            )
 
     def _mesh_file(self, parts: Sequence[Mesh]) -> str:
         digest = hashlib.sha256()
