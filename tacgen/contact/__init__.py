@@ -1,0 +1,7 @@
+"""From a posed object and a force to the deformation of the gel."""
+
+from tacgen.contact.gap import gap_map
+from tacgen.contact.gel import gel_map_mm
+from tacgen.contact.indentation import contact_depth, solve_indentation
+
+__all__ = ["contact_depth", "gap_map", "gel_map_mm", "solve_indentation"]

@@ -1,0 +1,285 @@
+"""The gap map: how far each point of the gel's surface is from the object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tacgen.contact.gel import gel_map_mm
+from tacgen.contact.raster import rasterize, to_window
+from tacgen.errors import ContactError
+from tacgen.records import Sensor
+
+CAMERAS = ("raster", "pyrender")
+
+GAP_GRAIN_MM = 2.0**-19
+"""Gaps are whole multiples of this (1.9 nm). Below 32 mm such multiples and their differences are
+exact in float32, so the felt shape keeps its last bit wherever along z the object stands."""
+
+NO_OBJECT = 2**30
+"""In place of a number of grains where there is no object (or one over half a metre away)."""
+
+TOUCH_SLACK_MM = 1.0
+"""How much further than its nearest corner the nearest pixel of an object may be before the
+search for far triangles that cannot touch has to be repeated without a limit."""
+
+DepthCamera = Callable[
+    [NDArray[np.float64], NDArray[np.int32], NDArray[np.float64], Sensor], NDArray
+]
+
+
+@dataclass(frozen=True, slots=True)
+class FeltGap:
+    """The gap of one posed mesh, re-zeroed at first touch.
+
+    Attributes
+    ----------
+    window : tuple of int
+        Half-open rectangle (top, bottom, left, right) of pixels outside which there is no object.
+    grains : (bottom − top, right − left) int32
+        Gap beyond first touch, gel frame, in units of ``GAP_GRAIN_MM``; 0 at the first pixel to
+        touch, ``NO_OBJECT`` where there is none. It is the mapper's own memory, valid until its
+        next use.
+    first_touch_mm : float
+        The smallest gap before re-zeroing; +inf if there is no object in the window.
+    """
+
+    window: tuple[int, int, int, int]
+    grains: NDArray[np.int32]
+    first_touch_mm: float
+
+    @property
+    def touches(self) -> bool:
+        """Whether there is any object over the window."""
+        return bool(np.isfinite(self.first_touch_mm))
+
+
+@njit(cache=True, nogil=True)
+def _corner_gap(
+    columns: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    heights_mm: NDArray[np.float64],
+    gel_mm: NDArray[np.float64],
+) -> float:
+    """The smallest gap at any corner of the mesh inside the window; +inf if there is none."""
+    n_rows, n_columns = gel_mm.shape
+    smallest = np.inf
+    for i in range(columns.shape[0]):
+        row, column = rows[i] + 0.5, columns[i] + 0.5
+        if 0.0 <= row < n_rows and 0.0 <= column < n_columns:
+            smallest = min(smallest, heights_mm[i] - gel_mm[int(row), int(column)])
+    return smallest
+
+
+@njit(cache=True, nogil=True)
+def _smallest_gap(
+    depth_mm: NDArray[np.float64],
+    gel_mm: NDArray[np.float64],
+    window: tuple[int, int, int, int],
+) -> float:
+    top, bottom, left, right = window
+    smallest = np.full(max(0, right - left), np.inf)
+    for r in range(top, bottom):
+        depth_row, gel_row = depth_mm[r, left:right], gel_mm[r, left:right]
+        for k in range(smallest.shape[0]):
+            smallest[k] = min(smallest[k], depth_row[k] - gel_row[k])
+    return smallest.min() if smallest.shape[0] else np.inf
+
+
+@njit(cache=True, nogil=True)
+def _fill_grains(
+    depth_mm: NDArray[np.float64],
+    gel_mm: NDArray[np.float64],
+    window: tuple[int, int, int, int],
+    zero_mm: float,
+    grains: NDArray[np.int32],
+) -> None:
+    """Gaps beyond ``zero_mm``, in whole grains."""
+    top, bottom, left, right = window
+    per_mm = 1.0 / GAP_GRAIN_MM
+    for r in range(top, bottom):
+        depth_row, gel_row = depth_mm[r, left:right], gel_mm[r, left:right]
+        grains_row = grains[r - top]
+        for k in range(grains_row.shape[0]):
+            gap = (depth_row[k] - gel_row[k] - zero_mm) * per_mm + 0.5
+            grains_row[k] = np.int32(min(gap, NO_OBJECT))
+
+
+class GapMapper:
+    """Takes gap maps of meshes over one sensor, in memory that it keeps.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    camera : {"raster", "pyrender"}
+
+    Raises
+    ------
+    ContactError
+        If the camera is unknown or cannot work on this machine.
+    """
+
+    def __init__(self, sensor: Sensor, camera: str = "raster") -> None:
+        if camera not in CAMERAS:
+            msg = f"camera = {camera!r} is not one of {', '.join(CAMERAS)}"
+            raise ContactError(msg)
+        self.sensor = sensor
+        self._gel_mm = gel_map_mm(sensor)
+        self._depth_mm = np.empty(sensor.shape_px)
+        self._grains = np.empty(sensor.height_px * sensor.width_px, dtype=np.int32)
+        self._posed = np.empty((3, 0))
+        self._camera: DepthCamera | None = None
+        if camera == "pyrender":
+            from tacgen.contact.pyrender_camera import depth_map_mm
+
+            self._camera = depth_map_mm
+
+    def measure(
+        self,
+        vertices_mm: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        pose_gel_object: NDArray[np.float64],
+        *,
+        reach_mm: float = np.inf,
+    ) -> FeltGap:
+        """The gap of a posed mesh, re-zeroed at first touch.
+
+        Parameters
+        ----------
+        vertices_mm : (n, 3) float64
+            Object frame.
+        faces : (m, 3) int32
+        pose_gel_object : (4, 4)
+            Object to gel frame, mm.
+        reach_mm : float
+            Gaps further than this beyond first touch may be left at +inf: the depth of the gel,
+            say, since nothing further can be felt.
+        """
+        if self._camera is None:
+            window, zero_mm = self._rasterize(vertices_mm, faces, pose_gel_object, reach_mm)
+        else:
+            self._depth_mm[...] = self._camera(vertices_mm, faces, pose_gel_object, self.sensor)
+            window = (0, self.sensor.height_px, 0, self.sensor.width_px)
+            zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
+        top, bottom, left, right = window
+        if not np.isfinite(zero_mm):
+            return FeltGap((0, 0, 0, 0), np.empty((0, 0), dtype=np.int32), np.inf)
+        shape = (bottom - top, right - left)
+        grains = self._grains[: shape[0] * shape[1]].reshape(shape)
+        _fill_grains(self._depth_mm, self._gel_mm, window, zero_mm, grains)
+        return FeltGap(window, grains, zero_mm + float(pose_gel_object[2, 3]))
+
+    def _rasterize(
+        self,
+        vertices_mm: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        pose_gel_object: NDArray[np.float64],
+        reach_mm: float,
+    ) -> tuple[tuple[int, int, int, int], float]:
+        sensor = self.sensor
+        if self._posed.shape[1] != len(vertices_mm):
+            self._posed = np.empty((3, len(vertices_mm)))
+        columns, rows, heights_mm = self._posed
+        to_window(
+            vertices_mm,
+            pose_gel_object,
+            sensor.mm_per_px,
+            sensor.shape_px,
+            columns,
+            rows,
+            heights_mm,
+        )
+        # The gel lies at or below z = 0, so a triangle's gap is at least its own height.
+        touch_mm = _corner_gap(columns, rows, heights_mm, self._gel_mm) + TOUCH_SLACK_MM
+        self._depth_mm.fill(np.inf)
+        window = rasterize(columns, rows, heights_mm, faces, touch_mm + reach_mm, self._depth_mm)
+        zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
+        if zero_mm > touch_mm and np.isfinite(touch_mm + reach_mm):
+            window = rasterize(columns, rows, heights_mm, faces, np.inf, self._depth_mm)
+            zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
+        return window, zero_mm
+
+
+def gap_map(
+    vertices_mm: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    pose_gel_object: NDArray[np.floating],
+    sensor: Sensor,
+    *,
+    camera: str = "raster",
+) -> NDArray[np.float32]:
+    """Distance along z from the gel at rest to the nearest surface of a posed mesh.
+
+    Parameters
+    ----------
+    vertices_mm : (n, 3)
+        Object frame, mm.
+    faces : (m, 3)
+        Indices of each triangle's corners.
+    pose_gel_object : (4, 4)
+        Object to gel frame, mm.
+    sensor : Sensor
+    camera : {"raster", "pyrender"}
+
+    Returns
+    -------
+    (H, W) float32
+        Gel frame, mm, dome included; negative where the object reaches into the gel, +inf where
+        the ray misses. The centre of pixel (row r, column c) is at x = (c + ½ − W/2) s,
+        y = (r + ½ − H/2) s.
+
+    Raises
+    ------
+    ContactError
+        If the mesh or pose is no mesh or pose, or the camera cannot be used.
+
+    Source
+    ------
+    Si et al. 2022, §III-B: the depth camera at the gel's surface.
+    """
+    vertices_mm, faces, pose_gel_object = checked_mesh(vertices_mm, faces, pose_gel_object)
+    felt = GapMapper(sensor, camera).measure(vertices_mm, faces, pose_gel_object)
+    gap_mm = np.full(sensor.shape_px, np.inf, dtype=np.float32)
+    if felt.touches:
+        top, bottom, left, right = felt.window
+        touch = round(felt.first_touch_mm / GAP_GRAIN_MM)
+        gap_mm[top:bottom, left:right] = np.where(
+            felt.grains == NO_OBJECT, np.inf, (felt.grains + np.int64(touch)) * GAP_GRAIN_MM
+        )
+    return gap_mm
+
+
+def checked_mesh(
+    vertices_mm: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    pose_gel_object: NDArray[np.floating],
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+    """The mesh and pose in the types that the rasteriser reads.
+
+    Raises
+    ------
+    ContactError
+        Lists whatever is wrong with their shapes, values or indices.
+    """
+    vertices = np.ascontiguousarray(vertices_mm, dtype=np.float64)
+    corners = np.ascontiguousarray(faces, dtype=np.int32)
+    pose = np.ascontiguousarray(pose_gel_object, dtype=np.float64)
+    problems = []
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        problems.append(f"vertices_mm of shape {vertices.shape} are not (n, 3) finite numbers")
+    if corners.ndim != 2 or corners.shape[1] != 3:
+        problems.append(f"faces of shape {corners.shape} are not (m, 3)")
+    elif corners.size and (corners.min() < 0 or corners.max() >= len(vertices)):
+        problems.append(
+            f"faces name corners {corners.min()} to {corners.max()}, "
+            f"but there are {len(vertices)} vertices"
+        )
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        problems.append(f"pose_gel_object of shape {pose.shape} is not (4, 4) finite numbers")
+    if problems:
+        raise ContactError.from_problems(problems)
+    return vertices, corners, pose

@@ -1,0 +1,47 @@
+"""The gel at rest: its dome, and the pixel grid of its window."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.errors import ContactError
+from tacgen.records import FloatArray, Sensor
+
+
+def pixel_centers_mm(sensor: Sensor) -> tuple[FloatArray, FloatArray]:
+    """Centres of the pixels: x of every column (W,) and y of every row (H,), gel frame, mm."""
+    s = sensor.mm_per_px
+    x_mm = (np.arange(sensor.width_px) + 0.5 - sensor.width_px / 2) * s
+    y_mm = (np.arange(sensor.height_px) + 0.5 - sensor.height_px / 2) * s
+    return x_mm, y_mm
+
+
+def gel_map_mm(sensor: Sensor) -> NDArray[np.float64]:
+    """Rest height of the gel surface.
+
+    Returns
+    -------
+    (H, W) float64
+        Sag of a sphere cap of ``sensor.dome_radius_mm``, gel frame, mm: 0 at the centre of the
+        window, negative around it; 0 everywhere for a flat gel (radius 0).
+
+    Raises
+    ------
+    ContactError
+        If the dome is smaller than the window it should span.
+    """
+    radius = sensor.dome_radius_mm
+    if radius == 0:
+        return np.zeros(sensor.shape_px)
+    x_mm, y_mm = pixel_centers_mm(sensor)
+    square = x_mm[None, :] ** 2 + y_mm[:, None] ** 2
+    if square.max() >= radius**2:
+        msg = (
+            f"sensor {sensor.name}: dome_radius_mm = {radius:g} does not reach the corners of its "
+            f"window, {np.sqrt(square.max()):.1f} mm from the centre; "
+            "give a larger radius, or 0 for a flat gel"
+        )
+        raise ContactError(msg)
+    # −r²/(R + √(R² − r²)) is −(R − √(R² − r²)) without its cancellation near the centre.
+    return -square / (radius + np.sqrt(radius**2 - square))

@@ -1,0 +1,151 @@
+"""From the sum of the markers' shear motion to how far the object has moved, and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tacgen.records import Markers, Sensor
+
+SHEAR_DECAY_PER_MM2 = 0.0805
+DILATION_DECAY_PER_MM2 = 0.479
+"""How fast shear and dilation fall off with the square of the distance.
+
+Source: Zhao et al. 2023, FOTS: λ_s = 0.00021 and λ_d = 0.00125 px⁻² at its 19.58 px/mm.
+"""
+DILATION_GAIN = 0.03
+"""Sideways motion of the gel's surface around an indentation, per mm of depth and mm² of contact.
+Chosen so that a marker beside a 1 mm deep ball press moves by about 0.1 mm, as on real gels."""
+
+DEFAULT_PITCH_MM = 2.0
+"""Spacing of the points at which the motion of a gel without markers is summed."""
+
+_MAX_PATCH_POINTS = 1500
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the object has moved along the gel: ``shift_mm`` (2,), then a turn about the patch."""
+
+    shift_mm: NDArray[np.float64]
+    turn_rad: float
+    center_mm: NDArray[np.float64]
+
+    def moved(self, pose_gel_object: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The pose after the motion, turned about the normal through the patch's centre."""
+        cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        turn = np.eye(4)
+        turn[:2, :2] = [[cos, -sin], [sin, cos]]
+        turn[:2, 3] = self.center_mm - turn[:2, :2] @ self.center_mm + self.shift_mm
+        return turn @ pose_gel_object
+
+
+def marker_grid_mm(sensor: Sensor) -> NDArray[np.float64]:
+    """x, y of the markers at rest (n, 2), gel frame; a plain grid where the gel has none."""
+    markers = sensor.markers
+    if markers is None:
+        rows = max(1, int(sensor.height_px * sensor.mm_per_px / DEFAULT_PITCH_MM))
+        columns = max(1, int(sensor.width_px * sensor.mm_per_px / DEFAULT_PITCH_MM))
+        markers = Markers(rows, columns, DEFAULT_PITCH_MM, 0.0)
+    x_mm = (np.arange(markers.columns) - (markers.columns - 1) / 2) * markers.pitch_mm
+    y_mm = (np.arange(markers.rows) - (markers.rows - 1) / 2) * markers.pitch_mm
+    return np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+
+
+@njit(cache=True, nogil=True)
+def _field(
+    points_mm: NDArray,
+    patch_mm: NDArray,
+    depth_mm: NDArray,
+    area_mm2: float,
+    shear_decay: float,
+    dilation_decay: float,
+    stick: NDArray,
+    dilation: NDArray,
+) -> None:
+    for i in range(points_mm.shape[0]):
+        nearest, along_x, along_y = np.inf, 0.0, 0.0
+        for j in range(patch_mm.shape[0]):
+            dx = points_mm[i, 0] - patch_mm[j, 0]
+            dy = points_mm[i, 1] - patch_mm[j, 1]
+            square = dx * dx + dy * dy
+            nearest = min(nearest, square)
+            weight = depth_mm[j] * np.exp(-dilation_decay * square)
+            along_x += weight * dx
+            along_y += weight * dy
+        stick[i] = np.exp(-shear_decay * max(0.0, nearest - area_mm2))
+        dilation[i, 0] = along_x * area_mm2
+        dilation[i, 1] = along_y * area_mm2
+
+
+class MarkerField:
+    """The motion of points of the gel's surface around one contact patch.
+
+    Parameters
+    ----------
+    points_mm : (n, 2)
+        The points at rest.
+    patch_mm : (k, 2)
+        Pixels of the contact patch, gel frame.
+    depth_mm : (k,)
+        Their indentation.
+    pixel_area_mm2 : float
+    """
+
+    def __init__(
+        self,
+        points_mm: NDArray[np.float64],
+        patch_mm: NDArray[np.floating],
+        depth_mm: NDArray[np.floating],
+        pixel_area_mm2: float,
+    ) -> None:
+        every = max(1, len(patch_mm) // _MAX_PATCH_POINTS)
+        self._points_mm = points_mm
+        patch_mm, depth_mm = patch_mm[::every], depth_mm[::every]
+        self.center_mm = np.average(patch_mm, axis=0, weights=np.maximum(depth_mm, 1e-12))
+        self._stick = np.empty(len(points_mm))
+        self._dilation = np.empty(points_mm.shape)
+        _field(
+            np.ascontiguousarray(points_mm),
+            np.ascontiguousarray(patch_mm),
+            np.ascontiguousarray(depth_mm, dtype=np.float64),
+            pixel_area_mm2 * every,
+            SHEAR_DECAY_PER_MM2,
+            DILATION_DECAY_PER_MM2,
+            self._stick,
+            self._dilation,
+        )
+
+    def motion(self, shear_sum_mm: NDArray[np.float64], turn_sum_mm2: float = 0.0) -> Motion:
+        """The motion of the object for which the field sums to what the law says.
+
+        Parameters
+        ----------
+        shear_sum_mm : (2,)
+            D: the sum of the points' shear motion.
+        turn_sum_mm2 : float
+            The sum of r × motion about the patch's centre: the same law, for a moment.
+
+        Source
+        ------
+        Si et al. 2022, Eq. 3: D = k_s F_s.
+        """
+        arm = self._points_mm - self.center_mm
+        second = float((self._stick * (arm**2).sum(axis=1)).sum())
+        shift_mm = np.asarray(shear_sum_mm, dtype=np.float64) / max(self._stick.sum(), 1e-9)
+        return Motion(shift_mm, turn_sum_mm2 / max(second, 1e-9), self.center_mm)
+
+    def shear_mm(self, motion: Motion) -> NDArray[np.float64]:
+        """Motion of each point (n, 2) that goes with the object."""
+        arm = self._points_mm - self.center_mm
+        turned = motion.turn_rad * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+        # A turn moves the far points by more than the shift: about the patch's own sum it is 0.
+        balance = (self._stick[:, None] * turned).sum(axis=0) / max(self._stick.sum(), 1e-9)
+        return self._stick[:, None] * (motion.shift_mm + turned - balance)
+
+    def displaced_mm(self, motion: Motion) -> NDArray[np.float64]:
+        """Where each point (n, 2) is: dilated by the indentation, sheared and turned."""
+        return self._points_mm + DILATION_GAIN * self._dilation + self.shear_mm(motion)

@@ -1,0 +1,53 @@
+"""Marker dots, drawn where the gel's motion has carried them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+INK_TRANSMISSION = 0.25
+"""Share of the light that a dot gives back."""
+
+
+@njit(cache=True, nogil=True)
+def _draw(
+    image: NDArray, columns: NDArray, rows: NDArray, radius: float, transmission: float
+) -> None:
+    n_rows, n_columns = image.shape[0], image.shape[1]
+    reach = radius + 1.0
+    for i in range(columns.shape[0]):
+        x, y = columns[i], rows[i]
+        top, bottom = max(0, math.floor(y - reach)), min(n_rows, math.ceil(y + reach) + 1)
+        left, right = max(0, math.floor(x - reach)), min(n_columns, math.ceil(x + reach) + 1)
+        for r in range(top, bottom):
+            for c in range(left, right):
+                inside = radius + 0.5 - math.sqrt((c - x) ** 2 + (r - y) ** 2)
+                cover = min(max(inside, 0.0), 1.0)
+                if cover > 0.0:
+                    gain = np.float32(1.0 - cover * (1.0 - transmission))
+                    for channel in range(3):
+                        image[r, c, channel] *= gain
+
+
+def draw_markers(
+    image: NDArray[np.float32],
+    centers_mm: NDArray[np.float64],
+    radius_mm: float,
+    mm_per_px: float,
+    *,
+    transmission: float = INK_TRANSMISSION,
+) -> None:
+    """Darken ``image`` (H, W, 3) in place under the dots, with edges a pixel soft.
+
+    Parameters
+    ----------
+    centers_mm : (n, 2) float64
+        x, y of the dots in the gel frame; those outside the image are left out.
+    """
+    n_rows, n_columns = image.shape[:2]
+    columns = centers_mm[:, 0] / mm_per_px + (n_columns / 2 - 0.5)
+    rows = centers_mm[:, 1] / mm_per_px + (n_rows / 2 - 0.5)
+    _draw(image, columns, rows, radius_mm / mm_per_px, transmission)

@@ -1,0 +1,43 @@
+"""The camera's noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+_BITS = 12
+_LEVELS = 1 << _BITS
+
+
+def _normal_quantiles() -> NDArray[np.float32]:
+    """Equally likely values of a standard normal, scaled to unit variance: ±3.7 at most."""
+    values = ndtri((np.arange(_LEVELS) + 0.5) / _LEVELS)
+    return (values / np.sqrt(np.mean(values**2))).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _add(image: NDArray, words: NDArray, quantiles: NDArray, sigma: np.float32) -> None:
+    flat = image.reshape(-1)
+    for k in range(flat.shape[0]):
+        flat[k] += sigma * quantiles[words[k] >> 4]
+
+
+class CameraNoise:
+    """Independent normal noise of one standard deviation in every pixel and channel.
+
+    A draw of 12 random bits picks one of 4096 equally likely values: eight times quicker than
+    drawing normal numbers, and the same after rounding to grey levels.
+    """
+
+    def __init__(self, sigma_grey: float) -> None:
+        self.sigma_grey = sigma_grey
+        self._quantiles = _normal_quantiles()
+
+    def add(self, image: NDArray[np.float32], rng: np.random.Generator) -> None:
+        """Add noise to a C-contiguous ``image`` in place."""
+        if self.sigma_grey <= 0:
+            return
+        words = rng.bit_generator.random_raw((image.size + 3) // 4).view(np.uint16)
+        _add(image, words, self._quantiles, np.float32(self.sigma_grey))

@@ -1,0 +1,135 @@
+"""Cast shadows: where the gel's own relief hides a light."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tacgen.optics.table import LookupTable
+
+Leds = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
+"""One (unit vector from the gel towards the light, RGB weight) a light; gel axes."""
+
+DEFAULT_ELEVATION_RAD = math.radians(20.0)
+"""Taken for lights whose height nobody gave: side-lit gels have theirs at 10° to 30°."""
+DEFAULT_STRENGTH = 0.5
+"""Share of a light's channel that its shadow takes away; the rest is light scattered in the gel."""
+PENUMBRA_MM = 0.1
+"""How far a ray must pass below the relief for its light to be hidden whole."""
+
+_NOTHING_MM = np.float32(1e6)
+
+
+@njit(cache=True, nogil=True)
+def _sweep(
+    height_mm: NDArray,
+    across_px: float,
+    rise_mm: float,
+    downwards: bool,
+    per_mm: float,
+    shade: NDArray,
+) -> None:
+    """Shade of a light met by going to the row before (downwards) or after, ``across_px`` aside.
+
+    The lowest relief met on the way, lifted by the ray's rise, is carried along from row to row,
+    so that each pixel costs one step however long its shadow is.
+    """
+    n_rows, width = height_mm.shape
+    weight = np.float32(abs(across_px))
+    stay = np.float32(1) - weight
+    side = 1 if across_px >= 0 else -1
+    rise = np.float32(rise_mm)
+    met = np.full(width + 2, _NOTHING_MM, np.float32)
+    level = np.full(width, _NOTHING_MM, np.float32)
+    for i in range(n_rows):
+        r = i if downwards else n_rows - 1 - i
+        row, out = height_mm[r], shade[r]
+        aside, centre = met[1 + side :], met[1:]
+        if i > 0:
+            for k in range(width):
+                level[k] = (stay * centre[k] + weight * aside[k]) + rise
+        for k in range(width):
+            hidden = (row[k] - level[k]) * np.float32(per_mm)
+            out[k] = min(max(hidden, np.float32(0)), np.float32(1))
+        for k in range(width):
+            centre[k] = min(row[k], level[k])
+
+
+def cast_shadow(
+    height_mm: NDArray[np.float32], mm_per_px: float, direction: tuple[float, float, float]
+) -> NDArray[np.float32]:
+    """How much of a light is hidden from each pixel: 0 in the open, 1 in full shadow.
+
+    Parameters
+    ----------
+    height_mm : (h, w) float32
+        The deformed gel surface, gel frame; the lights and the camera look at it from below.
+    mm_per_px : float
+    direction : tuple of float
+        Unit vector from the gel towards the light; its z is negative or taken to be so.
+
+    Source
+    ------
+    Si & Yuan 2022, Taxim, §III-D steps rays from each light; this carries them row by row.
+    """
+    x, y, z = direction
+    flat = math.hypot(x, y)
+    if flat < 1e-6:
+        return np.zeros(height_mm.shape, dtype=np.float32)
+    x, y, rise = x / flat, y / flat, abs(z) / flat
+    along_rows = abs(y) >= abs(x)
+    relief = height_mm if along_rows else np.ascontiguousarray(height_mm.T)
+    main, across = (y, x) if along_rows else (x, y)
+    shade = np.empty(relief.shape, dtype=np.float32)
+    step_mm = mm_per_px / abs(main)
+    _sweep(relief, across / abs(main), rise * step_mm, main < 0, 1 / PENUMBRA_MM, shade)
+    return shade if along_rows else np.ascontiguousarray(shade.T)
+
+
+def shadow_reach_mm(depth_mm: float, leds: Leds) -> float:
+    """The longest shadow that relief of a given depth casts, mm."""
+    slopes = [abs(z) / max(math.hypot(x, y), 1e-6) for (x, y, z), _ in leds]
+    return depth_mm / max(min(slopes, default=1.0), 1e-3)
+
+
+def shadow_gain(
+    height_mm: NDArray[np.float32], mm_per_px: float, leds: Leds, strength: float
+) -> NDArray[np.float32]:
+    """What is left of each channel (h, w, 3): 1 in the open, 1 − strength in full shadow."""
+    total = np.maximum(np.sum([rgb for _, rgb in leds], axis=0), 1e-9)
+    gain = np.ones((*height_mm.shape, 3), dtype=np.float32)
+    for direction, rgb in leds:
+        shade = cast_shadow(height_mm, mm_per_px, direction)
+        for channel in range(3):
+            share = np.float32(strength * rgb[channel] / total[channel])
+            if share > 0:
+                gain[..., channel] -= share * shade
+    return gain
+
+
+def leds_of_table(table: LookupTable, elevation_rad: float = DEFAULT_ELEVATION_RAD) -> Leds:
+    """One light a channel, in the direction whose slopes the table brightens most.
+
+    For tables of sensors whose lights nobody described; the elevation cannot be read off a table.
+    """
+    constant = table.coefficients[..., 5].astype(np.float64)
+    n_slope, n_direction = constant.shape[:2]
+    angle = -math.pi + 2 * math.pi * np.arange(n_direction) / n_direction
+    middle = slice(max(1, n_slope // 8), max(2, n_slope // 2))
+    leds = []
+    for channel in range(3):
+        brightness = constant[middle, :, channel].mean(axis=0)
+        x, y = (brightness * np.cos(angle)).sum(), (brightness * np.sin(angle)).sum()
+        azimuth = math.atan2(y, x)
+        direction = (
+            math.cos(elevation_rad) * math.cos(azimuth),
+            math.cos(elevation_rad) * math.sin(azimuth),
+            -math.sin(elevation_rad),
+        )
+        rgb = [0.0, 0.0, 0.0]
+        rgb[channel] = 1.0
+        leds.append((direction, (rgb[0], rgb[1], rgb[2])))
+    return tuple(leds)
