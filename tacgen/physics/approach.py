@@ -89,28 +89,39 @@ def _first_obstacle(
     world: World, robot: Robot, body: ObjectBody, corners: Sequence[GripperTarget]
 ) -> str:
     """Why the gripper cannot go along the way, or nothing; it stays at the way's end."""
-    closest = world.bullet.getClosestPoints
     for waypoint in _waypoints(corners):
         reason = robot.place(waypoint)
         if reason:
             return reason
-        if closest(robot.body, body.body, 0.0, physicsClientId=world.client):
+        met = _distances(world, robot, body, 0.0)
+        if met:
+            height_mm = waypoint.z_m * MM_PER_M
+            if {link for link, _ in met} == {robot.palm}:
+                return (
+                    f"the palm meets the object with the pads {height_mm:.0f} mm above the table; "
+                    "the object is too tall, grasp it higher"
+                )
             return (
-                f"the open gripper meets the object {waypoint.z_m * MM_PER_M:.0f} mm above the "
-                f"table on its way; the object is wider than {STROKE_MM:g} mm there, or too tall"
+                f"the open fingers meet the object with the pads {height_mm:.0f} mm above the "
+                f"table; the object is wider there than the stroke of {STROKE_MM:g} mm"
             )
     return ""
+
+
+def _distances(
+    world: World, robot: Robot, body: ObjectBody, limit_m: float
+) -> list[tuple[int, float]]:
+    """Links of the robot and how near they are to the object, within ``limit_m``."""
+    points = world.bullet.getClosestPoints(
+        robot.body, body.body, limit_m, linkIndexB=-1, physicsClientId=world.client
+    )
+    return [(point[3], point[8]) for point in points]
 
 
 def _preposition(world: World, robot: Robot, body: ObjectBody, settings: PhysicsSettings) -> None:
     """Bring the fingers near the object, symmetrically, so that closing takes little time."""
     near_m = min(
-        (
-            point[8]
-            for point in world.bullet.getClosestPoints(
-                robot.body, body.body, STROKE_MM * M_PER_MM, physicsClientId=world.client
-            )
-        ),
+        (distance for _, distance in _distances(world, robot, body, STROKE_MM * M_PER_MM)),
         default=0.0,
     )
     robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tacgen.errors import PhysicsError
 from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation
 from tacgen.physics.frames import rotation_from_quaternion as rotation_of
-from tacgen.physics.world import World
+from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
 from tacgen.records import GraspObject
 from tacgen.units import M_PER_MM
 
@@ -65,7 +65,11 @@ def check_object(obj: GraspObject) -> None:
 
 
 class ObjectBody:
-    """The object in the world, standing in its rest pose to begin with."""
+    """The object in the world, standing in its rest pose to begin with.
+
+    An object of several convex parts meets the table as one convex hull: on a plane that is the
+    same, and it saves a pair of bodies for each part at every step.
+    """
 
     def __init__(self, world: World, obj: GraspObject) -> None:
         self._world = world
@@ -73,12 +77,14 @@ class ObjectBody:
         self._inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
         self._object_from_inertial = inverse(self._inertial)
         bullet, client = world.bullet, world.client
+        standing = _standing_link(world, obj) if len(obj.collision) > 1 else {}
         self.body = bullet.createMultiBody(
             obj.mass_kg,
             world.hull_shape(obj.collision),
             baseInertialFramePosition=self._inertial[:3, 3].tolist(),
             baseInertialFrameOrientation=quaternion_from_rotation(axes).tolist(),
             physicsClientId=client,
+            **standing,
         )
         world.set_surface(self.body, -1, friction=OBJECT_FRICTION)
         bullet.changeDynamics(
@@ -87,6 +93,12 @@ class ObjectBody:
             localInertiaDiagonal=(moments * M_PER_MM**2).tolist(),
             physicsClientId=client,
         )
+        if standing:
+            world.set_surface(self.body, 0, friction=OBJECT_FRICTION)
+            world.collide(self.body, -1, Collides.GRIPPER)
+            world.collide(self.body, 0, Collides.TABLE)
+        else:
+            world.collide(self.body, -1, Collides.GRIPPER | Collides.TABLE)
 
     def inertial_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Position (m) of the centre of mass and quaternion of the principal axes."""
@@ -105,3 +117,23 @@ class ObjectBody:
     def pose_from(self, position: tuple[float, ...], quaternion: tuple[float, ...]) -> Pose:
         """The object's own frame in the world, from what ``inertial_position`` gave."""
         return pose(rotation_of(quaternion), position) @ self._object_from_inertial
+
+
+def _standing_link(world: World, obj: GraspObject) -> dict[str, list]:
+    """Arguments of ``createMultiBody`` for a massless hull of the whole object.
+
+    It is raised by the margin that Bullet keeps around the hulls of links, so that the object
+    stands where it should.
+    """
+    return {
+        "linkMasses": [0.0],
+        "linkCollisionShapeIndices": [world.enclosing_shape(obj.collision)],
+        "linkVisualShapeIndices": [-1],
+        "linkPositions": [(0.0, 0.0, HULL_MARGIN_MM * M_PER_MM)],
+        "linkOrientations": [NO_TURN],
+        "linkInertialFramePositions": [(0.0, 0.0, 0.0)],
+        "linkInertialFrameOrientations": [NO_TURN],
+        "linkParentIndices": [0],
+        "linkJointTypes": [world.bullet.JOINT_FIXED],
+        "linkJointAxis": [(0.0, 0.0, 1.0)],
+    }

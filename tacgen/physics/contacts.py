@@ -97,14 +97,29 @@ def object_contacts(raw: Sequence[tuple], object_body: int) -> Contacts:
     )
 
 
-def pad_normal_force_n(raw: Sequence[tuple], robot_body: int, link: int) -> float:
-    """The sum of normal forces on one link of the robot, quickly."""
-    return sum(
-        contact[9]
-        for contact in raw
-        if (contact[1] == robot_body and contact[3] == link)
-        or (contact[2] == robot_body and contact[4] == link)
-    )
+def closing_force_n(
+    raw: Sequence[tuple], robot_body: int, link: int, axis: Sequence[float]
+) -> float:
+    """The force along ``axis`` between one link of the robot and what it touches."""
+    total = 0.0
+    for contact in raw:
+        if contact[1] == robot_body and contact[3] == link:
+            sign = 1.0
+        elif contact[2] == robot_body and contact[4] == link:
+            sign = -1.0
+        else:
+            continue
+        for magnitude, direction in (
+            (contact[9], contact[7]),
+            (contact[10], contact[11]),
+            (contact[12], contact[13]),
+        ):
+            total += (
+                sign
+                * magnitude
+                * (direction[0] * axis[0] + direction[1] * axis[1] + direction[2] * axis[2])
+            )
+    return abs(total)
 
 
 @dataclass(frozen=True, slots=True)

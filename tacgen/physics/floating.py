@@ -34,6 +34,7 @@ class FloatingGripper:
         hand = Link(-1, world.bullet.JOINT_PRISMATIC, HAND_MASS_KG)
         links = [hand, *finger_links(world, settings, _HAND), palm_link(world, _HAND)]
         self.body = create_body(world, links, (0.0, 0.0, 0.0))
+        self.palm = len(links) - 1
         self.fingers = Fingers(world, self.body, _HAND)
 
     def place(self, target: GripperTarget) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from types import TracebackType
 
@@ -11,7 +12,7 @@ from tacgen.errors import PhysicsError
 from tacgen.physics import labels
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.bodies import ObjectBody, check_object, principal_axes
-from tacgen.physics.contacts import Bodies, Snapshot, pad_normal_force_n
+from tacgen.physics.contacts import Bodies, Snapshot, closing_force_n
 from tacgen.physics.floating import FloatingGripper
 from tacgen.physics.frames import pose
 from tacgen.physics.gripper import STROKE_MM
@@ -188,8 +189,9 @@ class _Grasp:
         return f"the {' and the '.join(missing)} pad did not touch" if missing else ""
 
     def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
+        axis = (math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0)
         return {
-            pad: pad_normal_force_n(snapshot.contacts, self.robot.body, link)
+            pad: closing_force_n(snapshot.contacts, self.robot.body, link, axis)
             for pad, link in self.robot.fingers.links.items()
         }
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tacgen.physics.frames import PAD_SIDE
 from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
-from tacgen.physics.world import World
+from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
 from tacgen.units import M_PER_MM
 
 STROKE_MM = 110.0
@@ -33,14 +33,10 @@ PAD_WIDTH_MM, PAD_HEIGHT_MM = 24.0, 19.0
 """A GelSight's window of 18.9 × 14.2 mm (640 × 480 at 0.0295 mm/px) and 2.5 mm around it."""
 PAD_DEPTH_MM = 6.0
 PAD_PITCH_MM = 2.0
-HULL_MARGIN_MM = 1.0
-"""What Bullet adds around a convex hull; on a link it cannot be taken off."""
 FINGER_THICKNESS_MM = 12.0
-FINGER_LENGTH_MM = 125.0
-"""From the pad's centre to the palm; assumed, long enough to reach down a 190 mm bottle."""
+FINGER_LENGTH_MM = 150.0
+"""From the pad's centre to the palm; assumed, so that tall objects can be held low."""
 PALM_HALF_EXTENTS_MM = (73.0, 25.0, 35.0)
-
-_TWIST_FREE = (0.0, 0.0, 0.0, 1.0)
 
 
 @lru_cache(maxsize=8)
@@ -74,7 +70,7 @@ class Link:
     mass_kg: float = 0.0
     shape: int = -1
     position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, float, float, float] = _TWIST_FREE
+    quaternion: tuple[float, float, float, float] = NO_TURN
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     center_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -90,7 +86,7 @@ def create_body(world: World, links: Sequence[Link], base_position_m: Sequence[f
         linkPositions=[link.position_m for link in links],
         linkOrientations=[link.quaternion for link in links],
         linkInertialFramePositions=[link.center_of_mass_m for link in links],
-        linkInertialFrameOrientations=[_TWIST_FREE] * len(links),
+        linkInertialFrameOrientations=[NO_TURN] * len(links),
         linkParentIndices=[link.parent + 1 for link in links],
         linkJointTypes=[link.joint_type for link in links],
         linkJointAxis=[link.axis for link in links],
@@ -98,6 +94,7 @@ def create_body(world: World, links: Sequence[Link], base_position_m: Sequence[f
     )
     for link in range(-1, len(links)):
         world.set_surface(body, link, friction=0.0)
+        world.collide(body, link, Collides.GRIPPER)
     return int(body)
 
 

@@ -24,6 +24,7 @@ class Robot(Protocol):
     """A body in the world that carries the gripper."""
 
     body: int
+    palm: int
     fingers: Fingers
 
     def build(self, world: World, settings: PhysicsSettings) -> None:

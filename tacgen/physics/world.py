@@ -5,8 +5,12 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections.abc import Sequence
+from enum import IntFlag
 from pathlib import Path
 from types import ModuleType, TracebackType
+
+import numpy as np
+from scipy.spatial import ConvexHull
 
 from tacgen.errors import PhysicsError
 from tacgen.physics.settings import PhysicsSettings
@@ -14,6 +18,19 @@ from tacgen.records import Mesh
 from tacgen.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
+HULL_MARGIN_MM = 1.0
+"""What Bullet adds around a convex hull; on a link it cannot be taken off."""
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
+
+NOT_OPEN = "the simulator is not open; use it in a `with` block"
+
+
+class Collides(IntFlag):
+    """What a link can touch: things that share a flag."""
+
+    NOTHING = 0
+    GRIPPER = 1
+    TABLE = 2
 
 
 def load_bullet() -> ModuleType:
@@ -65,7 +82,7 @@ class World:
         self.client = -1
         self.table = -1
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._mesh_files: dict[bytes, str] = {}
+        self._mesh_files: dict[str, str] = {}
 
     def __enter__(self) -> World:
         self.client = self.bullet.connect(self.bullet.DIRECT)
@@ -96,8 +113,7 @@ class World:
         """
         bullet, client = self.bullet, self.client
         if client < 0:
-            msg = "the simulator is not open; use it in a `with` block"
-            raise PhysicsError(msg)
+            raise PhysicsError(NOT_OPEN)
         bullet.resetSimulation(physicsClientId=client)
         bullet.setPhysicsEngineParameter(
             fixedTimeStep=settings.time_step_s,
@@ -116,6 +132,7 @@ class World:
             0.0, shape, basePosition=(0.0, 0.0, -TABLE_HALF_EXTENTS_M[2]), physicsClientId=client
         )
         self.set_surface(self.table, -1, friction=settings.table_friction)
+        self.collide(self.table, -1, Collides.TABLE)
 
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
@@ -129,12 +146,16 @@ class World:
         It goes through a file because ``createCollisionShape(vertices=…)`` takes one hull only.
         The margin around such hulls can be taken off a body's base, not off its links.
         """
-        return int(
-            self.bullet.createCollisionShape(
-                self.bullet.GEOM_MESH,
-                fileName=self._mesh_file(parts),
-                physicsClientId=self.client,
-            )
+        return self._shape_from(self._mesh_file("parts", parts))
+
+    def enclosing_shape(self, parts: Sequence[Mesh]) -> int:
+        """A collision shape of one convex hull around all ``parts`` (mm)."""
+        return self._shape_from(self._mesh_file("hull", parts))
+
+    def collide(self, body: int, link: int, what: Collides) -> None:
+        """Let a link touch only what shares a flag with it."""
+        self.bullet.setCollisionFilterGroupMask(
+            body, link, int(what), int(what), physicsClientId=self.client
         )
 
     def set_surface(
@@ -158,22 +179,38 @@ class World:
             physicsClientId=self.client,
         )
         if link == -1:
-            self.bullet.changeDynamics(
-                body, link, collisionMargin=0.0, physicsClientId=self.client
-            )
+            self.bullet.changeDynamics(body, link, collisionMargin=0.0, physicsClientId=self.client)
 
-    def _mesh_file(self, parts: Sequence[Mesh]) -> str:
-        digest = hashlib.sha256()
+    def _shape_from(self, path: str) -> int:
+        return int(
+            self.bullet.createCollisionShape(
+                self.bullet.GEOM_MESH, fileName=path, physicsClientId=self.client
+            )
+        )
+
+    def _mesh_file(self, kind: str, parts: Sequence[Mesh]) -> str:
+        """The file of ``parts``, or of the ``hull`` around them, written once."""
+        digest = hashlib.sha256(kind.encode())
         for part in parts:
             digest.update(part.vertices_mm.tobytes())
             digest.update(part.faces.tobytes())
-        key = digest.digest()
+        key = digest.hexdigest()
         if key not in self._mesh_files:
-            assert self._folder is not None
-            path = Path(self._folder.name) / f"{digest.hexdigest()[:32]}.obj"
-            path.write_text(_wavefront(parts), encoding="ascii")
+            if self._folder is None:
+                raise PhysicsError(NOT_OPEN)
+            path = Path(self._folder.name) / f"{key[:32]}.obj"
+            meshes = parts if kind == "parts" else [_hull_around(parts)]
+            path.write_text(_wavefront(meshes), encoding="ascii")
             self._mesh_files[key] = str(path)
         return self._mesh_files[key]
+
+
+def _hull_around(parts: Sequence[Mesh]) -> Mesh:
+    vertices_mm = np.concatenate([part.vertices_mm for part in parts])
+    hull = ConvexHull(vertices_mm)
+    renumbered = np.full(len(vertices_mm), -1, dtype=np.int32)
+    renumbered[hull.vertices] = np.arange(len(hull.vertices), dtype=np.int32)
+    return Mesh(vertices_mm[hull.vertices], renumbered[hull.simplices])
 
 
 def _wavefront(parts: Sequence[Mesh]) -> str:
