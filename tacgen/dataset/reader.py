@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample
-from tacgen.dataset.schema import GRASP_ARRAYS, Layout
+from tacgen.dataset.schema import CONTACT_NAMES, GRASP_ARRAYS, Layout
 from tacgen.dataset.shard import broken_as_error, open_shard, read_image
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
@@ -84,6 +84,11 @@ class Dataset:
         return np.concatenate([np.arange(*line.index_range) for line in self._lines])
 
     @property
+    def layout(self) -> Layout:
+        """Where each array stands in the shards."""
+        return self._file(0)[1]
+
+    @property
     def pads(self) -> tuple[str, ...]:
         """The tactile pads."""
         return self._lines[0].pads
@@ -113,13 +118,24 @@ class Dataset:
         """Grasps by outcome, or by ``status``, ``splits`` or ``failure_modes``."""
         return total(self._lines, name)
 
-    def columns(self) -> dict[str, NDArray]:
-        """Everything that is said of each grasp, by name, (N, …), in the order of ``indices``."""
+    def columns(
+        self, shards: Sequence[int] | None = None, *, contact: bool = False
+    ) -> dict[str, NDArray]:
+        """Everything that is said of each grasp, by name, (N, …), in the order of ``indices``.
+
+        ``shards`` limits it to those places in ``lines``; ``contact`` adds what the first pad's
+        contact arrays hold, (N, T) or (N, T, 2).
+        """
+        places = range(len(self._lines)) if shards is None else shards
         parts: dict[str, list[NDArray]] = {}
-        for start in self._starts:
-            for array in GRASP_ARRAYS:
-                values = self._read(start, array.path, whole=True)
-                parts.setdefault(array.path.rsplit("/", 1)[1], []).append(_as_text(values))
+        for place in places:
+            layout = self._file(place)[1]
+            paths = [array.path for array in GRASP_ARRAYS]
+            if contact:
+                paths += [layout.contact(self.pads[0], name) for name in CONTACT_NAMES]
+            for path in paths:
+                values = self._read(self._starts[place], path, whole=True)
+                parts.setdefault(path.rsplit("/", 1)[1], []).append(_as_text(values))
         return {name: np.concatenate(values) for name, values in parts.items()}
 
     def rgb(

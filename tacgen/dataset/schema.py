@@ -34,6 +34,7 @@ FORMAT_VERSION = 1
 PADS = ("left", "right")
 SPLITS = ("train", "test")
 STATUSES = ("executed", "unreachable", "no_contact", "crashed")
+CONTACT_NAMES = ("force_normal_n", "force_shear_n", "indentation_mm")
 FAILURE_MODES = ("", "translational_slip", "rotational_slip")
 
 MAX_OBJECT_BYTES, MAX_REASON_BYTES = 64, 160

@@ -16,7 +16,7 @@ from tacgen.dataset.check import sample_problems
 from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
-from tacgen.dataset.schema import FORMAT_VERSION, ArraySpec, Layout, array_sizes
+from tacgen.dataset.schema import CONTACT_NAMES, FORMAT_VERSION, ArraySpec, Layout, array_sizes
 from tacgen.dataset.tally import Tally
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
@@ -128,7 +128,7 @@ def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, obj
         yield layout.tactile(pad, "rgb"), felt.rgb
         if layout.depth and felt.depth_mm is not None:
             yield layout.tactile(pad, "depth_mm"), felt.depth_mm
-        for name in ("force_normal_n", "force_shear_n", "indentation_mm"):
+        for name in CONTACT_NAMES:
             yield layout.contact(pad, name), getattr(felt, name)
 
 

@@ -1,0 +1,39 @@
+"""``README.md`` of a dataset: what it is, how it was made, how to read it, what to beware of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader
+
+from tacgen.dataset.folder import DatasetFolder
+from tacgen.dataset.reader import Dataset
+from tacgen.dataset.summary import summarize
+from tacgen.files import write_text
+
+
+def write_card(root: Path | str) -> Path:
+    """Write ``README.md`` of the dataset in ``root``, finished or not.
+
+    Raises
+    ------
+    DatasetError
+        If there is no finished shard, or the first is damaged.
+    """
+    folder = DatasetFolder(root)
+    summary = summarize(folder.root)
+    dataset = Dataset(folder.root, partial=True)
+    height, width = dataset.shape_px
+    environment = Environment(
+        loader=PackageLoader("tacgen.dataset"), trim_blocks=True, lstrip_blocks=True
+    )
+    text = environment.get_template("card.md").render(
+        summary=summary,
+        arrays=list(dataset.layout.arrays()),
+        height=height,
+        width=width,
+        first=int(dataset.indices[0]),
+    )
+    dataset.close()
+    write_text(folder.card_path, text)
+    return folder.card_path

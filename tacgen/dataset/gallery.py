@@ -1,0 +1,242 @@
+"""``index.html``: a page on which a person sees what the grasps of a dataset look like.
+
+It needs no network and stays below ``MAX_PAGE_BYTES``: of a large dataset it shows grasps taken
+evenly, and says so.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from jinja2 import Environment, PackageLoader
+from numpy.typing import NDArray
+
+from tacgen.dataset.folder import DatasetFolder
+from tacgen.dataset.reader import Dataset
+from tacgen.dataset.summary import Summary, summarize
+from tacgen.files import write_text
+
+MAX_PAGE_BYTES = 15_000_000
+MAX_CARDS, MAX_SHARDS, MAX_STRIP = 300, 200, 8
+IMAGE_WIDTH_PX, STRIP_WIDTH_PX, JPEG_QUALITY = 280, 110, 82
+OUTCOMES = {
+    "success": "success",
+    "translational_slip": "translational slip",
+    "rotational_slip": "rotational slip",
+    "failure": "failure",
+    "not_executed": "not executed",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """One grasp as the page shows it; images are JPEG data URIs."""
+
+    index: int
+    object: str
+    outcome: str
+    force_n: float
+    split: str
+    place: str
+    facts: tuple[tuple[str, str], ...]
+    picture: str
+    images: tuple[str, ...]
+    strips: tuple[str, ...]
+    curves: tuple[Mapping[str, str], ...]
+    curve_top_n: float
+    reason: str
+
+    @property
+    def n_bytes(self) -> int:
+        """Roughly what it adds to the page."""
+        return len(self.picture) + sum(map(len, (*self.images, *self.strips))) + 2000
+
+
+def write_gallery(root: Path | str) -> Path:
+    """Write ``index.html`` of the dataset in ``root``, finished or not.
+
+    Raises
+    ------
+    DatasetError
+        If there is no finished shard, or one is damaged.
+    """
+    folder = DatasetFolder(root)
+    page = render_gallery(Dataset(folder.root, partial=True), summarize(folder.root), folder)
+    write_text(folder.gallery_path, page)
+    return folder.gallery_path
+
+
+def render_gallery(dataset: Dataset, summary: Summary, folder: DatasetFolder) -> str:
+    """The page as text."""
+    shards = _evenly(range(len(dataset.lines)), MAX_SHARDS)
+    columns = dataset.columns(shards, contact=True)
+    points = _points(columns)
+    rows = _evenly(range(len(points)), MAX_CARDS)
+    cards = _fit([_card(dataset, columns, row, points[row]["outcome"]) for row in rows])
+    environment = Environment(
+        loader=PackageLoader("tacgen.dataset"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    reference = _jpeg(dataset.reference(), IMAGE_WIDTH_PX)
+    return environment.get_template("gallery.html").render(
+        summary=summary,
+        description=_description(folder),
+        cards=cards,
+        n_points=len(points),
+        points=points,
+        outcomes=OUTCOMES,
+        outcome_names=list(OUTCOMES.items()),
+        present=[name for name in OUTCOMES if any(p["outcome"] == name for p in points)],
+        objects=sorted({p["object"] for p in points}),
+        forces=sorted({p["force"] for p in points}),
+        reference=reference,
+        time_s=[float(t) for t in dataset.time_s],
+    )
+
+
+def _points(columns: Mapping[str, NDArray]) -> list[dict[str, Any]]:
+    """What the plots need of each grasp."""
+    rows = range(len(columns["index"]))
+    frames = columns["grasp_frame"]
+    normal_n = columns["force_normal_n"][np.arange(len(frames)), frames]
+    shear_n = np.linalg.norm(columns["force_shear_n"], axis=2).max(axis=1)
+    return [
+        {
+            "index": int(columns["index"][row]),
+            "object": str(columns["object"][row]),
+            "force": round(float(columns["force_n"][row]), 3),
+            "outcome": _outcome(columns, row),
+            "split": str(columns["split"][row]),
+            "normal": round(float(normal_n[row]), 3),
+            "shear": round(float(shear_n[row]), 3),
+        }
+        for row in rows
+    ]
+
+
+def _outcome(columns: Mapping[str, NDArray], row: int) -> str:
+    label = int(columns["label"][row])
+    if label < 0:
+        return "not_executed"
+    return "success" if label else str(columns["failure_mode"][row]) or "failure"
+
+
+def _card(dataset: Dataset, columns: Mapping[str, NDArray], row: int, outcome: str) -> Card:
+    index = int(columns["index"][row])
+    executed = outcome != "not_executed"
+    moment = int(columns["grasp_frame"][row])
+    shown = _evenly(range(dataset.n_frames), MAX_STRIP) if dataset.n_frames > 1 else []
+    pads = dataset.pads if executed else ()
+    picture = dataset.picture(index)
+    place = ", ".join(f"{columns[axis][row]:g}" for axis in ("x_mm", "y_mm", "z_mm"))
+    return Card(
+        index=index,
+        object=str(columns["object"][row]),
+        outcome=outcome,
+        force_n=float(columns["force_n"][row]),
+        split=str(columns["split"][row]),
+        place=place,
+        facts=tuple(_facts(columns, row, moment)) if executed else (),
+        picture="" if picture is None or not picture.any() else _jpeg(picture, IMAGE_WIDTH_PX),
+        images=tuple(_jpeg(dataset.rgb(index, pad, moment), IMAGE_WIDTH_PX) for pad in pads),
+        strips=tuple(_strip(dataset, index, pad, shown) for pad in pads if shown),
+        curves=_curves(columns, row, dataset.time_s) if executed and shown else (),
+        curve_top_n=_top_n(columns, row),
+        reason=str(columns["reason"][row]) or str(columns["status"][row]).replace("_", " "),
+    )
+
+
+def _facts(columns: Mapping[str, NDArray], row: int, moment: int) -> list[tuple[str, str]]:
+    shear_n = float(np.linalg.norm(columns["force_shear_n"][row], axis=1).max())
+    facts = [
+        ("normal force", f"{columns['force_normal_n'][row, moment]:.1f} N"),
+        ("shear force", f"{shear_n:.1f} N"),
+        ("indentation", f"{columns['indentation_mm'][row, moment]:.2f} mm"),
+        ("rise", f"{columns['rise_mm'][row]:.0f} mm"),
+        ("turn", f"{columns['turn_rad'][row]:.3f} rad"),
+    ]
+    if np.isfinite(columns["margin_translational"][row]):
+        facts.append(("slip margin", f"{columns['margin_translational'][row]:.2f} weights"))
+    return facts
+
+
+def _curves(
+    columns: Mapping[str, NDArray], row: int, time_s: NDArray[np.float64]
+) -> tuple[Mapping[str, str], ...]:
+    """SVG points of the normal and shear force over time, in a box of 100 × 30."""
+    shear_n = np.linalg.norm(columns["force_shear_n"][row], axis=1)
+    forces = {"normal": columns["force_normal_n"][row], "shear": shear_n}
+    top_n = max(1e-9, _top_n(columns, row))
+    span_s = max(1e-9, float(time_s[-1] - time_s[0]))
+    return tuple(
+        {
+            "name": name,
+            "points": " ".join(
+                f"{100 * (t - time_s[0]) / span_s:.1f},{29 - 28 * max(0.0, f) / top_n:.1f}"
+                for t, f in zip(time_s, values, strict=True)
+            ),
+        }
+        for name, values in forces.items()
+    )
+
+
+def _top_n(columns: Mapping[str, NDArray], row: int) -> float:
+    """The largest force of a grasp, normal or shear."""
+    shear_n = np.linalg.norm(columns["force_shear_n"][row], axis=1)
+    return float(max(columns["force_normal_n"][row].max(), shear_n.max()))
+
+
+def _strip(dataset: Dataset, index: int, pad: str, frames: Sequence[int]) -> str:
+    """Frames side by side, in time order, as one image."""
+    small = [_scaled(dataset.rgb(index, pad, frame), STRIP_WIDTH_PX) for frame in frames]
+    gap = np.full((small[0].shape[0], 3, 3), 255, np.uint8)
+    return _encoded(np.concatenate([part for frame in small for part in (frame, gap)][:-1], axis=1))
+
+
+def _jpeg(rgb: NDArray[np.uint8], width_px: int) -> str:
+    return _encoded(_scaled(rgb, width_px))
+
+
+def _scaled(rgb: NDArray[np.uint8], width_px: int) -> NDArray[np.uint8]:
+    """``rgb`` no wider than ``width_px``."""
+    height, width = rgb.shape[:2]
+    if width <= width_px:
+        return rgb
+    size = (width_px, max(1, round(height * width_px / width)))
+    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _encoded(rgb: NDArray[np.uint8]) -> str:
+    quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), quality)
+    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+
+
+def _fit(cards: list[Card]) -> list[Card]:
+    """As many cards, taken evenly, as the page has room for."""
+    room = MAX_PAGE_BYTES * 0.9
+    total = sum(card.n_bytes for card in cards)
+    return cards if total <= room else _evenly(cards, max(1, int(len(cards) * room / total)))
+
+
+def _evenly(items: Sequence[Any], most: int) -> list[Any]:
+    """``items``, or ``most`` of them at even distances, the first and the last included."""
+    if len(items) <= most:
+        return list(items)
+    return [items[i] for i in np.linspace(0, len(items) - 1, most).round().astype(int)]
+
+
+def _description(folder: DatasetFolder) -> str:
+    if not folder.recipe_path.is_file():
+        return ""
+    recipe = yaml.safe_load(folder.recipe_path.read_text(encoding="utf-8"))
+    return str(recipe.get("description", "")) if isinstance(recipe, dict) else ""

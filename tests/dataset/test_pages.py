@@ -1,0 +1,84 @@
+"""The card and the gallery: what a person reads."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tacgen.dataset import gallery
+from tacgen.dataset.card import write_card
+from tacgen.dataset.gallery import write_gallery
+
+from .conftest import collect_toy, make_spec
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+def test_card_says_counts_layout_and_origin(toy):
+    text = write_card(toy.root).read_text()
+    assert "10 simulated grasps" in text
+    assert "| success | 5 |" in text
+    assert "| can | 3 | 1 | 1 |" in text
+    assert "| `/contact/force_shear_n` | N, T, 2 | float64 | N | gel |" in text
+    assert "ab" * 32 in text
+
+
+def test_gallery_needs_no_network_and_shows_every_grasp(toy):
+    page = write_gallery(toy.root).read_text()
+    outside = r"""(src|href)=(?!"data:)|@import|url\((?!"data:)|https?:(?!//www\.w3)"""
+    assert not re.search(outside, page)
+    assert re.findall(r'id="grasp-(\d+)"', page) == [str(i) for i in range(10)]
+    assert "too far away" in page
+    points = json.loads(re.search(r"const POINTS = (.*);", page)[1])
+    assert [point["outcome"] for point in points].count("success") == 5
+    # Grasp 1: 6 N at the last of three frames, half of it at the moment of grasp.
+    assert points[1]["normal"] == 3.0
+
+
+def test_gallery_of_an_unfinished_dataset_says_so(tmp_path, spec):
+    collect_toy(tmp_path, spec, shards=(0, 2))
+    page = write_gallery(tmp_path).read_text()
+    assert "of 10 planned" in page
+
+
+def test_gallery_of_a_large_dataset_is_bounded_and_says_so(toy, monkeypatch):
+    monkeypatch.setattr(gallery, "MAX_CARDS", 4)
+    page = write_gallery(toy.root).read_text()
+    assert re.findall(r'id="grasp-(\d+)"', page) == ["0", "3", "6", "9"]
+    assert "4 of the 10 grasps are shown below, taken evenly" in page
+    monkeypatch.setattr(gallery, "MAX_PAGE_BYTES", 9_000)
+    page = write_gallery(toy.root).read_text()
+    assert 0 < page.count("<article") < 4
+
+
+def test_names_in_a_gallery_are_shown_not_run(tmp_path):
+    recipe = {"name": "toy", "description": "<script>alert(1)</script>"}
+    collect_toy(tmp_path, make_spec(recipe=recipe))
+    assert "<script>alert" not in write_gallery(tmp_path).read_text()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.parametrize(
+    ("state", "shown"),
+    [
+        ("", {0, 1, 2, 3, 4, 5, 6, 7, 8, 9}),
+        ("label=1", {1, 2, 5, 7, 8}),
+        ("label=0&object=cup", {0, 6}),
+        ("label=-1", {4, 9}),
+        ("low=8&high=10", {3, 4, 5}),
+        ("outcome=rotational_slip", {3}),
+        ("split=test", {3, 7}),
+    ],
+)
+def test_filters_of_the_gallery(toy, tmp_path, state, shown):
+    page = write_gallery(toy.root)
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    command += [f"--user-data-dir={tmp_path / 'chromium'}", f"file://{page}#{state}"]
+    dom = subprocess.run(command, capture_output=True, text=True, timeout=60).stdout
+    cards = re.findall(r'<article class="[^"]*" id="grasp-(\d+)"[^>]*?( hidden="")?>', dom)
+    assert {int(index) for index, hidden in cards if not hidden} == shown
+    assert f"{len(shown)} of 10 shown" in dom
+    assert Path(page).stat().st_size < 1_000_000
