@@ -1,0 +1,251 @@
+"""Joint fit of a smooth table and of where each ball is: centres, radii and the gel's rim."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.calibration.press_geometry import MAX_RADIUS_SHARE, Membrane, rest_slope
+from tacgen.calibration.press_images import PressImages
+from tacgen.calibration.press_model import (
+    PressModel,
+    label_mm,
+    learn_labels,
+    plain_press_model,
+)
+from tacgen.calibration.press_samples import Pixels, disc_pixels
+from tacgen.calibration.smooth_model import (
+    SmoothModel,
+    design,
+    monomial_derivatives,
+    monomials,
+    n_terms,
+    normal_parts,
+    solve_ridge,
+)
+
+FloatArray = NDArray[np.floating]
+
+REACH = 1.5
+"""Pixels up to this many label radii from the centre are looked at."""
+
+PIXELS_PER_PRESS = 2000
+"""No more pixels of a press than this are used; they are an even lattice."""
+
+FIRST_RADIUS_SHARE = 0.85
+"""Where the contact radius starts, as a share of the labelled one: people circle the dark rim."""
+
+NOISE_GREY = 6.0
+CORRELATED_PIXELS = 20.0
+"""Residuals of neighbouring pixels go together (JPEG blocks, texture): so many count as one."""
+
+CENTER_PRIOR_RADII = 0.15
+RADIUS_PRIOR_RADII = 0.10
+"""Standard deviations of a label's scatter, in label radii, that hold an estimate near it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """What cross-validation chooses among.
+
+    Attributes
+    ----------
+    degree : int
+        Of the polynomial in the surface normal.
+    ridge : float
+        Strength of the penalty on rough terms, relative to the mean of the normal matrix.
+    rim_weight : float
+        Weight of pixels outside the labelled circle.
+    """
+
+    degree: int = 7
+    ridge: float = 1e-4
+    rim_weight: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The pixels of one press and what the fit needs with them."""
+
+    pixels: Pixels
+    change: FloatArray
+    weight: FloatArray
+    label: FloatArray
+    ball_radius_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """A smooth model, the press model and the geometry (N, 3), mm, of each press."""
+
+    model: SmoothModel
+    press_model: PressModel
+    geometry: NDArray[np.float64]
+
+
+def gather(
+    presses: PressImages, background: FloatArray, settings: FitSettings, *, limit: int | None = None
+) -> list[Sample]:
+    """The samples of every press, with the background taken off."""
+    labels = label_mm(presses)
+    samples = []
+    for k in range(len(presses)):
+        pixels = disc_pixels(
+            presses.images[k],
+            presses.center_px[k],
+            float(presses.radius_px[k]),
+            presses.mm_per_px,
+            reach=REACH if settings.rim_weight > 0 else 1.0,
+            limit=PIXELS_PER_PRESS if limit is None else limit,
+        )
+        samples.append(
+            Sample(
+                pixels=pixels,
+                change=pixels.grey - background[pixels.rows, pixels.columns],
+                weight=np.where(pixels.inside, 1.0, settings.rim_weight),
+                label=labels[k],
+                ball_radius_mm=float(presses.ball_radius_mm[k]),
+            )
+        )
+    return samples
+
+
+def sample_design(
+    sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int
+) -> FloatArray:
+    """Design matrix (n, n_terms · 6) of a press: what its slopes add to the gel at rest."""
+    gx, gy = press_model.slopes(geometry, sample.ball_radius_mm, sample.pixels)
+    terms = monomials(*normal_parts(gx, gy), degree)
+    if press_model.dome_radius_mm > 0:
+        at_rest = rest_slope(sample.pixels.x_mm, sample.pixels.y_mm, press_model.dome_radius_mm)
+        terms = terms - monomials(*normal_parts(*at_rest), degree)
+    return design(terms, sample.pixels.position)
+
+
+def fit_model(
+    samples: list[Sample], geometry: FloatArray, press_model: PressModel, settings: FitSettings
+) -> SmoothModel:
+    """The smooth model by ridge regression, for a given geometry of the presses."""
+    size = 6 * n_terms(settings.degree)
+    gram, moment = np.zeros((size, size)), np.zeros((size, 3))
+    for sample, place in zip(samples, geometry, strict=True):
+        features = sample_design(sample, place, press_model, settings.degree)
+        weighted = features * sample.weight[:, None]
+        gram += weighted.T @ features
+        moment += weighted.T @ sample.change
+    return solve_ridge(gram, moment, settings.ridge, settings.degree)
+
+
+def refine_press(
+    sample: Sample,
+    model: SmoothModel,
+    press_model: PressModel,
+    expected: FloatArray,
+    *,
+    steps: int = 5,
+) -> FloatArray:
+    """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected."""
+    pixels = sample.pixels
+    weights_here = model.at_positions(pixels.position)
+    at_rest: FloatArray = np.zeros((len(pixels), 3))
+    if press_model.dome_radius_mm > 0:
+        slope = rest_slope(pixels.x_mm, pixels.y_mm, press_model.dome_radius_mm)
+        at_rest = model.change(*slope, pixels.position)
+    scale = sample.label[2]
+    scatter = np.array([CENTER_PRIOR_RADII, CENTER_PRIOR_RADII, RADIUS_PRIOR_RADII])
+    prior = 1.0 / (scatter * scale) ** 2
+    precision = np.repeat(sample.weight, 3) / (NOISE_GREY**2 * CORRELATED_PIXELS)
+    geometry = np.array(expected, dtype=np.float64)
+    largest = MAX_RADIUS_SHARE * sample.ball_radius_mm
+    nudge = 1e-4 * scale
+    for _ in range(steps):
+        normal = normal_parts(*press_model.slopes(geometry, sample.ball_radius_mm, pixels))
+        value = np.einsum("nt,ntc->nc", monomials(*normal, model.degree), weights_here)
+        along_x, along_y = (
+            np.einsum("nt,ntc->nc", terms, weights_here)
+            for terms in monomial_derivatives(*normal, model.degree)
+        )
+        columns = []
+        for k in range(3):
+            moved = geometry.copy()
+            moved[k] += nudge
+            shifted = normal_parts(*press_model.slopes(moved, sample.ball_radius_mm, pixels))
+            dx, dy = ((after - now) / nudge for after, now in zip(shifted, normal, strict=True))
+            columns.append((along_x * dx[:, None] + along_y * dy[:, None]).ravel())
+        jacobian = np.stack(columns, axis=-1)
+        residual = (sample.change - value + at_rest).ravel()
+        weighted = jacobian * precision[:, None]
+        step = np.linalg.solve(
+            weighted.T @ jacobian + np.diag(prior),
+            weighted.T @ residual - prior * (geometry - expected),
+        )
+        geometry += np.clip(step, -0.06 * scale, 0.06 * scale)
+        geometry[2] = np.clip(geometry[2], 0.1 * scale, largest)
+        if np.abs(step).max() < 1e-3 * scale:
+            break
+    return geometry
+
+
+def refine_membrane(
+    samples: list[Sample], geometry: FloatArray, model: SmoothModel, press_model: PressModel
+) -> Membrane:
+    """One Gauss–Newton step, in logarithms, for how the gel leaves the ball."""
+    now = press_model.membrane
+    trials = (
+        replace(now, decay_mm=now.decay_mm * 1.02),
+        replace(now, sharpness=now.sharpness * 1.02),
+    )
+    normal_matrix, moment = np.zeros((2, 2)), np.zeros(2)
+    for sample, place in zip(samples, geometry, strict=True):
+
+        def render(membrane: Membrane, sample: Sample = sample, place: FloatArray = place):  # type: ignore[no-untyped-def]
+            changed = replace(press_model, membrane=membrane)
+            features = sample_design(sample, place, changed, model.degree)
+            return features @ model.weights.reshape(-1, 3)
+
+        value = render(now)
+        jacobian = np.stack([((render(t) - value) / 0.02).ravel() for t in trials], axis=-1)
+        weighted = jacobian * np.repeat(sample.weight, 3)[:, None]
+        normal_matrix += weighted.T @ jacobian
+        moment += weighted.T @ (sample.change - value).ravel()
+    damped = normal_matrix + 1e-3 * np.trace(normal_matrix) * np.eye(2)
+    step = np.clip(np.linalg.solve(damped, moment), -0.2, 0.2)
+    radius = press_model.labels.contact_radius_mm
+    return Membrane(
+        decay_mm=float(np.clip(now.decay_mm * np.exp(step[0]), 0.05 * radius, 3.0 * radius)),
+        sharpness=float(np.clip(now.sharpness * np.exp(step[1]), 1.5, 30.0)),
+    )
+
+
+def fit_jointly(
+    presses: PressImages,
+    background: FloatArray,
+    settings: FitSettings,
+    *,
+    iterations: int = 8,
+    limit: int | None = None,
+) -> JointFit:
+    """Alternate between the smooth model, each press's place, the rim and the label model."""
+    samples = gather(presses, background, settings, limit=limit)
+    labels = np.array([sample.label for sample in samples])
+    balls = presses.ball_radius_mm
+    first_radius = np.minimum(FIRST_RADIUS_SHARE * labels[:, 2], 0.9 * balls)
+    press_model = plain_press_model(float(first_radius.mean()), presses.dome_radius_mm)
+    geometry = np.column_stack([labels[:, :2], first_radius])
+    rough = replace(settings, degree=min(settings.degree, 4))
+    for _ in range(iterations):
+        model = fit_model(samples, geometry, press_model, rough)
+        expected = press_model.labels.geometry(labels)
+        expected[:, 2] = np.minimum(expected[:, 2], 0.95 * balls)
+        geometry = np.array(
+            [
+                refine_press(sample, model, press_model, place)
+                for sample, place in zip(samples, expected, strict=True)
+            ]
+        )
+        membrane = refine_membrane(samples, geometry, model, press_model)
+        press_model = replace(press_model, membrane=membrane, labels=learn_labels(labels, geometry))
+    model = fit_model(samples, geometry, press_model, settings)
+    return JointFit(model, press_model, geometry)

@@ -1,0 +1,112 @@
+"""The slope of the gel under and around a ball, in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.floating]
+
+MAX_RADIUS_SHARE = 0.98
+"""Largest contact radius as a share of the ball's radius: at 1 the gel would stand upright."""
+
+
+@dataclass(frozen=True, slots=True)
+class Membrane:
+    """How the gel leaves the ball at the rim of the contact.
+
+    Attributes
+    ----------
+    decay_mm : float
+        The slope falls off by 1/e over this distance outside the contact.
+    sharpness : float
+        How sharply the two pieces meet; large is a kink, 2 is a wide round shoulder.
+    """
+
+    decay_mm: float
+    sharpness: float = 8.0
+
+
+def rest_slope(
+    x_mm: FloatArray, y_mm: FloatArray, dome_radius_mm: float
+) -> tuple[FloatArray, FloatArray]:
+    """Slope (∂h/∂x, ∂h/∂y) of the gel at rest at positions from its centre; 0 for a flat gel.
+
+    Source
+    ------
+    A sphere: h = √(R² − x² − y²) − R.
+    """
+    if dome_radius_mm <= 0:
+        return np.zeros_like(x_mm), np.zeros_like(y_mm)
+    limit = (0.95 * dome_radius_mm) ** 2
+    height = np.sqrt(dome_radius_mm**2 - np.minimum(x_mm**2 + y_mm**2, limit))
+    return -x_mm / height, -y_mm / height
+
+
+def press_slope(
+    dx_mm: FloatArray,
+    dy_mm: FloatArray,
+    contact_radius_mm: float,
+    ball_radius_mm: float,
+    membrane: Membrane,
+    rest: tuple[FloatArray, FloatArray] | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Slope of the gel surface around a ball pressed into it.
+
+    Inside the contact the surface is the ball's, r/√(R² − r²) along the radius; outside, what the
+    ball adds to the gel at rest decays exponentially. The two are joined by a power mean, so that
+    the slope is smooth.
+
+    Parameters
+    ----------
+    dx_mm, dy_mm : (...) float
+        Distance from the contact's centre along columns and rows, mm.
+    contact_radius_mm, ball_radius_mm : float
+    membrane : Membrane
+    rest : pair of (...) float, optional
+        Slope of the gel at rest at the same places (a dome); flat where it is not given.
+
+    Returns
+    -------
+    gx, gy : (...) float
+        ∂h/∂x and ∂h/∂y of the gel-frame height map: positive away from the centre, because the
+        gel is deepest there.
+    """
+    contact = min(contact_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
+    r = np.hypot(dx_mm, dy_mm)
+    power = membrane.sharpness
+    rim = contact / np.sqrt(ball_radius_mm**2 - contact**2)
+    outward = np.clip((r - contact) / membrane.decay_mm, -30.0, 30.0)
+    inside = np.minimum(r, 0.9999 * ball_radius_mm)
+    cap_per_mm = 1.0 / np.sqrt(ball_radius_mm**2 - inside**2)
+    cap = inside * cap_per_mm
+    tail = rim * np.exp(-outward)
+    joined = (1.0 + (cap / tail) ** power) ** (-1.0 / power)
+    per_mm = cap_per_mm * joined * inside / np.maximum(r, 1e-12)
+    per_mm = np.where(r > 0, per_mm, cap_per_mm)
+    if rest is None:
+        return per_mm * dx_mm, per_mm * dy_mm
+    free = 1.0 - (1.0 + np.exp(outward * power)) ** (-1.0 / power)
+    return per_mm * dx_mm + rest[0] * free, per_mm * dy_mm + rest[1] * free
+
+
+def press_height(
+    dx_mm: FloatArray,
+    dy_mm: FloatArray,
+    contact_radius_mm: float,
+    ball_radius_mm: float,
+    membrane: Membrane,
+) -> FloatArray:
+    """Height of a flat gel around the ball, mm, gel frame: 0 far away, negative under the ball.
+
+    The radial slope of ``press_slope``, integrated inwards from where it has died out.
+    """
+    r = np.hypot(dx_mm, dy_mm)
+    reach = max(float(r.max()), contact_radius_mm + 20.0 * membrane.decay_mm)
+    grid = np.linspace(0.0, reach, 4096)
+    slope, _ = press_slope(grid, np.zeros_like(grid), contact_radius_mm, ball_radius_mm, membrane)
+    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(grid)
+    height = -np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
+    return np.interp(r, grid, height)

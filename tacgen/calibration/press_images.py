@@ -1,0 +1,92 @@
+"""Images of ball presses: the records that the readers fill and the fit of the table takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class DoubtfulPress:
+    """A press that is left out: which file, which row of the list, why, and the mend."""
+
+    file: str
+    row: int
+    reason: str
+    mend: str
+
+    def __str__(self) -> str:
+        where = f"{self.file} (row {self.row})" if self.row else self.file
+        return f"{where}: {self.reason}; left out: {self.mend}"
+
+
+@dataclass(frozen=True, slots=True)
+class PressImages:
+    """Ball presses on one sensor.
+
+    Attributes
+    ----------
+    images : (N, H, W, 3) uint8
+        RGB.
+    background : (H, W, 3) uint8
+        RGB, the gel with nothing on it.
+    names : tuple of str
+    center_px : (N, 2) float
+        Column and row of the contact's centre, pixel centres at integers; NaN where unknown.
+    radius_px : (N,) float
+        Radius of the contact circle; NaN where unknown.
+    ball_radius_mm : (N,) float
+    mm_per_px : float
+    dome_radius_mm : float
+        Radius of curvature of the gel at rest, 0 for a flat one.
+    found : (N,) bool
+        Whether centre and radius were found in the image instead of labelled.
+    doubtful : tuple of DoubtfulPress
+    warnings : tuple of str
+    sha256 : mapping
+        Hash of each file read, by name.
+    """
+
+    images: NDArray[np.uint8]
+    background: NDArray[np.uint8]
+    names: tuple[str, ...]
+    center_px: NDArray[np.float64]
+    radius_px: NDArray[np.float64]
+    ball_radius_mm: NDArray[np.float64]
+    mm_per_px: float
+    dome_radius_mm: float = 0.0
+    sensor: str = ""
+    found: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    doubtful: tuple[DoubtfulPress, ...] = ()
+    warnings: tuple[str, ...] = ()
+    sha256: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    @property
+    def shape_px(self) -> tuple[int, int]:
+        """(height, width) of the images."""
+        return self.images.shape[1], self.images.shape[2]
+
+    @property
+    def labelled(self) -> NDArray[np.bool_]:
+        """Which presses come with a centre and a radius (N,)."""
+        return np.isfinite(self.center_px).all(axis=1) & np.isfinite(self.radius_px)
+
+    def select(self, which: NDArray) -> PressImages:
+        """The presses that an index array or mask picks; what is said about the set stays."""
+        found = self.found if len(self.found) else np.zeros(len(self), dtype=bool)
+        return replace(
+            self,
+            images=self.images[which],
+            names=tuple(np.array(self.names, dtype=object)[which]),
+            center_px=self.center_px[which],
+            radius_px=self.radius_px[which],
+            ball_radius_mm=self.ball_radius_mm[which],
+            found=found[which],
+        )

@@ -1,0 +1,125 @@
+"""A smooth model of how a gel answers to its slope: polynomials in surface normal and position.
+
+The change of grey level from flat to a slope is a polynomial in the two tangential parts of the
+surface's unit normal, (nx, ny) = (gx, gy)/√(1 + gx² + gy²), each term times a quadratic in image
+position. It is 0 where the slope is 0. For matt gel under distant light only the terms of first
+order would be left; the higher ones hold what lamps close by, gloss and several bounces add.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.optics.table import N_FEATURES
+
+FloatArray = NDArray[np.floating]
+
+
+def exponents(degree: int) -> list[tuple[int, int]]:
+    """Powers of (nx, ny) in the order of the model's terms, without the constant."""
+    return [(k - j, j) for k in range(1, degree + 1) for j in range(k + 1)]
+
+
+def n_terms(degree: int) -> int:
+    """How many terms in (nx, ny) a model of this degree has."""
+    return degree * (degree + 3) // 2
+
+
+def normal_parts(gx: FloatArray, gy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(nx, ny): the slope vector's sine along x and y."""
+    length = np.sqrt(1.0 + gx * gx + gy * gy)
+    return gx / length, gy / length
+
+
+def monomials(nx: FloatArray, ny: FloatArray, degree: int) -> FloatArray:
+    """The terms (n, n_terms) at normals (n,)."""
+    powers_x, powers_y = [np.ones_like(nx)], [np.ones_like(ny)]
+    for _ in range(degree):
+        powers_x.append(powers_x[-1] * nx)
+        powers_y.append(powers_y[-1] * ny)
+    return np.stack([powers_x[i] * powers_y[j] for i, j in exponents(degree)], axis=-1)
+
+
+def monomial_derivatives(
+    nx: FloatArray, ny: FloatArray, degree: int
+) -> tuple[FloatArray, FloatArray]:
+    """∂terms/∂nx and ∂terms/∂ny, each (n, n_terms)."""
+    powers_x, powers_y = [np.ones_like(nx)], [np.ones_like(ny)]
+    for _ in range(degree):
+        powers_x.append(powers_x[-1] * nx)
+        powers_y.append(powers_y[-1] * ny)
+    terms = exponents(degree)
+    by_x = [i * powers_x[max(i - 1, 0)] * powers_y[j] for i, j in terms]
+    by_y = [j * powers_x[i] * powers_y[max(j - 1, 0)] for i, j in terms]
+    return np.stack(by_x, axis=-1), np.stack(by_y, axis=-1)
+
+
+def position_terms(u: FloatArray, v: FloatArray) -> FloatArray:
+    """u², v², uv, u, v, 1 (n, 6): the table's features."""
+    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+
+
+def design(terms: FloatArray, position: FloatArray) -> FloatArray:
+    """Every term times every position feature: (n, n_terms · 6)."""
+    return (terms[:, :, None] * position[:, None, :]).reshape(len(terms), -1)
+
+
+def roughness(degree: int) -> FloatArray:
+    """Diagonal (n_terms · 6,) of the ridge: steeper terms and higher position powers cost more.
+
+    A term of power k is weighed as the k-th power's share of a smooth function's spectrum, and a
+    position power as if lamps' fall-off took the whole image to change.
+    """
+    term_cost = np.array([float(i + j) ** 2 for i, j in exponents(degree)])
+    position_cost = np.array([16.0, 16.0, 16.0, 4.0, 4.0, 1.0]) / 16.0
+    return (term_cost[:, None] * position_cost[None, :]).ravel()
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothModel:
+    """A fitted smooth model.
+
+    Attributes
+    ----------
+    weights : (n_terms, 6, 3) float64
+        Grey levels, RGB, for each term in (nx, ny) and position feature.
+    degree : int
+    """
+
+    weights: FloatArray
+    degree: int
+
+    def at_positions(self, position: FloatArray) -> FloatArray:
+        """The weights of the terms at places: (n, n_terms, 3) from ``position`` (n, 6)."""
+        return np.einsum("nf,tfc->ntc", position, self.weights)
+
+    def change(self, gx: FloatArray, gy: FloatArray, position: FloatArray) -> FloatArray:
+        """Grey levels (n, 3) that a slope (n,) adds, at ``position`` (n, 6)."""
+        terms = monomials(*normal_parts(gx, gy), self.degree)
+        return np.einsum("nt,ntc->nc", terms, self.at_positions(position))
+
+    def coefficients(self, slope_rad: FloatArray, direction_rad: FloatArray) -> NDArray:
+        """The table's coefficients (n_slope, n_direction, 3, 6) at nodes of slope and direction."""
+        sine = np.sin(slope_rad)[:, None]
+        nx, ny = sine * np.cos(direction_rad), sine * np.sin(direction_rad)
+        terms = monomials(nx.ravel(), ny.ravel(), self.degree)
+        values = np.einsum("nt,tfc->ncf", terms, self.weights)
+        return values.reshape(*nx.shape, 3, N_FEATURES).astype(np.float32)
+
+
+def solve_ridge(gram: FloatArray, moment: FloatArray, ridge: float, degree: int) -> SmoothModel:
+    """The weights that minimise squared error plus ``ridge`` × roughness.
+
+    Parameters
+    ----------
+    gram : (k, k) float
+        Designᵀ·design summed over pixels; k = n_terms · 6.
+    moment : (k, 3) float
+        Designᵀ·grey level change.
+    """
+    penalty = ridge * np.trace(gram) / len(gram) * roughness(degree)
+    weights = np.linalg.solve(gram + np.diag(penalty), moment)
+    return SmoothModel(weights.reshape(n_terms(degree), N_FEATURES, 3), degree)

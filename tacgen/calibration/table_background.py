@@ -1,0 +1,92 @@
+"""The background of a table, estimated from the reference image and what the presses leave bare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.calibration.press_images import PressImages
+
+FloatArray = NDArray[np.floating]
+
+BARE_BEYOND = 2.2
+"""Pixels farther from a contact's centre than this many contact radii count as bare gel."""
+
+MIN_VIEWS = 3
+"""Presses that must leave a pixel bare before their median is believed there."""
+
+_COARSE_PX = 160
+"""Width of the images that the drift is estimated on."""
+
+
+@dataclass(frozen=True, slots=True)
+class BackgroundRecipe:
+    """How a background is made.
+
+    Attributes
+    ----------
+    smooth : float
+        Gaussian width, as a share of the image's width, that the reference is smoothed with;
+        0 leaves it as it is.
+    drift : bool
+        Whether the median change of the bare gel over the presses is added (lamps and camera
+        drift between the reference and the presses).
+    """
+
+    smooth: float = 0.0
+    drift: bool = False
+
+
+def blur(image: NDArray, sigma_px: float) -> NDArray:
+    """Gaussian blur of (H, W) or (H, W, C); edges are mirrored."""
+    if sigma_px <= 0:
+        return image
+    source = np.ascontiguousarray(image, dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(source, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT))
+
+
+def bare_gel_change(presses: PressImages) -> FloatArray:
+    """Median over the presses of image − reference where no press touches: (h, w, 3), coarse.
+
+    Where fewer than three presses leave the gel bare the change is carried over from around.
+    """
+    height, width = presses.shape_px
+    scale = min(1.0, _COARSE_PX / width)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+
+    def coarse(image: NDArray) -> NDArray:
+        return np.asarray(cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA))
+
+    reference = coarse(presses.background)
+    rows, columns = np.mgrid[: size[1], : size[0]]
+    changes = np.empty((len(presses), size[1], size[0], 3), np.float32)
+    for k in range(len(presses)):
+        x, y = (presses.center_px[k] + 0.5) * scale - 0.5
+        bare = np.hypot(columns - x, rows - y) > BARE_BEYOND * presses.radius_px[k] * scale
+        changes[k] = np.where(bare[..., None], coarse(presses.images[k]) - reference, np.nan)
+    views = np.isfinite(changes[..., 0]).sum(axis=0)
+    known = views >= MIN_VIEWS
+    if not known.any():
+        return np.zeros_like(reference)
+    median = np.zeros_like(reference)
+    median[known] = np.nanmedian(changes[:, known], axis=0)
+    weight = known.astype(np.float32)
+    sigma = 0.05 * size[0]
+    near = (
+        blur(median * weight[..., None], sigma) / np.maximum(blur(weight, sigma), 1e-6)[..., None]
+    )
+    return np.where(known[..., None], median, near)
+
+
+def make_background(
+    reference: NDArray[np.uint8], change: FloatArray | None, recipe: BackgroundRecipe
+) -> NDArray[np.float32]:
+    """The background (H, W, 3) by ``recipe``; ``change`` is what ``bare_gel_change`` gives."""
+    height, width = reference.shape[:2]
+    image = reference.astype(np.float32)
+    if recipe.drift and change is not None:
+        image = image + cv2.resize(change, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(blur(image, recipe.smooth * width), dtype=np.float32)
