@@ -11,6 +11,7 @@ import numpy as np
 from tacgen.errors import PhysicsError
 from tacgen.physics import labels
 from tacgen.physics.approach import approach, grasp_target
+from tacgen.physics.arm import ArmWithGripper
 from tacgen.physics.bodies import ObjectBody, check_object, principal_axes
 from tacgen.physics.contacts import Bodies, Snapshot, closing_force_n
 from tacgen.physics.floating import FloatingGripper
@@ -40,7 +41,10 @@ STEADY_CHUNKS = 5
 """A force is steady when it keeps to the command this many looks in a row."""
 STEADY_TOLERANCE = 0.01
 
-_ROBOTS: dict[str, type[Robot]] = {"wsg50": FloatingGripper}
+_ROBOTS: dict[str, type[FloatingGripper] | type[ArmWithGripper]] = {
+    "wsg50": FloatingGripper,
+    "ur5e_wsg50": ArmWithGripper,
+}
 
 
 class GraspSimulator:

@@ -1,0 +1,104 @@
+"""Kinematics of the UR5e by its published Denavit-Hartenberg parameters.
+
+Source: Universal Robots, "DH Parameters for calculations of kinematics and dynamics", UR5e.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.physics.frames import Pose, pose
+
+A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
+D_M = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
+ALPHA_RAD = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+LINK_MASS_KG = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
+LINK_CENTER_OF_MASS_M = (
+    (0.0, -0.02561, 0.00193),
+    (0.2125, 0.0, 0.11336),
+    (0.15, 0.0, 0.0265),
+    (0.0, -0.0018, 0.01634),
+    (0.0, 0.0018, 0.01634),
+    (0.0, 0.0, -0.001159),
+)
+"""In the frame after each joint."""
+JOINT_TORQUE_LIMIT_N_M = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
+JOINT_LIMIT_RAD = 2 * np.pi
+
+POSITION_TOLERANCE_M = 1e-7
+ANGLE_TOLERANCE_RAD = 1e-7
+_ITERATIONS = 200
+_LARGEST_STEP_RAD = 0.3
+_DAMPING = 1e-3
+
+
+def link_transform(joint: int) -> Pose:
+    """From the frame that joint ``joint`` (0 to 5) turns to the one the next joint stands in."""
+    c, s = np.cos(ALPHA_RAD[joint]), np.sin(ALPHA_RAD[joint])
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    return pose(rotation, (A_M[joint], 0.0, D_M[joint]))
+
+
+_LINK_TRANSFORMS = tuple(link_transform(joint) for joint in range(6))
+
+
+def forward(joints_rad: NDArray[np.float64]) -> Pose:
+    """The flange in the base frame, (4, 4) with metres."""
+    return _chain(joints_rad)[-1]
+
+
+def _chain(joints_rad: NDArray[np.float64]) -> list[Pose]:
+    """The base frame and that after each joint."""
+    frames = [np.eye(4)]
+    for angle, transform in zip(joints_rad, _LINK_TRANSFORMS, strict=True):
+        c, s = np.cos(angle), np.sin(angle)
+        turn = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
+        frames.append(frames[-1] @ turn @ transform)
+    return frames
+
+
+def inverse_kinematics(target: Pose, seed_rad: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Joint angles that bring the flange to ``target``, near ``seed_rad``; None if there are none.
+
+    Source
+    ------
+    Damped least squares, Wampler 1986, Nakamura & Hanafusa 1986.
+    """
+    joints = np.array(seed_rad, dtype=np.float64)
+    for _ in range(_ITERATIONS):
+        frames = _chain(joints)
+        flange = frames[-1]
+        error = np.concatenate(
+            [target[:3, 3] - flange[:3, 3], _rotation_vector(target[:3, :3] @ flange[:3, :3].T)]
+        )
+        if (
+            np.linalg.norm(error[:3]) < POSITION_TOLERANCE_M
+            and np.linalg.norm(error[3:]) < ANGLE_TOLERANCE_RAD
+        ):
+            return joints if np.all(np.abs(joints) <= JOINT_LIMIT_RAD) else None
+        axes = np.stack([frame[:3, 2] for frame in frames[:-1]])
+        arms = flange[:3, 3] - np.stack([frame[:3, 3] for frame in frames[:-1]])
+        jacobian = np.concatenate([np.cross(axes, arms), axes], axis=1).T
+        damped = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
+        step = jacobian.T @ np.linalg.solve(damped, error)
+        largest = float(np.abs(step).max())
+        joints += step * min(1.0, _LARGEST_STEP_RAD / largest)
+    return None
+
+
+def _rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Axis times angle of a (3, 3) rotation."""
+    sine = 0.5 * np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    length = float(np.linalg.norm(sine))
+    angle = np.arctan2(length, 0.5 * (np.trace(rotation) - 1.0))
+    if length < 1e-9:
+        # Half a turn has no axis in its antisymmetric part: any step away from it will do.
+        return np.array([angle, 0.0, 0.0]) if angle > 1.0 else sine
+    return sine * (angle / length)
