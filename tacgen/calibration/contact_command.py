@@ -1,0 +1,109 @@
+"""``tacgen calibrate contact``: a press log, or curves of force against depth, to a contact law."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tacgen import __version__
+from tacgen.calibration.contact_law import ContactFit, fit_contact
+from tacgen.calibration.contact_report import summary_dict, summary_text, write_report
+from tacgen.calibration.depth_curves import (
+    DepthReport,
+    explain_curves,
+    is_depth_table,
+    read_depth_curves,
+)
+from tacgen.calibration.depth_report import depth_dict, depth_text, depth_warnings
+from tacgen.calibration.press_log import read_press_log
+from tacgen.contact.law import ContactLaw, save_law
+from tacgen.errors import PressError
+from tacgen.files import sha256_of
+from tacgen.records import Estimate
+
+CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
+
+
+@dataclass(frozen=True, slots=True)
+class ContactCalibration:
+    """What was fitted, the law that was written, and what has to be said about it."""
+
+    fit: ContactFit | DepthReport
+    law: ContactLaw
+    warnings: tuple[str, ...]
+
+
+def calibrate_contact(
+    log: Path,
+    out: Path,
+    report: Path | None = None,
+    *,
+    by: str | None = None,
+    contact_point: str = "auto",
+    force_unit: str | None = None,
+    marker_pitch_mm: float = np.nan,
+    radius_mm: float | None = None,
+) -> ContactCalibration:
+    """Fit ``log``, write the law to ``out`` and, where asked for, a page into ``report``.
+
+    Raises
+    ------
+    PressError
+        If the log cannot be used or an option is not known.
+    """
+    if contact_point not in CONTACT_POINTS:
+        known = ", ".join(CONTACT_POINTS)
+        msg = f"--contact-point {contact_point!r} is not known; use one of {known}"
+        raise PressError(msg)
+    if is_depth_table(log):
+        return _explain_depths(Path(log), Path(out), radius_mm)
+    fit = fit_contact(
+        read_press_log(log, force_unit=force_unit),
+        by=by,
+        free_contact_point=CONTACT_POINTS[contact_point],
+        marker_pitch_mm=marker_pitch_mm,
+    )
+    save_law(fit.law, out)
+    if report is not None:
+        write_report(fit, report)
+    return ContactCalibration(fit, fit.law, fit.warnings)
+
+
+def result_text(result: ContactCalibration, *, json_output: bool) -> str:
+    """What the command prints."""
+    if isinstance(result.fit, ContactFit):
+        return (
+            json.dumps(summary_dict(result.fit), indent=2)
+            if json_output
+            else summary_text(result.fit)
+        )
+    return json.dumps(depth_dict(result.fit), indent=2) if json_output else depth_text(result.fit)
+
+
+def _explain_depths(log: Path, out: Path, radius_mm: float | None) -> ContactCalibration:
+    """The law of curves without volumes is the k_n that all of them share."""
+    found = explain_curves(read_depth_curves(log), radius_mm)
+    warnings = depth_warnings(log, found)
+    values = [np.log(fit.k_n_mm3_per_n) for fit in found.curves]
+    ends = [np.log(fit.k_interval) for fit in found.curves]
+    spread = max(np.ptp(values), max(float(np.ptp(end)) for end in ends)) / 2.0
+    provenance: dict[str, Any] = {
+        "data": {log.name: sha256_of(log)},
+        "versions": {"tacgen": __version__},
+        "trials": {"fit": len(found.curves), "left_out": 0},
+        "curves": depth_dict(found)["curves"],
+        "warnings": list(warnings),
+    }
+    k_n = found.shared_k_n_mm3_per_n
+    law = ContactLaw(
+        law="volume_linear",
+        k_n_mm3_per_n=Estimate(k_n, k_n * spread / 1.96, "mm3/N"),
+        provenance=MappingProxyType(provenance),
+    )
+    save_law(law, out)
+    return ContactCalibration(found, law, warnings)

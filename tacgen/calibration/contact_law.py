@@ -1,0 +1,315 @@
+"""The contact law of a press log: k_n, k_s, whether indenters agree, and the held-out error."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy.stats import f as fisher_f
+
+from tacgen import __version__
+from tacgen.calibration.contact_point import ContactPoint, free_contact_points
+from tacgen.calibration.press_limits import limits_of
+from tacgen.calibration.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
+from tacgen.calibration.slope_fit import SlopeFit, fit_slope
+from tacgen.contact.law import ContactLaw
+from tacgen.errors import PressError
+from tacgen.records import Estimate
+
+MIN_TRIALS = 3
+MAX_FOLDS = 20
+BLOCKS_OF_A_TRIAL = 8
+"""Parts into which a group of one single trial is cut, as its samples are not independent."""
+DISAGREEMENT_P = 0.01
+
+UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Welch's test that all groups share one k: the law does not depend on them."""
+
+    statistic: float
+    dof: tuple[float, float]
+    p_value: float
+    spread: float
+    """(largest − smallest k) / pooled k."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Error on whole trials that the fit did not see; ``nrmse`` is per RMS of what was measured."""
+
+    rmse: float
+    nrmse: float
+    unit: str
+    by_trial: Mapping[int, float]
+    folds: int
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelFit:
+    """One channel's compliance: pooled, by group, and how well it does on unseen trials."""
+
+    channel: str
+    pooled: SlopeFit
+    by: str
+    groups: Mapping[str, SlopeFit]
+    agreement: Agreement | None
+    held_out: HeldOut
+
+
+@dataclass(frozen=True, slots=True)
+class ContactFit:
+    """What a press log says about the contact law."""
+
+    log: PressLog
+    """The samples that were fitted, contact points shifted where they were free."""
+    normal: ChannelFit
+    shear: ChannelFit | None
+    contact_points: tuple[ContactPoint, ...]
+    marker_pitch_mm: float
+    warnings: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def law(self) -> ContactLaw:
+        """The linear law of the pooled fits."""
+        k_s = self.shear.pooled if self.shear else None
+        return ContactLaw(
+            law="volume_linear",
+            k_n_mm3_per_n=Estimate(self.normal.pooled.value, self.normal.pooled.stderr, "mm3/N"),
+            k_s_mm_per_n=Estimate(
+                k_s.value if k_s else np.nan, k_s.stderr if k_s else np.nan, "mm/N"
+            ),
+            marker_pitch_mm=self.marker_pitch_mm,
+            provenance=MappingProxyType(_provenance(self)),
+        )
+
+
+def fit_contact(
+    log: PressLog,
+    *,
+    by: str | None = None,
+    free_contact_point: bool | None = None,
+    marker_pitch_mm: float = np.nan,
+) -> ContactFit:
+    """Fit V = k_n F_n and D = k_s F_s to a press log.
+
+    Parameters
+    ----------
+    log : PressLog
+    by : str, optional
+        ``trial`` or a column whose values are compared with each other; by default ``indenter``
+        where there are several, else the first text covariate that splits the trials.
+    free_contact_point : bool, optional
+        Estimate the contact point of every trial. By default only where the volume was computed
+        from the depth of a known ball, whose zero is then what is least certain.
+    marker_pitch_mm : float
+        Pitch of the markers whose motion was summed.
+
+    Raises
+    ------
+    PressError
+        With fewer than three presses, an unknown column, or a response that does not grow with
+        the load.
+
+    Source
+    ------
+    Si et al. 2022, arXiv 2208.02885, Eq. 1.
+    """
+    if len(log.trials) < MIN_TRIALS:
+        left_out = [str(trial) for trial in log.dropped]
+        msg = (
+            f"{log.path}: {len(log.trials)} presses that can be used, fewer than {MIN_TRIALS}: no "
+            "interval and no held-out error can be given; press more often, number each press in "
+            "`trial`"
+        )
+        raise PressError.from_problems([msg, *left_out])
+    if free_contact_point is None:
+        free_contact_point = "depth_mm" in log and "radius_mm" in log
+    points: tuple[ContactPoint, ...] = ()
+    if free_contact_point:
+        log, points = free_contact_points(log)
+    by = _grouping(log, by)
+    normal = fit_channel(log, "normal", by)
+    sheared = log.with_shear() if log.has_shear else None
+    shear = None
+    if sheared is not None and len(sheared.trials) >= MIN_TRIALS and _is_sheared(sheared):
+        shear = fit_channel(sheared, "shear", by)
+    fit = ContactFit(log, normal, shear, points, marker_pitch_mm)
+    return replace(fit, warnings=_warnings(fit))
+
+
+def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
+    """Pooled and grouped compliance of the ``normal`` or ``shear`` channel."""
+    load, response = channel_arrays(log, channel)
+    trial = log["trial"]
+    pooled = fit_slope(load, response, trial)
+    if not pooled.value > 0:
+        unit = UNITS[channel][1]
+        msg = (
+            f"{log.path}: the {channel} response does not grow with the load (k = "
+            f"{pooled.value:.3g} {unit}); check the signs of force and "
+            f"{'volume' if channel == 'normal' else 'marker motion'}"
+        )
+        raise PressError(msg)
+    groups = {
+        str(name): _fit_group(load[rows], response[rows], trial[rows])
+        for name in np.unique(log[by])
+        if _loaded(load[rows := log[by] == name])
+    }
+    return ChannelFit(
+        channel, pooled, by, MappingProxyType(groups), agreement_of(groups, pooled.value),
+        _held_out(load, response, trial, UNITS[channel][0]),
+    )  # fmt: skip
+
+
+def channel_arrays(log: PressLog, channel: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Load and response (N, c) of a channel."""
+    if channel == "normal":
+        return log["force_normal_n"][:, None], log["volume_mm3"][:, None]
+    return (
+        np.column_stack([log[name] for name in SHEAR_FORCES]),
+        np.column_stack([log[name] for name in SHEAR_MOTIONS]),
+    )
+
+
+def agreement_of(groups: Mapping[str, SlopeFit], pooled: float) -> Agreement | None:
+    """Welch's test over the groups; None where fewer than two have an error of their own.
+
+    Source
+    ------
+    Welch 1951, On the comparison of several mean values, Biometrika 38.
+    """
+    usable = [fit for fit in groups.values() if np.isfinite(fit.stderr) and fit.stderr > 0]
+    if len(usable) < 2:
+        return None
+    n = len(usable)
+    k = np.array([fit.value for fit in usable])
+    weight = 1.0 / np.array([fit.stderr for fit in usable]) ** 2
+    dof = np.array([max(fit.dof, 1.0) for fit in usable])
+    mean = (weight * k).sum() / weight.sum()
+    unevenness = ((1.0 - weight / weight.sum()) ** 2 / dof).sum()
+    between = (weight * (k - mean) ** 2).sum() / (n - 1)
+    statistic = float(between / (1.0 + 2.0 * (n - 2) / (n**2 - 1) * unevenness))
+    dof_within = float((n**2 - 1) / (3.0 * unevenness))
+    p_value = float(fisher_f.sf(statistic, n - 1, dof_within))
+    return Agreement(statistic, (n - 1.0, dof_within), p_value, float(np.ptp(k) / pooled))
+
+
+def _fit_group(load: NDArray[Any], response: NDArray[Any], trial: NDArray[Any]) -> SlopeFit:
+    """A group of one trial is cut into blocks of equal load, whose scatter gives its error."""
+    if len(np.unique(trial)) > 1:
+        return fit_slope(load, response, trial)
+    power = np.cumsum((load**2).sum(axis=1))
+    blocks = np.minimum(power * BLOCKS_OF_A_TRIAL // power[-1], BLOCKS_OF_A_TRIAL - 1).astype(int)
+    return replace(fit_slope(load, response, blocks), n_trials=1, outlying_trials=())
+
+
+def _loaded(load: NDArray[Any]) -> bool:
+    return len(load) > 1 and bool(np.abs(load).max() > 0)
+
+
+def _is_sheared(log: PressLog) -> bool:
+    load, response = channel_arrays(log, "shear")
+    return bool(np.abs(load).max() > 0 and np.abs(response).max() > 0)
+
+
+def _held_out(
+    load: NDArray[Any], response: NDArray[Any], trial: NDArray[Any], unit: str
+) -> HeldOut:
+    """Every trial predicted by a fit to the other folds' trials."""
+    numbers = np.unique(trial)
+    folds = min(len(numbers), MAX_FOLDS)
+    fold = np.searchsorted(numbers, trial) % folds
+    error = np.empty_like(response)
+    for index in range(folds):
+        out = fold == index
+        k = fit_slope(load[~out], response[~out], trial[~out]).value
+        error[out] = response[out] - k * load[out]
+    squared = (error**2).sum(axis=1)
+    by_trial = {int(n): float(np.sqrt(squared[trial == n].mean())) for n in numbers}
+    rmse = float(np.sqrt(squared.mean()))
+    size = float(np.sqrt((response**2).sum(axis=1).mean()))
+    return HeldOut(rmse, rmse / size, unit, MappingProxyType(by_trial), folds)
+
+
+def _grouping(log: PressLog, by: str | None) -> str:
+    if by is not None:
+        if by not in log:
+            msg = f"{log.path}: no column {by!r} to group by; there are {', '.join(log.columns)}"
+            raise PressError(msg)
+        return by
+    candidates = ["indenter", *log.covariates]
+    for name in candidates:
+        if name in log and log[name].dtype.kind == "U":
+            values = len(np.unique(log[name]))
+            pairs = len({*zip(log[name].tolist(), log["trial"].tolist(), strict=True)})
+            if 1 < values <= len(log.trials) and pairs == len(log.trials):
+                return name
+    return "indenter" if "indenter" in log else "trial"
+
+
+def _warnings(fit: ContactFit) -> tuple[str, ...]:
+    texts = [*fit.log.warnings, *(str(trial) for trial in fit.log.dropped)]
+    for channel in (fit.normal, fit.shear):
+        if channel is None:
+            continue
+        agreement = channel.agreement
+        if agreement is not None and agreement.p_value < DISAGREEMENT_P:
+            texts.append(
+                f"{fit.log.path}: {channel.channel}: k differs between values of {channel.by!r} "
+                f"(p = {agreement.p_value:.2g}, spread {100 * agreement.spread:.1f} %): the pooled "
+                "k is an average of unlike things; `tacgen diagnose contact` looks for the cause"
+            )
+        for trial in channel.pooled.outlying_trials:
+            row = fit.log.rows[fit.log["trial"] == trial][0]
+            texts.append(
+                f"{fit.log.path}: row {row}: trial {trial} lies far from the others' "
+                f"{channel.channel} law and was given no weight; look at it or delete it"
+            )
+    texts += [f"{fit.log.path}: {limit}" for limit in limits_of(fit.log)]
+    return tuple(texts)
+
+
+def _provenance(fit: ContactFit) -> dict[str, Any]:
+    channels = {c.channel: c for c in (fit.normal, fit.shear) if c is not None}
+    return {
+        "data": {fit.log.path.name: fit.log.sha256},
+        "versions": {
+            "tacgen": __version__,
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "python": platform.python_version(),
+        },
+        "trials": {"fit": len(fit.log.trials), "left_out": len(fit.log.dropped)},
+        "left_out": [str(trial) for trial in fit.log.dropped],
+        "samples": len(fit.log),
+        "contact_point": "free" if fit.contact_points else "fixed",
+        "held_out_error": {
+            name: {"rmse": c.held_out.rmse, "nrmse": c.held_out.nrmse, "unit": c.held_out.unit,
+                   "folds": c.held_out.folds}
+            for name, c in channels.items()
+        },
+        "groups": {name: _group_summary(c) for name, c in channels.items()},
+        "warnings": list(fit.warnings),
+    }  # fmt: skip
+
+
+def _group_summary(channel: ChannelFit) -> dict[str, Any]:
+    agreement = channel.agreement
+    return {
+        "by": channel.by,
+        "agree_p_value": agreement.p_value if agreement else None,
+        "values": {
+            name: {"value": fit.value, "stderr": fit.stderr, "trials": fit.n_trials,
+                   "r_squared": fit.r_squared}
+            for name, fit in channel.groups.items()
+        },
+    }  # fmt: skip
