@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -147,6 +149,137 @@ def export(
     from tacgen.dataset.lerobot import export_dataset
 
     typer.echo(export_dataset(folder, out, format_name))
+
+
+@app.command()
+def train(
+    recipe: Annotated[str, typer.Argument(help="A training recipe, such as train_single.")],
+    data: Annotated[Path, typer.Option("--data", help="A dataset made by `tacgen collect`.")],
+    out: Annotated[Path, typer.Option("--out", help="Where the run goes; it resumes there.")],
+    json_output: JsonFlag = False,
+) -> None:
+    """Train grasp-stability networks on the training grasps of a dataset."""
+    from tacgen.learning.extra import require_learning_extra
+    from tacgen.learning.recipe import load_train_recipe
+    from tacgen.learning.words import training_lines
+
+    require_learning_extra()
+    from tacgen.learning.train import train as train_models
+
+    summary = train_models(load_train_recipe(recipe), data, out)
+    typer.echo(json.dumps(summary) if json_output else "\n".join(training_lines(summary)))
+
+
+@app.command("eval")
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="The folder of a run, made by `tacgen train`.")],
+    data: Annotated[
+        Path | None, typer.Option("--data", help="Test on the test grasps of this dataset.")
+    ] = None,
+    real: Annotated[
+        Path | None, typer.Option("--real", help="Test on the real grasps of this folder.")
+    ] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Test a run on simulated or real grasps; tells the sim-to-real gap once both are known."""
+    from tacgen.learning.extra import require_learning_extra
+    from tacgen.learning.words import evaluation_lines
+
+    require_learning_extra()
+    from tacgen.learning.evaluate import evaluate as evaluate_run
+
+    result = evaluate_run(run, data, real)
+    typer.echo(json.dumps(result) if json_output else "\n".join(evaluation_lines(result)))
+
+
+@app.command()
+def collect(
+    recipe: RecipeArgument,
+    out: Annotated[Path, typer.Option(help="The dataset's folder; goes on if it is there.")],
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    shard: Annotated[
+        str, typer.Option(help="Only part I of N (I from 0), or auto in a batch job's array.")
+    ] = "0/1",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done.")] = False,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Verify first, and remake the shards that are bad.")
+    ] = False,
+    grasp_limit_s: Annotated[
+        float, typer.Option(min=1.0, help="A grasp that takes longer is recorded as crashed.")
+    ] = 120.0,
+    json_output: JsonFlag = False,
+) -> None:
+    """Simulate a recipe's grasps and write them as a dataset; goes on where it stopped."""
+    from tacgen.collect import collect as run
+    from tacgen.collect import describe, shards_to_repair
+    from tacgen.recipe import load_recipe
+    from tacgen.shares import parse_share, share_of
+
+    loaded = load_recipe(recipe)
+    plan = describe(loaded, out)
+    part, parts, origin = parse_share(shard, os.environ)
+    share = share_of(plan.shards, part, parts)
+    if dry_run:
+        _print_record(asdict(plan), json_output)
+        return
+    if parts > 1:
+        typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
+    redo = [number for number in shards_to_repair(out) if number in share] if repair else []
+    result = run(
+        loaded,
+        out,
+        workers=workers,
+        shards=share,
+        redo=redo,
+        item_limit_s=grasp_limit_s,
+        progress=not json_output,
+    )
+    _print_record(result.summary(), json_output)
+
+
+def _print_record(record: Mapping[str, object], json_output: bool) -> None:
+    """A flat record: as JSON, or a line for each entry."""
+    if json_output:
+        typer.echo(json.dumps(record, indent=2))
+        return
+    for name, value in record.items():
+        text = ", ".join(str(item) for item in value) if isinstance(value, (list, tuple)) else value
+        typer.echo(f"{name.replace('_', ' '):>16}  {text}")
+
+
+@calibrate_app.command("contact")
+def calibrate_contact(
+    log: Annotated[Path, typer.Argument(help="A press log, CSV or Parquet.")],
+    out: Annotated[Path, typer.Option("--out", help="The contact.yaml to write.")],
+    report: Annotated[Path | None, typer.Option(help="Folder for an HTML report.")] = None,
+    by: Annotated[
+        str | None, typer.Option(help="Compare k between values of this column (or `trial`).")
+    ] = None,
+    contact_point: Annotated[
+        str, typer.Option(help="fixed, free (estimated for every press), or auto.")
+    ] = "auto",
+    force_unit: Annotated[
+        str | None, typer.Option(help="Unit of the force columns: n, mn, gf or kgf.")
+    ] = None,
+    marker_pitch_mm: Annotated[
+        float, typer.Option(help="Pitch of the markers whose motion was summed.")
+    ] = float("nan"),
+    radius_mm: Annotated[
+        float | None, typer.Option(help="The ball's radius, for curves of force against depth.")
+    ] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Fit the contact law k_n, k_s to a press log, with intervals and held-out error."""
+    from tacgen.calibration.contact_command import calibrate_contact as calibrate
+    from tacgen.calibration.contact_command import result_text
+
+    result = calibrate(
+        log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
+        marker_pitch_mm=marker_pitch_mm, radius_mm=radius_mm,
+    )  # fmt: skip
+    for warning in result.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(result_text(result, json_output=json_output))
 
 
 def main() -> None:
