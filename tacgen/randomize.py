@@ -47,15 +47,30 @@ def draw_variation(spread: Randomize, rng: np.random.Generator) -> Variation:
 
 def vary_object(grasped: GraspObject, variation: Variation) -> GraspObject:
     """The object with its friction, mass and centre of mass changed."""
+    moved = grasped.center_of_mass_mm + np.asarray(variation.center_of_mass_mm)
+    varied = with_friction(grasped, grasped.friction * variation.friction_factor)
+    varied = with_mass(varied, grasped.mass_kg * variation.mass_factor)
+    return replace(varied, center_of_mass_mm=frozen_array(moved))
+
+
+def with_friction(grasped: GraspObject, friction: float) -> GraspObject:
+    """The object with another Coulomb coefficient.
+
+    The moment a patch holds about its normal is proportional to μ, so the spinning friction
+    follows.
+    """
+    ratio = friction / grasped.friction if grasped.friction > 0 else 1.0
     return replace(
         grasped,
-        friction=grasped.friction * variation.friction_factor,
-        mass_kg=grasped.mass_kg * variation.mass_factor,
-        inertia_kg_mm2=frozen_array(grasped.inertia_kg_mm2 * variation.mass_factor),
-        center_of_mass_mm=frozen_array(
-            grasped.center_of_mass_mm + np.asarray(variation.center_of_mass_mm)
-        ),
+        friction=friction,
+        spinning_friction_mm=grasped.spinning_friction_mm * ratio,
     )
+
+
+def with_mass(grasped: GraspObject, mass_kg: float) -> GraspObject:
+    """The object with another mass, distributed as before."""
+    inertia = grasped.inertia_kg_mm2 * (mass_kg / grasped.mass_kg)
+    return replace(grasped, mass_kg=mass_kg, inertia_kg_mm2=frozen_array(inertia))
 
 
 def vary_config(config: GraspConfig, variation: Variation) -> GraspConfig:

@@ -131,7 +131,7 @@ class Contact(Section):
     law: Literal["volume_linear", "linear_depth"] = "volume_linear"
     k_n_mm3_per_n: PositiveFloat = 5.135
     k_s_mm_per_n: NonNegativeFloat = 1.0
-    depth_mm_per_n: PositiveFloat = 0.02
+    k_depth_mm_per_n: PositiveFloat = 0.02
     camera: Literal["raster", "pyrender"] = "raster"
 
 

@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
-from typing import Any, Protocol
+from typing import Any
 
 from tacgen.errors import TacgenError
 
@@ -32,12 +32,8 @@ Report = Callable[[str, int, Any], None]
 """Called by a job with ("start", item, None) and then ("item", item, anything to show)."""
 
 
-class Job(Protocol):
-    """What a worker does with a task; items in ``crashed`` (item → reason) are to be left out."""
-
-    def __call__(self, task: int, crashed: Mapping[int, str], report: Report) -> Any:
-        """Do the task and return a result that can be pickled."""
-
+Job = Callable[[int, Mapping[int, str], Report], Any]
+"""What a worker does with a task; items in the mapping (item → reason) crash and are left out."""
 
 JobFactory = Callable[[], contextlib.AbstractContextManager[Job]]
 
@@ -218,7 +214,12 @@ def _serve(connection: Connection, make_job: JobFactory) -> None:
     except (EOFError, BrokenPipeError, ConnectionResetError):
         os._exit(0)
     except TacgenError as error:
-        report("error", error.exit_code, str(error))
+        _last_words(connection, ("error", error.exit_code, str(error)))
     except Exception:
         # Whatever it is, the supervisor must hear of it; it ends the run with this text.
-        report("bug", -1, traceback.format_exc())
+        _last_words(connection, ("bug", -1, traceback.format_exc()))
+
+
+def _last_words(connection: Connection, words: tuple[str, int, str]) -> None:
+    with contextlib.suppress(BrokenPipeError):  # the run has been ended by another worker's
+        connection.send(words)

@@ -50,6 +50,7 @@ def test_the_objects_inertia_follows_its_mass_and_the_original_is_untouched():
     )
     assert varied.mass_kg == pytest.approx(0.28)
     assert varied.friction == pytest.approx(0.25)
+    assert varied.spinning_friction_mm == pytest.approx(0.5)
     np.testing.assert_allclose(varied.inertia_kg_mm2, 1.4 * np.eye(3))
     np.testing.assert_allclose(varied.center_of_mass_mm, [1, 2, 33])
     assert BLOCK.mass_kg == 0.2

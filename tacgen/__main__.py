@@ -1,0 +1,5 @@
+"""``python -m tacgen``."""
+
+from tacgen.cli import main
+
+main()
