@@ -1,0 +1,93 @@
+"""Objects with known closed forms, and simulators that a module's tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.records import GraspConfig, GraspObject, GraspTrace, Mesh
+
+GRAVITY_M_S2 = 9.80665
+
+
+def hull_mesh(vertices_mm: np.ndarray) -> Mesh:
+    hull = ConvexHull(vertices_mm)
+    return Mesh(np.asarray(vertices_mm, dtype=float), hull.simplices.astype(np.int32))
+
+
+def block(
+    *,
+    size_mm: tuple[float, float, float] = (60.0, 60.0, 100.0),
+    mass_kg: float = 0.3,
+    friction: float = 0.5,
+    spinning_friction_mm: float = 2.0,
+    center_of_mass_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    yaw_rad: float = 0.0,
+) -> GraspObject:
+    """A box on the table whose side faces the left finger at the same yaw."""
+    x, y, z = size_mm
+    corners = np.array(
+        [[i * x / 2, j * y / 2, k * z] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)]
+    )
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    mesh = hull_mesh(corners @ turn.T)
+    moments = mass_kg / 12 * np.diag([y**2 + z**2, x**2 + z**2, x**2 + y**2])
+    return GraspObject(
+        name="block",
+        surface=mesh,
+        collision=(mesh,),
+        mass_kg=mass_kg,
+        center_of_mass_mm=turn @ (np.array([0.0, 0.0, z / 2]) + center_of_mass_offset_mm),
+        inertia_kg_mm2=turn @ moments @ turn.T,
+        friction=friction,
+        spinning_friction_mm=spinning_friction_mm,
+        grasp_ranges={},
+    )
+
+
+def grasp(
+    simulator: GraspSimulator,
+    obj: GraspObject,
+    *,
+    force_n: float = 10.0,
+    x_mm: float = 0.0,
+    y_mm: float = 0.0,
+    z_mm: float = 50.0,
+    yaw_rad: float = 0.0,
+    settings: PhysicsSettings | None = None,
+    frames: FrameRequest | None = None,
+) -> GraspTrace:
+    return run_grasp(
+        simulator,
+        obj,
+        GraspConfig(0, obj.name, force_n, x_mm, y_mm, z_mm, yaw_rad),
+        settings or PhysicsSettings(tactile_pads="both"),
+        frames=frames or FrameRequest(),
+    )
+
+
+def threshold(holds: Callable[[float], bool], low: float, high: float, halvings: int) -> float:
+    """Where ``holds`` turns from True at ``low`` to False at ``high``."""
+    assert holds(low), f"does not hold at {low}"
+    assert not holds(high), f"still holds at {high}"
+    for _ in range(halvings):
+        middle = (low + high) / 2
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return (low + high) / 2
+
+
+@pytest.fixture(scope="module")
+def simulator() -> Iterator[GraspSimulator]:
+    with GraspSimulator("wsg50") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def arm_simulator() -> Iterator[GraspSimulator]:
+    with GraspSimulator("ur5e_wsg50") as opened:
+        yield opened

@@ -1,0 +1,229 @@
+"""The simulated grasp against closed forms: friction, torsion, force, energy, time step, robots."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
+from tacgen.physics.bodies import ObjectBody
+from tacgen.physics.margins import torsion_factor
+from tacgen.units import MM_PER_M
+
+from .conftest import GRAVITY_M_S2, block, grasp, threshold
+
+SETTINGS = PhysicsSettings(tactile_pads="both")
+HALF_STEP = replace(SETTINGS, time_step_s=SETTINGS.time_step_s / 2)
+WITHIN_10_PERCENT = (0.85, 1.15)
+"""Brackets for bisection; 7 halvings of 0.3 leave 0.12 %."""
+
+
+def heaviest_held(
+    simulator: GraspSimulator,
+    friction: float,
+    settings: PhysicsSettings = SETTINGS,
+    *,
+    force_n: float = 10.0,
+    yaw_rad: float = 0.0,
+) -> float:
+    """The largest mass that is lifted, over 2μF/g."""
+    closed_form_kg = 2 * friction * force_n / GRAVITY_M_S2
+
+    def holds(ratio: float) -> bool:
+        obj = block(mass_kg=ratio * closed_form_kg, friction=friction, yaw_rad=yaw_rad)
+        trace = grasp(simulator, obj, force_n=force_n, yaw_rad=yaw_rad, settings=settings)
+        return trace.label == 1
+
+    return threshold(holds, *WITHIN_10_PERCENT, halvings=7)
+
+
+def farthest_held(
+    simulator: GraspSimulator,
+    *,
+    friction_share: float,
+    settings: PhysicsSettings = SETTINGS,
+    friction: float = 0.5,
+    force_n: float = 20.0,
+    spinning_friction_mm: float = 2.0,
+) -> float:
+    """The largest offset of the centre of mass that does not turn, over its closed form.
+
+    m g d = 2 s F √(1 − share²): two soft pads, each of which resists s per newton, the weight
+    taking up ``friction_share`` of their friction.
+    """
+    mass_kg = friction_share * 2 * friction * force_n / GRAVITY_M_S2
+    limit_n_mm = 2 * spinning_friction_mm * force_n * np.sqrt(1 - friction_share**2)
+    closed_form_mm = limit_n_mm / (mass_kg * GRAVITY_M_S2)
+
+    def holds(ratio: float) -> bool:
+        obj = block(
+            mass_kg=mass_kg,
+            friction=friction,
+            spinning_friction_mm=spinning_friction_mm,
+            center_of_mass_offset_mm=(0.0, ratio * closed_form_mm, 0.0),
+        )
+        trace = grasp(simulator, obj, force_n=force_n, settings=settings)
+        return trace.turn_rad < SETTINGS.success_turn_rad
+
+    return threshold(holds, *WITHIN_10_PERCENT, halvings=7)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
+def test_two_fingers_hold_what_coulomb_allows(simulator: GraspSimulator, friction: float) -> None:
+    assert heaviest_held(simulator, friction) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("force_n", [3.0, 35.0])
+def test_the_threshold_scales_with_force(simulator: GraspSimulator, force_n: float) -> None:
+    assert heaviest_held(simulator, 0.4, force_n=force_n) == pytest.approx(1.0, abs=0.03)
+
+
+def test_friction_is_the_same_in_every_direction(simulator: GraspSimulator) -> None:
+    # A friction pyramid would hold up to √2 more along its diagonals.
+    assert heaviest_held(simulator, 0.5, yaw_rad=0.7) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("friction", "force_n", "spinning_friction_mm", "friction_share"),
+    [
+        (0.5, 20.0, 2.0, 0.2),
+        (0.5, 20.0, 2.0, 0.5),
+        (0.5, 20.0, 2.0, 0.8),
+        (0.3, 30.0, 1.0, 0.3),
+        (0.8, 8.0, 3.2, 0.3),
+    ],
+)
+def test_an_off_centre_grasp_turns_where_the_soft_finger_gives_way(
+    simulator: GraspSimulator,
+    friction: float,
+    force_n: float,
+    spinning_friction_mm: float,
+    friction_share: float,
+) -> None:
+    ratio = farthest_held(
+        simulator,
+        friction=friction,
+        force_n=force_n,
+        spinning_friction_mm=spinning_friction_mm,
+        friction_share=friction_share,
+    )
+    assert ratio == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("pressure", ["uniform", "hertz", "paraboloid"])
+def test_the_ellipse_is_near_the_limit_surface_of_a_real_patch(pressure: str) -> None:
+    """Sums a sliding patch's friction for centres of rotation from its middle to far away."""
+    radius = (np.arange(400) + 0.5) / 400
+    angle = (np.arange(360) + 0.5) / 360 * 2 * np.pi
+    r, phi = np.meshgrid(radius, angle)
+    weight = {
+        "uniform": np.ones_like(r),
+        "hertz": np.sqrt(1 - r**2),
+        "paraboloid": 1 - r**2,
+    }[pressure] * r
+    weight /= weight.sum()
+    x, y = r * np.cos(phi), r * np.sin(phi)
+    largest_moment = (weight * r).sum()
+    for center in (0.05, 0.2, 0.5, 1.0, 3.0):
+        dx = x - center
+        distance = np.hypot(dx, y)
+        force = abs((weight * dx / distance).sum())
+        moment = (weight * (x * dx + y * y) / distance).sum() / largest_moment
+        assert np.hypot(force, moment) == pytest.approx(1.0, abs=0.08)
+        assert torsion_factor(force) == pytest.approx(np.sqrt(1 - force**2))
+
+
+@pytest.mark.parametrize("force_n", [2.0, 5.0, 12.0, 25.0, 40.0])
+def test_each_pad_presses_with_the_commanded_force(
+    simulator: GraspSimulator, force_n: float
+) -> None:
+    obj = block(mass_kg=0.1)
+    sequence = grasp(
+        simulator, obj, force_n=force_n, x_mm=2.0, frames=FrameRequest("sequence", 16, 3.0)
+    )
+    single = grasp(simulator, obj, force_n=force_n)
+    for pad in ("left", "right"):
+        held = [f.force_normal_n for f in sequence.frames[pad] if f.time_s > 0.5]
+        assert held == pytest.approx([force_n] * len(held), rel=0.02)
+        assert single.frames[pad][0].force_normal_n == pytest.approx(force_n, rel=0.02)
+
+
+def test_halving_the_time_step_moves_no_threshold(simulator: GraspSimulator) -> None:
+    for friction in (0.3, 0.7):
+        moved = heaviest_held(simulator, friction, HALF_STEP) - heaviest_held(simulator, friction)
+        assert abs(moved) < 0.02
+    moved = farthest_held(simulator, friction_share=0.4, settings=HALF_STEP) - farthest_held(
+        simulator, friction_share=0.4
+    )
+    assert abs(moved) < 0.02
+
+
+def test_energy_does_not_grow(simulator: GraspSimulator) -> None:
+    """A block that falls on its edge, bounces, tumbles and comes to rest."""
+    obj = block(mass_kg=0.3)
+    world = simulator.world
+    world.rebuild(SETTINGS)
+    body = ObjectBody(world, obj)
+    world.bullet.resetBasePositionAndOrientation(
+        body.body, (0.0, 0.0, 0.09), (0.3, 0.1, 0.0, 0.95), physicsClientId=world.client
+    )
+    moments = np.diag(obj.inertia_kg_mm2) / MM_PER_M**2
+
+    def energy_j() -> float:
+        position, quaternion = body.inertial_position()
+        linear, angular = body.velocity()
+        rotation = world.bullet.getMatrixFromQuaternion(quaternion)
+        in_body = np.array(rotation).reshape(3, 3).T @ angular
+        return float(
+            obj.mass_kg * (GRAVITY_M_S2 * position[2] + np.dot(linear, linear) / 2)
+            + in_body @ (moments * in_body) / 2
+        )
+
+    energies = [energy_j()]
+    for _ in range(1500):
+        world.step(1)
+        energies.append(energy_j())
+    weight_n = obj.mass_kg * GRAVITY_M_S2
+    # Pushing out the overlap of a step's fall does work: at most that overlap times the weight.
+    overlap_m = SETTINGS.time_step_s * np.sqrt(2 * GRAVITY_M_S2 * 0.1)
+    assert np.diff(energies).max() < weight_n * overlap_m
+    assert max(energies) <= energies[0] * (1 + 1e-3)
+    assert energies[-1] < 0.6 * energies[0]
+    assert np.ptp(energies[-100:]) < 1e-6
+
+
+def test_a_held_object_stays_where_it_is(simulator: GraspSimulator) -> None:
+    trace = grasp(
+        simulator,
+        block(mass_kg=0.7, center_of_mass_offset_mm=(0.0, 3.0, 10.0)),
+        force_n=12.0,
+        frames=FrameRequest("sequence", 5, 8.0),
+    )
+    assert trace.label == 1
+    late = trace.object_pose[-2:]
+    assert late[1, :3] == pytest.approx(late[0, :3], abs=0.01)
+    # 2μF = 12 N against 6.9 N of weight: friction holds it without creep.
+    assert trace.rise_mm == pytest.approx(180.0, abs=0.05)
+    assert trace.turn_rad < 1e-3
+
+
+def test_the_arm_and_the_floating_gripper_agree_but_for_the_border(
+    simulator: GraspSimulator, arm_simulator: GraspSimulator
+) -> None:
+    differing = compared = 0
+    for force_n in (3.0, 5.0, 8.0, 14.0):
+        for y_mm in (-12.0, 0.0, 6.0):
+            for z_mm in (35.0, 65.0):
+                obj = block(mass_kg=0.4, friction=0.4, spinning_friction_mm=2.0)
+                ours, theirs = (
+                    grasp(robot, obj, force_n=force_n, y_mm=y_mm, z_mm=z_mm)
+                    for robot in (simulator, arm_simulator)
+                )
+                assert ours.margin is not None
+                at_border = min(abs(ours.margin.translational), abs(ours.margin.rotational)) < 0.05
+                compared += not at_border
+                differing += ours.label != theirs.label and not at_border
+    assert compared >= 16
+    assert differing == 0
