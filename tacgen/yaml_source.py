@@ -232,7 +232,7 @@ def _annotations(model: Any) -> dict[str, Any]:
 
 
 def _model_within(annotation: Any) -> Any:
-    """The first model or dataclass inside a type such as ``Grid | None`` or ``tuple[Grid, ...]``."""
+    """The first model or dataclass inside a type such as ``Grid | None``."""
     if isinstance(annotation, type) and (
         issubclass(annotation, BaseModel) or dataclasses.is_dataclass(annotation)
     ):
