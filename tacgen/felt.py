@@ -20,6 +20,12 @@ from tacgen.optics.render import Renderer
 from tacgen.optics.table import LookupTable
 from tacgen.records import Mesh, Sensor
 
+USUAL_REACH_MM = 1.25
+"""Triangles this far beyond first touch are left out of the first look at a contact."""
+
+FIELD_POINTS = 1500
+"""Points of a contact patch that the markers' motion is worked out from."""
+
 _NOWHERE: Window = (0, 0, 0, 0)
 
 
@@ -201,7 +207,7 @@ class Pad:
         self, imprint: Imprint, *, rng: np.random.Generator | None = None
     ) -> NDArray[np.uint8]:
         """The sensor's picture (H, W, 3) of an imprint; ``rng`` draws the camera's noise."""
-        window, deformation = self._deformation(imprint)
+        deformation, window = self._deformation(imprint)
         markers_mm = None
         if self._markers_drawn:
             markers_mm = self._points_mm
@@ -234,7 +240,7 @@ class Pad:
     def height_map_mm(self, imprint: Imprint) -> NDArray[np.float32]:
         """The deformed gel surface (H, W), gel frame, that ``picture`` shows."""
         height = gel_map_mm(self.sensor).astype(np.float32)
-        (top, bottom, left, right), deformation = self._deformation(imprint)
+        deformation, (top, bottom, left, right) = self._deformation(imprint)
         height[top:bottom, left:right] -= deformation
         return height
 
@@ -247,15 +253,20 @@ class Pad:
         indentation_mm: float | None,
     ) -> Imprint:
         sensor = self.sensor
-        gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=sensor.gel_depth_mm)
         deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
         grain_mm3 = GAP_GRAIN_MM * sensor.pixel_area_mm2
-        delta = 0.0
-        if gap.touches and volume_mm3 is not None:
-            delta = solve_grains(gap.grains, volume_mm3 / grain_mm3, deepest)
-        elif gap.touches and indentation_mm is not None:
-            delta = min(max(0.0, indentation_mm / GAP_GRAIN_MM), deepest)
-        return self._imprint_at(gap, delta, saturated=delta >= deepest)
+        reach_mm = min(USUAL_REACH_MM, sensor.gel_depth_mm)
+        while True:
+            gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=reach_mm)
+            delta = 0.0
+            if gap.touches and volume_mm3 is not None:
+                delta = solve_grains(gap.grains, volume_mm3 / grain_mm3, deepest)
+            elif gap.touches and indentation_mm is not None:
+                delta = min(max(0.0, indentation_mm / GAP_GRAIN_MM), deepest)
+            # What lies beyond the reach could only have made the gel give less: δ is a bound.
+            if delta * GAP_GRAIN_MM <= reach_mm:
+                return self._imprint_at(gap, delta, saturated=delta >= deepest)
+            reach_mm = delta * GAP_GRAIN_MM
 
     def _imprint_at(self, gap: FeltGap, delta: float, *, saturated: bool) -> Imprint:
         if delta <= 0:
@@ -270,23 +281,23 @@ class Pad:
         return Imprint(delta * GAP_GRAIN_MM, volume_mm3, saturated, window, depth_mm)
 
     def _field(self, imprint: Imprint) -> MarkerField:
-        rows, columns = np.nonzero(imprint.depth_mm)
-        top, _, left, _ = imprint.window
-        patch_mm = np.stack([self._x_mm[columns + left], self._y_mm[rows + top]], axis=1)
+        top, bottom, left, right = imprint.window
+        # Enough points to tell the patch's shape and weight: the field is smooth.
+        every = max(1, int((imprint.depth_mm.size / FIELD_POINTS) ** 0.5))
+        depth_mm = imprint.depth_mm[every // 2 :: every, every // 2 :: every]
+        rows, columns = np.nonzero(depth_mm)
+        if rows.size == 0:
+            every, depth_mm = 1, imprint.depth_mm
+            rows, columns = np.nonzero(depth_mm)
+        x_mm = self._x_mm[left:right][every // 2 :: every][columns]
+        y_mm = self._y_mm[top:bottom][every // 2 :: every][rows]
         return MarkerField(
-            self._points_mm, patch_mm, imprint.depth_mm[rows, columns], self.sensor.pixel_area_mm2
+            self._points_mm,
+            np.stack([x_mm, y_mm], axis=1),
+            depth_mm[rows, columns],
+            self.sensor.pixel_area_mm2 * every**2,
         )
 
-    def _deformation(self, imprint: Imprint) -> tuple[Window, NDArray[np.float32]]:
-        """Deformation of the gel over the window that it changes in the picture."""
-        if imprint.indentation_mm <= 0:
-            return _NOWHERE, imprint.depth_mm
-        top, bottom, left, right = imprint.window
-        reach = self._renderer.reach_px(imprint.indentation_mm)
-        seen = (top - reach, bottom + reach, left - reach, right + reach)
-        window = self._deformer.window_around(seen, self.sensor.shape_px)
-        spread = np.zeros((window[1] - window[0], window[3] - window[2]), dtype=np.float32)
-        spread[top - window[0] : bottom - window[0], left - window[2] : right - window[2]] = (
-            imprint.depth_mm
-        )
-        return window, self._deformer.deform(spread)
+    def _deformation(self, imprint: Imprint) -> tuple[NDArray[np.float32], Window]:
+        """Deformation of the gel, and the window that it fills."""
+        return self._deformer.deform(imprint.depth_mm, imprint.window, self.sensor.shape_px)

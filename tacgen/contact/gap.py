@@ -23,7 +23,7 @@ exact in float32, so the felt shape keeps its last bit wherever along z the obje
 NO_OBJECT = 2**30
 """In place of a number of grains where there is no object (or one over half a metre away)."""
 
-TOUCH_SLACK_MM = 1.0
+TOUCH_SLACK_MM = 0.25
 """How much further than its nearest corner the nearest pixel of an object may be before the
 search for far triangles that cannot touch has to be repeated without a limit."""
 

@@ -23,8 +23,6 @@ Chosen so that a marker beside a 1 mm deep ball press moves by about 0.1 mm, as 
 DEFAULT_PITCH_MM = 2.0
 """Spacing of the points at which the motion of a gel without markers is summed."""
 
-_MAX_PATCH_POINTS = 1500
-
 
 @dataclass(frozen=True, slots=True)
 class Motion:
@@ -89,10 +87,11 @@ class MarkerField:
     points_mm : (n, 2)
         The points at rest.
     patch_mm : (k, 2)
-        Pixels of the contact patch, gel frame.
+        Points spread evenly over the contact patch, gel frame.
     depth_mm : (k,)
         Their indentation.
-    pixel_area_mm2 : float
+    area_mm2 : float
+        The area that each of them stands for.
     """
 
     def __init__(
@@ -100,11 +99,9 @@ class MarkerField:
         points_mm: NDArray[np.float64],
         patch_mm: NDArray[np.floating],
         depth_mm: NDArray[np.floating],
-        pixel_area_mm2: float,
+        area_mm2: float,
     ) -> None:
-        every = max(1, len(patch_mm) // _MAX_PATCH_POINTS)
         self._points_mm = points_mm
-        patch_mm, depth_mm = patch_mm[::every], depth_mm[::every]
         self.center_mm = np.average(patch_mm, axis=0, weights=np.maximum(depth_mm, 1e-12))
         self._stick = np.empty(len(points_mm))
         self._dilation = np.empty(points_mm.shape)
@@ -112,7 +109,7 @@ class MarkerField:
             np.ascontiguousarray(points_mm),
             np.ascontiguousarray(patch_mm),
             np.ascontiguousarray(depth_mm, dtype=np.float64),
-            pixel_area_mm2 * every,
+            area_mm2,
             SHEAR_DECAY_PER_MM2,
             DILATION_DECAY_PER_MM2,
             self._stick,

@@ -24,24 +24,36 @@ FIRM_CONTACT = 0.4
 """Pixels indented by more than this share of the deepest one keep the object's shape through the
 pyramid; the rim of the contact bends with the gel around it. Source: Taxim's ``contact_scale``."""
 
+NEGLIGIBLE_MM = 1e-5
+"""Deformation below this is none: it changes no slope by more than 2e-4 at 0.03 mm/px."""
+
 _REACH_SIGMAS = 3.0
 
 
+def grown(window: Window, margin_px: int, shape_px: tuple[int, int]) -> Window:
+    """The window with a margin on each side, as far as the image goes."""
+    top, bottom, left, right = window
+    return (
+        max(0, top - margin_px),
+        min(shape_px[0], bottom + margin_px),
+        max(0, left - margin_px),
+        min(shape_px[1], right + margin_px),
+    )
+
+
 @njit(cache=True, nogil=True)
-def _blur_rows(source: NDArray, kernel: NDArray, line: NDArray, target: NDArray) -> None:
-    """Convolve along rows; what lies beyond an edge equals the edge."""
-    radius = kernel.shape[0] - 1
-    height, width = source.shape
-    for r in range(height):
-        row, out = source[r], target[r]
-        first, last = row[0], row[width - 1]
-        for k in range(radius):
-            line[k] = first
-            line[width + radius + k] = last
+def _blur_rows(source: NDArray, window: Window, kernel: NDArray, target: NDArray) -> None:
+    """Convolve along rows within the window; what lies beyond its edge equals the edge."""
+    top, bottom, left, right = window
+    radius, width = kernel.shape[0] - 1, right - left
+    line = np.empty(width + 2 * radius, np.float32)
+    for r in range(top, bottom):
+        row, out = source[r, left:right], target[r, left:right]
+        line[:radius] = row[0]
+        line[radius : radius + width] = row
+        line[radius + width :] = row[width - 1]
         for k in range(width):
-            line[radius + k] = row[k]
-        for k in range(width):
-            out[k] = kernel[0] * line[radius + k]
+            out[k] = kernel[0] * row[k]
         for j in range(1, radius + 1):
             weight = kernel[j]
             before, after = line[radius - j :], line[radius + j :]
@@ -50,28 +62,55 @@ def _blur_rows(source: NDArray, kernel: NDArray, line: NDArray, target: NDArray)
 
 
 @njit(cache=True, nogil=True)
-def _blur_columns(source: NDArray, kernel: NDArray, target: NDArray) -> None:
-    """Convolve along columns; what lies beyond an edge equals the edge."""
+def _blur_columns(source: NDArray, window: Window, kernel: NDArray, target: NDArray) -> None:
+    """Convolve along columns within the window; what lies beyond its edge equals the edge."""
+    top, bottom, left, right = window
     radius = kernel.shape[0] - 1
-    height, width = source.shape
-    for r in range(height):
-        row, out = source[r], target[r]
-        for k in range(width):
+    for r in range(top, bottom):
+        row, out = source[r, left:right], target[r, left:right]
+        for k in range(right - left):
             out[k] = kernel[0] * row[k]
         for j in range(1, radius + 1):
             weight = kernel[j]
-            above, below = source[max(r - j, 0)], source[min(r + j, height - 1)]
-            for k in range(width):
+            above = source[max(r - j, top), left:right]
+            below = source[min(r + j, bottom - 1), left:right]
+            for k in range(right - left):
                 out[k] += weight * (above[k] + below[k])
 
 
 @njit(cache=True, nogil=True)
-def _keep_contact(depth: NDArray, firm_mm: float, surface: NDArray) -> None:
+def _keep_contact(depth: NDArray, window: Window, firm_mm: float, surface: NDArray) -> None:
+    top, bottom, left, right = window
     firm = np.float32(firm_mm)
-    for r in range(depth.shape[0]):
-        row, out = depth[r], surface[r]
-        for k in range(row.shape[0]):
+    for r in range(top, bottom):
+        row, out = depth[r, left:right], surface[r, left:right]
+        for k in range(right - left):
             out[k] = row[k] if row[k] > firm else out[k]
+
+
+@njit(cache=True, nogil=True)
+def _clear_negligible(surface: NDArray, least_mm: float) -> tuple[int, int, int, int]:
+    """Set what is below ``least_mm`` to 0; returns the rectangle of the rest, empty if none."""
+    height, width = surface.shape
+    least = np.float32(least_mm)
+    top, bottom = height, 0
+    deepest = np.zeros(width, np.float32)
+    for r in range(height):
+        row = surface[r]
+        row_deepest = np.float32(0)
+        for k in range(width):
+            value = row[k] if row[k] >= least else np.float32(0)
+            row[k] = value
+            deepest[k] = max(deepest[k], value)
+        for k in range(width):
+            row_deepest = max(row_deepest, row[k])
+        if row_deepest > 0:
+            top, bottom = min(top, r), r + 1
+    left, right = width, 0
+    for k in range(width):
+        if deepest[k] > 0:
+            left, right = min(left, k), k + 1
+    return top, bottom, left, right
 
 
 def half_kernel(sigma_px: float) -> NDArray[np.float32]:
@@ -81,29 +120,12 @@ def half_kernel(sigma_px: float) -> NDArray[np.float32]:
     return (weights / (2 * weights.sum() - weights[0])).astype(np.float32)
 
 
-class Smoother:
-    """Gaussian smoothing of maps of one scale, in numba: the same bits on every machine."""
-
-    def __init__(self, mm_per_px: float, sigmas_mm: tuple[float, ...]) -> None:
-        self._kernels = [half_kernel(sigma / mm_per_px) for sigma in sigmas_mm]
-        self._widest = max((len(kernel) for kernel in self._kernels), default=1)
-
-    @property
-    def reach_px(self) -> int:
-        """How far anything spreads, px."""
-        return sum(len(kernel) - 1 for kernel in self._kernels)
-
-    def apply(
-        self, surface: NDArray[np.float32], depth: NDArray[np.float32], firm_mm: float
-    ) -> None:
-        """Smooth ``surface`` in place by each width, keeping ``depth`` where it is above firm."""
-        scratch = np.empty_like(surface)
-        line = np.empty(surface.shape[1] + 2 * self._widest, dtype=np.float32)
-        for kernel in self._kernels:
-            _blur_rows(surface, kernel, line, scratch)
-            _blur_columns(scratch, kernel, surface)
-            if firm_mm < np.inf:
-                _keep_contact(depth, firm_mm, surface)
+def smooth(
+    surface: NDArray[np.float32], window: Window, kernel: NDArray[np.float32], scratch: NDArray
+) -> None:
+    """Blur ``surface`` in place within the window, whose surroundings it takes for its edge."""
+    _blur_rows(surface, window, kernel, scratch)
+    _blur_columns(scratch, window, kernel, surface)
 
 
 class Deformer:
@@ -124,45 +146,75 @@ class Deformer:
         final_sigma_mm: float = FINAL_SIGMA_MM,
         firm_contact: float = FIRM_CONTACT,
     ) -> None:
-        self._pyramid = Smoother(mm_per_px, pyramid_sigma_mm)
-        self._final = Smoother(mm_per_px, (final_sigma_mm,))
+        self._pyramid = [half_kernel(sigma / mm_per_px) for sigma in pyramid_sigma_mm]
+        self._final = half_kernel(final_sigma_mm / mm_per_px)
         self._firm_contact = firm_contact
 
     @property
     def reach_px(self) -> int:
-        """Pixels around a contact that it deforms."""
-        return self._pyramid.reach_px + self._final.reach_px
+        """Pixels around a contact that it can deform."""
+        return sum(len(kernel) - 1 for kernel in (*self._pyramid, self._final))
 
-    def window_around(self, contact: Window, shape_px: tuple[int, int]) -> Window:
-        """The window that holds a contact and all that it deforms, within the image.
-
-        One more pixel on each side stays at rest, so that cutting the window out changes nothing.
-        """
-        top, bottom, left, right = contact
-        margin = self.reach_px + 1
-        return (
-            max(0, top - margin),
-            min(shape_px[0], bottom + margin),
-            max(0, left - margin),
-            min(shape_px[1], right + margin),
-        )
-
-    def deform(self, depth_mm: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Deformation (h, w), mm, into the gel, of an indentation (h, w).
+    def deform(
+        self, depth_mm: NDArray[np.float32], contact: Window, shape_px: tuple[int, int]
+    ) -> tuple[NDArray[np.float32], Window]:
+        """The deformation of the gel around one contact patch.
 
         The gel takes the object's shape where they are in firm contact and falls off smoothly
-        around it.
+        around it. Only what the contact can reach is computed, which changes nothing.
+
+        Parameters
+        ----------
+        depth_mm : (h, w) float32
+            Indentation over the window ``contact``; 0 outside it.
+        contact : tuple of int
+            Where in the image, half-open: top, bottom, left, right.
+        shape_px : tuple of int
+            The image's size; beyond its edges the deformation goes on as at the edge.
+
+        Returns
+        -------
+        deformation_mm : (h', w') float32
+            Into the gel, mm; 0 where it would be below 10 nm.
+        window : tuple of int
+            Where in the image; the gel is at rest outside it. Empty where nothing is deformed.
 
         Source
         ------
         Si & Yuan 2022, Taxim, §III-C.
         """
-        surface = depth_mm.copy()
-        self._pyramid.apply(surface, depth_mm, self._firm_contact * float(depth_mm.max()))
-        self._final.apply(surface, depth_mm, np.inf)
-        return surface
+        frame = grown(contact, self.reach_px + 1, shape_px)
+        depth = np.zeros((frame[1] - frame[0], frame[3] - frame[2]), dtype=np.float32)
+        patch = (
+            contact[0] - frame[0],
+            contact[1] - frame[0],
+            contact[2] - frame[2],
+            contact[3] - frame[2],
+        )
+        depth[patch[0] : patch[1], patch[2] : patch[3]] = depth_mm
+        surface, scratch = depth.copy(), np.empty_like(depth)
+        firm_mm = self._firm_contact * float(depth_mm.max(initial=0.0))
+        reach = 1
+        for kernel in (*self._pyramid, self._final):
+            # One pixel beyond what is deformed, so that the edge is at rest.
+            reach += len(kernel) - 1
+            changed = grown(patch, reach, depth.shape)
+            smooth(surface, changed, kernel, scratch)
+            if kernel is not self._final:
+                _keep_contact(depth, changed, firm_mm, surface)
+        top, bottom, left, right = _clear_negligible(surface, NEGLIGIBLE_MM)
+        if top >= bottom:
+            return np.zeros((0, 0), dtype=np.float32), (0, 0, 0, 0)
+        row, column = frame[0], frame[2]
+        window = (row + top, row + bottom, column + left, column + right)
+        return surface[top:bottom, left:right], window
 
 
 def deform(depth_map_mm: NDArray[np.floating], mm_per_px: float) -> NDArray[np.float32]:
     """Deformation of the gel (H, W), mm, into the gel, around an indentation (H, W)."""
-    return Deformer(mm_per_px).deform(np.ascontiguousarray(depth_map_mm, dtype=np.float32))
+    depth = np.ascontiguousarray(depth_map_mm, dtype=np.float32)
+    whole = (0, depth.shape[0], 0, depth.shape[1])
+    part, (top, bottom, left, right) = Deformer(mm_per_px).deform(depth, whole, depth.shape)
+    deformation = np.zeros(depth.shape, dtype=np.float32)
+    deformation[top:bottom, left:right] = part
+    return deformation

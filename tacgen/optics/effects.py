@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.errors import TableError
-from tacgen.optics.deform import Smoother
+from tacgen.optics.deform import half_kernel, smooth
 
 Image = NDArray[np.float32]
 
@@ -66,12 +66,13 @@ def blur(height_mm: Image, patch: Patch, *, sigma_mm: float) -> Image:
 
     Beyond the edges the surface goes on with its slope there.
     """
-    smoother = Smoother(patch.mm_per_px, (sigma_mm,))
-    reach = min(smoother.reach_px, min(height_mm.shape) - 1)
+    kernel = half_kernel(sigma_mm / patch.mm_per_px)
+    reach = min(len(kernel) - 1, min(height_mm.shape) - 1)
     if reach < 1:
         return height_mm.copy()
     padded = np.pad(height_mm, reach, mode="reflect", reflect_type="odd").astype(np.float32)
-    smoother.apply(padded, padded, np.inf)
+    whole = (0, padded.shape[0], 0, padded.shape[1])
+    smooth(padded, whole, kernel, np.empty_like(padded))
     return np.ascontiguousarray(padded[reach:-reach, reach:-reach])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.errors import TableError
-from tacgen.optics.deform import Window
+from tacgen.optics.deform import Window, grown
 from tacgen.optics.effects import EFFECTS, Patch, check_effects
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
@@ -16,8 +16,8 @@ from tacgen.optics.shade import packed_nodes, quantize, shade_window
 from tacgen.optics.shadow import (
     DEFAULT_STRENGTH,
     Leds,
+    cast_shadows,
     leds_of_table,
-    shadow_gain,
     shadow_reach_mm,
 )
 from tacgen.optics.table import LookupTable
@@ -67,22 +67,32 @@ class Shader:
             if effect.stage == stage and name in self.table.effects
         ]
 
-    def reach_px(self, depth_mm: float) -> int:
-        """How far from a deformation of this depth it can change the picture, beside its slope."""
-        reach_mm = shadow_reach_mm(depth_mm, self._leds) if self._leds else 0.0
-        reach_mm += sum(4 * parameters.get("sigma_mm", 0.0) for _, parameters in self._surface)
-        return math.ceil(reach_mm / self.table.mm_per_px) + 1 if reach_mm > 0 else 0
+    @property
+    def slope_reach_px(self) -> int:
+        """How far from a deformation it changes slopes."""
+        return 1 + sum(self._margin_px(parameters) for _, parameters in self._surface)
 
-    def shade(
+    def shadow_reach_px(self, depth_mm: float) -> int:
+        """How far from a deformation of this depth its shadows can fall."""
+        if not self._leds:
+            return 0
+        return math.ceil(shadow_reach_mm(depth_mm, self._leds) / self.table.mm_per_px) + 1
+
+    def _margin_px(self, parameters: dict[str, float]) -> int:
+        return math.ceil(4 * parameters.get("sigma_mm", 0.0) / self.table.mm_per_px) + 2
+
+    @property
+    def finishes(self) -> bool:
+        """Whether ``finish`` does anything."""
+        return bool(self._leds or self._image)
+
+    def light(
         self, height_map_mm: NDArray[np.float32], window: Window, image: NDArray[np.float32]
     ) -> None:
-        """Write the grey levels of ``window`` into ``image`` (H, W, 3).
+        """Look the grey levels of ``window`` up, into ``image`` (H, W, 3).
 
         ``height_map_mm`` (H, W) is the whole deformed surface, C-contiguous.
         """
-        top, bottom, left, right = window
-        if top >= bottom or left >= right:
-            return
         for name, parameters in self._surface:
             height_map_mm = self._on_surface(name, parameters, height_map_mm, window)
         shade_window(
@@ -95,10 +105,20 @@ class Shader:
             self._background,
             image,
         )
+
+    def finish(
+        self, height_map_mm: NDArray[np.float32], window: Window, image: NDArray[np.float32]
+    ) -> None:
+        """Cast the shadows and apply the image's effects to ``window`` of a lit ``image``."""
+        top, bottom, left, right = window
         if self._leds:
             relief = np.ascontiguousarray(height_map_mm[top:bottom, left:right])
-            image[top:bottom, left:right] *= shadow_gain(
-                relief, self.table.mm_per_px, self._leds, self._shadow_strength
+            cast_shadows(
+                relief,
+                self.table.mm_per_px,
+                self._leds,
+                self._shadow_strength,
+                image[top:bottom, left:right],
             )
         for name, parameters in self._image:
             patch = self._patch(window)
@@ -123,15 +143,13 @@ class Shader:
         window: Window,
     ) -> NDArray[np.float32]:
         """The surface after an effect, right within ``window`` and a pixel around it."""
-        margin = math.ceil(4 * parameters.get("sigma_mm", 0.0) / self.table.mm_per_px) + 2
-        n_rows, n_columns = height_map_mm.shape
-        top, bottom, left, right = window
-        top, bottom = max(0, top - margin), min(n_rows, bottom + margin)
-        left, right = max(0, left - margin), min(n_columns, right + margin)
+        margin = self._margin_px(parameters)
+        around = grown(window, margin, height_map_mm.shape)
+        top, bottom, left, right = around
         cut = np.ascontiguousarray(height_map_mm[top:bottom, left:right])
         changed = height_map_mm.copy()
         changed[top:bottom, left:right] = EFFECTS[name].apply(
-            cut, self._patch((top, bottom, left, right)), **parameters
+            cut, self._patch(around), **parameters
         )
         return changed
 
@@ -188,7 +206,9 @@ def render_rgb(
     check_height_map(height, table)
     image = np.empty((*table.shape_px, 3), dtype=np.float32)
     whole = (0, table.shape_px[0], 0, table.shape_px[1])
-    Shader(table, shadows=shadows, leds=leds).shade(height, whole, image)
+    shader = Shader(table, shadows=shadows, leds=leds)
+    shader.light(height, whole, image)
+    shader.finish(height, whole, image)
     if rng is not None:
         CameraNoise(table.noise_grey).add(image, rng)
     rgb = np.empty(image.shape, dtype=np.uint8)
@@ -247,16 +267,14 @@ class Renderer:
         self._noise = CameraNoise(table.noise_grey)
         self._marker_radius_mm = marker_radius_mm
         self._whole = (0, table.shape_px[0], 0, table.shape_px[1])
-        self._rest_image = np.empty((*table.shape_px, 3), dtype=np.float32)
-        self._shader.shade(self._rest_mm, self._whole, self._rest_image)
+        self._rest_lit = np.empty((*table.shape_px, 3), dtype=np.float32)
+        self._shader.light(self._rest_mm, self._whole, self._rest_lit)
+        self._rest_image = self._rest_lit.copy()
+        self._shader.finish(self._rest_mm, self._whole, self._rest_image)
         self._rest_rgb = np.empty(self._rest_image.shape, dtype=np.uint8)
         quantize(self._rest_image, self._whole, self._rest_rgb)
         self._height_mm = self._rest_mm.copy()
         self._image = self._rest_image.copy()
-
-    def reach_px(self, depth_mm: float) -> int:
-        """How far beyond a deformation of this depth the window of ``render`` has to go."""
-        return self._shader.reach_px(depth_mm)
 
     def render(
         self,
@@ -271,8 +289,7 @@ class Renderer:
         Parameters
         ----------
         deformation_mm : (h, w) float32
-            Into the gel, over the window; the gel is at rest on its border (but where that is the
-            image's own) and outside it.
+            Into the gel, over the window; the gel is at rest outside it.
         window : tuple of int
             Top, bottom, left, right; may be empty.
         markers_mm : (n, 2) float64, optional
@@ -280,24 +297,40 @@ class Renderer:
         rng : Generator, optional
             Draws the camera's noise.
         """
+        seen = self._deformed(deformation_mm, window) if deformation_mm.size else window
+        marked = self._marker_radius_mm > 0 and markers_mm is not None
+        if marked and markers_mm is not None:
+            draw_markers(
+                self._image, markers_mm, self._marker_radius_mm, self._shader.table.mm_per_px
+            )
+        if rng is not None:
+            self._noise.add(self._image, rng)
+        changed = self._whole if marked or rng is not None else seen
+        top, bottom, left, right = changed
+        if changed == self._whole:
+            rgb = np.empty(self._image.shape, dtype=np.uint8)
+        else:
+            rgb = self._rest_rgb.copy()
+        quantize(self._image, changed, rgb)
+        self._image[top:bottom, left:right] = self._rest_image[top:bottom, left:right]
+        return rgb
+
+    def _deformed(self, deformation_mm: NDArray[np.float32], window: Window) -> Window:
+        """Put the deformed gel's grey levels into the image; returns the window they fill."""
+        shader, shape_px = self._shader, self._rest_mm.shape
         top, bottom, left, right = window
         rest, height = (
             self._rest_mm[top:bottom, left:right],
             self._height_mm[top:bottom, left:right],
         )
         np.subtract(rest, deformation_mm, out=height)
-        self._shader.shade(self._height_mm, window, self._image)
+        lit = grown(window, shader.slope_reach_px, shape_px)
+        seen = lit
+        if shader.finishes:
+            seen = grown(lit, shader.shadow_reach_px(float(deformation_mm.max())), shape_px)
+            area = np.s_[seen[0] : seen[1], seen[2] : seen[3]]
+            self._image[area] = self._rest_lit[area]
+        shader.light(self._height_mm, lit, self._image)
+        shader.finish(self._height_mm, seen, self._image)
         height[...] = rest
-        drawn = self._marker_radius_mm > 0 and markers_mm is not None
-        changed = self._whole if drawn or rng is not None else window
-        if drawn and markers_mm is not None:
-            draw_markers(
-                self._image, markers_mm, self._marker_radius_mm, self._shader.table.mm_per_px
-            )
-        if rng is not None:
-            self._noise.add(self._image, rng)
-        rgb = self._rest_rgb.copy()
-        quantize(self._image, changed, rgb)
-        top, bottom, left, right = changed
-        self._image[top:bottom, left:right] = self._rest_image[top:bottom, left:right]
-        return rgb
+        return seen

@@ -78,6 +78,6 @@ def with_reference(
     )
     at_rest = np.empty((*rest_map_mm.shape, 3), dtype=np.float32)
     whole = (0, rest_map_mm.shape[0], 0, rest_map_mm.shape[1])
-    Shader(bare).shade(np.ascontiguousarray(rest_map_mm, dtype=np.float32), whole, at_rest)
+    Shader(bare).light(np.ascontiguousarray(rest_map_mm, dtype=np.float32), whole, at_rest)
     background = np.round((np.asarray(reference) - at_rest) * 16) / 16
     return replace(table, background=background.astype(np.float32))

@@ -11,13 +11,20 @@ from numpy.typing import NDArray
 from tacgen.optics.deform import Window
 from tacgen.optics.table import N_FEATURES, LookupTable
 
-_NODE = 3 * N_FEATURES
+_LANES = 4
+_NODE = _LANES * N_FEATURES
 
 
 def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
-    """The coefficients (n_slope, n_direction + 1, 18), the first direction repeated at the end."""
-    nodes = table.coefficients.reshape(*table.coefficients.shape[:2], _NODE)
-    return np.ascontiguousarray(np.concatenate([nodes, nodes[:, :1]], axis=1), dtype=np.float32)
+    """The coefficients (n_slope, n_direction + 1, 24), the first direction repeated at the end.
+
+    A node holds R, G, B and a zero for each feature in turn: whole vectors of the processor.
+    """
+    n_slope, n_direction = table.coefficients.shape[:2]
+    nodes = np.zeros((n_slope, n_direction + 1, N_FEATURES, _LANES), dtype=np.float32)
+    nodes[:, :-1, :, :3] = table.coefficients.transpose(0, 1, 3, 2)
+    nodes[:, -1] = nodes[:, 0]
+    return nodes.reshape(n_slope, n_direction + 1, _NODE)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -106,16 +113,15 @@ def shade_window(
     ----------
     height_mm : (H, W) float32
         The deformed gel surface, gel frame.
-    nodes : (n_slope, n_direction + 1, 18) float32
+    nodes : (n_slope, n_direction + 1, 24) float32
         See ``packed_nodes``.
     """
     n_rows, n_columns = height_mm.shape
     top, bottom, left, right = window
     n_slope, n_direction = nodes.shape[0], nodes.shape[1] - 1
-    flat = nodes.reshape(-1)
-    row_length = nodes.shape[1] * nodes.shape[2]
     slope, direction = np.empty(right - left, np.float32), np.empty(right - left, np.float32)
-    blend = np.empty(18, np.float32)
+    last_slope = n_slope - 2 if interpolate else n_slope - 1
+    blend = np.empty(_NODE, np.float32)
     one, half = np.float32(1), np.float32(0.5)
     for r in range(top, bottom):
         _slope_coordinates(
@@ -133,32 +139,27 @@ def shade_window(
         image_row, background_row = image[r, left:right], background[r, left:right]
         for k in range(slope.shape[0]):
             u = (np.float32(left + k) + half) / np.float32(n_columns) - half
-            i = min(np.int64(slope[k]), n_slope - 1)
+            i = min(np.int64(slope[k]), last_slope)
             j = min(np.int64(direction[k]), n_direction - 1)
-            node = flat[i * row_length + j * 18 :]
             if interpolate:
-                i = min(i, n_slope - 2)
                 p = min(slope[k] - np.float32(i), one)
                 q = min(direction[k] - np.float32(j), one)
-                node = flat[i * row_length + j * 18 :]
-                next_slope = flat[(i + 1) * row_length + j * 18 :]
                 w11 = p * q
                 w10, w01 = p - w11, q - w11
                 w00 = one - p - w01
-                for m in range(18):
-                    blend[m] = (w00 * node[m] + w01 * node[18 + m]) + (
-                        w10 * next_slope[m] + w11 * next_slope[18 + m]
-                    )
+                n00, n01 = nodes[i, j], nodes[i, j + 1]
+                n10, n11 = nodes[i + 1, j], nodes[i + 1, j + 1]
+                for m in range(_NODE):
+                    blend[m] = (w00 * n00[m] + w01 * n01[m]) + (w10 * n10[m] + w11 * n11[m])
             else:
-                for m in range(18):
-                    blend[m] = node[m]
+                n00 = nodes[i, j]
+                for m in range(_NODE):
+                    blend[m] = n00[m]
             uu, vv, uv = u * u, v * v, u * v
             for channel in range(3):
-                m = 6 * channel
-                image_row[k, channel] = background_row[k, channel] + (
-                    (blend[m] * uu + blend[m + 1] * vv + blend[m + 2] * uv)
-                    + (blend[m + 3] * u + blend[m + 4] * v + blend[m + 5])
-                )
+                polynomial = blend[channel] * uu + blend[channel + 4] * vv + blend[channel + 8] * uv
+                linear = blend[channel + 12] * u + blend[channel + 16] * v + blend[channel + 20]
+                image_row[k, channel] = background_row[k, channel] + (polynomial + linear)
 
 
 @njit(cache=True, nogil=True)

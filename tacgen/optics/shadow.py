@@ -95,19 +95,31 @@ def shadow_reach_mm(depth_mm: float, leds: Leds) -> float:
     return depth_mm / max(min(slopes, default=1.0), 1e-3)
 
 
-def shadow_gain(
-    height_mm: NDArray[np.float32], mm_per_px: float, leds: Leds, strength: float
-) -> NDArray[np.float32]:
-    """What is left of each channel (h, w, 3): 1 in the open, 1 − strength in full shadow."""
+@njit(cache=True, nogil=True)
+def _darken(shade: NDArray, share: NDArray, image: NDArray) -> None:
+    for r in range(image.shape[0]):
+        for k in range(image.shape[1]):
+            hidden = shade[r, k]
+            if hidden > 0:
+                for channel in range(3):
+                    image[r, k, channel] *= np.float32(1) - share[channel] * hidden
+
+
+def cast_shadows(
+    height_mm: NDArray[np.float32],
+    mm_per_px: float,
+    leds: Leds,
+    strength: float,
+    image: NDArray[np.float32],
+) -> None:
+    """Darken ``image`` (h, w, 3) in place where the relief (h, w) hides lights.
+
+    A light that is hidden whole takes ``strength`` of its share in each channel away.
+    """
     total = np.maximum(np.sum([rgb for _, rgb in leds], axis=0), 1e-9)
-    gain = np.ones((*height_mm.shape, 3), dtype=np.float32)
     for direction, rgb in leds:
-        shade = cast_shadow(height_mm, mm_per_px, direction)
-        for channel in range(3):
-            share = np.float32(strength * rgb[channel] / total[channel])
-            if share > 0:
-                gain[..., channel] -= share * shade
-    return gain
+        share = (strength * np.asarray(rgb) / total).astype(np.float32)
+        _darken(cast_shadow(height_mm, mm_per_px, direction), share, image)
 
 
 def leds_of_table(table: LookupTable, elevation_rad: float = DEFAULT_ELEVATION_RAD) -> Leds:
