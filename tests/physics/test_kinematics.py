@@ -1,0 +1,110 @@
+"""Frames and the arm's kinematics, against published figures and PyBullet's own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tacgen.physics import GraspSimulator, PhysicsSettings, frames, ur5e
+from tacgen.physics.arm import BASE_POSITION_M, ArmWithGripper
+from tacgen.physics.motion import trapezoid
+from tacgen.physics.robot import GripperTarget
+
+
+def test_quaternions_and_rotations_agree_with_scipy() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        quaternion = rng.normal(size=4)
+        quaternion *= np.sign(quaternion[3]) / np.linalg.norm(quaternion)
+        rotation = Rotation.from_quat(quaternion).as_matrix()
+        assert frames.rotation_from_quaternion(quaternion.tolist()) == pytest.approx(
+            rotation, abs=1e-12
+        )
+        assert frames.quaternion_from_rotation(rotation) == pytest.approx(quaternion, abs=1e-12)
+        assert frames.turn_rad(rotation) == pytest.approx(
+            Rotation.from_matrix(rotation).magnitude(), abs=1e-12
+        )
+
+
+def test_half_turns_have_a_quaternion() -> None:
+    for axis in range(3):
+        rotation = -np.eye(3)
+        rotation[axis, axis] = 1.0
+        quaternion = frames.quaternion_from_rotation(rotation)
+        assert abs(quaternion[axis]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("pad", ["left", "right"])
+def test_gel_axes_are_right_handed_and_rows_run_down(pad: str) -> None:
+    axes = frames.GEL_AXES_IN_GRIPPER[pad]
+    assert np.cross(axes[:, 0], axes[:, 1]) == pytest.approx(axes[:, 2])
+    assert axes[:, 1] == pytest.approx([0, 0, -1])
+    # z looks from the pad to the gripper's centre.
+    assert axes[0, 2] == -frames.PAD_SIDE[pad]
+
+
+def test_the_arm_at_zero_is_stretched_along_minus_x() -> None:
+    # UR5e data: reach a2 + a3 = 0.8172 m, wrist offsets d4 + d6 = 0.2329 m, d1 − d5 = 0.0628 m.
+    flange = ur5e.forward(np.zeros(6))
+    assert flange[:3, 3] == pytest.approx([-0.8172, -0.2329, 0.0628], abs=1e-12)
+
+
+def test_inverse_kinematics_returns_to_where_it_came_from() -> None:
+    rng = np.random.default_rng(3)
+    found = 0
+    for _ in range(40):
+        joints = np.array([0.3, -1.6, -1.9, -1.1, 1.57, -1.3]) + rng.uniform(-0.4, 0.4, 6)
+        target = ur5e.forward(joints)
+        solved = ur5e.inverse_kinematics(target, joints + rng.uniform(-0.3, 0.3, 6))
+        if solved is not None:
+            found += 1
+            assert ur5e.forward(solved) == pytest.approx(target, abs=2e-7)
+    assert found == 40
+
+
+def test_what_is_out_of_reach_has_no_joint_angles() -> None:
+    target = np.eye(4)
+    target[:3, 3] = (1.2, 0.0, 0.2)
+    assert ur5e.inverse_kinematics(target, np.full(6, 0.1)) is None
+
+
+def test_the_body_in_pybullet_is_the_published_arm() -> None:
+    with GraspSimulator("ur5e_wsg50") as simulator:
+        world = simulator.world
+        world.rebuild(PhysicsSettings())
+        arm = ArmWithGripper()
+        arm.build(world, PhysicsSettings())
+        target = GripperTarget(0.03, -0.05, 0.12, 0.4)
+        assert arm.place(target) == ""
+        position, quaternion = arm.gripper_position()
+        assert position == pytest.approx([0.03, -0.05, 0.12], abs=1e-6)
+        expected = frames.rotation_about_z(0.4)
+        assert frames.rotation_from_quaternion(quaternion) == pytest.approx(expected, abs=1e-6)
+        joints = [
+            world.bullet.getJointState(arm.body, joint, physicsClientId=world.client)[0]
+            for joint in range(6)
+        ]
+        for joint in range(6):
+            state = world.bullet.getLinkState(arm.body, joint, physicsClientId=world.client)
+            frame = np.eye(4)
+            for before in range(joint + 1):
+                turn = frames.pose(frames.rotation_about_z(joints[before]), (0, 0, 0))
+                frame = frame @ turn @ ur5e.link_transform(before)
+            center = frame @ [*ur5e.LINK_CENTER_OF_MASS_M[joint], 1.0]
+            assert state[0] == pytest.approx(center[:3] + BASE_POSITION_M, abs=1e-5)
+            mass = world.bullet.getDynamicsInfo(arm.body, joint, physicsClientId=world.client)[0]
+            assert mass == pytest.approx(ur5e.LINK_MASS_KG[joint])
+
+
+@pytest.mark.parametrize("distance", [0.18, 0.05])
+def test_the_lift_rises_rests_and_never_jerks(distance: float) -> None:
+    step_s = 1 / 480
+    positions, speeds = trapezoid(distance, 0.12, 0.12, step_s)
+    assert positions[-1] == pytest.approx(distance, abs=1e-12)
+    assert np.cumsum(speeds) * step_s == pytest.approx(positions)
+    assert speeds.max() <= 0.12 + 1e-9
+    accelerations = np.diff(np.concatenate([[0.0], speeds, [0.0]])) / step_s
+    assert np.abs(accelerations).max() <= 0.12 * (1 + 1e-6)
+    expected_s = distance / 0.12 + 1.0 if distance > 0.12 else 2 * np.sqrt(distance / 0.12)
+    assert len(positions) * step_s == pytest.approx(expected_s, abs=step_s)

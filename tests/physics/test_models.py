@@ -1,0 +1,255 @@
+"""Labels, margins, bodies and the world, without a whole grasp."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tacgen.errors import PhysicsError
+from tacgen.physics import GraspSimulator, PhysicsSettings
+from tacgen.physics.bodies import ObjectBody, principal_axes, with_friction
+from tacgen.physics.contacts import object_contacts
+from tacgen.physics.floating import FloatingGripper
+from tacgen.physics.frames import inverse, pose
+from tacgen.physics.labels import Motion, failure_mode, first_slip, label_of
+from tacgen.physics.margins import (
+    PadLoad,
+    grasp_capacity,
+    slip_margin,
+    spinning_friction_of_disc_mm,
+    torsion_factor,
+)
+from tacgen.physics.recorder import frame_end_steps
+from tacgen.physics.robot import GripperTarget
+from tacgen.physics.settings import FrameRequest
+from tacgen.physics.world import require_numpy
+
+from .conftest import GRAVITY_M_S2, block
+
+SETTINGS = PhysicsSettings()
+X_AXIS = np.array([1.0, 0.0, 0.0])
+
+
+def motion(slide_mm: list[float], turn_rad: list[float], *, drift_mm: float = 0.0) -> Motion:
+    count = len(slide_mm)
+    down = np.stack([np.full(count, drift_mm), np.array(slide_mm)], axis=1)
+    return Motion(
+        time_s=np.arange(count, dtype=np.float64) * 0.5,
+        rise_mm=180.0 - np.array(slide_mm),
+        turn_rad=np.array(turn_rad),
+        slide_mm=down,
+        center_slide_mm=np.stack([np.linspace(0, 3, count), np.linspace(0, 4, count)], axis=1),
+    )
+
+
+class TestLabels:
+    @pytest.mark.parametrize(
+        ("rise_mm", "turn_rad", "label"),
+        [(150.0, 0.0999, 1), (149.99, 0.0, 0), (180.0, 0.1, 0), (180.0, 0.0, 1)],
+    )
+    def test_the_limits_are_15_cm_and_a_tenth_of_a_radian(
+        self, rise_mm: float, turn_rad: float, label: int
+    ) -> None:
+        assert label_of(rise_mm, turn_rad, SETTINGS) == label
+
+    def test_the_limit_passed_first_names_the_failure(self) -> None:
+        dropped = motion([0, 20, 40, 180], [0, 0.02, 0.05, 2.0])
+        assert failure_mode(dropped, SETTINGS) == "translational_slip"
+        swung = motion([0, 2, 20, 40], [0, 0.2, 0.9, 1.4])
+        assert failure_mode(swung, SETTINGS) == "rotational_slip"
+
+    def test_the_first_slip_has_a_time_and_a_direction(self) -> None:
+        time_s, direction = first_slip(motion([0, 0.2, 0.8, 3], [0, 0, 0, 0]), SETTINGS)
+        assert time_s == 1.0
+        assert direction == pytest.approx([0.0, 1.0])
+        # Turning about the pad: the direction is where the centre of mass goes.
+        time_s, direction = first_slip(motion([0, 0, 0, 0], [0, 0.02, 0.1, 0.2]), SETTINGS)
+        assert time_s == 0.5
+        assert direction == pytest.approx([0.6, 0.8])
+        time_s, direction = first_slip(motion([0, 0, 0, 0.1], [0, 0, 0, 0.001]), SETTINGS)
+        assert np.isnan(time_s)
+        assert direction.tolist() == [0.0, 0.0]
+
+
+def flat_pads(force_n: float) -> tuple[PadLoad, ...]:
+    return tuple(
+        PadLoad(
+            point_m=np.array([[side * 0.03, 0.0, 0.05]]),
+            normal=np.array([[-side, 0.0, 0.0]]),
+            normal_force_n=np.array([force_n]),
+        )
+        for side in (-1.0, 1.0)
+    )
+
+
+class TestMargins:
+    def test_flat_pads_have_the_textbook_limits(self) -> None:
+        capacity = grasp_capacity(
+            flat_pads(10.0),
+            closing_axis=X_AXIS,
+            center_of_mass_m=np.array([0.004, 0.012, 0.02]),
+            mass_kg=0.3,
+            friction=0.5,
+            spinning_friction_mm=2.0,
+        )
+        weight_n = 0.3 * GRAVITY_M_S2
+        assert capacity.friction_limit_n == pytest.approx(2 * 0.5 * 10)
+        assert capacity.tangential_load_n == pytest.approx(weight_n)
+        # Only the offset across the closing axis and across gravity turns the object.
+        assert capacity.moment_n_mm == pytest.approx(weight_n * 12.0)
+        share = weight_n / 10.0
+        assert capacity.torsion_limit_n_mm == pytest.approx(40.0 * np.sqrt(1 - share**2))
+        margin = slip_margin(capacity, 0.3, float("nan"), np.zeros(2))
+        assert margin.translational == pytest.approx((10 - weight_n) / weight_n)
+
+    def test_slanted_faces_carry_weight_or_add_to_it(self) -> None:
+        def load_n(tilt_rad: float) -> float:
+            pads = tuple(
+                replace(
+                    pad,
+                    normal=np.array([[pad.normal[0, 0] * np.cos(tilt_rad), 0.0, np.sin(tilt_rad)]]),
+                )
+                for pad in flat_pads(10.0)
+            )
+            return grasp_capacity(
+                pads,
+                closing_axis=X_AXIS,
+                center_of_mass_m=np.array([0.0, 0.0, 0.05]),
+                mass_kg=0.5,
+                friction=0.5,
+                spinning_friction_mm=0.0,
+            ).tangential_load_n
+
+        weight_n = 0.5 * GRAVITY_M_S2
+        assert load_n(0.1) == pytest.approx(weight_n - 20 * np.sin(0.1))
+        assert load_n(-0.1) == pytest.approx(weight_n + 20 * np.sin(0.1))
+
+    def test_spread_contact_points_resist_turning_by_friction(self) -> None:
+        radius_m = 0.006
+        pads = tuple(
+            PadLoad(
+                point_m=np.array(
+                    [[x, radius_m, 0.05], [x, -radius_m, 0.05], [x, 0, 0.056], [x, 0, 0.044]]
+                ),
+                normal=np.tile([[-np.sign(x), 0.0, 0.0]], (4, 1)),
+                normal_force_n=np.full(4, 2.5),
+            )
+            for x in (-0.03, 0.03)
+        )
+        capacity = grasp_capacity(
+            pads,
+            closing_axis=X_AXIS,
+            center_of_mass_m=np.array([0.0, 0.0, 0.05]),
+            mass_kg=1e-6,
+            friction=0.5,
+            spinning_friction_mm=0.0,
+        )
+        assert capacity.torsion_limit_n_mm == pytest.approx(0.5 * 20 * 6.0)
+
+    def test_no_contact_holds_nothing(self) -> None:
+        capacity = grasp_capacity(
+            flat_pads(0.0),
+            closing_axis=X_AXIS,
+            center_of_mass_m=np.zeros(3),
+            mass_kg=0.2,
+            friction=0.5,
+            spinning_friction_mm=2.0,
+        )
+        assert slip_margin(capacity, 0.2, 0.0, np.zeros(2)).translational == pytest.approx(-1.0)
+        assert torsion_factor(capacity.friction_share) == 0.0
+
+    @pytest.mark.parametrize(
+        ("pressure", "profile"),
+        [
+            ("uniform", lambda r: np.ones_like(r)),
+            ("hertz", lambda r: np.sqrt(1 - r**2)),
+            ("paraboloid", lambda r: 1 - r**2),
+        ],
+    )
+    def test_patch_moments_are_integrals_of_pressure(self, pressure: str, profile: object) -> None:
+        r = (np.arange(200_000) + 0.5) / 200_000
+        p = profile(r)  # type: ignore[operator]
+        integral = 0.4 * 6.0 * (p * r * r).sum() / (p * r).sum()
+        assert spinning_friction_of_disc_mm(0.4, 6.0, pressure) == pytest.approx(integral, rel=1e-4)
+
+
+class TestBodies:
+    def test_principal_axes_diagonalise(self) -> None:
+        rng = np.random.default_rng(1)
+        raw = rng.normal(size=(3, 3))
+        inertia = raw @ raw.T + np.eye(3)
+        moments, axes = principal_axes(inertia)
+        assert axes @ np.diag(moments) @ axes.T == pytest.approx(inertia)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+
+    def test_another_friction_takes_the_patch_along(self) -> None:
+        obj = block(friction=0.4, spinning_friction_mm=1.2)
+        assert with_friction(obj, 0.8).spinning_friction_mm == pytest.approx(2.4)
+        assert with_friction(obj, 0.0).spinning_friction_mm == 0.0
+        slippery = replace(obj, friction=0.0)
+        assert with_friction(slippery, 0.5).spinning_friction_mm == 1.2
+
+    def test_the_body_stands_where_the_object_says(self, simulator: GraspSimulator) -> None:
+        obj = block(yaw_rad=0.4, center_of_mass_offset_mm=(3.0, -4.0, 7.0))
+        simulator.world.rebuild(SETTINGS)
+        body = ObjectBody(simulator.world, obj)
+        position, quaternion = body.inertial_position()
+        assert np.array(position) * 1000 == pytest.approx(obj.center_of_mass_mm, abs=1e-4)
+        moments, axes = principal_axes(obj.inertia_kg_mm2)
+        inertial = pose(axes, obj.center_of_mass_mm / 1000)
+        turned = simulator.world.bullet.getMatrixFromQuaternion(quaternion)
+        frame = pose(np.array(turned).reshape(3, 3), position) @ inverse(inertial)
+        assert frame == pytest.approx(np.eye(4), abs=1e-6)
+        held = simulator.world.bullet.getDynamicsInfo(
+            body.body, -1, physicsClientId=simulator.world.client
+        )
+        assert np.array(held[2]) * 1e6 == pytest.approx(moments, rel=1e-6)
+
+
+class TestWorld:
+    def test_surfaces_are_where_the_geometry_says(self, simulator: GraspSimulator) -> None:
+        """No collision margin between the table, the object and the pads."""
+        world = simulator.world
+        world.rebuild(SETTINGS)
+        body = ObjectBody(world, block())
+        robot = FloatingGripper()
+        robot.build(world, SETTINGS)
+        robot.place(GripperTarget(0.0, 0.0, 0.05, 0.0))
+
+        def distance_m(first: int, second: int, **links: int) -> float:
+            points = world.bullet.getClosestPoints(
+                first, second, 1.0, physicsClientId=world.client, **links
+            )
+            return min(point[8] for point in points)
+
+        assert distance_m(body.body, world.table) == pytest.approx(0.0, abs=1e-6)
+        for link in robot.fingers.links.values():
+            gap_m = distance_m(robot.body, body.body, linkIndexA=link)
+            assert gap_m == pytest.approx(0.055 - 0.030, abs=1e-6)
+
+    def test_a_resting_object_presses_the_table_with_its_weight(
+        self, simulator: GraspSimulator
+    ) -> None:
+        simulator.world.rebuild(SETTINGS)
+        body = ObjectBody(simulator.world, block(mass_kg=0.4))
+        simulator.world.step(480)
+        raw = simulator.world.bullet.getContactPoints(physicsClientId=simulator.world.client)
+        contacts = object_contacts(raw, body.body)
+        weight_n = 0.4 * GRAVITY_M_S2
+        assert contacts.force_n.sum(axis=0) == pytest.approx([0, 0, weight_n], abs=1e-3)
+        assert set(contacts.body) == {simulator.world.table}
+
+    def test_a_pybullet_without_numpy_is_refused_with_the_mend(self) -> None:
+        without = SimpleNamespace(isNumpyEnabled=lambda: 0)
+        with pytest.raises(PhysicsError) as caught:
+            require_numpy(without)  # type: ignore[arg-type]
+        assert "pip install --force-reinstall" in str(caught.value)
+        assert "Python 3.10 or 3.11" in str(caught.value)
+
+
+@pytest.mark.parametrize(("count", "ends"), [(1, [1440]), (4, [0, 480, 960, 1440])])
+def test_frames_are_spread_over_the_span(count: int, ends: list[int]) -> None:
+    assert frame_end_steps(FrameRequest("sequence", count, 3.0), 1 / 480) == ends
