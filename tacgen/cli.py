@@ -237,6 +237,33 @@ def collect(
     _print_record(result.summary(), json_output)
 
 
+@app.command()
+def bench(
+    recipe: Annotated[
+        str | None, typer.Option(help="Also say how long this recipe would take here.")
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=5, help="Repeats of each frame.")] = 30,
+    json_output: JsonFlag = False,
+) -> None:
+    """Measure frames and grasps on this machine, one thread, medians."""
+    from tacgen.bench import estimate_s, run_benchmarks
+    from tacgen.recipe import load_recipe
+
+    estimate = estimate_s(load_recipe(recipe)) if recipe else {}
+    figures = run_benchmarks(repeats=repeats)
+    if json_output:
+        record = {figure.name: figure.value for figure in figures}
+        typer.echo(json.dumps(record | ({"recipe": estimate} if estimate else {}), indent=2))
+        return
+    for figure in figures:
+        typer.echo(f"{figure.name:<24} {figure.value:9.4g} {figure.unit:<3} {figure.what}")
+    if estimate:
+        typer.echo(
+            f"{recipe}: {estimate['grasps']:.0f} grasps at {estimate['grasp_s']:.2f} s, "
+            f"{estimate['total_s'] / 60:.1f} min with one worker"
+        )
+
+
 def _print_record(record: Mapping[str, object], json_output: bool) -> None:
     """A flat record: as JSON, or a line for each entry."""
     if json_output:

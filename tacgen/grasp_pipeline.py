@@ -57,11 +57,11 @@ class GraspPipeline:
         self._frames = frame_request(recipe)
         self._law = contact_law(recipe.contact)
         self._pad = felt_pad(recipe)
-        self._simulator = GraspSimulator(recipe.robot.name)
+        self.simulator = GraspSimulator(recipe.robot.name)
         self._object = lru_cache(maxsize=4)(recipe_object)
 
     def __enter__(self) -> GraspPipeline:
-        self._simulator.__enter__()
+        self.simulator.__enter__()
         return self
 
     def __exit__(
@@ -70,7 +70,7 @@ class GraspPipeline:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._simulator.__exit__(kind, error, traceback)
+        self.simulator.__exit__(kind, error, traceback)
 
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and what the pads feel of it."""
@@ -79,7 +79,7 @@ class GraspPipeline:
         grasped = vary_object(self._object(entry), variation)
         config = vary_config(planned.config, variation)
         trace = run_grasp(
-            self._simulator, grasped, config, self.recipe.physics_settings, frames=self._frames
+            self.simulator, grasped, config, self.recipe.physics_settings, frames=self._frames
         )
         frame = grasp_frame(trace)
         noise = _rng(planned, _STREAM_NOISE)
