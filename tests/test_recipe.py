@@ -13,7 +13,10 @@ from tacgen.resources import packaged
 from tacgen.sensors import load_sensor
 
 AXIS = TypeAdapter(Axis)
-SHIPPED = sorted(path for path in packaged("recipes").glob("*.yaml") if "rig" not in path.stem)
+OTHER_KINDS = ("rig", "train")
+SHIPPED = sorted(
+    path for path in packaged("recipes").glob("*.yaml") if not path.stem.startswith(OTHER_KINDS)
+)
 SENSORS = sorted(packaged("recipes").glob("sensors/*.yaml"))
 
 

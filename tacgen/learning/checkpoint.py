@@ -1,0 +1,119 @@
+"""Models and training states on disk: safetensors, and torch files read with ``weights_only``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+import tacgen
+from tacgen.errors import LearningError
+from tacgen.files import atomic_path
+from tacgen.learning.backbone import UNREADABLE
+from tacgen.learning.inputs import InputSpec
+from tacgen.learning.networks import StabilityNet, build_network
+
+_CARD_KEY = "tacgen_model"
+_REFERENCE_KEY = "input.reference"
+
+
+@dataclass(frozen=True, slots=True)
+class ModelCard:
+    """What a model file says of itself.
+
+    ``weights`` is where the backbone's first weights came from (``none``: from scratch);
+    ``epoch`` is that of the model, counted from 1.
+    """
+
+    name: str
+    objects: tuple[str, ...]
+    input: InputSpec
+    sensor: str
+    weights: str
+    epoch: int
+    validation_loss: float
+    validation_balanced_accuracy: float
+    recipe_sha256: str
+    tacgen_version: str = tacgen.__version__
+
+
+def save_model(
+    path: Path, network: StabilityNet, card: ModelCard, reference: NDArray[np.uint8] | None
+) -> None:
+    """Write a model, its card and the image of the undeformed gel, whole or not at all."""
+    tensors = {name: value.detach().cpu().contiguous() for name, value in state_of(network).items()}
+    if reference is not None:
+        tensors[_REFERENCE_KEY] = torch.from_numpy(np.ascontiguousarray(reference))
+    with atomic_path(path) as partial:
+        save_file(tensors, partial, metadata={_CARD_KEY: json.dumps(asdict(card))})
+
+
+def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] | None]:
+    """A model, its card, and the image of the undeformed gel that it was trained with.
+
+    Raises
+    ------
+    LearningError
+        If the file is missing, damaged, or that of another network.
+    """
+    if not path.is_file():
+        msg = f"{path}: the model is missing; `tacgen train` with the same recipe makes it"
+        raise LearningError(msg)
+    try:
+        with safe_open(path, framework="pt") as file:
+            text = (file.metadata() or {}).get(_CARD_KEY, "")
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except UNREADABLE as error:
+        msg = f"{path}: cannot be read as a model ({error}); train it again"
+        raise LearningError(msg) from error
+    try:
+        card = TypeAdapter(ModelCard).validate_json(text)
+    except ValidationError as error:
+        msg = f"{path}: not a model that `tacgen train` wrote; give the run's own"
+        raise LearningError(msg) from error
+    reference = tensors.pop(_REFERENCE_KEY, None)
+    network = build_network(card.input.kind)
+    network.take(tensors, str(path))
+    network.backbone.origin = card.weights
+    return network.eval(), card, None if reference is None else reference.numpy()
+
+
+def save_state(path: Path, state: dict[str, Any]) -> None:
+    """Write a training state of tensors and plain values, whole or not at all."""
+    with atomic_path(path) as partial:
+        torch.save(state, partial)
+
+
+def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
+    """A training state that holds ``keys``; nothing in the file is run.
+
+    Raises
+    ------
+    LearningError
+        If it cannot be read, or is not such a state.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except UNREADABLE as error:
+        reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else "empty"
+        msg = f"{path}: cannot be read as a checkpoint ({reason}); remove it to train anew"
+        raise LearningError(msg) from error
+    if not isinstance(state, dict) or set(state) != set(keys):
+        msg = f"{path}: not a checkpoint of this version of tacgen; remove it to train anew"
+        raise LearningError(msg)
+    return state
+
+
+def state_of(network: StabilityNet) -> dict[str, Tensor]:
+    """All weights and statistics of a network."""
+    return network.state_dict()

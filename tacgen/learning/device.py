@@ -1,0 +1,69 @@
+"""Where and how exactly torch computes, for the length of a ``with``."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+
+from tacgen.errors import LearningError
+from tacgen.learning.recipe import TrainingOptions
+
+_CUBLAS_SETTING = "CUBLAS_WORKSPACE_CONFIG"
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """What the network runs on; ``mixed`` is mixed precision."""
+
+    name: str
+    mixed: bool
+
+    def autocast(self) -> contextlib.AbstractContextManager[object]:
+        """Half precision where that is safe, if ``mixed``."""
+        return torch.autocast(self.name, enabled=self.mixed)
+
+
+def choose_device(options: TrainingOptions) -> Device:
+    """The device that the recipe asks for.
+
+    Raises
+    ------
+    LearningError
+        If it asks for a GPU and there is none.
+    """
+    has_gpu = torch.cuda.is_available()
+    if options.device == "cuda" and not has_gpu:
+        msg = (
+            "training.device: cuda, but torch finds no GPU here; "
+            "set training.device: auto, or install torch for your GPU"
+        )
+        raise LearningError(msg)
+    name = "cuda" if has_gpu and options.device != "cpu" else "cpu"
+    return Device(name, mixed=name == "cuda" and options.precision == "auto")
+
+
+@contextlib.contextmanager
+def exact_torch(threads: int) -> Iterator[None]:
+    """Deterministic algorithms on a fixed number of threads; as it was before afterwards.
+
+    The order in which threads add their parts decides the last bits of a sum, so the number of
+    threads belongs to what a result depends on.
+    """
+    before = (
+        torch.get_num_threads(),
+        torch.are_deterministic_algorithms_enabled(),
+        torch.is_deterministic_algorithms_warn_only_enabled(),
+    )
+    os.environ.setdefault(_CUBLAS_SETTING, ":4096:8")
+    torch.set_num_threads(threads)
+    torch.use_deterministic_algorithms(True, warn_only=torch.cuda.is_available())
+    try:
+        with torch.random.fork_rng():
+            yield
+    finally:
+        torch.set_num_threads(before[0])
+        torch.use_deterministic_algorithms(before[1], warn_only=before[2])

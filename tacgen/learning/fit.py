@@ -1,0 +1,238 @@
+"""Training one model: epoch after epoch, each a function of the one before and the seed alone.
+
+All random numbers of an epoch follow from the recipe's seed, the model's name and the epoch, so
+a run that was stopped goes on from its last whole epoch to the same weights, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from tacgen.errors import LearningError
+from tacgen.learning.checkpoint import ModelCard, load_state, save_model, save_state
+from tacgen.learning.device import Device
+from tacgen.learning.inputs import InputSpec
+from tacgen.learning.loader import Batches
+from tacgen.learning.networks import (
+    StabilityNet,
+    build_network,
+    build_optimizer,
+    build_scheduler,
+)
+from tacgen.learning.progress import Board, epoch_bar
+from tacgen.learning.recipe import TrainRecipe
+from tacgen.learning.run_folder import ModelFolder
+from tacgen.learning.scores import score
+from tacgen.learning.splits import seed_of
+
+DIVERGED_LOSS = 50.0
+"""A mean loss no two-class network has unless its weights ran away; guessing has 0.69."""
+_STATE_KEYS = ("epoch", "network", "optimizer", "scheduler", "scaler", "best")
+_STREAM_START, _STREAM_EPOCH = 20, 21
+
+
+@dataclass(frozen=True, slots=True)
+class FitJob:
+    """Everything that the training of one model depends on.
+
+    ``reference`` (h, w, 3) is the undeformed gel at the network's size.
+    """
+
+    name: str
+    objects: tuple[str, ...]
+    recipe: TrainRecipe
+    spec: InputSpec
+    sensor: str
+    fit: Batches
+    validation: Batches
+    class_weights: NDArray[np.float64]
+    reference: NDArray[np.uint8] | None
+
+
+class Fit:
+    """The state of one training, from its start or its last checkpoint on."""
+
+    def __init__(self, job: FitJob, folder: ModelFolder, device: Device) -> None:
+        options = job.recipe.training
+        self.job, self.folder, self.device = job, folder, device
+        torch.manual_seed(self._seed(_STREAM_START))
+        self.network = build_network(job.spec.kind, job.recipe.model.weights)
+        self.network.to(device.name)
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.optimizer = build_optimizer(self.network, options)
+        self.scheduler = build_scheduler(self.optimizer, options)
+        self.scaler = torch.amp.GradScaler(device.name, enabled=device.mixed)
+        weights = torch.tensor(job.class_weights, dtype=torch.float32, device=device.name)
+        self.criterion = nn.CrossEntropyLoss(weight=weights)
+        self.epoch = 0
+        self.best = {"epoch": 0, "balanced_accuracy": -1.0, "loss": math.inf}
+        if folder.checkpoint_path.is_file():
+            self._resume()
+        self.metrics = folder.read_metrics(up_to_epoch=self.epoch)
+
+    def run(self) -> list[dict[str, Any]]:
+        """Train to the recipe's last epoch; the metrics, one entry an epoch.
+
+        Raises
+        ------
+        LearningError
+            If the loss diverges; the last good checkpoint stays.
+        """
+        epochs = self.job.recipe.training.epochs
+        bar = epoch_bar(self.job.name, epochs, self.epoch)
+        with bar, Board(self.folder.board_path, self.epoch) as board:
+            while self.epoch < epochs:
+                line = self._run_epoch(self.epoch + 1)
+                self.metrics.append(line)
+                self._keep(line)
+                board.add(line)
+                bar.set_postfix(
+                    loss=f"{line['train_loss']:.3f}", accuracy=f"{line['validation_accuracy']:.3f}"
+                )
+                bar.update(1)
+        return self.metrics
+
+    def _run_epoch(self, epoch: int) -> dict[str, Any]:
+        start_s = time.perf_counter()
+        self.job.fit.waited_s = 0.0
+        torch.manual_seed(self._seed(_STREAM_EPOCH, epoch))
+        rates = [group["lr"] for group in self.optimizer.param_groups]
+        train_loss, train_accuracy = self._learn(epoch)
+        fit_s = time.perf_counter() - start_s
+        probabilities, labels = predict(self.network, self.job.validation.in_order(), self.device)
+        if not np.isfinite(probabilities).all():
+            self._stop_diverged(epoch, math.nan)
+        loss = weighted_loss(labels, probabilities, self.job.class_weights)
+        self.scheduler.step(loss)
+        scores = score(labels, probabilities)
+        return {
+            "epoch": epoch,
+            "train_loss": train_loss,
+            "train_accuracy": train_accuracy,
+            "validation_loss": loss,
+            "validation_accuracy": scores["accuracy"],
+            "validation_balanced_accuracy": scores["balanced_accuracy"],
+            "backbone_rate": rates[0],
+            "learning_rate": rates[1],
+            "weights": self.network.backbone.origin,
+            "loader_share": self.job.fit.waited_s / fit_s,
+            "fit_s": fit_s,
+            "epoch_s": time.perf_counter() - start_s,
+        }
+
+    def _learn(self, epoch: int) -> tuple[float, float]:
+        """One pass over the training grasps: mean loss and accuracy on the way."""
+        recipe, name = self.job.recipe, self.device.name
+        self.network.train()
+        loss_sum, n_right, n = 0.0, 0, 0
+        order_seed = self._seed(_STREAM_EPOCH)
+        for images, labels, _ in self.job.fit.shuffled(order_seed, epoch, recipe.augmentation):
+            self.optimizer.zero_grad(set_to_none=True)
+            with self.device.autocast():
+                logits = self.network(images.to(name))
+                loss = self.criterion(logits.float(), labels.to(name))
+            value = float(loss.detach())
+            if not math.isfinite(value):
+                self._stop_diverged(epoch, value)
+            self.scaler.scale(loss).backward()
+            self.scaler.step(self.optimizer)
+            self.scaler.update()
+            loss_sum += value * len(labels)
+            n_right += int((logits.detach().argmax(1).cpu() == labels).sum())
+            n += len(labels)
+        if loss_sum / n > DIVERGED_LOSS:
+            self._stop_diverged(epoch, loss_sum / n)
+        return loss_sum / n, n_right / n
+
+    def _keep(self, line: dict[str, Any]) -> None:
+        """The best model first, then the state that counts this epoch as done."""
+        self.epoch = line["epoch"]
+        now = (line["validation_balanced_accuracy"], -line["validation_loss"])
+        if now > (self.best["balanced_accuracy"], -self.best["loss"]):
+            self.best = {"epoch": self.epoch, "balanced_accuracy": now[0], "loss": -now[1]}
+            save_model(self.folder.model_path, self.network, self._card(), self.job.reference)
+        self.folder.write_metrics(self.metrics)
+        state = {
+            "epoch": self.epoch,
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "scheduler": self.scheduler.state_dict(),
+            "scaler": self.scaler.state_dict(),
+            "best": self.best,
+        }
+        save_state(self.folder.checkpoint_path, state)
+
+    def _card(self) -> ModelCard:
+        return ModelCard(
+            name=self.job.name,
+            objects=self.job.objects,
+            input=self.job.spec,
+            sensor=self.job.sensor,
+            weights=self.network.backbone.origin,
+            epoch=int(self.best["epoch"]),
+            validation_loss=self.best["loss"],
+            validation_balanced_accuracy=self.best["balanced_accuracy"],
+            recipe_sha256=self.job.recipe.sha256(),
+        )
+
+    def _resume(self) -> None:
+        path = self.folder.checkpoint_path
+        state = load_state(path, _STATE_KEYS)
+        self.network.take(state["network"], str(path))
+        try:
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.scheduler.load_state_dict(state["scheduler"])
+            self.scaler.load_state_dict(state["scaler"])
+            self.epoch, self.best = int(state["epoch"]), dict(state["best"])
+        except (ValueError, KeyError, TypeError, RuntimeError) as error:
+            msg = f"{path}: does not fit this network ({error}); remove it to train anew"
+            raise LearningError(msg) from error
+
+    def _stop_diverged(self, epoch: int, value: float) -> None:
+        kept = (
+            f"the checkpoint of epoch {self.epoch} is kept" if self.epoch else "nothing is kept yet"
+        )
+        rate = self.job.recipe.training.learning_rate
+        msg = (
+            f"{self.job.name}: the loss diverged to {value:g} in epoch {epoch} at a learning rate "
+            f"of {rate:g}; lower training.learning_rate and give another --out; {kept}"
+        )
+        raise LearningError(msg)
+
+    def _seed(self, *parts: int) -> int:
+        return seed_of(self.job.recipe.seed, self.job.name, parts)
+
+
+def predict(
+    network: StabilityNet,
+    batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
+    device: Device,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Probability of success (N,) and label (N,) of every grasp in ``batches``."""
+    network.eval()
+    probabilities, labels = [np.empty(0)], [np.empty(0, np.int64)]
+    with torch.inference_mode():
+        for images, truth, _ in batches:
+            with device.autocast():
+                logits = network(images.to(device.name))
+            probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
+            labels.append(truth.numpy())
+    return np.concatenate(probabilities), np.concatenate(labels)
+
+
+def weighted_loss(
+    labels: NDArray[np.int64], probabilities: NDArray[np.float64], weights: NDArray[np.float64]
+) -> float:
+    """Cross entropy of predicted probabilities of success, classes weighed."""
+    right = np.where(labels == 1, probabilities, 1 - probabilities)
+    each = weights[labels]
+    return float(np.sum(-each * np.log(np.maximum(right, 1e-12))) / each.sum())

@@ -1,0 +1,160 @@
+"""From tactile images to the network's input: frames chosen, resized, background off, scaled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.errors import LearningError
+from tacgen.learning.grasps import FRAME_UNKNOWN, GraspSource
+from tacgen.learning.recipe import Augmentation
+
+MIN_STD = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class InputSpec:
+    """How images become input; kept with the model, so that evaluation does the same.
+
+    Attributes
+    ----------
+    kind : ``single`` or ``sequence``
+    size_px : (height, width)
+        What images are resized to.
+    n_frames : int
+        Frames of a sequence, spread evenly over those there are; 1 for a single image.
+    image : ``difference`` or ``raw``
+        Whether the image of the undeformed gel is taken off.
+    source_shape_px : (height, width)
+        Size of the sensor's images; others are refused.
+    grasp_fraction : float
+        Moment of grasp as a part of the sequence, for grasps that do not say it.
+    mean, std : (3,) floats, grey levels
+        Of the training images, by channel; the input is (image − mean) / std.
+    """
+
+    kind: Literal["single", "sequence"]
+    size_px: tuple[int, int]
+    n_frames: int
+    image: Literal["difference", "raw"]
+    source_shape_px: tuple[int, int]
+    grasp_fraction: float = 0.0
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[int]:
+    """Which of a grasp's images are looked at; ``grasp_frame`` may be unknown."""
+    if spec.kind == "single":
+        if grasp_frame == FRAME_UNKNOWN:
+            grasp_frame = round(spec.grasp_fraction * (n_available - 1))
+        return [min(grasp_frame, n_available - 1)]
+    count = min(spec.n_frames, n_available)
+    return [int(frame) for frame in np.round(np.linspace(0, n_available - 1, count))]
+
+
+def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], where: str) -> None:
+    """Check that a source's images are such as the spec was made for.
+
+    Raises
+    ------
+    LearningError
+        If they are of another size, or single images where a sequence is needed.
+    """
+    problems = []
+    if source.shape_px != spec.source_shape_px:
+        (height, width), (h, w) = source.shape_px, spec.source_shape_px
+        problems.append(
+            f"{where}: its images are {width}×{height} px, the model was trained on those of "
+            f"{w}×{h} px; use the same sensor and image size"
+        )
+    if spec.kind == "sequence":
+        short = [str(source.table.ids[row]) for row in rows if source.frame_count(row) < 2]
+        if short:
+            problems.append(
+                f"{where}: {len(short)} grasps have a single image ({', '.join(short[:3])}, …), "
+                "the sequence network needs two or more; use model.kind: single, or sequences"
+            )
+    if problems:
+        raise LearningError.from_problems(problems)
+
+
+def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    """(T, H, W, 3) images at (height, width); shrunk by averaging areas."""
+    height, width = size_px
+    if images.shape[1:3] == size_px:
+        return images
+    smaller = height <= images.shape[1] and width <= images.shape[2]
+    how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.stack([cv2.resize(image, (width, height), interpolation=how) for image in images])
+
+
+def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
+    """The frames of one grasp at the network's size, (T, h, w, 3)."""
+    frames = chosen_frames(spec, source.frame_count(row), int(source.table.grasp_frame[row]))
+    return resized(source.frames(row, frames), spec.size_px)
+
+
+def to_network(
+    frames: NDArray[np.uint8], reference: NDArray[np.uint8] | None, spec: InputSpec
+) -> NDArray[np.float32]:
+    """Frames (B, T, h, w, 3) as the network's input, float32 of the same shape.
+
+    Parameters
+    ----------
+    reference : (h, w, 3) uint8, or None
+        The undeformed gel at the same size; needed for ``difference``.
+    """
+    images = frames.astype(np.float32)
+    if spec.image == "difference":
+        if reference is None:
+            msg = "no image of the undeformed gel to take the difference to; add background.png"
+            raise LearningError(msg)
+        images -= reference.astype(np.float32)
+    images -= np.asarray(spec.mean, np.float32)
+    images /= np.asarray(spec.std, np.float32)
+    return images
+
+
+def with_normalisation(
+    spec: InputSpec, inputs: Iterable[NDArray[np.uint8]], reference: NDArray[np.uint8] | None
+) -> InputSpec:
+    """The spec with the mean and spread of the ``inputs``, each (T, h, w, 3)."""
+    plain = replace(spec, mean=(0.0, 0.0, 0.0), std=(1.0, 1.0, 1.0))
+    total, squares, count = np.zeros(3), np.zeros(3), 0
+    for frames in inputs:
+        images = to_network(frames, reference, plain).reshape(-1, 3).astype(np.float64)
+        total += images.sum(axis=0)
+        squares += np.square(images).sum(axis=0)
+        count += len(images)
+    mean = total / count
+    std = np.sqrt(np.maximum(squares / count - mean**2, MIN_STD**2))
+    return replace(spec, mean=_three(mean), std=_three(std))
+
+
+def augmented(
+    frames: NDArray[np.uint8], options: Augmentation, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """One grasp's frames (T, h, w, 3) shifted, brightened and with noise, all frames alike.
+
+    What a shift brings in from outside repeats the edge.
+    """
+    height, width = frames.shape[1:3]
+    shift = rng.uniform(-1, 1, 2) * options.shift_fraction * (height, width)
+    dy, dx = (int(step) for step in np.rint(shift))
+    gain = 1 + options.gain_relative * rng.standard_normal()
+    noise = options.noise_grey * rng.standard_normal(frames.shape, dtype=np.float32)
+    ys = np.clip(np.arange(height) - dy, 0, height - 1)
+    xs = np.clip(np.arange(width) - dx, 0, width - 1)
+    moved = frames[:, ys][:, :, xs].astype(np.float32)
+    return np.clip(np.rint(gain * moved + noise), 0, 255).astype(np.uint8)
+
+
+def _three(values: Sequence[float] | NDArray) -> tuple[float, float, float]:
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue

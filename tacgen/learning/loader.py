@@ -1,0 +1,143 @@
+"""Batches of network input: decoded once into memory where they fit, else read when needed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from tacgen.learning.grasps import GraspSource
+from tacgen.learning.inputs import InputSpec, augmented, read_input, resized, to_network
+from tacgen.learning.recipe import Augmentation
+
+_STREAM_ORDER, _STREAM_AUGMENT = 10, 11
+
+
+class DecodedInputs(torch.utils.data.Dataset):
+    """The frames of some grasps at the network's size: item ``i`` is (T, h, w, 3) uint8.
+
+    All are decoded once and kept if that takes at most ``cache_mb``; each process that reads
+    otherwise opens the shards by itself.
+    """
+
+    def __init__(
+        self, source: GraspSource, rows: NDArray[np.int64], spec: InputSpec, cache_mb: int
+    ) -> None:
+        self.rows = rows
+        self._source, self._spec = source, spec
+        self.bytes = len(rows) * spec.n_frames * spec.size_px[0] * spec.size_px[1] * 3
+        self._cache: list[NDArray[np.uint8]] | None = None
+        self.decode_s = 0.0
+        if self.bytes <= cache_mb << 20:
+            start_s = time.perf_counter()
+            self._cache = [read_input(source, int(row), spec) for row in rows]
+            self.decode_s = time.perf_counter() - start_s
+
+    @property
+    def cached(self) -> bool:
+        """Whether everything is held in memory."""
+        return self._cache is not None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, item: int) -> NDArray[np.uint8]:
+        if self._cache is not None:
+            return self._cache[item]
+        return read_input(self._source, int(self.rows[item]), self._spec)
+
+
+class Batches:
+    """Batches of (input (B, T, 3, h, w), labels (B,), items) over decoded grasps.
+
+    Parameters
+    ----------
+    reference : (H, W, 3) uint8, or None
+        The undeformed gel, at any size.
+    workers : int
+        Processes that read ahead where the inputs are not held in memory.
+    """
+
+    def __init__(
+        self,
+        inputs: DecodedInputs,
+        labels: NDArray[np.int64],
+        spec: InputSpec,
+        reference: NDArray[np.uint8] | None,
+        batch_size: int,
+        workers: int = 0,
+    ) -> None:
+        self._inputs, self._labels, self._spec = inputs, labels, spec
+        self._reference = None if reference is None else resized(reference[None], spec.size_px)[0]
+        self._batch_size = batch_size
+        self._workers = 0 if inputs.cached else workers
+        self.waited_s = 0.0
+
+    def in_order(self) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
+        """Every grasp once, as they stand."""
+        order = np.arange(len(self._inputs))
+        yield from self._batches(self._divide(order), None, None)
+
+    def shuffled(
+        self, seed: int, epoch: int, augmentation: Augmentation
+    ) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
+        """Every grasp once, in an order and with changes that depend on seed and epoch alone."""
+        key = (epoch, _STREAM_ORDER)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        order = self._divide(rng.permutation(len(self._inputs)))
+        # Batch normalisation cannot learn from one image: it goes with the batch before.
+        if len(order) > 1 and len(order[-1]) == 1:
+            order[-2:] = [np.concatenate(order[-2:])]
+        yield from self._batches(order, augmentation if augmentation.on else None, (seed, epoch))
+
+    def _divide(self, order: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        return [
+            order[start : start + self._batch_size]
+            for start in range(0, len(order), self._batch_size)
+        ]
+
+    def _batches(
+        self,
+        order: list[NDArray[np.int64]],
+        augmentation: Augmentation | None,
+        key: tuple[int, int] | None,
+    ) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
+        loader = DataLoader(
+            self._inputs,
+            batch_sampler=[[int(item) for item in items] for items in order],
+            collate_fn=list,
+            num_workers=self._workers,
+            generator=torch.Generator().manual_seed(0),
+        )
+        start_s = time.perf_counter()
+        for items, frames in zip(order, loader, strict=True):
+            if augmentation is not None and key is not None:
+                frames = [
+                    augmented(f, augmentation, _grasp_rng(*key, int(item)))
+                    for item, f in zip(items, frames, strict=True)
+                ]
+            images = _as_batch(frames, self._reference, self._spec)
+            labels = torch.from_numpy(self._labels[items])
+            self.waited_s += time.perf_counter() - start_s
+            yield images, labels, items
+            start_s = time.perf_counter()
+
+
+def _as_batch(
+    frames: list[NDArray[np.uint8]], reference: NDArray[np.uint8] | None, spec: InputSpec
+) -> Tensor:
+    """(B, T, 3, h, w) float32; shorter sequences repeat their last frame."""
+    longest = max(len(grasp) for grasp in frames)
+    filled = [np.concatenate([g, g[-1:].repeat(longest - len(g), axis=0)]) for g in frames]
+    images = to_network(np.stack(filled), reference, spec)
+    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(images, -1, 2)))
+
+
+def _grasp_rng(seed: int, epoch: int, item: int) -> np.random.Generator:
+    key = (epoch, _STREAM_AUGMENT, item)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

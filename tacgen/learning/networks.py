@@ -1,0 +1,137 @@
+"""The two grasp-stability networks, layer by layer as published.
+
+Source
+------
+Si et al. 2022, *Grasp Stability Prediction with Sim-to-Real Transfer from Tactile Sensing*,
+arXiv 2208.02885, section III.D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from tacgen.errors import LearningError
+from tacgen.learning.backbone import FEATURES, Backbone, make_backbone, shape_problem
+from tacgen.learning.recipe import TrainingOptions
+from tacgen.learning.weight_names import renamed
+
+CLASSES = 2
+DROPOUT = 0.2
+LSTM_LAYERS, LSTM_UNITS, SEQUENCE_HIDDEN = 3, 128, 64
+SINGLE_HIDDEN = 256
+_BACKBONE_KEY = "backbone.network."
+
+
+class StabilityNet(nn.Module):
+    """What both networks share: the backbone, and how weights are taken in."""
+
+    kind: str
+
+    def __init__(self, weights: str) -> None:
+        super().__init__()
+        self.backbone: Backbone = make_backbone(weights)
+
+    def head_parameters(self) -> list[nn.Parameter]:
+        """All parameters but the backbone's."""
+        return [p for name, p in self.named_parameters() if not name.startswith("backbone.")]
+
+    def take(self, weights: Mapping[str, Tensor], where: str) -> None:
+        """Take all ``weights``, whichever library the backbone was of when they were saved.
+
+        Raises
+        ------
+        LearningError
+            If they are those of another network.
+        """
+        own = self.state_dict()
+        trunk = {
+            name.removeprefix(_BACKBONE_KEY): value
+            for name, value in weights.items()
+            if name.startswith(_BACKBONE_KEY)
+        }
+        trunk = renamed(trunk, self.backbone.naming, self.backbone.network.state_dict())
+        given = {name: v for name, v in weights.items() if not name.startswith(_BACKBONE_KEY)}
+        given |= {f"{_BACKBONE_KEY}{name}": value for name, value in trunk.items()}
+        problem = shape_problem(own, given)
+        if problem:
+            msg = f"{where}: not a checkpoint of the {self.kind} network ({problem})"
+            raise LearningError(msg)
+        self.load_state_dict(given, strict=False)
+
+
+class SingleImageNet(StabilityNet):
+    """One image (B, 1, 3, H, W) to two logits (B, 2): ResNet-18, then 512-256-2."""
+
+    kind = "single"
+
+    def __init__(self, weights: str = "none") -> None:
+        super().__init__(weights)
+        self.head = nn.Sequential(
+            nn.Linear(FEATURES, SINGLE_HIDDEN),
+            nn.ReLU(),
+            nn.Dropout(DROPOUT),
+            nn.Linear(SINGLE_HIDDEN, CLASSES),
+        )
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Normalised images to logits of failure and success."""
+        return self.head(self.backbone(images[:, 0]))
+
+
+class SequenceNet(StabilityNet):
+    """T images (B, T, 3, H, W) to two logits (B, 2).
+
+    ResNet-18 on each, a 3-layer LSTM(128) over them, its last hidden state, then 128-64-2.
+    """
+
+    kind = "sequence"
+
+    def __init__(self, weights: str = "none") -> None:
+        super().__init__(weights)
+        self.lstm = nn.LSTM(FEATURES, LSTM_UNITS, LSTM_LAYERS, batch_first=True)
+        self.head = nn.Sequential(
+            nn.Linear(LSTM_UNITS, SEQUENCE_HIDDEN),
+            nn.ReLU(),
+            nn.Dropout(DROPOUT),
+            nn.Linear(SEQUENCE_HIDDEN, CLASSES),
+        )
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Normalised images to logits of failure and success."""
+        n_grasps, n_frames = images.shape[:2]
+        features = self.backbone(images.flatten(0, 1)).view(n_grasps, n_frames, FEATURES)
+        _, (last_hidden, _) = self.lstm(features)
+        return self.head(last_hidden[-1])
+
+
+def build_network(kind: str, weights: str = "none") -> StabilityNet:
+    """The network of ``kind`` ``single`` or ``sequence``, its backbone from ``weights``."""
+    return {"single": SingleImageNet, "sequence": SequenceNet}[kind](weights)
+
+
+def build_optimizer(network: StabilityNet, options: TrainingOptions) -> torch.optim.Adam:
+    """Adam with the backbone at its own share of the rate."""
+    rate = options.learning_rate
+    return torch.optim.Adam(
+        [
+            {
+                "params": list(network.backbone.parameters()),
+                "lr": rate * options.backbone_rate_factor,
+            },
+            {"params": network.head_parameters(), "lr": rate},
+        ],
+        lr=rate,
+        weight_decay=options.weight_decay,
+    )
+
+
+def build_scheduler(
+    optimizer: torch.optim.Optimizer, options: TrainingOptions
+) -> torch.optim.lr_scheduler.ReduceLROnPlateau:
+    """Lower both rates when the validation loss stops falling."""
+    return torch.optim.lr_scheduler.ReduceLROnPlateau(
+        optimizer, mode="min", factor=options.plateau_factor, patience=options.plateau_patience
+    )

@@ -1,0 +1,152 @@
+"""The folder of a training run: its paths, whose it is, and its measurements."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tacgen.errors import LearningError
+from tacgen.files import write_text
+
+SCHEMA = 1
+MAX_JSON_BYTES = 64 << 20
+
+
+class ModelFolder:
+    """What one model leaves behind.
+
+    ``model.safetensors`` is the best model so far, ``checkpoint.pt`` the state to go on from,
+    ``metrics.jsonl`` one line an epoch.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = Path(root)
+        self.model_path = self.root / "model.safetensors"
+        self.checkpoint_path = self.root / "checkpoint.pt"
+        self.metrics_path = self.root / "metrics.jsonl"
+        self.board_path = self.root / "tensorboard"
+        self.report_path = self.root / "report.html"
+
+    def read_metrics(self, *, up_to_epoch: int) -> list[dict[str, Any]]:
+        """The lines of the first epochs; later ones are of work that was not finished."""
+        if not self.metrics_path.is_file():
+            return []
+        try:
+            lines = self.metrics_path.read_text(encoding="utf-8").splitlines()
+            metrics = [json.loads(line) for line in lines if line.strip()]
+            return [line for line in metrics if line["epoch"] <= up_to_epoch]
+        except (ValueError, KeyError, TypeError) as error:
+            msg = f"{self.metrics_path}: broken ({error}); remove {self.root} to train it anew"
+            raise LearningError(msg) from error
+
+    def write_metrics(self, metrics: Sequence[Mapping[str, Any]]) -> None:
+        """All lines, whole or not at all."""
+        write_text(self.metrics_path, "".join(f"{json.dumps(line)}\n" for line in metrics))
+
+
+class RunFolder:
+    """A run: one folder a model, and what they have in common in ``run.json``."""
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+        self.plan_path = self.root / "run.json"
+        self.recipe_path = self.root / "recipe.yaml"
+        self.summary_path = self.root / "train.json"
+        self.eval_path = self.root / "eval.json"
+        self.eval_report_path = self.root / "eval.html"
+
+    def model(self, name: str) -> ModelFolder:
+        """The folder of one model."""
+        return ModelFolder(self.root / "models" / name)
+
+    def source_eval_path(self, source: str) -> Path:
+        """``eval_sim.json`` or ``eval_real.json``: the last evaluation on that source."""
+        return self.root / f"eval_{source}.json"
+
+    def prepare(self, plan: Mapping[str, Any], recipe: Mapping[str, Any]) -> bool:
+        """Make the folder ready for this run; True where it goes on with an earlier start.
+
+        Raises
+        ------
+        LearningError
+            If it holds a run of another recipe or dataset; the message says what differs.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            if self.plan_path.is_file():
+                self._refuse_another(plan)
+                return True
+            write_text(self.recipe_path, yaml.safe_dump(dict(recipe), sort_keys=False))
+            write_text(self.plan_path, json.dumps(dict(plan), indent=1))
+        except OSError as error:
+            msg = f"{self.root}: {error.strerror}; give a folder that you may write to"
+            raise LearningError(msg) from error
+        return False
+
+    def plan(self) -> dict[str, Any]:
+        """What ``run.json`` says.
+
+        Raises
+        ------
+        LearningError
+            If the folder is not a run's.
+        """
+        plan = read_json(self.plan_path, "give the folder that `tacgen train --out` made")
+        if plan.get("schema") != SCHEMA or not isinstance(plan.get("models"), dict):
+            msg = f"{self.plan_path}: not of this version of tacgen; train the models again"
+            raise LearningError(msg)
+        return plan
+
+    def _refuse_another(self, plan: Mapping[str, Any]) -> None:
+        made = self.plan()
+        wanted = json.loads(json.dumps(dict(plan)))
+        differing = sorted(k for k in {*made, *wanted} if made.get(k) != wanted.get(k))
+        if not differing:
+            return
+        told = [
+            f"recipe.{text}"
+            for text in _differences(made.get("recipe", {}), wanted.get("recipe", {}))
+        ]
+        others = [key for key in differing if key not in ("recipe", "recipe_sha256")]
+        msg = (
+            f"{self.root}: holds another run, which differs in {', '.join([*told, *others])}; "
+            "give another --out, or remove the folder"
+        )
+        raise LearningError(msg)
+
+
+def read_json(path: Path, mend: str) -> dict[str, Any]:
+    """A JSON object.
+
+    Raises
+    ------
+    LearningError
+        If there is none, ending in ``mend``.
+    """
+    try:
+        if path.stat().st_size <= MAX_JSON_BYTES:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(content, dict):
+                return content
+        problem = "is not what was written"
+    except FileNotFoundError:
+        problem = "is not there"
+    except (OSError, ValueError, RecursionError) as error:
+        problem = f"cannot be read ({error})"
+    msg = f"{path}: {problem}; {mend}"
+    raise LearningError(msg)
+
+
+def _differences(old: Any, new: Any, where: str = "") -> list[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = list(dict.fromkeys([*old, *new]))
+        parts = [
+            _differences(old.get(key), new.get(key), f"{where}.{key}" if where else key)
+            for key in keys
+        ]
+        return [text for part in parts for text in part]
+    return [] if old == new else [f"{where} ({json.dumps(old)} there, {json.dumps(new)} now)"]

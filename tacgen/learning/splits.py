@@ -1,0 +1,155 @@
+"""Who learns, who validates, who tests: by configuration, never by image."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.errors import LearningError
+from tacgen.learning.grasps import GraspTable
+from tacgen.learning.recipe import POOLED, TrainRecipe
+
+MIN_OF_A_CLASS = 2
+_STREAM_SUBSET, _STREAM_VALIDATION = 0, 1
+
+
+@dataclass(frozen=True, slots=True)
+class ModelPlan:
+    """One model to train: rows of the table it learns from, and rows that choose its best epoch."""
+
+    name: str
+    objects: tuple[str, ...]
+    fit_rows: NDArray[np.int64]
+    validation_rows: NDArray[np.int64]
+
+
+def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[ModelPlan]:
+    """The models of a recipe, each with its training grasps divided.
+
+    Parameters
+    ----------
+    where : str
+        The dataset, for messages.
+
+    Raises
+    ------
+    LearningError
+        Lists every object that is unknown, or has too few grasps of one class, and a
+        configuration that stands on both sides of the split.
+    """
+    objects = _chosen_objects(recipe, table, where)
+    leaks = shared_configurations(
+        table.take(table.rows(objects=objects, split="train")),
+        table.take(table.rows(objects=objects, split="test")),
+    )
+    if leaks:
+        msg = (
+            f"{where}: {len(leaks)} configurations are in both train and test, such as "
+            f"{leaks[0]}; collect it again with this version of tacgen"
+        )
+        raise LearningError(msg)
+    groups = [(name, (name,)) for name in objects] if recipe.per_object else [(POOLED, objects)]
+    plans, problems = [], []
+    for name, members in groups:
+        try:
+            plans.append(_plan_model(recipe, table, name, tuple(members)))
+        except LearningError as error:
+            problems.append(f"{where}: {error}")
+    if problems:
+        raise LearningError.from_problems(problems)
+    return plans
+
+
+def shared_configurations(one: GraspTable, other: GraspTable) -> list[str]:
+    """Configurations that both tables have."""
+    return sorted(set(one.configurations()) & set(other.configurations()))
+
+
+def class_weights(labels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(2,) weights that make both classes count the same: N / (2 × count of the class)."""
+    return len(labels) / (2 * np.bincount(labels, minlength=2))
+
+
+def _chosen_objects(recipe: TrainRecipe, table: GraspTable, where: str) -> tuple[str, ...]:
+    known = table.object_names()
+    if recipe.objects is None:
+        return tuple(known)
+    unknown = [name for name in recipe.objects if name not in known]
+    if unknown:
+        msg = (
+            f"{where}: has no executed grasps of {', '.join(unknown)}, which the training recipe "
+            f"names; it has {', '.join(known)}"
+        )
+        raise LearningError(msg)
+    return recipe.objects
+
+
+def _plan_model(
+    recipe: TrainRecipe, table: GraspTable, name: str, objects: tuple[str, ...]
+) -> ModelPlan:
+    fit, validation = [], []
+    for member in objects:
+        rows = table.rows(objects=(member,), split="train")
+        wanted = recipe.training.grasps
+        if wanted is not None:
+            rows = _subset(rows, wanted, recipe.seed, member)
+        chosen = _validation_rows(table, rows, recipe, member)
+        validation.append(chosen)
+        fit.append(np.setdiff1d(rows, chosen))
+    plan = ModelPlan(name, objects, np.concatenate(fit), np.concatenate(validation))
+    counts = np.bincount(table.label[plan.fit_rows], minlength=2)
+    kept = np.bincount(table.label[plan.validation_rows], minlength=2)
+    if counts.min() < MIN_OF_A_CLASS or kept.min() < 1:
+        total = counts + kept
+        msg = (
+            f"{name}: of its {total.sum()} training grasps {total[1]} succeeded and {total[0]} "
+            f"failed, and each class needs {MIN_OF_A_CLASS + 1} or more; collect a wider range "
+            "of forces or positions, or set per_object: false"
+        )
+        raise LearningError(msg)
+    return plan
+
+
+def _subset(rows: NDArray[np.int64], wanted: int, seed: int, name: str) -> NDArray[np.int64]:
+    """The first ``wanted`` of a fixed order, so that a smaller set is part of a larger one."""
+    if wanted > len(rows):
+        msg = (
+            f"{name}: training.grasps asks for {wanted}, the dataset has {len(rows)} to train on; "
+            "lower it or collect more"
+        )
+        raise LearningError(msg)
+    return np.sort(_rng(seed, name, _STREAM_SUBSET).permutation(rows)[:wanted])
+
+
+def _validation_rows(
+    table: GraspTable, rows: NDArray[np.int64], recipe: TrainRecipe, name: str
+) -> NDArray[np.int64]:
+    """A part of each class; grasps of one configuration stay together."""
+    mine = table.take(rows)
+    configurations = np.array(mine.configurations())
+    rng = _rng(recipe.seed, name, _STREAM_VALIDATION)
+    chosen: list[str] = []
+    for label in (0, 1):
+        groups = np.unique(configurations[mine.label == label])
+        groups = groups[~np.isin(groups, chosen)]
+        count = math.ceil(recipe.training.validation_fraction * len(groups))
+        count = min(count, max(len(groups) - MIN_OF_A_CLASS, 0))
+        chosen += list(rng.permutation(groups)[:count])
+    return rows[np.isin(configurations, chosen)]
+
+
+def _rng(seed: int, name: str, stream: int) -> np.random.Generator:
+    """Random numbers of one object: the same whichever other objects there are."""
+    key = (zlib.crc32(name.encode()), stream)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def seed_of(seed: int, name: str, parts: Sequence[int]) -> int:
+    """A 63-bit seed for torch, from the recipe's seed, the model and further numbers."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), *parts))
+    return int(sequence.generate_state(1, np.uint64)[0] >> 1)

@@ -1,0 +1,193 @@
+"""``tacgen train``: from a recipe and a dataset to one trained model an object."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import tacgen
+from tacgen.files import write_text
+from tacgen.learning.checkpoint import load_model
+from tacgen.learning.device import Device, choose_device, exact_torch
+from tacgen.learning.extra import library_versions
+from tacgen.learning.fit import Fit, FitJob, predict
+from tacgen.learning.grasps import SimulatedGrasps
+from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
+from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.progress import tell
+from tacgen.learning.recipe import TrainRecipe
+from tacgen.learning.reports import write_training_report
+from tacgen.learning.run_folder import SCHEMA, RunFolder
+from tacgen.learning.scores import score
+from tacgen.learning.splits import ModelPlan, class_weights, plan_models
+
+NO_WEIGHTS_WARNING = (
+    "NO ImageNet weights: the backbone starts from scratch, other than in the paper; "
+    "name a ResNet-18 weight file in model.weights to change that"
+)
+
+
+def train(recipe: TrainRecipe, data: Path, out: Path) -> dict[str, Any]:
+    """Train every model of ``recipe`` on the training grasps of ``data`` into the folder ``out``.
+
+    A run that was stopped goes on from its last whole epoch; models that are done stay.
+
+    Returns
+    -------
+    dict
+        ``models``: for each, its validation figures, best epoch, class counts and timings.
+
+    Raises
+    ------
+    TacgenError
+        If the dataset, the recipe or the folder cannot be used, or the loss diverges.
+    """
+    device = choose_device(recipe.training)
+    source = SimulatedGrasps(data, recipe.input.pad)
+    spec = _spec_of(recipe, source)
+    plans = plan_models(recipe, source.table, str(data))
+    for plan in plans:
+        check_source(spec, source, plan.fit_rows, str(data))
+    run = RunFolder(out)
+    resumed = run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved())
+    if resumed:
+        tell(f"{out}: goes on with the run that is there")
+    with exact_torch(recipe.training.threads):
+        results = {plan.name: _train_one(recipe, source, spec, plan, run, device) for plan in plans}
+    summary = {
+        "recipe": recipe.name,
+        "kind": recipe.model.kind,
+        "device": device.name,
+        "mixed_precision": device.mixed,
+        "threads": recipe.training.threads,
+        "versions": library_versions(),
+        "models": results,
+    }
+    write_text(run.summary_path, json.dumps(summary, indent=1))
+    return summary
+
+
+def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
+    sequence = recipe.model.kind == "sequence"
+    wanted = recipe.input.frames or source.n_frames
+    table = source.table
+    last = max(source.n_frames - 1, 1)
+    return InputSpec(
+        kind=recipe.model.kind,
+        size_px=recipe.input.size_px,
+        n_frames=min(wanted, source.n_frames) if sequence else 1,
+        image=recipe.input.image,
+        source_shape_px=source.shape_px,
+        grasp_fraction=float(np.median(table.grasp_frame)) / last,
+    )
+
+
+def _run_plan(
+    recipe: TrainRecipe, source: SimulatedGrasps, plans: list[ModelPlan], device: Device
+) -> dict[str, Any]:
+    """What tells this run from any other; a folder with another one is refused."""
+    table = source.table
+    models = {
+        plan.name: {
+            "objects": list(plan.objects),
+            "fit": table.ids[plan.fit_rows].tolist(),
+            "validation": table.ids[plan.validation_rows].tolist(),
+            "configurations": sorted(
+                table.take(np.concatenate([plan.fit_rows, plan.validation_rows])).configurations()
+            ),
+        }
+        for plan in plans
+    }
+    return {
+        "schema": SCHEMA,
+        "tacgen_version": tacgen.__version__,
+        "recipe": recipe.resolved(),
+        "recipe_sha256": recipe.sha256(),
+        "dataset": source.identity(),
+        "device": device.name,
+        "models": models,
+    }
+
+
+def _train_one(
+    recipe: TrainRecipe,
+    source: SimulatedGrasps,
+    spec: InputSpec,
+    plan: ModelPlan,
+    run: RunFolder,
+    device: Device,
+) -> dict[str, Any]:
+    folder = run.model(plan.name)
+    labels = source.table.label
+    weights = class_weights(labels[plan.fit_rows])
+    reference = resized(source.reference()[None], spec.size_px)[0]
+    fit_inputs = _decoded(recipe, source, plan.fit_rows, spec)
+    spec = with_normalisation(
+        spec, (fit_inputs[item] for item in range(len(fit_inputs))), reference
+    )
+    validation_inputs = _decoded(recipe, source, plan.validation_rows, spec)
+    job = FitJob(
+        name=plan.name,
+        objects=plan.objects,
+        recipe=recipe,
+        spec=spec,
+        sensor=source.dataset.sensor,
+        fit=_batches(recipe, fit_inputs, labels[plan.fit_rows], spec, reference),
+        validation=_batches(
+            recipe, validation_inputs, labels[plan.validation_rows], spec, reference
+        ),
+        class_weights=weights,
+        reference=reference,
+    )
+    fit = Fit(job, folder, device)
+    if fit.network.backbone.origin == "none":
+        tell(f"{plan.name}: {NO_WEIGHTS_WARNING}")
+    metrics = fit.run()
+    network, card, _ = load_model(folder.model_path)
+    network.to(device.name)
+    probabilities, truth = predict(network, job.validation.in_order(), device)
+    last = metrics[-1]
+    result = {
+        "objects": list(plan.objects),
+        "grasps_fit": len(plan.fit_rows),
+        "grasps_validation": len(plan.validation_rows),
+        "successes_fit": int(labels[plan.fit_rows].sum()),
+        "class_weights": weights.tolist(),
+        "weights": card.weights,
+        "best_epoch": card.epoch,
+        "epochs": last["epoch"],
+        "validation": score(truth, probabilities),
+        "decode_s": fit_inputs.decode_s + validation_inputs.decode_s,
+        "cached": fit_inputs.cached,
+        "epoch_s": float(np.median([line["epoch_s"] for line in metrics])),
+        "fit_s": float(np.median([line["fit_s"] for line in metrics])),
+        "loader_share": float(np.median([line["loader_share"] for line in metrics])),
+    }
+    write_training_report(folder.report_path, recipe, plan.name, metrics, result)
+    tell(
+        f"{plan.name}: best epoch {card.epoch} of {last['epoch']}, validation accuracy "
+        f"{result['validation']['accuracy']:.3f} on {len(truth)} grasps"
+    )
+    return result
+
+
+def _decoded(
+    recipe: TrainRecipe, source: SimulatedGrasps, rows: NDArray[np.int64], spec: InputSpec
+) -> DecodedInputs:
+    return DecodedInputs(source, rows, spec, recipe.input.cache_mb)
+
+
+def _batches(
+    recipe: TrainRecipe,
+    inputs: DecodedInputs,
+    labels: NDArray[np.int64],
+    spec: InputSpec,
+    reference: NDArray[np.uint8],
+) -> Batches:
+    return Batches(
+        inputs, labels, spec, reference, recipe.training.batch_size, recipe.input.loader_workers
+    )

@@ -1,0 +1,153 @@
+"""What the network sees: frames, size, difference, scale, augmentation, batches."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tacgen.learning.grasps import SimulatedGrasps
+from tacgen.learning.inputs import (
+    InputSpec,
+    augmented,
+    chosen_frames,
+    resized,
+    to_network,
+    with_normalisation,
+)
+from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.recipe import Augmentation
+from tests.learning.conftest import REFERENCE, SENSOR
+
+SINGLE = InputSpec("single", (24, 32), 1, "difference", SENSOR.shape_px)
+SEQUENCE = replace(SINGLE, kind="sequence", n_frames=3)
+
+
+def test_a_single_image_is_that_of_the_moment_of_grasp():
+    assert chosen_frames(SINGLE, 24, 7) == [7]
+    assert chosen_frames(replace(SINGLE, grasp_fraction=0.5), 25, -1) == [12]
+    assert chosen_frames(replace(SINGLE, grasp_fraction=0.5), 1, -1) == [0]
+
+
+def test_a_sequence_is_spread_over_all_frames_from_first_to_last():
+    assert chosen_frames(replace(SEQUENCE, n_frames=8), 8, 3) == list(range(8))
+    assert chosen_frames(replace(SEQUENCE, n_frames=5), 9, 3) == [0, 2, 4, 6, 8]
+    assert chosen_frames(replace(SEQUENCE, n_frames=5), 3, 0) == [0, 1, 2]
+
+
+def test_the_undeformed_gel_has_no_difference_to_itself():
+    frames = np.repeat(REFERENCE[None, None], 2, axis=0)
+    assert not to_network(frames, REFERENCE, SINGLE).any()
+    raw = to_network(frames, None, replace(SINGLE, image="raw"))
+    np.testing.assert_array_equal(raw, frames)
+
+
+def test_resizing_keeps_the_mean_of_an_image():
+    image = np.random.default_rng(0).integers(0, 256, (1, 48, 64, 3), dtype=np.uint8)
+    small = resized(image, (24, 32))
+    assert small.shape == (1, 24, 32, 3)
+    # The mean of four whole numbers, rounded half up, is 1/8 too high on average.
+    assert small.mean() == pytest.approx(image.mean() + 1 / 8, abs=0.05)
+    np.testing.assert_array_equal(
+        resized(image, (48, 64)), image, err_msg="the size it has already"
+    )
+
+
+def test_normalised_training_images_have_mean_0_and_spread_1():
+    rng = np.random.default_rng(1)
+    inputs = [rng.integers(60, 180, (3, 24, 32, 3), dtype=np.uint8) for _ in range(5)]
+    reference = resized(REFERENCE[None], (24, 32))[0]
+    spec = with_normalisation(SEQUENCE, inputs, reference)
+    images = to_network(np.stack(inputs), reference, spec).reshape(-1, 3)
+    # float32 sums of some ten thousand numbers
+    np.testing.assert_allclose(images.mean(0), 0, atol=1e-4)
+    np.testing.assert_allclose(images.std(0), 1, atol=1e-4)
+
+
+def test_images_that_never_change_do_not_divide_by_zero():
+    spec = with_normalisation(SINGLE, [REFERENCE[None]], REFERENCE)
+    assert np.isfinite(to_network(REFERENCE[None, None], REFERENCE, spec)).all()
+
+
+def test_augmentation_of_no_strength_changes_nothing():
+    frames = np.random.default_rng(0).integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
+    off = Augmentation(on=True, shift_fraction=0, gain_relative=0, noise_grey=0)
+    np.testing.assert_array_equal(augmented(frames, off, np.random.default_rng(1)), frames)
+
+
+def test_augmentation_moves_all_frames_of_a_grasp_alike_and_leaves_its_input():
+    frames = np.zeros((2, 24, 32, 3), np.uint8)
+    frames[:, 12, 16] = 200
+    before = frames.copy()
+    options = Augmentation(on=True, shift_fraction=0.25, gain_relative=0, noise_grey=0)
+    moved = augmented(frames, options, np.random.default_rng(3))
+    np.testing.assert_array_equal(frames, before)
+    np.testing.assert_array_equal(moved[0], moved[1])
+    ys, xs = np.nonzero(moved[0, ..., 0])
+    assert len(ys) == 1
+    assert (ys[0], xs[0]) != (12, 16)
+    assert abs(ys[0] - 12) <= 6
+    assert abs(xs[0] - 16) <= 8
+
+
+@pytest.fixture(scope="module")
+def source(toy) -> SimulatedGrasps:
+    return SimulatedGrasps(toy)
+
+
+def batches_of(source, spec=SEQUENCE, cache_mb=64, workers=0, n=9, size=4) -> Batches:
+    inputs = DecodedInputs(source, np.arange(n), spec, cache_mb)
+    return Batches(inputs, source.table.label[:n], spec, REFERENCE, size, workers)
+
+
+def test_batches_are_the_same_from_memory_from_disk_and_from_workers(source):
+    expected = list(batches_of(source).in_order())
+    assert [len(labels) for _, labels, _ in expected] == [4, 4, 1]
+    assert expected[0][0].shape == (4, 3, 3, 24, 32)
+    for cache_mb, workers in ((0, 0), (0, 2)):
+        found = list(batches_of(source, cache_mb=cache_mb, workers=workers).in_order())
+        for (images, labels, items), (images_2, labels_2, items_2) in zip(
+            expected, found, strict=True
+        ):
+            assert torch.equal(images, images_2)
+            assert torch.equal(labels, labels_2)
+            assert np.array_equal(items, items_2)
+
+
+def test_an_image_reaches_the_network_as_it_is_stored(source):
+    spec = replace(SINGLE, size_px=SENSOR.shape_px, image="raw")
+    images, _, _ = next(batches_of(source, spec).in_order())
+    frame = int(source.table.grasp_frame[2])
+    stored = source.dataset.rgb(int(source.table.ids[2]), frame=frame)
+    np.testing.assert_array_equal(images[2, 0].numpy().transpose(1, 2, 0), stored)
+
+
+def test_the_order_depends_on_seed_and_epoch_and_holds_each_grasp_once(source):
+    batches = batches_of(source)
+    off = Augmentation()
+
+    def order(seed: int, epoch: int) -> list[int]:
+        return [int(i) for _, _, items in batches.shuffled(seed, epoch, off) for i in items]
+
+    orders = {key: order(*key) for key in itertools.product((1, 2), (1, 2))}
+    assert all(sorted(found) == list(range(9)) for found in orders.values())
+    assert len({tuple(found) for found in orders.values()}) == 4
+    assert order(1, 2) == orders[1, 2]
+
+
+def test_a_last_batch_of_one_joins_the_batch_before(source):
+    sizes = [len(labels) for _, labels, _ in batches_of(source).shuffled(0, 1, Augmentation())]
+    assert sizes == [4, 5]
+
+
+def test_augmentation_is_drawn_anew_each_epoch_and_repeatably(source):
+    batches = batches_of(source, n=4)
+    on = Augmentation(on=True)
+
+    def image_of(epoch: int) -> torch.Tensor:
+        images, _, items = next(batches.shuffled(5, epoch, on))
+        return images[list(items).index(0)]
+
+    assert torch.equal(image_of(1), image_of(1))
+    assert not torch.equal(image_of(1), image_of(2))

@@ -1,0 +1,290 @@
+"""The networks are the published ones, and their first weights come from where they should."""
+
+import builtins
+import pickle
+import sys
+import types
+from collections import OrderedDict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import nn
+
+from tacgen.errors import LearningError
+from tacgen.learning import backbone as backbone_module
+from tacgen.learning.backbone import Backbone, cached_imagenet_file, make_backbone, read_weights
+from tacgen.learning.networks import build_network, build_optimizer, build_scheduler
+from tacgen.learning.recipe import TrainingOptions
+from tacgen.learning.weight_names import to_transformers
+
+# Names and shapes of torchvision's resnet18, which its published weight file holds.
+STAGES = {1: 64, 2: 128, 3: 256, 4: 512}
+
+
+def torchvision_shapes() -> dict[str, tuple[int, ...]]:
+    def norm(name: str, n: int) -> dict[str, tuple[int, ...]]:
+        parts = ("weight", "bias", "running_mean", "running_var")
+        return {f"{name}.{part}": (n,) for part in parts} | {f"{name}.num_batches_tracked": ()}
+
+    shapes: dict[str, tuple[int, ...]] = {"conv1.weight": (64, 3, 7, 7), **norm("bn1", 64)}
+    before = 64
+    for stage, n in STAGES.items():
+        for block in (0, 1):
+            here = f"layer{stage}.{block}"
+            shapes[f"{here}.conv1.weight"] = (n, before if block == 0 else n, 3, 3)
+            shapes |= norm(f"{here}.bn1", n)
+            shapes[f"{here}.conv2.weight"] = (n, n, 3, 3)
+            shapes |= norm(f"{here}.bn2", n)
+            if block == 0 and stage > 1:
+                shapes[f"{here}.downsample.0.weight"] = (n, before, 1, 1)
+                shapes |= norm(f"{here}.downsample.1", n)
+        before = n
+    return shapes | {"fc.weight": (1000, 512), "fc.bias": (1000,)}
+
+
+@pytest.fixture(scope="module")
+def torchvision_weights() -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    return {
+        name: torch.rand(shape, generator=generator) + 0.5 if shape else torch.tensor(7)
+        for name, shape in torchvision_shapes().items()
+    }
+
+
+def linears(module: nn.Module) -> list[tuple[int, int]]:
+    return [(m.in_features, m.out_features) for m in module.modules() if isinstance(m, nn.Linear)]
+
+
+def test_the_single_image_head_is_512_256_2_with_relu_and_dropout():
+    head = build_network("single").head
+    assert linears(head) == [(512, 256), (256, 2)]
+    assert [type(layer) for layer in head] == [nn.Linear, nn.ReLU, nn.Dropout, nn.Linear]
+    assert head[2].p == 0.2
+
+
+def test_the_sequence_network_is_a_three_layer_lstm_of_128_and_a_head_of_128_64_2():
+    network = build_network("sequence")
+    assert (network.lstm.input_size, network.lstm.hidden_size) == (512, 128)
+    assert network.lstm.num_layers == 3
+    assert not network.lstm.bidirectional
+    assert linears(network.head) == [(128, 64), (64, 2)]
+    assert [type(layer) for layer in network.head] == [nn.Linear, nn.ReLU, nn.Dropout, nn.Linear]
+    assert network.head[2].p == 0.2
+
+
+def test_the_backbone_is_resnet_18():
+    """The published 11 689 512 parameters without the classifier's 512 × 1000 + 1000."""
+    backbone = Backbone()
+    assert sum(p.numel() for p in backbone.parameters()) == 11_689_512 - 513_000
+    assert backbone(torch.zeros(2, 3, 64, 96)).shape == (2, 512)
+
+
+def test_a_sequence_is_judged_by_the_last_hidden_state_of_features_in_order():
+    network = build_network("sequence").eval()
+    images = torch.rand(2, 4, 3, 32, 32)
+    with torch.no_grad():
+        features = torch.stack([network.backbone(images[:, k]) for k in range(4)], dim=1)
+        _, (hidden, _) = network.lstm(features)
+        expected = network.head(hidden[2])
+        torch.testing.assert_close(network(images), expected, rtol=1e-4, atol=1e-5)
+        assert not torch.allclose(network(images.flip(1)), expected, atol=1e-6)
+
+
+def test_adam_gives_the_backbone_0_8_of_the_rate_and_decays_all_weights():
+    network, options = build_network("single"), TrainingOptions()
+    optimizer = build_optimizer(network, options)
+    assert isinstance(optimizer, torch.optim.Adam)
+    trunk, head = optimizer.param_groups
+    assert (trunk["lr"], head["lr"]) == pytest.approx((0.8e-4, 1e-4))
+    assert trunk["weight_decay"] == head["weight_decay"] == 5e-5
+    assert {id(p) for p in trunk["params"]} == {id(p) for p in network.backbone.parameters()}
+    everything = {id(p) for p in network.parameters()}
+    assert {id(p) for p in (*trunk["params"], *head["params"])} == everything
+    assert (options.batch_size, options.epochs) == (8, 30)
+
+
+def test_both_rates_fall_when_the_validation_loss_stops_falling():
+    options = TrainingOptions(plateau_patience=1, plateau_factor=0.5)
+    optimizer = build_optimizer(build_network("single"), options)
+    scheduler = build_scheduler(optimizer, options)
+    assert isinstance(scheduler, torch.optim.lr_scheduler.ReduceLROnPlateau)
+    for loss in (1.0, 0.5, 0.6, 0.7):
+        scheduler.step(loss)
+    rates = [group["lr"] for group in optimizer.param_groups]
+    assert rates == pytest.approx([0.4e-4, 0.5e-4])
+
+
+def test_torchvision_names_are_those_of_transformers_resnet_18():
+    own = {name: tuple(value.shape) for name, value in Backbone().network.state_dict().items()}
+    if any(name.startswith("layer1") for name in own):
+        pytest.skip("torchvision is installed here, so the backbone already has its names")
+    renamed = {
+        to_transformers(name): shape
+        for name, shape in torchvision_shapes().items()
+        if not name.startswith("fc.")
+    }
+    assert renamed == own
+
+
+@pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
+def test_a_local_weight_file_sets_every_layer(tmp_path, torchvision_weights, suffix):
+    path = tmp_path / f"resnet18{suffix}"
+    if suffix == ".pth":
+        torch.save(OrderedDict(torchvision_weights), path)
+    else:
+        save_file(torchvision_weights, path)
+    backbone = make_backbone(str(path))
+    assert backbone.origin == str(path)
+    own = backbone.network.state_dict()
+    for name, value in torchvision_weights.items():
+        if not name.startswith("fc."):
+            torch.testing.assert_close(own[to_transformers(name)], value, msg=name)
+
+
+def test_the_loaded_network_computes_what_resnet_18_computes(torchvision_weights, tmp_path):
+    """Against the layers written out by hand with torch's functions, as published."""
+    save_file(torchvision_weights, tmp_path / "w.safetensors")
+    backbone = make_backbone(str(tmp_path / "w.safetensors")).eval()
+    w = torchvision_weights
+    f = nn.functional
+
+    def norm(x, name):
+        mean, var = w[f"{name}.running_mean"], w[f"{name}.running_var"]
+        return f.batch_norm(x, mean, var, w[f"{name}.weight"], w[f"{name}.bias"])
+
+    x = torch.rand(1, 3, 32, 32)
+    y = f.relu(norm(f.conv2d(x, w["conv1.weight"], stride=2, padding=3), "bn1"))
+    y = f.max_pool2d(y, 3, 2, 1)
+    for stage in STAGES:
+        for block in (0, 1):
+            here, stride = f"layer{stage}.{block}", 2 if stage > 1 and block == 0 else 1
+            z = f.conv2d(y, w[f"{here}.conv1.weight"], stride=stride, padding=1)
+            z = f.relu(norm(z, f"{here}.bn1"))
+            z = norm(f.conv2d(z, w[f"{here}.conv2.weight"], padding=1), f"{here}.bn2")
+            if f"{here}.downsample.0.weight" in w:
+                y = f.conv2d(y, w[f"{here}.downsample.0.weight"], stride=stride)
+                y = norm(y, f"{here}.downsample.1")
+            y = f.relu(y + z)
+    with torch.no_grad():
+        torch.testing.assert_close(backbone(x), y.mean((2, 3)), rtol=1e-3, atol=1e-3)
+
+
+def test_imagenet_weights_left_by_torchvision_are_found(tmp_path, monkeypatch, torchvision_weights):
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    path = tmp_path / "checkpoints" / backbone_module.TORCHVISION_FILE
+    path.parent.mkdir()
+    torch.save(OrderedDict(torchvision_weights), path)
+    for weights in ("imagenet", "auto"):
+        assert make_backbone(weights).origin == f"imagenet ({path.name})"
+
+
+def test_imagenet_weights_in_the_hub_cache_are_found(tmp_path, monkeypatch):
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "none"))
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
+    repo = tmp_path / "models--microsoft--resnet-18"
+    (repo / "refs").mkdir(parents=True)
+    (repo / "refs" / "main").write_text("abc")
+    (repo / "snapshots" / "abc").mkdir(parents=True)
+    given = {f"resnet.{name}": v for name, v in Backbone().network.state_dict().items()}
+    path = repo / "snapshots" / "abc" / "model.safetensors"
+    save_file(given | {"classifier.1.bias": torch.zeros(1000)}, path)
+    assert cached_imagenet_file() == path
+    assert make_backbone("imagenet").origin == "imagenet (model.safetensors)"
+
+
+def test_without_imagenet_weights_auto_says_none_and_imagenet_stops(monkeypatch):
+    monkeypatch.setattr(backbone_module, "cached_imagenet_file", lambda: None)
+    assert make_backbone("auto").origin == "none"
+    with pytest.raises(LearningError, match=r"no ImageNet weights .*model\.weights: none"):
+        make_backbone("imagenet")
+
+
+def test_weights_that_are_not_a_resnet_18_are_refused(tmp_path, torchvision_weights):
+    cases = {
+        "missing": {k: v for k, v in torchvision_weights.items() if k != "layer3.1.conv2.weight"},
+        "of no use": torchvision_weights | {"layer1.2.conv1.weight": torch.zeros(64, 64, 3, 3)},
+        "shape": torchvision_weights | {"layer1.0.conv1.weight": torch.zeros(64, 64, 1, 1)},
+    }
+    for word, weights in cases.items():
+        path = tmp_path / "w.safetensors"
+        save_file(weights, path)
+        with pytest.raises(LearningError, match=f"not the weights of a ResNet-18.*{word}"):
+            make_backbone(str(path))
+    with pytest.raises(LearningError, match=r"is no file; give a ResNet-18 weight file"):
+        make_backbone(str(tmp_path / "nowhere.pth"))
+
+
+class Harmful:
+    def __reduce__(self) -> tuple:
+        return (builtins.exec, ("raise SystemExit('code of the file was run')",))
+
+
+def test_a_weight_file_with_code_in_it_is_refused_without_running_it(tmp_path):
+    path = tmp_path / "weights.pth"
+    path.write_bytes(pickle.dumps({"conv1.weight": Harmful()}))
+    with pytest.raises(LearningError, match="cannot be read as weights"):
+        read_weights(path)
+    torch.save({"conv1.weight": Harmful()}, path)
+    with pytest.raises(LearningError, match="cannot be read as weights"):
+        read_weights(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a file of weights", b"\x80\x04K\x01."])
+def test_a_damaged_weight_file_is_told(tmp_path: Path, content: bytes):
+    for name in ("w.pth", "w.safetensors"):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(LearningError, match=name):
+            read_weights(tmp_path / name)
+
+
+def test_torchvision_is_used_where_it_is_there(monkeypatch, torchvision_weights, tmp_path):
+    """A stand-in with torchvision's names: a checkpoint moves between the two libraries."""
+    reference = build_network("single").eval()
+
+    class Stub(nn.Module):
+        """Transformers' layers that give their weights under torchvision's names."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.inner = backbone_module._transformers_network()
+            self.fc = nn.Identity()
+
+        def forward(self, x):
+            return self.inner(x).pooler_output
+
+        def state_dict(self, *args, **kwargs):
+            values = self.inner.state_dict()
+            return OrderedDict(
+                (name, values[to_transformers(name)])
+                for name in torchvision_shapes()
+                if not name.startswith("fc.")
+            )
+
+        def load_state_dict(self, weights, strict=True):
+            given = {to_transformers(name): value for name, value in weights.items()}
+            return self.inner.load_state_dict(given, strict=True)
+
+    models = types.ModuleType("torchvision.models")
+    models.resnet18 = lambda weights: Stub()
+    monkeypatch.setitem(sys.modules, "torchvision", types.ModuleType("torchvision"))
+    monkeypatch.setitem(sys.modules, "torchvision.models", models)
+    backbone = Backbone()
+    assert backbone.naming == "torchvision"
+    backbone.eval()
+    backbone.load(reference.backbone.network.state_dict(), "reference")
+    x = torch.from_numpy(np.random.default_rng(0).random((1, 3, 32, 32), np.float32))
+    with torch.no_grad():
+        torch.testing.assert_close(backbone(x), reference.backbone(x))
+
+
+def test_a_checkpoint_of_the_other_network_is_refused():
+    single, sequence = build_network("single"), build_network("sequence")
+    with pytest.raises(LearningError, match=r"not a checkpoint of the sequence network"):
+        sequence.take(single.state_dict(), "model.safetensors")
+    with pytest.raises(LearningError, match=r"not a checkpoint of the single network"):
+        single.take(sequence.state_dict(), "model.safetensors")

@@ -1,0 +1,95 @@
+"""Training recipes and the two commands, as a user meets them."""
+
+import json
+import sys
+
+import pytest
+import yaml
+
+from tacgen import cli
+from tacgen.errors import TacgenError
+from tacgen.learning import extra
+from tacgen.learning.recipe import load_train_recipe
+from tacgen.resources import packaged
+from tests.learning.conftest import recipe_of, write_real
+
+SHIPPED = sorted(packaged("recipes").glob("train*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_shipped_training_recipe_loads_under_its_own_name(path):
+    recipe = load_train_recipe(path.stem)
+    assert recipe.name == path.stem
+    assert (recipe.training.learning_rate, recipe.training.backbone_rate_factor) == (1e-4, 0.8)
+
+
+def test_every_mistake_is_told_at_once_with_its_line(tmp_path):
+    path = tmp_path / "r.yaml"
+    path.write_text(
+        "name: r\nmodel: {kind: pair}\ntraining:\n  epoch: 3\n  batch_size: 1\n"
+        "input: {size_px: [8, 8]}\n"
+    )
+    with pytest.raises(TacgenError) as caught:
+        load_train_recipe(path)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 4
+    assert any("r.yaml:4: training.epoch is not a known key" in line for line in lines)
+    assert any("32 and 2048" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("grid: {sample: 3}\n", "recipe for `tacgen collect`"),
+        ("objects: [can, can]\n", "names an object twice"),
+        ("input: {frames: 4}\n", "only matters to `model.kind: sequence`"),
+    ],
+)
+def test_a_recipe_that_cannot_be_meant_is_refused(tmp_path, text, word):
+    path = tmp_path / "r.yaml"
+    path.write_text(f"name: r\n{text}")
+    with pytest.raises(TacgenError, match=word):
+        load_train_recipe(path)
+
+
+def run_cli(monkeypatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["tacgen", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code or 0)
+
+
+def test_from_a_dataset_to_the_gap_on_the_command_line(toy, tmp_path, monkeypatch, capsys):
+    recipe, run = tmp_path / "toy.yaml", tmp_path / "run"
+    recipe.write_text(yaml.safe_dump(recipe_of(training={"epochs": 1}).resolved()))
+    assert run_cli(monkeypatch, "train", recipe, "--data", toy, "--out", run) == 0
+    assert "first weights of the backbone: none" in capsys.readouterr().out
+    assert run_cli(monkeypatch, "eval", run, "--data", toy, "--json") == 0
+    simulated = json.loads(capsys.readouterr().out)
+    assert simulated == json.loads((run / "eval.json").read_text())
+    real = write_real(tmp_path / "real")
+    assert run_cli(monkeypatch, "eval", run, "--real", real) == 0
+    said = capsys.readouterr().out
+    assert "sim-to-real gap" in said
+    assert "NONE: trained from scratch" in said
+
+
+def test_wrong_input_is_one_message_and_exit_2(toy, tmp_path, monkeypatch, capsys):
+    arguments = ("train", "train_single", "--data", tmp_path, "--out", tmp_path / "run")
+    assert run_cli(monkeypatch, *arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("tacgen: ")
+    assert "Traceback" not in said.err
+    assert run_cli(monkeypatch, "eval", tmp_path, "--data", toy) == 2
+
+
+def test_a_missing_extra_is_named_with_its_mend(monkeypatch, capsys, tmp_path):
+    present = extra.find_spec
+    monkeypatch.setattr(
+        extra, "find_spec", lambda name: None if name in ("torch", "sklearn") else present(name)
+    )
+    assert run_cli(monkeypatch, "eval", tmp_path, "--data", tmp_path) == 2
+    said = capsys.readouterr().err
+    assert "torch, sklearn" in said
+    assert "pip install 'tacgen[learn]'" in said

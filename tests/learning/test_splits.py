@@ -1,0 +1,124 @@
+"""The test set is never seen, and validation is a part of the training grasps."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tacgen.errors import LearningError
+from tacgen.learning.grasps import GraspTable, SimulatedGrasps
+from tacgen.learning.splits import class_weights, plan_models, shared_configurations
+from tests.learning.conftest import recipe_of
+
+
+def table_of(n: int, seed: int = 0, repeats: int = 1, **given) -> GraspTable:
+    """n configurations of two objects, each asked for ``repeats`` times; a third is for testing."""
+    rng = np.random.default_rng(seed)
+    once = {
+        "objects": np.where(np.arange(n) % 2, "can", "cup"),
+        "label": rng.integers(0, 2, n),
+        "split": np.where(rng.random(n) < 0.3, "test", "train"),
+        "force_n": rng.integers(1, 8, n).astype(float),
+        "x_mm": rng.random(n),
+        "y_mm": np.zeros(n),
+        "z_mm": rng.random(n),
+        "yaw_rad": np.zeros(n),
+        "grasp_frame": np.zeros(n, int),
+    } | given
+    columns = {name: np.repeat(values, repeats) for name, values in once.items()}
+    return GraspTable(ids=np.arange(n * repeats).astype(str), **columns)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    n=st.integers(60, 200),
+    repeats=st.integers(1, 3),
+    per_object=st.booleans(),
+    fraction=st.floats(0.05, 0.5),
+)
+def test_no_grasp_or_configuration_is_on_two_sides(seed, n, repeats, per_object, fraction):
+    table = table_of(n, seed, repeats)
+    recipe = recipe_of(per_object=per_object, seed=seed, training={"validation_fraction": fraction})
+    tested = np.flatnonzero(table.split == "test")
+    used: list[int] = []
+    for plan in plan_models(recipe, table, "data"):
+        sides = [plan.fit_rows, plan.validation_rows, tested]
+        for i, one in enumerate(sides):
+            for other in sides[i + 1 :]:
+                assert not set(one) & set(other)
+                assert not shared_configurations(table.take(one), table.take(other))
+        used += [*plan.fit_rows, *plan.validation_rows]
+    assert sorted(used) == sorted(np.flatnonzero(table.split == "train"))
+
+
+def test_a_dataset_with_a_configuration_on_both_sides_is_refused():
+    table = table_of(80, repeats=2)
+    split = table.split.copy()
+    row = int(np.flatnonzero(split == "test")[0])
+    split[row] = "train"
+    columns = {name: getattr(table, name) for name in GraspTable.__dataclass_fields__}
+    with pytest.raises(LearningError, match="1 configurations are in both train and test"):
+        plan_models(recipe_of(), GraspTable(**columns | {"split": split}), "data")
+
+
+def test_validation_takes_its_share_of_each_class():
+    table = table_of(400, seed=3)
+    recipe = recipe_of(training={"validation_fraction": 0.2})
+    (plan,) = plan_models(recipe, table, "data")
+    for label in (0, 1):
+        kept = (table.label[plan.validation_rows] == label).sum()
+        learnt = (table.label[plan.fit_rows] == label).sum()
+        assert kept / (kept + learnt) == pytest.approx(0.2, abs=0.03)
+
+
+def test_the_split_follows_from_the_seed_and_the_object_alone():
+    table = table_of(120)
+    first = plan_models(recipe_of(per_object=True), table, "data")
+    alone = plan_models(recipe_of(per_object=True, objects=["cup"]), table, "data")
+    assert [plan.name for plan in first] == ["can", "cup"]
+    np.testing.assert_array_equal(first[1].validation_rows, alone[0].validation_rows)
+    other = plan_models(recipe_of(per_object=True, seed=5), table, "data")
+    assert list(first[1].validation_rows) != list(other[1].validation_rows)
+
+
+def test_a_smaller_training_set_is_part_of_a_larger_one():
+    table = table_of(200)
+
+    def rows(n: int) -> set[int]:
+        recipe = recipe_of(per_object=True, objects=["can"], training={"grasps": n})
+        (plan,) = plan_models(recipe, table, "data")
+        assert len(plan.fit_rows) + len(plan.validation_rows) == n
+        return {*plan.fit_rows, *plan.validation_rows}
+
+    assert rows(20) < rows(40)
+    with pytest.raises(LearningError, match=r"asks for 500, the dataset has \d+ .*collect more"):
+        rows(500)
+
+
+def test_one_class_only_is_told_for_every_object_at_once():
+    table = table_of(80, label=np.ones(80, int))
+    with pytest.raises(LearningError) as caught:
+        plan_models(recipe_of(per_object=True), table, "data")
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert all("0 failed" in line and "wider range of forces" in line for line in lines)
+
+
+def test_objects_that_are_not_there_are_named(toy):
+    table = SimulatedGrasps(toy).table
+    with pytest.raises(LearningError, match=r"no executed grasps of mug.*it has can, cup"):
+        plan_models(recipe_of(objects=["can", "mug"]), table, "data")
+
+
+def test_class_weights_make_both_classes_count_the_same():
+    labels = np.array([0] * 30 + [1] * 10)
+    weights = class_weights(labels)
+    assert weights[0] * 30 == pytest.approx(weights[1] * 10)
+    assert np.sum(weights[labels]) == pytest.approx(len(labels))
+
+
+def test_grasps_that_were_not_executed_are_left_out(toy):
+    table = SimulatedGrasps(toy).table
+    assert len(table) == 40 - len(range(8, 40, 9))
+    assert set(table.label) == {0, 1}

@@ -1,0 +1,300 @@
+"""Training: it learns, repeats bit for bit, goes on after a kill, and stops with words."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from tacgen.errors import DatasetError, Interrupted, LearningError
+from tacgen.learning import fit as fit_module
+from tacgen.learning.loader import Batches
+from tacgen.learning.train import train
+from tests.learning.conftest import collect, make_sample, make_spec, recipe_of
+
+TIMES = {"epoch_s", "fit_s", "loader_share"}
+
+
+def metrics_of(run: Path, model: str = "pooled") -> list[dict]:
+    """The metrics of a run without how long it took."""
+    text = (run / "models" / model / "metrics.jsonl").read_text()
+    lines = [json.loads(line) for line in text.splitlines()]
+    return [{k: v for k, v in line.items() if k not in TIMES} for line in lines]
+
+
+def assert_same_weights(run: Path, other: Path, model: str = "pooled") -> None:
+    one = load_file(run / "models" / model / "model.safetensors")
+    two = load_file(other / "models" / model / "model.safetensors")
+    assert one.keys() == two.keys()
+    for name, value in one.items():
+        assert torch.equal(value, two[name]), name
+    states = [
+        torch.load(folder / "models" / model / "checkpoint.pt", weights_only=True)
+        for folder in (run, other)
+    ]
+    moments = [state["optimizer"]["state"] for state in states]
+    assert all(
+        torch.equal(moments[0][key][name], moments[1][key][name])
+        for key in moments[0]
+        for name in ("exp_avg", "exp_avg_sq")
+    )
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    return recipe_of("sequence", training={"epochs": 3}, augmentation={"on": True})
+
+
+@pytest.fixture(scope="module")
+def trained(toy, recipe, tmp_path_factory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "whole"
+    train(recipe, toy, run)
+    return run
+
+
+def test_the_network_learns_what_can_be_seen(trained):
+    lines = metrics_of(trained)
+    assert [line["epoch"] for line in lines] == [1, 2, 3]
+    # Better than guessing, which costs log 2.
+    assert lines[-1]["train_loss"] < min(np.log(2), lines[0]["train_loss"])
+    assert lines[0]["backbone_rate"] == pytest.approx(0.8 * lines[0]["learning_rate"])
+
+
+def test_that_no_imagenet_weights_were_used_is_said_everywhere(toy, tmp_path, capsys):
+    recipe = recipe_of(training={"epochs": 1})
+    summary = train(recipe, toy, tmp_path / "run")
+    assert "NO ImageNet weights" in capsys.readouterr().err
+    assert summary["models"]["pooled"]["weights"] == "none"
+    assert all(line["weights"] == "none" for line in metrics_of(tmp_path / "run"))
+    report = (tmp_path / "run" / "models" / "pooled" / "report.html").read_text()
+    assert "NONE: trained from scratch" in report
+
+
+def test_a_run_leaves_its_log_its_report_and_its_plan(trained):
+    assert list((trained / "models" / "pooled" / "tensorboard").glob("events*"))
+    assert "data:image/png" in (trained / "models" / "pooled" / "report.html").read_text()
+    plan = json.loads((trained / "run.json").read_text())
+    assert plan["recipe"]["training"]["threads"] == 1
+    assert not set(plan["models"]["pooled"]["fit"]) & set(plan["models"]["pooled"]["validation"])
+
+
+def test_nothing_is_drawn_where_nobody_looks(toy, tmp_path, capsys):
+    train(recipe_of(training={"epochs": 1}), toy, tmp_path / "run")
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "epoch/s" not in said.err
+    assert "\r" not in said.err
+
+
+def test_training_repeats_bit_for_bit(toy, recipe, trained, tmp_path):
+    train(recipe, toy, tmp_path / "again")
+    assert_same_weights(trained, tmp_path / "again")
+    assert metrics_of(trained) == metrics_of(tmp_path / "again")
+
+
+@pytest.mark.parametrize("batch", [0, 2])
+def test_a_killed_run_goes_on_to_the_same_weights(
+    toy, recipe, trained, tmp_path, monkeypatch, batch
+):
+    """Stopped in its third epoch, before the first step and in the middle."""
+    shuffled = Batches.shuffled
+
+    def stopped(self, seed, epoch, augmentation):
+        for count, item in enumerate(shuffled(self, seed, epoch, augmentation)):
+            if epoch == 3 and count == batch:
+                raise Interrupted
+            yield item
+
+    run = tmp_path / "killed"
+    monkeypatch.setattr(Batches, "shuffled", stopped)
+    with pytest.raises(Interrupted):
+        train(recipe, toy, run)
+    monkeypatch.undo()
+    assert len(metrics_of(run)) == 2
+    train(recipe, toy, run)
+    assert_same_weights(trained, run)
+    assert metrics_of(trained) == metrics_of(run)
+
+
+def test_a_kill_between_model_and_checkpoint_does_no_harm(
+    toy, recipe, trained, tmp_path, monkeypatch
+):
+    """The epoch counts as not done and is repeated."""
+    save_state = fit_module.save_state
+
+    def stopped(path, state):
+        if state["epoch"] == 2:
+            raise Interrupted
+        save_state(path, state)
+
+    run = tmp_path / "killed"
+    monkeypatch.setattr(fit_module, "save_state", stopped)
+    with pytest.raises(Interrupted):
+        train(recipe, toy, run)
+    monkeypatch.undo()
+    train(recipe, toy, run)
+    assert_same_weights(trained, run)
+    assert metrics_of(trained) == metrics_of(run)
+
+
+def test_a_run_that_is_done_stays_as_it_is(toy, recipe, trained, tmp_path):
+    run = tmp_path / "copy"
+    shutil.copytree(trained, run)
+    before = (run / "models" / "pooled" / "model.safetensors").stat().st_mtime_ns
+    summary = train(recipe, toy, run)
+    assert (run / "models" / "pooled" / "model.safetensors").stat().st_mtime_ns == before
+    assert summary["models"]["pooled"]["epochs"] == 3
+
+
+def test_torch_is_left_as_it_was_found(toy, tmp_path):
+    torch.manual_seed(11)
+    expected = torch.rand(1)
+    torch.manual_seed(11)
+    threads = torch.get_num_threads()
+    train(recipe_of(training={"epochs": 1}), toy, tmp_path / "run")
+    assert torch.equal(torch.rand(1), expected)
+    assert torch.get_num_threads() == threads
+    assert not torch.are_deterministic_algorithms_enabled()
+
+
+def test_the_threads_belong_to_the_run(toy, recipe, trained):
+    changed = recipe.model_copy(
+        update={"training": recipe.training.model_copy(update={"threads": 2})}
+    )
+    with pytest.raises(LearningError, match=r"recipe\.training\.threads \(1 there, 2 now\)"):
+        train(changed, toy, trained)
+
+
+def test_a_folder_with_a_run_of_another_network_is_refused(toy, trained):
+    with pytest.raises(LearningError, match=r"holds another run.*model\.kind.*another --out"):
+        train(recipe_of("single", training={"epochs": 3}), toy, trained)
+
+
+def test_a_folder_with_a_run_on_another_dataset_is_refused(recipe, trained, tmp_path):
+    data = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32))
+    with pytest.raises(LearningError, match=r"holds another run, which differs in dataset"):
+        train(recipe, data, trained)
+
+
+def test_a_checkpoint_of_another_model_is_refused(toy, recipe, trained, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    single = tmp_path / "single"
+    train(recipe_of("single", training={"epochs": 1}), toy, single)
+    shutil.copy(single / "models/pooled/checkpoint.pt", run / "models/pooled/checkpoint.pt")
+    with pytest.raises(LearningError, match="not a checkpoint of the sequence network"):
+        train(recipe, toy, run)
+    (run / "models/pooled/checkpoint.pt").write_bytes(b"broken")
+    with pytest.raises(LearningError, match=r"cannot be read as a checkpoint.*train anew"):
+        train(recipe, toy, run)
+
+
+def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
+    toy, tmp_path, monkeypatch
+):
+    """The rate is normal in the first epoch and absurd from the second on."""
+    run_epoch = fit_module.Fit._run_epoch
+
+    def wild(self, epoch):
+        if epoch == 2:
+            for group in self.optimizer.param_groups:
+                group["lr"] = 1e6
+        return run_epoch(self, epoch)
+
+    monkeypatch.setattr(fit_module.Fit, "_run_epoch", wild)
+    run = tmp_path / "run"
+    with pytest.raises(
+        LearningError, match=r"diverged to .* in epoch 2.*learning_rate.*epoch 1 is kept"
+    ):
+        train(recipe_of(training={"epochs": 4}), toy, run)
+    state = torch.load(run / "models/pooled/checkpoint.pt", weights_only=True)
+    assert state["epoch"] == 1
+    assert all(torch.isfinite(v).all() for v in state["network"].values())
+    assert len(metrics_of(run)) == 1
+
+
+def test_one_model_an_object(toy, tmp_path):
+    recipe = recipe_of(per_object=True, training={"epochs": 1})
+    summary = train(recipe, toy, tmp_path / "run")
+    assert {name: model["objects"] for name, model in summary["models"].items()} == {
+        "can": ["can"],
+        "cup": ["cup"],
+    }
+
+
+def shard_of(data: Path, number: int = 0) -> Path:
+    return data / "shards" / f"shard-{number:05d}.h5"
+
+
+def test_a_missing_shard_is_told(toy, tmp_path):
+    data = tmp_path / "data"
+    shutil.copytree(toy, data)
+    shard_of(data, 1).unlink()
+    with pytest.raises(DatasetError, match=r"shard-00001\.h5.*missing"):
+        train(recipe_of(), data, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_corrupt_shard_is_told(toy, tmp_path):
+    data = tmp_path / "data"
+    shutil.copytree(toy, data)
+    content = bytearray(shard_of(data).read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    shard_of(data).write_bytes(content)
+    with pytest.raises(DatasetError, match=r"shard-00000\.h5.*not what was written"):
+        train(recipe_of(), data, tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [({"recipe_sha256": "ef" * 32}, "recipe_sha256"), ({"calibration": {}}, "calibration")],
+)
+def test_shards_of_different_recipes_are_refused(toy, tmp_path, change, word):
+    data, other = tmp_path / "data", collect(tmp_path / "other", make_spec(**change))
+    shutil.copytree(toy, data)
+    for suffix in (".h5", ".json"):
+        shutil.copy(shard_of(other, 1).with_suffix(suffix), shard_of(data, 1).with_suffix(suffix))
+    (data / "manifest.jsonl").unlink()
+    with pytest.raises(DatasetError, match=f"differ in {word}"):
+        train(recipe_of(), data, tmp_path / "run")
+
+
+def test_one_class_only_is_told(tmp_path):
+    def all_fail(index, spec):
+        sample = make_sample(index, spec)
+        return sample if sample.label != 1 else make_failure(sample)
+
+    def make_failure(sample):
+        from dataclasses import replace
+
+        return replace(sample, label=0, failure_mode="translational_slip")
+
+    data = collect(tmp_path / "data", make_spec(), all_fail)
+    with pytest.raises(LearningError, match=r"0 succeeded.*wider range of forces"):
+        train(recipe_of(), data, tmp_path / "run")
+
+
+def test_a_sequence_cannot_be_learnt_from_single_images(tmp_path):
+    data = collect(tmp_path / "data", make_spec(n_frames=1))
+    with pytest.raises(LearningError, match=r"the sequence network needs two or more"):
+        train(recipe_of("sequence"), data, tmp_path / "run")
+
+
+def test_a_gpu_that_is_not_there_is_told(toy, tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(LearningError, match=r"finds no GPU here.*device: auto"):
+        train(recipe_of(training={"device": "cuda"}), toy, tmp_path / "run")
+
+
+def test_a_pad_that_is_not_there_is_told(toy, tmp_path):
+    with pytest.raises(DatasetError, match=r"no 'right' pad.*left"):
+        train(recipe_of(input={"pad": "right"}), toy, tmp_path / "run")
+
+
+def test_a_folder_that_cannot_be_written_is_told(toy, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LearningError, match="give a folder that you may write to"):
+        train(recipe_of(), toy, tmp_path / "file" / "run")
