@@ -1,0 +1,72 @@
+"""The pyramid of Gaussians."""
+
+import numpy as np
+import pytest
+
+from tacgen.optics.deform import PYRAMID_SIGMA_MM, Deformer, deform, half_kernel, smooth
+
+MM_PER_PX = 0.0295
+
+
+def disc(depth_mm=1.0, radius_px=40, shape=(240, 320), centre=(120, 160)):
+    rows, columns = np.indices(shape)
+    inside = (rows - centre[0]) ** 2 + (columns - centre[1]) ** 2 <= radius_px**2
+    return (depth_mm * inside).astype(np.float32)
+
+
+def test_smoothing_is_a_convolution_with_a_gaussian():
+    image = np.random.default_rng(0).normal(size=(40, 50)).astype(np.float32)
+    kernel = half_kernel(1.7)
+    smoothed = image.copy()
+    smooth(smoothed, (0, 40, 0, 50), kernel, np.empty_like(image))
+    full = np.concatenate([kernel[:0:-1], kernel]).astype(float)
+    padded = np.pad(image.astype(float), len(kernel) - 1, mode="edge")
+    rows = np.apply_along_axis(np.convolve, 1, padded, full, "valid")
+    expected = np.apply_along_axis(np.convolve, 0, rows, full, "valid")
+    np.testing.assert_allclose(smoothed, expected, atol=1e-6)
+    assert full.sum() == pytest.approx(1, abs=1e-6)
+
+
+def test_firm_contact_keeps_the_objects_shape_and_the_rim_falls_off_smoothly():
+    deformation = deform(disc(), MM_PER_PX)
+    assert deformation[120, 160] == pytest.approx(1.0, abs=1e-6)
+    outside = deformation[120, 160 + 41 :]
+    assert (np.diff(outside) <= 0).all()
+    assert 0.1 < outside[4] < 0.9
+    assert outside[60] == 0
+    assert abs(np.diff(deformation[120])).max() < 0.3
+
+
+def test_widths_are_taxims_kernels():
+    """51, 21, 11 and 5 px at 0.0295 mm/px; OpenCV's σ = 0.3 ((k − 1)/2 − 1) + 0.8."""
+    sigmas_px = [0.3 * ((k - 1) * 0.5 - 1) + 0.8 for k in (51, 21, 11, 5)]
+    np.testing.assert_allclose(np.array(PYRAMID_SIGMA_MM) / MM_PER_PX, sigmas_px, atol=0.01)
+
+
+def test_deformation_keeps_its_size_in_mm_at_another_resolution():
+    fine = deform(disc(radius_px=40), MM_PER_PX)
+    coarse = deform(disc(radius_px=20, shape=(120, 160), centre=(60, 80)), 2 * MM_PER_PX)
+    for beyond_mm in (0.1, 0.2, 0.4):
+        # The disc's edge is a pixel wide in each, which is the difference that is left.
+        at = fine[120, 160 + round(40 + beyond_mm / MM_PER_PX)]
+        assert coarse[60, 80 + round(20 + beyond_mm / MM_PER_PX / 2)] == pytest.approx(at, abs=0.09)
+
+
+@pytest.mark.parametrize("contact", [(100, 141, 120, 201), (0, 30, 290, 320), (0, 240, 0, 320)])
+def test_only_what_a_contact_reaches_is_computed_and_nothing_else_changes(contact):
+    top, bottom, left, right = contact
+    depth = np.zeros((240, 320), dtype=np.float32)
+    depth[top:bottom, left:right] = np.random.default_rng(1).uniform(
+        0.1, 1, (bottom - top, right - left)
+    )
+    deformer = Deformer(MM_PER_PX)
+    part, window = deformer.deform(depth[top:bottom, left:right], contact, depth.shape)
+    whole = deform(depth, MM_PER_PX)
+    outside = whole.copy()
+    outside[window[0] : window[1], window[2] : window[3]] = 0
+    assert not outside.any()
+    np.testing.assert_array_equal(part, whole[window[0] : window[1], window[2] : window[3]])
+
+
+def test_nothing_stays_nothing():
+    assert not deform(np.zeros((50, 60)), MM_PER_PX).any()
