@@ -264,6 +264,45 @@ def bench(
         )
 
 
+@app.command()
+def friction(
+    recipe: RecipeArgument,
+    real: Annotated[Path, typer.Option(help="A folder of real grasps: grasps.csv, images/.")],
+    out: Annotated[Path, typer.Option(help="Folder of the results; goes on if it is there.")],
+    mu: Annotated[str, typer.Option(help="Values of μ: start:stop:step.")] = "0:1:0.05",
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    write_objects: Annotated[
+        bool, typer.Option("--write-objects", help="Write object.yaml copies with the new μ.")
+    ] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Find each object's friction: the μ whose simulated grasps end as the real ones did."""
+    from tacgen.dataset.real_grasps import read_real_grasps
+    from tacgen.friction import friction_json, mu_range, sweep_friction, write_object_copies
+    from tacgen.friction_report import verdict_of, write_friction_report
+    from tacgen.recipe import load_recipe
+    from tacgen.resources import object_folders
+
+    loaded = load_recipe(recipe)
+    grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
+    for warning in grasps.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    from tacgen.progress import progress_counter
+
+    with progress_counter("grasp") as show:
+        fits, outcomes = sweep_friction(
+            loaded, grasps, mu_range(mu), out, workers=workers, show=show
+        )
+    write_friction_report(out / "report.html", grasps, outcomes, fits)
+    if write_objects:
+        write_object_copies(fits, out / "objects")
+    if json_output:
+        typer.echo(json.dumps(friction_json(fits), indent=2))
+    else:
+        for name, fit in fits.items():
+            typer.echo(verdict_of(name, fit))
+
+
 def _print_record(record: Mapping[str, object], json_output: bool) -> None:
     """A flat record: as JSON, or a line for each entry."""
     if json_output:
@@ -272,6 +311,18 @@ def _print_record(record: Mapping[str, object], json_output: bool) -> None:
     for name, value in record.items():
         text = ", ".join(str(item) for item in value) if isinstance(value, (list, tuple)) else value
         typer.echo(f"{name.replace('_', ' '):>16}  {text}")
+
+
+@app.command()
+def rig(
+    recipe: RecipeArgument,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the log and the images.")],
+) -> None:
+    """Press balls on a virtual rig: a press log, press images or both, with known truth."""
+    from tacgen.rig import load_rig_recipe, run_rig
+
+    for path in run_rig(load_rig_recipe(recipe), out):
+        typer.echo(str(path))
 
 
 @calibrate_app.command("contact")
@@ -307,6 +358,74 @@ def calibrate_contact(
     for warning in result.warnings:
         typer.echo(f"warning: {warning}", err=True)
     typer.echo(result_text(result, json_output=json_output))
+
+
+@objects_app.command("list")
+def objects_list(json_output: JsonFlag = False) -> None:
+    """List every object that can be grasped here: tacgen's and those in ./objects."""
+    from tacgen.objects_io.listing import object_rows, rows_text
+
+    rows = object_rows()
+    typer.echo(json.dumps(rows, indent=2, ensure_ascii=False) if json_output else rows_text(rows))
+
+
+@objects_app.command("show")
+def objects_show(
+    name: Annotated[str, typer.Argument(help="An object's name, or its folder.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Also write a picture of it, as PNG.")
+    ] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Show an object's figures, each with its source."""
+    from tacgen.objects_io import load_object
+    from tacgen.objects_io.description import read_description
+    from tacgen.objects_io.listing import facts_text, object_facts
+    from tacgen.objects_io.picture import write_picture
+    from tacgen.resources import find_object_folder
+
+    obj = load_object(name)
+    facts = object_facts(obj, read_description(find_object_folder(name)))
+    if out is not None:
+        write_picture(obj, out)
+    typer.echo(
+        json.dumps(facts, indent=2, ensure_ascii=False) if json_output else facts_text(facts)
+    )
+
+
+@objects_app.command("add")
+def objects_add(
+    mesh: Annotated[Path, typer.Argument(help="An OBJ, STL, PLY or GLB file.")],
+    mass_kg: Annotated[float, typer.Option("--mass", help="What the object weighs, kg.")],
+    scale: Annotated[
+        float, typer.Option("--scale", help="mm per unit of the mesh: 1000 for metres.")
+    ] = 1.0,
+    name: Annotated[
+        str | None, typer.Option("--name", help="Name of the object [default: the file's].")
+    ] = None,
+    friction: Annotated[
+        float, typer.Option("--friction", help="Coulomb coefficient against the gel.")
+    ] = 0.4,
+    up: Annotated[
+        str, typer.Option("--up", help="The mesh's axis that points up: x, y or z.")
+    ] = "z",
+    force: Annotated[bool, typer.Option("--force", help="Replace an object of that name.")] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Import a mesh of your own into ./objects, ready to be named in a recipe."""
+    from tacgen.objects_io.add import add_object
+    from tacgen.objects_io.description import read_description
+    from tacgen.objects_io.listing import facts_text, object_facts
+
+    added = add_object(
+        mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, force=force
+    )
+    for note in added.notes:
+        typer.echo(f"tacgen: note: {note}", err=True)
+    facts = object_facts(added.object, read_description(Path("objects") / added.object.name))
+    typer.echo(
+        json.dumps(facts, indent=2, ensure_ascii=False) if json_output else facts_text(facts)
+    )
 
 
 def main() -> None:

@@ -73,14 +73,17 @@ def depth_view(
 
 def shaded_view(
     mesh: Mesh,
-    color_rgb: tuple[int, int, int],
+    color_rgb: tuple[int, int, int] | NDArray[np.floating],
     *,
     azimuth_deg: float,
     elevation_deg: float,
     size_px: tuple[int, int] = (480, 480),
     fill: float = 0.92,
 ) -> NDArray[np.uint8]:
-    """A shaded picture (H, W, 3) of the whole mesh on white, smoothed by 2 × 2 samples."""
+    """A shaded picture (H, W, 3) of the whole mesh on white, smoothed by 2 × 2 samples.
+
+    ``color_rgb`` is one colour, or one a face, (m, 3).
+    """
     axes = view_axes(azimuth_deg, elevation_deg)
     flat = mesh.vertices_mm @ axes.T
     low, high = flat.min(axis=0), flat.max(axis=0)
