@@ -1,0 +1,208 @@
+"""What the virtual sensor's camera sees of a rig session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+from numpy.typing import NDArray
+
+from tacgen.contact import contact_depth, gel_map_mm, solve_indentation
+from tacgen.contact.gel import pixel_centers_mm
+from tacgen.contact.shear import MarkerField, marker_grid_mm
+from tacgen.files import atomic_path, write_text
+from tacgen.optics.deform import deform
+from tacgen.optics.markers import draw_markers
+from tacgen.optics.virtual_sensor import VirtualSensor
+from tacgen.records import Sensor
+from tacgen.report.page import encode_png
+from tacgen.rig.effects import SessionTruth
+from tacgen.rig.recipe import RigRecipe
+from tacgen.rig.schedule import camera_rng
+from tacgen.sensors import load_sensor
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class BallContact:
+    """A ball in the gel: depth map (H, W), where the ball's centre is, and the dots at rest
+    and moved (n, 2), gel frame.
+    """
+
+    depth_mm: Floats
+    center_mm: tuple[float, float]
+    markers_mm: Floats
+    markers_at_rest_mm: Floats
+
+    def contact_radius_mm(self, pixel_area_mm2: float) -> float:
+        """Radius of the circle of the contact's area."""
+        return float(np.sqrt((self.depth_mm > 0).sum() * pixel_area_mm2 / np.pi))
+
+
+def rig_sensor(recipe: RigRecipe) -> Sensor:
+    """The sensor that is pressed."""
+    return load_sensor(recipe.sensor)
+
+
+def press_ball(
+    sensor: Sensor,
+    radius_mm: float,
+    center_mm: tuple[float, float],
+    volume_mm3: float,
+    shear_sum_mm: Floats,
+) -> BallContact:
+    """Press a ball until the gel has lost ``volume_mm3``, then move it until the dots' motion
+    sums to ``shear_sum_mm`` (2,).
+    """
+    points = marker_grid_mm(sensor)
+    depth = _depth_of_ball(sensor, radius_mm, center_mm, volume_mm3)
+    if not (depth > 0).any():
+        return BallContact(depth, center_mm, points, points)
+    field = _field(sensor, points, depth)
+    motion = field.motion(shear_sum_mm)
+    moved = (center_mm[0] + float(motion.shift_mm[0]), center_mm[1] + float(motion.shift_mm[1]))
+    if np.any(shear_sum_mm):
+        depth = _depth_of_ball(sensor, radius_mm, moved, volume_mm3)
+    return BallContact(depth, moved, field.displaced_mm(motion), points)
+
+
+def _depth_of_ball(
+    sensor: Sensor, radius_mm: float, center_mm: tuple[float, float], volume_mm3: float
+) -> Floats:
+    x_mm, y_mm = pixel_centers_mm(sensor)
+    away = (x_mm[None, :] - center_mm[0]) ** 2 + (y_mm[:, None] - center_mm[1]) ** 2
+    below = away < radius_mm**2
+    gap = np.full(sensor.shape_px, np.inf)
+    gap[below] = -np.sqrt(radius_mm**2 - away[below]) - gel_map_mm(sensor)[below]
+    gap -= gap.min()
+    if volume_mm3 <= 0:
+        return np.zeros(sensor.shape_px)
+    depth_mm = solve_indentation(gap, volume_mm3, sensor.pixel_area_mm2)
+    return contact_depth(gap, min(depth_mm, sensor.gel_depth_mm))
+
+
+def _field(sensor: Sensor, points_mm: Floats, depth_mm: Floats) -> MarkerField:
+    x_mm, y_mm = pixel_centers_mm(sensor)
+    rows, columns = np.nonzero(depth_mm)
+    patch = np.stack([x_mm[columns], y_mm[rows]], axis=1)
+    return MarkerField(points_mm, patch, depth_mm[rows, columns], sensor.pixel_area_mm2)
+
+
+class Camera:
+    """A virtual sensor that takes pictures of ball contacts."""
+
+    def __init__(self, recipe: RigRecipe, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self._draws = recipe.images.markers and sensor.markers is not None
+        self._noise_grey = recipe.noise.camera_grey
+        self._optics = VirtualSensor.like(
+            sensor, shadow=recipe.images.shadow, blur_mm=recipe.images.blur_mm
+        )
+        self._gel_mm = gel_map_mm(sensor)
+
+    def take(self, contact: BallContact | None, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """A picture (H, W, 3), RGB; ``None`` is the gel at rest."""
+        height = self._gel_mm
+        points = marker_grid_mm(self._sensor)
+        if contact is not None:
+            height = self._gel_mm - deform(contact.depth_mm, self._sensor.mm_per_px)
+            points = contact.markers_mm
+        grey = self._optics.grey_levels(height).astype(np.float32)
+        if self._draws and self._sensor.markers is not None:
+            draw_markers(grey, points, self._sensor.markers.radius_mm, self._sensor.mm_per_px)
+        grey += self._noise_grey * rng.standard_normal(grey.shape, dtype=np.float32)
+        return np.rint(np.clip(grey, 0, 255)).astype(np.uint8)
+
+
+def chosen_samples(log: pd.DataFrame, truth: SessionTruth, per_press: int) -> list[int]:
+    """Rows of the log at which the camera takes pictures: the top of every press, and below."""
+    chosen: list[int] = []
+    for _, rows in log.groupby("trial").indices.items():
+        volume = truth.volume_mm3[rows]
+        moved = np.hypot(*truth.shear_mm[rows].T)
+        top = int(rows[np.argmax(volume + 1e-3 * volume.max() * moved / max(moved.max(), 1e-12))])
+        rising = rows[: int(np.argmax(volume)) + 1]
+        levels = volume.max() * np.arange(1, per_press) / per_press
+        chosen += [int(rising[np.argmin(np.abs(truth.volume_mm3[rising] - v))]) for v in levels]
+        chosen.append(top)
+    return chosen
+
+
+def write_images(
+    recipe: RigRecipe, sensor: Sensor, log: pd.DataFrame, truth: SessionTruth, folder: Path
+) -> Path:
+    """Write the press-image folder and return it."""
+    folder = Path(folder)
+    camera = Camera(recipe, sensor)
+    _write_png(folder / "background.png", camera.take(None, camera_rng(recipe, 10**6)))
+    records: list[dict[str, Any]] = []
+    taken: dict[int, int] = {}
+    for row in chosen_samples(log, truth, recipe.images.per_press):
+        sample = log.iloc[row]
+        press = int(sample["trial"])
+        index = taken.setdefault(press, 0)
+        taken[press] += 1
+        name = f"press_{press:04d}_{index}.png"
+        contact = press_ball(
+            sensor,
+            float(sample["radius_mm"]),
+            (float(sample["x_mm"]), float(sample["y_mm"])),
+            float(truth.volume_mm3[row]),
+            truth.shear_mm[row],
+        )
+        rng = camera_rng(recipe, press * recipe.images.per_press + index)
+        _write_png(folder / name, camera.take(contact, rng))
+        records.append(_record(recipe, sensor, name, sample, contact))
+    with atomic_path(folder / "presses.csv") as partial:
+        pd.DataFrame(records).round(6).to_csv(partial, index=False)
+    write_text(folder / "sensor.yaml", yaml.safe_dump(_sensor_yaml(sensor), sort_keys=False))
+    return folder
+
+
+def _record(
+    recipe: RigRecipe, sensor: Sensor, name: str, sample: pd.Series, contact: BallContact
+) -> dict[str, Any]:
+    record: dict[str, Any] = {"file": name, "radius_mm": sample["radius_mm"]}
+    if recipe.images.labels:
+        record |= {
+            "center_x_px": contact.center_mm[0] / sensor.mm_per_px + (sensor.width_px - 1) / 2,
+            "center_y_px": contact.center_mm[1] / sensor.mm_per_px + (sensor.height_px - 1) / 2,
+            "contact_radius_px": contact.contact_radius_mm(sensor.pixel_area_mm2)
+            / sensor.mm_per_px,
+        }
+    kept = ("trial", "time_s", "indenter", "x_mm", "y_mm", "force_normal_n", "force_shear_x_n",
+            "force_shear_y_n", "temperature_c")  # fmt: skip
+    return record | {column: sample[column] for column in kept if column in sample}
+
+
+def _sensor_yaml(sensor: Sensor) -> dict[str, Any]:
+    """What a reader of the folder needs to know of the sensor, in the form of sensor files."""
+    content: dict[str, Any] = {
+        "name": sensor.name,
+        "height_px": sensor.height_px,
+        "width_px": sensor.width_px,
+        "mm_per_px": sensor.mm_per_px,
+        "gel_depth_mm": sensor.gel_depth_mm,
+        "dome_radius_mm": sensor.dome_radius_mm,
+        "leds": [
+            {"direction": list(direction), "rgb": list(rgb)} for direction, rgb in sensor.leds
+        ],
+    }
+    if sensor.markers is not None:
+        content["markers"] = {
+            "rows": sensor.markers.rows,
+            "columns": sensor.markers.columns,
+            "pitch_mm": sensor.markers.pitch_mm,
+            "radius_mm": sensor.markers.radius_mm,
+        }
+    return content
+
+
+def _write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
+    with atomic_path(path) as partial:
+        partial.write_bytes(encode_png(rgb))

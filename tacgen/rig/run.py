@@ -1,0 +1,96 @@
+"""One session on the virtual rig, and the files that it leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tacgen import __version__
+from tacgen.contact.law import save_law
+from tacgen.files import atomic_path
+from tacgen.rig.effects import SessionTruth, true_response
+from tacgen.rig.images import rig_sensor, write_images
+from tacgen.rig.recipe import RigRecipe
+from tacgen.rig.schedule import noise_rng, true_session
+
+Floats = NDArray[np.float64]
+DECIMALS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A press log with noise, the true columns behind it, and the law they obey."""
+
+    log: pd.DataFrame
+    true_columns: dict[str, NDArray[Any]]
+    truth: SessionTruth
+
+
+def simulate_session(recipe: RigRecipe) -> Session:
+    """Press by the recipe; the same recipe gives the same log."""
+    true_columns = true_session(recipe)
+    truth = true_response(recipe, true_columns)
+    log = pd.DataFrame(_measured(recipe, true_columns, truth))
+    return Session(log, true_columns, truth)
+
+
+def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
+    """Write the recipe's session into ``out``; returns what was written.
+
+    ``press_log.csv`` (unless only images are wanted), ``presses/`` with ``background.png``, one
+    image a line of ``presses.csv`` and ``sensor.yaml`` (unless only a log is), and
+    ``truth.yaml``, the law that the gel really has, in the form of a ``contact.yaml``.
+    """
+    out = Path(out)
+    session = simulate_session(recipe)
+    sensor = rig_sensor(recipe)
+    pitch_mm = sensor.markers.pitch_mm if sensor.markers else np.nan
+    provenance: dict[str, Any] = {
+        "rig": recipe.model_dump(mode="json"),
+        "versions": {"tacgen": __version__},
+    }
+    law = replace(
+        session.truth.law,
+        marker_pitch_mm=pitch_mm,
+        provenance=MappingProxyType(provenance),
+    )
+    save_law(law, out / "truth.yaml")
+    written = [out / "truth.yaml"]
+    if recipe.output != "images":
+        with atomic_path(out / "press_log.csv") as partial:
+            session.log.round(DECIMALS).to_csv(partial, index=False)
+        written.append(out / "press_log.csv")
+    if recipe.output != "log":
+        written.append(write_images(recipe, sensor, session.log, session.truth, out / "presses"))
+    return written
+
+
+def _measured(
+    recipe: RigRecipe, true_columns: dict[str, NDArray[Any]], truth: SessionTruth
+) -> dict[str, NDArray[Any]]:
+    """The true columns as the instruments read them."""
+    measured = dict(true_columns)
+    trial = true_columns["trial"]
+    counts = np.bincount(trial)
+    draws = np.concatenate(
+        [noise_rng(recipe, press).standard_normal((n, 7)) for press, n in enumerate(counts)]
+    )
+    noise = recipe.noise
+    for column, name in enumerate(("force_normal_n", "force_shear_x_n", "force_shear_y_n")):
+        measured[name] = true_columns[name] + noise.force_n * draws[:, column]
+    measured["volume_mm3"] = truth.volume_mm3 + noise.volume_mm3 * draws[:, 3]
+    # The sum's noise is said for its length: each axis has its share.
+    per_axis = noise.marker_sum_mm / np.sqrt(2.0)
+    measured["shear_x_mm"] = truth.shear_mm[:, 0] + per_axis * draws[:, 4]
+    measured["shear_y_mm"] = truth.shear_mm[:, 1] + per_axis * draws[:, 5]
+    if recipe.temperature is not None:
+        measured["temperature_c"] = (
+            true_columns["temperature_c"] + recipe.temperature.noise_c * draws[:, 6]
+        )
+    return measured
