@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
+from tacgen.errors import RecipeError
 from tacgen.files import write_text
 from tacgen.friction_fit import FrictionFit, fit_friction
 from tacgen.grasp_pipeline import recipe_object
@@ -20,6 +23,7 @@ from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.randomize import with_friction
 from tacgen.recipe import ObjectEntry, Recipe
 from tacgen.records import GraspTrace
+from tacgen.resources import find_object_folder
 from tacgen.workers import Report, run_tasks
 
 GRASP_LIMIT_S = 120.0
@@ -58,22 +62,56 @@ def sweep_friction(
     *,
     workers: int,
     show: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, FrictionFit]:
+) -> tuple[dict[str, FrictionFit], dict[Key, Outcome]]:
     """Fit every object's friction to its real grasps; finished simulations in ``out`` are kept.
 
     Returns
     -------
-    dict of object name to FrictionFit
+    The fit of every object by name, and every simulated outcome.
     """
     outcomes = simulate_outcomes(recipe, real.grasps, mu_values, out, workers=workers, show=show)
-    fits = {}
+    fits: dict[str, FrictionFit] = {}
     for number, (name, grasps) in enumerate(real.by_object().items()):
         labels = label_matrix(outcomes, grasps, mu_values)
         truth = np.array([grasp.label for grasp in grasps])
         rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(number,)))
         fits[name] = fit_friction(np.asarray(mu_values), labels, truth, rng)
     write_text(out / "friction.json", json.dumps(friction_json(fits), indent=2) + "\n")
-    return fits
+    return fits, outcomes
+
+
+def mu_range(text: str) -> tuple[float, ...]:
+    """The values of μ that ``start:stop:step`` means, the end included.
+
+    Raises
+    ------
+    RecipeError
+        If the text is not of that form, or a value lies outside [0, 2].
+    """
+    try:
+        start, stop, step = (float(part) for part in text.split(":"))
+    except ValueError:
+        start, stop, step = 0.0, -1.0, 1.0
+    if not (0 <= start <= stop <= 2 and step > 0 and (stop - start) / step <= 1000):
+        msg = f"--mu {text}: give start:stop:step within 0 to 2, such as 0:1:0.05"
+        raise RecipeError(msg)
+    count = int(np.floor((stop - start) / step + 1e-9)) + 1
+    return tuple(round(start + k * step, 9) for k in range(count))
+
+
+def write_object_copies(fits: Mapping[str, FrictionFit], folder: Path) -> None:
+    """Copy each object's folder into ``folder`` with its friction replaced by the fitted one."""
+    for name, fit in fits.items():
+        target = folder / name
+        shutil.copytree(find_object_folder(name), target, dirs_exist_ok=True)
+        path = target / "object.yaml"
+        low, high = fit.interval
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content["friction"] = {
+            "value": round(fit.mu, 6),
+            "source": f"tacgen friction, {fit.n_grasps} real grasps, 95 % {low:.3g} to {high:.3g}",
+        }
+        write_text(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
 def label_matrix(

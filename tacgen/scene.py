@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tacgen.objects_io.raster import shaded_view
 from tacgen.records import GraspConfig, GraspObject, GraspTrace, Mesh
 
-PICTURE_PX = (150, 150)
+PICTURE_PX = (150, 200)
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
 
 _PAD_COLOR, _FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
