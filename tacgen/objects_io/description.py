@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -14,6 +15,8 @@ from pydantic import (
     Field,
     NonNegativeFloat,
     PositiveFloat,
+    StrictFloat,
+    StrictInt,
     TypeAdapter,
     ValidationError,
     model_validator,
@@ -108,7 +111,7 @@ class ShapeSource(Section):
     """
 
     builder: str | None = None
-    parameters: dict[str, float] = Field(default_factory=dict)
+    parameters: dict[str, StrictInt | StrictFloat] = Field(default_factory=dict)
     mesh: FileName | None = None
     collision: FileName | None = None
     scale: Annotated[PositiveFloat, AfterValidator(finite)] = 1.0
@@ -130,7 +133,7 @@ class ShapeSource(Section):
         return self
 
 
-def _check_parameters(builder: str, given: dict[str, float]) -> None:
+def _check_parameters(builder: str, given: Mapping[str, float]) -> None:
     """Every parameter must be one that the builder takes, of its type, and none may lack."""
     if builder not in BUILDERS:
         msg = f"builder {builder!r} is not known; known: {', '.join(sorted(BUILDERS))}"

@@ -5,14 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import QhullError
 
 from tacgen.errors import ObjectError
 from tacgen.objects_io.description import ObjectDescription, read_description
-from tacgen.objects_io.mass_properties import mass_properties
+from tacgen.objects_io.mass_properties import mass_properties, volume_mm3
 from tacgen.objects_io.mesh_files import read_parts, read_surface
 from tacgen.records import GraspObject, frozen_array
 from tacgen.resources import find_object_folder
 from tacgen.shapes import BUILDERS, Shape
+
+SIZE_TOLERANCE = 0.1
+"""Seams stand out and flutes lie lower than the published size; a wrong unit is far off."""
 
 
 def load_object(name_or_folder: str | Path) -> GraspObject:
@@ -52,17 +56,42 @@ def build_shape(description: ObjectDescription, folder: Path) -> Shape:
     if source.builder is not None:
         try:
             shape = BUILDERS[source.builder](**description.build_arguments())
-        except (ValueError, ArithmeticError, IndexError) as error:
+        except (ValueError, ArithmeticError, IndexError, MemoryError, QhullError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             msg = (
                 f"{folder / 'object.yaml'}: shape.parameters do not make a {source.builder}: "
-                f"{error}; check the dimensions"
+                f"{reason}; check the dimensions"
             )
             raise ObjectError(msg) from None
-        if not np.isfinite(shape.surface.vertices_mm).all():
-            msg = f"{folder / 'object.yaml'}: shape.parameters give points that are not finite"
-            raise ObjectError(msg)
-        return shape
-    return Shape(
-        read_surface(folder / str(source.mesh), source.scale),
-        read_parts(folder / str(source.collision), source.scale),
-    )
+    else:
+        shape = Shape(
+            read_surface(folder / str(source.mesh), source.scale),
+            read_parts(folder / str(source.collision), source.scale),
+        )
+    _check_shape(shape, description, folder)
+    return shape
+
+
+def _check_shape(shape: Shape, description: ObjectDescription, folder: Path) -> None:
+    """Refuse a shape that is not the solid that its description speaks of."""
+    where = folder / "object.yaml"
+    vertices = shape.surface.vertices_mm
+    if not np.isfinite(vertices).all() or volume_mm3(shape.surface) <= 0:
+        msg = f"{where}: shape encloses no volume; check its dimensions or mesh"
+        raise ObjectError(msg)
+    problems = []
+    extent = np.ptp(vertices, axis=0)
+    stated = np.array(description.dimensions_mm.value)
+    if not np.allclose(extent, stated, rtol=SIZE_TOLERANCE):
+        shown = [" × ".join(f"{value:.4g}" for value in size) for size in (extent, stated)]
+        problems.append(
+            f"{where}: shape is {shown[0]} mm, but dimensions_mm says {shown[1]}; mend either"
+        )
+    center = np.array(description.center_of_mass_mm.value)
+    if (center < vertices.min(axis=0)).any() or (center > vertices.max(axis=0)).any():
+        problems.append(
+            f"{where}: center_of_mass_mm = {center.tolist()} lies outside the object; "
+            "give it in the object's frame, mm"
+        )
+    if problems:
+        raise ObjectError.from_problems(problems)

@@ -1,0 +1,232 @@
+"""A user's own mesh: what is repaired, what is refused with its mend, what is written."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from tacgen.cli import app
+from tacgen.errors import ObjectError
+from tacgen.objects_io import load_object
+from tacgen.objects_io.add import add_object
+from tacgen.objects_io.decompose import convex_parts
+from tacgen.objects_io.mass_properties import volume_mm3
+from tacgen.objects_io.mesh_import import import_surface
+from tacgen.records import Mesh
+from tacgen.resources import find_object_folder
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def box(x=30.0, y=40.0, z=60.0):
+    return trimesh.creation.box((x, y, z)).subdivide()
+
+
+def exported(mesh, name):
+    mesh.export(name)
+    return name
+
+
+def test_a_box_in_metres_becomes_an_object_by_name(own_folder):
+    solid = box().apply_translation([500.0, 20.0, -7.0]).apply_scale(1e-3)
+    added = add_object(exported(solid, "tea_box.stl"), mass_kg=0.2, scale=1000.0, friction=0.5)
+    assert find_object_folder("tea_box") == added.object.folder
+    obj = load_object("tea_box")
+    low, high = obj.surface.vertices_mm.min(axis=0), obj.surface.vertices_mm.max(axis=0)
+    np.testing.assert_allclose(low, [-15, -20, 0], atol=1e-3)
+    np.testing.assert_allclose(high, [15, 20, 60], atol=1e-3)
+    np.testing.assert_allclose(obj.center_of_mass_mm, [0, 0, 30], atol=1e-3)
+    x, y, z = 30.0**2, 40.0**2, 60.0**2
+    expected = np.diag([y + z, x + z, x + y]) * 0.2 / 12
+    np.testing.assert_allclose(obj.inertia_kg_mm2, expected, rtol=1e-4, atol=1e-4)
+    assert obj.friction == 0.5
+    assert len(obj.collision) == 1
+    assert volume_mm3(obj.collision[0]) == pytest.approx(30 * 40 * 60, rel=1e-3)
+    # mg/(2μ) = 1.96 N lies among the forces; both pads meet the box at every height.
+    assert min(obj.grasp_ranges["force_n"]) < 1.96 < max(obj.grasp_ranges["force_n"])
+    assert all(0 < z_mm < 60 for z_mm in obj.grasp_ranges["z_mm"])
+    assert sorted(path.name for path in own_folder.joinpath("objects").iterdir()) == ["tea_box"]
+
+
+@pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb"])
+def test_every_format_gives_the_same_solid(kind):
+    surface = import_surface(exported(box(), f"solid.{kind}")).mesh
+    assert volume_mm3(surface) == pytest.approx(30 * 40 * 60, rel=1e-5)
+    assert trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False).is_watertight
+
+
+def test_the_up_axis_is_turned_to_z_without_mirroring():
+    solid = trimesh.creation.cone(radius=10.0, height=50.0)
+    for up, turn in (("y", [1, 0, 0]), ("x", [0, 1, 0])):
+        angle = -np.pi / 2 if up == "y" else np.pi / 2
+        lying = solid.copy().apply_transform(trimesh.transformations.rotation_matrix(angle, turn))
+        surface = import_surface(exported(lying, f"cone_{up}.stl"), up=up).mesh
+        tip = surface.vertices_mm[np.argmax(surface.vertices_mm[:, 2])]
+        np.testing.assert_allclose(tip, [0, 0, 50], atol=1e-3)
+        assert volume_mm3(surface) > 0
+
+
+def test_unmerged_corners_inward_faces_and_a_small_hole_are_mended():
+    solid = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
+    solid.update_faces(np.arange(len(solid.faces)) != 100)
+    solid.invert()
+    solid.unmerge_vertices()
+    imported = import_surface(exported(solid, "ball.ply"))
+    closed = trimesh.Trimesh(imported.mesh.vertices_mm, imported.mesh.faces, process=False)
+    assert closed.is_watertight
+    assert closed.is_winding_consistent
+    assert closed.volume == pytest.approx(4 / 3 * np.pi * 20**3, rel=0.02)
+    assert any("hole" in note for note in imported.notes)
+
+
+def test_overlapping_bodies_are_united():
+    two = trimesh.util.concatenate([box(), box().apply_translation([10.0, 0.0, 0.0])])
+    imported = import_surface(exported(two, "two.stl"))
+    assert volume_mm3(imported.mesh) == pytest.approx(40 * 40 * 60, rel=1e-4)
+    assert any("2 separate bodies" in note for note in imported.notes)
+
+
+def refused(mesh, file_name, **arguments):
+    path = exported(mesh, file_name) if mesh is not None else file_name
+    arguments = {"mass_kg": 0.1, **arguments}
+    with pytest.raises(ObjectError) as caught:
+        add_object(path, **arguments)
+    assert not os.path.exists("objects")
+    return str(caught.value)
+
+
+def test_metres_taken_for_millimetres_are_refused_with_the_scale_that_mends_it():
+    small = box().apply_scale(1e-3)
+    message = refused(small, "small.stl")
+    assert "if the mesh is in metres, pass --scale 1000" in message
+    assert add_object("small.stl", mass_kg=0.1, scale=1000.0).object.mass_kg == 0.1
+
+
+def test_too_large_is_refused():
+    assert "too large for a gripper that opens 110 mm" in refused(box(300, 300, 300), "crate.stl")
+
+
+def test_an_open_surface_is_refused_with_the_count_of_open_edges():
+    solid = trimesh.creation.box((30.0, 40.0, 60.0))
+    solid.update_faces(np.abs(solid.face_normals[:, 2] - 1) > 0.1)
+    message = refused(solid, "open.stl")
+    assert "4 open edges" in message
+    assert "Close Holes" in message
+
+
+def test_a_nan_is_refused():
+    text = "v 0 0 0\nv 30 0 0\nv 0 30 nan\nv 0 0 30\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    with open("nan.obj", "w", encoding="utf-8") as file:
+        file.write(text)
+    assert "no numbers" in refused(None, "nan.obj")
+
+
+@pytest.mark.parametrize("content", [b"", b"not a mesh at all", b"ply\nformat ascii 1.0\n"])
+@pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb"])
+def test_files_that_are_no_meshes_are_refused(content, kind):
+    name = f"broken.{kind}"
+    with open(name, "wb") as file:
+        file.write(content)
+    message = refused(None, name)
+    assert message.startswith(name)
+
+
+def test_missing_linked_and_foreign_files_are_refused():
+    exported(box(), "real.stl")
+    os.symlink("real.stl", "linked.stl")
+    assert "no such file, or a link" in refused(None, "linked.stl")
+    assert "no such file, or a link" in refused(None, "absent.stl")
+    exported(box(), "box.off")
+    assert "give one of obj, stl, ply, glb" in refused(None, "box.off")
+
+
+def test_every_bad_argument_is_named_at_once():
+    message = refused(
+        box(), "b.stl", name="../escape", mass_kg=-1.0, scale=0.0, friction=9.0, up="w"
+    )
+    for option in ("--name '../escape'", "--mass -1", "--scale 0", "--friction 9", "--up 'w'"):
+        assert option in message
+
+
+def test_grams_for_kilograms_are_refused():
+    assert "denser than any metal; give --mass in kg" in refused(box(), "heavy.stl", mass_kg=200.0)
+
+
+def test_a_file_name_that_names_nothing_asks_for_a_name():
+    assert "pass --name" in refused(box(), "textured.obj")
+
+
+def test_an_existing_object_is_kept_unless_forced(own_folder):
+    exported(box(), "thing.stl")
+    add_object("thing.stl", mass_kg=0.1)
+    with pytest.raises(ObjectError, match="exists already; pass --force"):
+        add_object("thing.stl", mass_kg=0.3)
+    assert load_object("thing").mass_kg == 0.1
+    add_object("thing.stl", mass_kg=0.3, force=True)
+    assert load_object("thing").mass_kg == 0.3
+    (own_folder / "objects" / "notes").mkdir()
+    with pytest.raises(ObjectError, match="is no object's folder"):
+        add_object("thing.stl", mass_kg=0.3, name="notes", force=True)
+    assert sorted(os.listdir("objects")) == ["notes", "thing"]
+
+
+def test_a_linked_objects_folder_is_refused(own_folder):
+    (own_folder / "elsewhere").mkdir()
+    os.symlink("elsewhere", "objects")
+    with pytest.raises(ObjectError, match="only into a real folder"):
+        add_object(exported(box(), "thing.stl"), mass_kg=0.1)
+    assert os.listdir("elsewhere") == []
+
+
+def test_a_folder_that_cannot_be_written_leaves_nothing(own_folder, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tacgen.objects_io.add.write_parts", full)
+    with pytest.raises(ObjectError, match="No space left on device"):
+        add_object(exported(box(), "thing.stl"), mass_kg=0.1)
+    assert os.listdir("objects") == []
+
+
+def test_an_l_shape_is_decomposed_into_convex_parts_the_same_way_twice():
+    first = trimesh.creation.box((20.0, 20.0, 80.0))
+    second = trimesh.creation.box((80.0, 20.0, 20.0)).apply_translation([30.0, 0.0, -30.0])
+    solid = trimesh.boolean.union([first, second], engine="manifold")
+    surface = Mesh(np.array(solid.vertices), np.array(solid.faces, dtype=np.int32))
+    parts, again = convex_parts(surface), convex_parts(surface)
+    assert len(parts) >= 2
+    assert sum(volume_mm3(part) for part in parts) == pytest.approx(solid.volume, rel=0.1)
+    for part, other in zip(parts, again, strict=True):
+        np.testing.assert_array_equal(part.vertices_mm, other.vertices_mm)
+
+
+def test_the_commands_add_list_and_show(own_folder):
+    runner = CliRunner()
+    exported(box(), "my_box.stl")
+    added = runner.invoke(app, ["objects", "add", "my_box.stl", "--mass", "0.25", "--json"])
+    assert added.exit_code == 0, added.output
+    listed = runner.invoke(app, ["objects", "list", "--json"])
+    row = next(row for row in json.loads(listed.stdout) if row["name"] == "my_box")
+    assert row["mass_kg"] == 0.25
+    assert row["from"] == os.path.join("objects", "my_box")
+    shown = runner.invoke(app, ["objects", "show", "my_box", "--out", "my_box.png"])
+    assert shown.exit_code == 0, shown.output
+    assert "given when the mesh was added" in shown.stdout
+    picture = np.frombuffer((own_folder / "my_box.png").read_bytes()[:8], dtype=np.uint8)
+    assert picture.tobytes() == b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_broken_object_does_not_hide_the_others(own_folder):
+    (own_folder / "objects" / "torn").mkdir(parents=True)
+    (own_folder / "objects" / "torn" / "object.yaml").write_text("name: torn\nmass: 3\n")
+    listed = CliRunner().invoke(app, ["objects", "list"])
+    assert listed.exit_code == 0
+    assert "tomato_soup_can" in listed.stdout
+    assert "mass is not a known key" in listed.stdout
