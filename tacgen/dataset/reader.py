@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +16,7 @@ from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample
 from tacgen.dataset.schema import CONTACT_NAMES, GRASP_ARRAYS, Layout
-from tacgen.dataset.shard import broken_as_error, open_shard, read_image
+from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
 from tacgen.records import GraspConfig, SlipMargin
@@ -60,7 +59,7 @@ class Dataset:
             raise DatasetError.from_problems([f"{self.root}: {text}" for text in problems])
         self._starts = [line.index_range[0] for line in self._lines]
         self._pid = os.getpid()
-        self._open: OrderedDict[int, tuple[h5py.File, Layout]] = OrderedDict()
+        self._open: OrderedDict[int, Shard] = OrderedDict()
         self._checked: set[int] = set()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -86,7 +85,7 @@ class Dataset:
     @property
     def layout(self) -> Layout:
         """Where each array stands in the shards."""
-        return self._file(0)[1]
+        return self._shard(0).layout
 
     @property
     def pads(self) -> tuple[str, ...]:
@@ -129,7 +128,7 @@ class Dataset:
         places = range(len(self._lines)) if shards is None else shards
         parts: dict[str, list[NDArray]] = {}
         for place in places:
-            layout = self._file(place)[1]
+            layout = self._shard(place).layout
             paths = [array.path for array in GRASP_ARRAYS]
             if contact:
                 paths += [layout.contact(self.pads[0], name) for name in CONTACT_NAMES]
@@ -149,9 +148,9 @@ class Dataset:
 
     def reference(self, pad: str | None = None) -> NDArray[np.uint8]:
         """The image of the undeformed gel, (H, W, 3)."""
-        file, layout = self._file(0)
-        with broken_as_error(self.root / self._lines[0].file):
-            return read_image(file[layout.tactile(self._pad(pad), "reference")], ())
+        shard = self._shard(0)
+        with broken_as_error(shard.path):
+            return read_image(shard.arrays[shard.layout.tactile(self._pad(pad), "reference")], ())
 
     def picture(self, index: int) -> NDArray[np.uint8] | None:
         """The scene from outside, (h, w, 3), if there are pictures."""
@@ -196,7 +195,7 @@ class Dataset:
     def close(self) -> None:
         """Close the files; they open again when they are needed."""
         while self._open:
-            self._open.popitem()[1][0].close()
+            self._open.popitem()[1].close()
 
     def _pad_sample(self, index: int, pad: str) -> PadSample:
         layout = self._layout(index)
@@ -217,24 +216,21 @@ class Dataset:
         return pad
 
     def _layout(self, index: int) -> Layout:
-        return self._file(self._place(index))[1]
+        return self._shard(self._place(index)).layout
 
     def _image(self, index: int, path: str, *then: int) -> NDArray:
         """One image of a grasp, out of the image array at ``path``."""
         place = self._place(index)
-        file, _ = self._file(place)
-        line = self._lines[place]
-        with broken_as_error(self.root / line.file):
-            return read_image(file[path], (index - line.index_range[0], *then))
+        shard = self._shard(place)
+        with broken_as_error(shard.path):
+            return read_image(shard.arrays[path], (index - self._starts[place], *then))
 
     def _read(self, index: int, path: str, *, whole: bool = False) -> NDArray:
         """The array at ``path`` of a grasp's shard: the ``whole``, or the grasp's row of it."""
         place = self._place(index)
-        file, _ = self._file(place)
-        line = self._lines[place]
-        with broken_as_error(self.root / line.file):
-            dataset = file[path]
-            return dataset[()] if whole else dataset[index - line.index_range[0]]
+        shard = self._shard(place)
+        with broken_as_error(shard.path):
+            return shard.read(path) if whole else shard.arrays[path][index - self._starts[place]]
 
     def _place(self, index: int) -> int:
         place = bisect_right(self._starts, index) - 1
@@ -243,7 +239,7 @@ class Dataset:
             raise DatasetError(msg)
         return place
 
-    def _file(self, place: int) -> tuple[h5py.File, Layout]:
+    def _shard(self, place: int) -> Shard:
         if self._pid != os.getpid():
             # Files of the parent process are the parent's to close.
             self._open, self._pid = OrderedDict(), os.getpid()
@@ -259,7 +255,7 @@ class Dataset:
             self._checked.add(place)
         self._open[place] = open_shard(path)
         if len(self._open) > _MAX_OPEN:
-            self._open.popitem(last=False)[1][0].close()
+            self._open.popitem(last=False)[1].close()
         return self._open[place]
 
 

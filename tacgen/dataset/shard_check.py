@@ -7,14 +7,20 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.dataset.check import outcome_problem
 from tacgen.dataset.manifest import ShardLine
-from tacgen.dataset.schema import SPLITS, Layout
-from tacgen.dataset.shard import broken_as_error, has_image, open_shard, read_image, require_sound
+from tacgen.dataset.schema import SPLITS
+from tacgen.dataset.shard import (
+    Shard,
+    broken_as_error,
+    has_image,
+    open_shard,
+    read_image,
+    require_sound,
+)
 from tacgen.dataset.tally import Tally
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
@@ -42,33 +48,31 @@ def shard_problems(path: Path, line: ShardLine, *, decode: Decode = "none") -> l
 def content_problems(path: Path, line: ShardLine, *, decode: Decode) -> list[str]:
     """The same, without the hash."""
     try:
-        file, layout = open_shard(path)
-        with file, broken_as_error(path):
-            return list(_content_problems(file, layout, line, decode))
+        with open_shard(path) as shard, broken_as_error(path):
+            return list(_content_problems(shard, line, decode))
     except DatasetError as error:
         return [text.removeprefix(f"{path}: ") for text in str(error).splitlines()]
 
 
-def _content_problems(
-    file: h5py.File, layout: Layout, line: ShardLine, decode: Decode
-) -> Iterator[str]:
+def _content_problems(shard: Shard, line: ShardLine, decode: Decode) -> Iterator[str]:
+    layout, attributes = shard.layout, shard.file.attrs
     said = {
         "sensor": (layout.sensor, line.sensor),
         "pads": (layout.pads, line.pads),
-        "recipe_sha256": (file.attrs["recipe_sha256"], line.recipe_sha256),
-        "index_range": (tuple(int(n) for n in file.attrs["index_range"]), line.index_range),
-        "frames": (len(file["/time_s"]), line.frames),
+        "recipe_sha256": (attributes["recipe_sha256"], line.recipe_sha256),
+        "index_range": (tuple(int(n) for n in attributes["index_range"]), line.index_range),
+        "frames": (shard.arrays["/time_s"].id.shape[0], line.frames),
     }
     for name, (here, there) in said.items():
         if here != there:
             yield f"{name} is {here}, but {there} in the manifest"
-    columns = {array.path: file[array.path][()] for array in layout.arrays() if not array.image}
+    columns = {a.path: shard.read(a.path) for a in layout.arrays() if not a.image}
     for array in layout.arrays():
         values = columns.get(array.path)
         if values is not None and values.dtype.kind == "f" and not array.nan:
             yield from _named(array.path, ~np.isfinite(values), "is not finite")
     yield from _grasp_problems(columns, line)
-    yield from _image_problems(file, layout, columns, decode)
+    yield from _image_problems(shard, columns, decode)
 
 
 def _grasp_problems(columns: dict[str, NDArray], line: ShardLine) -> Iterator[str]:
@@ -100,15 +104,13 @@ def _grasp_problems(columns: dict[str, NDArray], line: ShardLine) -> Iterator[st
     yield from _named("/grasp/grasp_frame", (frame < 0) | (frame >= line.frames), "is no frame")
 
 
-def _image_problems(
-    file: h5py.File, layout: Layout, columns: dict[str, NDArray], decode: Decode
-) -> Iterator[str]:
+def _image_problems(shard: Shard, columns: dict[str, NDArray], decode: Decode) -> Iterator[str]:
     executed = np.flatnonzero(columns["/grasp/status"] == b"executed")
     moments = columns["/grasp/grasp_frame"]
-    for array in layout.arrays():
+    for array in shard.layout.arrays():
         if not array.image:
             continue
-        dataset = file[array.path]
+        dataset = shard.arrays[array.path]
         per_frame = array.shape[1] == "T"
         n_frames = dataset.shape[1] if per_frame else 1
         rows: Iterable[int] = executed if array.shape[0] == "N" else (-1,)
