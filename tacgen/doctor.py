@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from tacgen.errors import PhysicsError
+
 MIN_FREE_GB = 2.0
 GL_PROBE_TIMEOUT_S = 60.0
 
@@ -55,15 +57,15 @@ def _python() -> Finding:
 
 
 def _numpy_in_pybullet() -> Finding:
-    reinstall = "install numpy first, then `pip install --force-reinstall --no-deps pybullet`"
-    if importlib.util.find_spec("pybullet") is None:
-        return Finding("pybullet", False, True, "not installed", "`pip install pybullet`")
-    import pybullet
+    from tacgen.physics.world import load_bullet
 
+    try:
+        load_bullet()
+    except PhysicsError as error:
+        problem, _, mend = str(error).partition("; ")
+        return Finding("pybullet", False, True, problem, mend)
     version = importlib.metadata.version("pybullet")
-    enabled = bool(pybullet.isNumpyEnabled())
-    detail = f"{version}, {'with' if enabled else 'without'} numpy"
-    return Finding("pybullet", enabled, True, detail, "" if enabled else reinstall)
+    return Finding("pybullet", True, True, f"{version}, with numpy")
 
 
 def _egl() -> Finding:

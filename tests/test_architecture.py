@@ -52,7 +52,8 @@ def test_a_stage_imports_only_what_it_may(stage):
 
 def test_nothing_imports_the_command_line():
     for path in MODULES:
-        assert "cli" not in parts_of_tacgen(path), path.relative_to(ROOT)
+        if path.name != "__main__.py":
+            assert "cli" not in parts_of_tacgen(path), path.relative_to(ROOT)
 
 
 def test_the_command_line_imports_no_stage_at_its_top():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import IntFlag
 from pathlib import Path
 from types import ModuleType, TracebackType
@@ -42,7 +44,8 @@ def load_bullet() -> ModuleType:
         If PyBullet is missing, or was built without numpy.
     """
     try:
-        import pybullet
+        with _quiet_standard_error():
+            import pybullet
     except ImportError as error:
         msg = (
             f"PyBullet cannot be imported ({error}); install it with `pip install pybullet` under "
@@ -50,6 +53,20 @@ def load_bullet() -> ModuleType:
         )
         raise PhysicsError(msg) from error
     return require_numpy(pybullet)
+
+
+@contextlib.contextmanager
+def _quiet_standard_error() -> Iterator[None]:
+    """Keep PyBullet from writing when it was built on standard error as it is imported."""
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def require_numpy(bullet: ModuleType) -> ModuleType:
@@ -105,11 +122,11 @@ class World:
         self._folder = None
         self._mesh_files.clear()
 
-    def rebuild(self, settings: PhysicsSettings) -> None:
+    def rebuild(self, settings: PhysicsSettings, solver_iterations: int) -> None:
         """Empty the world and lay the table: the state that every grasp starts from.
 
-        A rebuild rather than ``restoreState``: PyBullet's saved states leave out the cached
-        contacts of compound shapes and the motors' targets, so they do not repeat bit for bit.
+        A rebuild rather than ``restoreState``: that leaves out the motors, and does not repeat
+        bit for bit once an object of many parts is in contact (``docs/physics.md``).
         """
         bullet, client = self.bullet, self.client
         if client < 0:
@@ -118,7 +135,7 @@ class World:
         bullet.setPhysicsEngineParameter(
             fixedTimeStep=settings.time_step_s,
             numSubSteps=0,
-            numSolverIterations=settings.solver_iterations,
+            numSolverIterations=solver_iterations,
             solverResidualThreshold=0.0,
             enableConeFriction=1,
             deterministicOverlappingPairs=1,
