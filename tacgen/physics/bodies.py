@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import PhysicsError
 from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation
 from tacgen.physics.frames import rotation_from_quaternion as rotation_of
 from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
@@ -41,8 +40,8 @@ def principal_axes(
     return moments, axes
 
 
-def check_object(obj: GraspObject) -> None:
-    """Raise PhysicsError, listing everything about ``obj`` that no body can be made of."""
+def object_problems(obj: GraspObject) -> list[str]:
+    """Everything about ``obj`` that no body can be made of, each with its mend."""
     where = f"object {obj.name!r}"
     problems = []
     if not obj.collision:
@@ -60,8 +59,7 @@ def check_object(obj: GraspObject) -> None:
             f"{where}: inertia_kg_mm2 has the principal moments {listed}, which no body has "
             "(each is positive and at most the sum of the others); compute it anew from the mesh"
         )
-    if problems:
-        raise PhysicsError.from_problems(problems)
+    return problems
 
 
 class ObjectBody:

@@ -12,7 +12,7 @@ from tacgen.errors import PhysicsError
 from tacgen.physics import labels
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.arm import ArmWithGripper
-from tacgen.physics.bodies import ObjectBody, check_object, principal_axes
+from tacgen.physics.bodies import ObjectBody, object_problems, principal_axes
 from tacgen.physics.contacts import Bodies, Snapshot, closing_force_n
 from tacgen.physics.floating import FloatingGripper
 from tacgen.physics.frames import pose
@@ -96,21 +96,21 @@ def run_grasp(
     PhysicsError
         If the force is not one the gripper can be asked for, or the object cannot be a body.
     """
-    _check_force(config, settings)
-    check_object(obj)
+    problems = [*settings.problems(), *frames.problems()]
+    problems += [*_force_problems(config, settings), *object_problems(obj)]
+    if problems:
+        raise PhysicsError.from_problems(problems)
     return _Grasp(simulator, obj, config, settings, frames).run()
 
 
-def _check_force(config: GraspConfig, settings: PhysicsSettings) -> None:
+def _force_problems(config: GraspConfig, settings: PhysicsSettings) -> list[str]:
     where = f"grasp {config.index} of {config.object!r}: force_n = {config.force_n:g}"
     if not config.force_n > 0:
-        msg = f"{where} is not a force to grip with; ask for more than 0 N"
-        raise PhysicsError(msg)
+        return [f"{where} is not a force to grip with; ask for more than 0 N"]
     if config.force_n > settings.max_force_n:
-        msg = (
-            f"{where} exceeds max_force_n = {settings.max_force_n:g}; lower it or raise max_force_n"
-        )
-        raise PhysicsError(msg)
+        limit = f"max_force_n = {settings.max_force_n:g}"
+        return [f"{where} exceeds {limit}; lower it or raise max_force_n"]
+    return []
 
 
 class _Grasp:
@@ -125,8 +125,9 @@ class _Grasp:
         request: FrameRequest,
     ) -> None:
         self.obj, self.config, self.settings = obj, config, settings
+        self.note = ""
         self.world = simulator.world
-        self.world.rebuild(settings)
+        self.world.rebuild(settings, settings.iterations_for(config.force_n, obj.mass_kg))
         self.body = ObjectBody(self.world, obj)
         self.robot: Robot = _ROBOTS[simulator.robot]()
         self.robot.build(self.world, settings)
@@ -171,6 +172,8 @@ class _Grasp:
         """Close until both pads press steadily with the delivered force; why not, if not."""
         settings, recorder, fingers = self.settings, self.recorder, self.robot.fingers
         force_n = settings.delivered_force_n(self.config.force_n)
+        if force_n <= 0:
+            return "no force is delivered of the one commanded, so the fingers do not close"
         speed_m_s = settings.closing_speed_mm_s * M_PER_MM
         fingers.drive(speed_m_s, force_n)
         half_m = STROKE_MM / 2 * M_PER_MM
@@ -190,7 +193,10 @@ class _Grasp:
             if steady == STEADY_CHUNKS:
                 return ""
         missing = [pad for pad, force in touched.items() if force <= 0]
-        return f"the {' and the '.join(missing)} pad did not touch" if missing else ""
+        if missing:
+            return f"the {' and the '.join(missing)} pad did not touch"
+        self.note = f"the pads' force was not steady {limit_s:.1f} s after closing on"
+        return ""
 
     def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
         axis = (math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0)
@@ -236,6 +242,8 @@ class _Grasp:
         settings = self.settings
         motion = motion_of(lifted, self.bodies, settings.sensing_pads[0])
         rise_mm, turn_rad = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
+        if not (math.isfinite(rise_mm) and math.isfinite(turn_rad)):
+            return self._not_executed("crashed", "the simulation became unstable; shorten its step")
         label = labels.label_of(rise_mm, turn_rad, settings)
         windows = [self.recorder.window(end) for end in self.frame_ends] or [list(grasped)]
         return GraspTrace(
@@ -248,6 +256,7 @@ class _Grasp:
             rise_mm=rise_mm,
             turn_rad=turn_rad,
             margin=slip_margin(capacity, self.obj.mass_kg, *labels.first_slip(motion, settings)),
+            reason=self.note,
         )
 
     def _not_executed(self, status: Status, reason: str) -> GraspTrace:

@@ -2,12 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
+
+from tacgen.units import STANDARD_GRAVITY_M_S2
 
 RobotName = Literal["wsg50", "ur5e_wsg50"]
 Pads = Literal["left", "right", "both"]
 PAD_NAMES = ("left", "right")
+SMALLEST_DOME_RADIUS_MM = 20.0
+ITERATIONS_PER_FORCE_RATIO = 0.5
+MOST_ITERATIONS = 500
+
+_ABOVE_ZERO = (
+    "time_step_s",
+    "solver_iterations",
+    "closing_speed_mm_s",
+    "settle_limit_s",
+    "lift_mm",
+    "lift_speed_mm_s",
+    "lift_acceleration_mm_s2",
+    "success_rise_mm",
+    "success_turn_rad",
+    "slip_mm",
+    "slip_turn_rad",
+    "slip_sample_s",
+    "contact_average_steps",
+    "max_force_n",
+)
+_NOT_NEGATIVE = (
+    "clearance_mm",
+    "hold_s",
+    "pad_friction",
+    "table_friction",
+    "pad_stiffness_n_mm",
+    "pad_damping_n_s_mm",
+    "delivered_force_scale",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,8 +48,11 @@ class PhysicsSettings:
 
     Attributes
     ----------
-    time_step_s, solver_iterations
-        Of PyBullet's constraint solver.
+    time_step_s
+        Of PyBullet.
+    solver_iterations
+        Of PyBullet's constraint solver, at least; a force that is large beside the object's
+        weight takes more.
     clearance_mm
         Gap left between the nearer pad and the object when the fingers are pre-positioned.
     closing_speed_mm_s
@@ -90,6 +125,42 @@ class PhysicsSettings:
         """Names of the pads that carry a sensor."""
         return PAD_NAMES if self.tactile_pads == "both" else (self.tactile_pads,)
 
+    def problems(self) -> list[str]:
+        """What is wrong with these figures, each with its mend; empty where nothing is."""
+        found = [
+            f"physics.{name} = {getattr(self, name):g} is not above 0; raise it"
+            for name in _ABOVE_ZERO
+            if not getattr(self, name) > 0
+        ]
+        found += [
+            f"physics.{name} = {getattr(self, name):g} is below 0; give 0 or more"
+            for name in _NOT_NEGATIVE
+            if not getattr(self, name) >= 0
+        ]
+        if self.pad_dome_radius_mm < SMALLEST_DOME_RADIUS_MM:
+            found.append(
+                f"physics.pad_dome_radius_mm = {self.pad_dome_radius_mm:g} cannot span the pad; "
+                f"give at least {SMALLEST_DOME_RADIUS_MM:g}"
+            )
+        if self.success_rise_mm >= self.lift_mm:
+            found.append(
+                f"physics.success_rise_mm = {self.success_rise_mm:g} is not reached by "
+                f"lift_mm = {self.lift_mm:g}; lift further"
+            )
+        if self.tactile_pads not in (*PAD_NAMES, "both"):
+            found.append(f"physics.tactile_pads = {self.tactile_pads!r} is not left, right or both")
+        return found
+
+    def iterations_for(self, force_n: float, mass_kg: float) -> int:
+        """Solver iterations for ``force_n`` on an object of ``mass_kg``.
+
+        The solver's error is a part of the pads' force but moves the object by its mass: too few
+        iterations let a light object creep in a strong grip.
+        """
+        ratio = force_n / (mass_kg * STANDARD_GRAVITY_M_S2)
+        needed = min(math.ceil(ITERATIONS_PER_FORCE_RATIO * ratio), MOST_ITERATIONS)
+        return max(self.solver_iterations, needed)
+
     def delivered_force_n(self, commanded_n: float) -> float:
         """The force a finger presses with when ``commanded_n`` is asked for."""
         return max(0.0, self.delivered_force_scale * commanded_n + self.delivered_force_offset_n)
@@ -107,3 +178,14 @@ class FrameRequest:
     mode: Literal["single", "sequence"] = "single"
     count: int = 24
     span_s: float = 3.0
+
+    def problems(self) -> list[str]:
+        """What is wrong with these figures, each with its mend; empty where nothing is."""
+        found = []
+        if self.mode not in ("single", "sequence"):
+            found.append(f"frames.mode = {self.mode!r} is not single or sequence")
+        if self.count < 1:
+            found.append(f"frames.count = {self.count} is below 1; ask for a frame at least")
+        if not self.span_s > 0:
+            found.append(f"frames.span_s = {self.span_s:g} is not above 0; raise it")
+        return found

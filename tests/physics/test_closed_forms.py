@@ -164,7 +164,7 @@ def test_energy_does_not_grow(simulator: GraspSimulator) -> None:
     """A block that falls on its edge, bounces, tumbles and comes to rest."""
     obj = block(mass_kg=0.3)
     world = simulator.world
-    world.rebuild(SETTINGS)
+    world.rebuild(SETTINGS, 50)
     body = ObjectBody(world, obj)
     world.bullet.resetBasePositionAndOrientation(
         body.body, (0.0, 0.0, 0.09), (0.3, 0.1, 0.0, 0.95), physicsClientId=world.client

@@ -72,7 +72,7 @@ def test_what_is_out_of_reach_has_no_joint_angles() -> None:
 def test_the_body_in_pybullet_is_the_published_arm() -> None:
     with GraspSimulator("ur5e_wsg50") as simulator:
         world = simulator.world
-        world.rebuild(PhysicsSettings())
+        world.rebuild(PhysicsSettings(), 50)
         arm = ArmWithGripper()
         arm.build(world, PhysicsSettings())
         target = GripperTarget(0.03, -0.05, 0.12, 0.4)

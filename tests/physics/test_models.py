@@ -194,7 +194,7 @@ class TestBodies:
 
     def test_the_body_stands_where_the_object_says(self, simulator: GraspSimulator) -> None:
         obj = block(yaw_rad=0.4, center_of_mass_offset_mm=(3.0, -4.0, 7.0))
-        simulator.world.rebuild(SETTINGS)
+        simulator.world.rebuild(SETTINGS, 50)
         body = ObjectBody(simulator.world, obj)
         position, quaternion = body.inertial_position()
         assert np.array(position) * 1000 == pytest.approx(obj.center_of_mass_mm, abs=1e-4)
@@ -213,7 +213,7 @@ class TestWorld:
     def test_surfaces_are_where_the_geometry_says(self, simulator: GraspSimulator) -> None:
         """No collision margin between the table, the object and the pads."""
         world = simulator.world
-        world.rebuild(SETTINGS)
+        world.rebuild(SETTINGS, 50)
         body = ObjectBody(world, block())
         robot = FloatingGripper()
         robot.build(world, SETTINGS)
@@ -233,7 +233,7 @@ class TestWorld:
     def test_a_resting_object_presses_the_table_with_its_weight(
         self, simulator: GraspSimulator
     ) -> None:
-        simulator.world.rebuild(SETTINGS)
+        simulator.world.rebuild(SETTINGS, 50)
         body = ObjectBody(simulator.world, block(mass_kg=0.4))
         simulator.world.step(480)
         raw = simulator.world.bullet.getContactPoints(physicsClientId=simulator.world.client)
