@@ -1,4 +1,4 @@
-"""From a grasp's forces to the gel's deformation: linear where the law is, with memory where not."""
+"""From forces to the deformation of the gel: linear where the law is, with memory where not."""
 
 import math
 from dataclasses import replace
