@@ -20,10 +20,10 @@ from tacgen.objects_io.decompose import convex_parts
 from tacgen.objects_io.description import NAME_PATTERN
 from tacgen.objects_io.grasp_ranges import collision_error_mm, suggest_ranges
 from tacgen.objects_io.load import load_object
-from tacgen.objects_io.mass_properties import mass_properties, volume_mm3
 from tacgen.objects_io.mesh_files import write_parts
 from tacgen.objects_io.mesh_import import UP_AXES, import_surface
 from tacgen.records import GraspObject, Mesh
+from tacgen.shapes.mass_properties import mass_properties, volume_mm3
 
 DEFAULT_FRICTION = 0.4
 HERTZ_MM = 3 * np.pi / 16 * 5.0

@@ -9,9 +9,9 @@ import numpy as np
 
 from tacgen.errors import ObjectError
 from tacgen.objects_io.description import ObjectDescription, read_description
-from tacgen.objects_io.mass_properties import volume_mm3
 from tacgen.records import GraspObject
 from tacgen.resources import object_folders, packaged
+from tacgen.shapes.mass_properties import volume_mm3
 
 COLUMNS = ("name", "mass_g", "size_mm", "friction", "force_n", "from", "description")
 

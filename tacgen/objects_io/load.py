@@ -9,11 +9,11 @@ from scipy.spatial import QhullError
 
 from tacgen.errors import ObjectError
 from tacgen.objects_io.description import ObjectDescription, read_description
-from tacgen.objects_io.mass_properties import mass_properties, volume_mm3
 from tacgen.objects_io.mesh_files import read_parts, read_surface
 from tacgen.records import GraspObject, frozen_array
 from tacgen.resources import find_object_folder
 from tacgen.shapes import BUILDERS, Shape
+from tacgen.shapes.mass_properties import mass_properties, volume_mm3
 
 SIZE_TOLERANCE = 0.1
 """Seams stand out and flutes lie lower than the published size; a wrong unit is far off."""

@@ -11,9 +11,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from tacgen.errors import ObjectError
-from tacgen.objects_io.mass_properties import volume_mm3
 from tacgen.objects_io.mesh_files import MAX_FILE_BYTES
 from tacgen.records import Mesh, frozen_array
+from tacgen.shapes.mass_properties import volume_mm3
 from tacgen.shapes.shape import from_manifold, to_manifold
 
 UP_AXES = ("x", "y", "z")

@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from tacgen.shapes.profiles import Curve, angles_rad, arc, between, joined
+from tacgen.shapes.rest import settled
 from tacgen.shapes.shape import Shape, hull, loft, moved, revolve
 
 GOLDEN_ANGLE_RAD = np.pi * (3 - np.sqrt(5))
@@ -49,19 +50,16 @@ def strawberry(
     rings = _turned(profile, angle)
     rings += _relief(profile, angle, radius, flesh, (seeds, pit_mm, seed_mm, leaves, leaf_mm))
 
-    thin = np.searchsorted(
-        profile[: _rows_of_flesh(), 1], flesh * np.array([0.03, 0.15, 0.36, 0.6, 0.75, 0.88])
-    )
-    body = rings[[*thin.tolist(), _rows_of_flesh() - 12]][:, :: segments // 20]
+    heights = flesh * np.array([0.03, 0.14, 0.28, 0.42, 0.54, 0.64, 0.72, 0.80, 0.88])
+    thin = np.searchsorted(profile[: _rows_of_flesh(), 1], heights)
+    body = rings[[*thin.tolist(), _rows_of_flesh() - 12]][:, :: segments // 18]
     stem = rings[[_rows_of_flesh() + 6, len(rings) - 1]][:, :: segments // 10]
-    turn = _at_rest(loft(rings).vertices_mm)
-    surface = moved(loft(rings), turn=turn)
-    low, high = surface.vertices_mm.min(axis=0), surface.vertices_mm.max(axis=0)
-    shift = -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-    parts = (hull(body), hull(stem))
-    return Shape(
-        moved(surface, shift_mm=shift),
-        tuple(moved(part, turn=turn, shift_mm=shift) for part in parts),
+    lying = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    return settled(
+        Shape(
+            moved(loft(rings), turn=lying),
+            (moved(hull(body), turn=lying), moved(hull(stem), turn=lying)),
+        )
     )
 
 
@@ -146,17 +144,3 @@ def _to_nearest_seed(
     turn = turn[nearest].reshape(points.shape[:2])
     across = off[:, :, 1] * np.cos(turn) - off[:, :, 0] * np.sin(turn)
     return across, np.sqrt(np.maximum((off**2).sum(axis=-1) - across**2, 0.0))
-
-
-def _at_rest(vertices_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The turn (3, 3) that lays a body of revolution along y where its centre is lowest."""
-    center = np.array([0.0, 0.0, vertices_mm[:, 2].mean()])
-    meridian = np.stack(
-        [np.hypot(vertices_mm[:, 0], vertices_mm[:, 1]), vertices_mm[:, 2] - center[2]], axis=-1
-    )
-    tilts = np.radians(np.linspace(-30, 30, 601))
-    heights = [float(np.max(meridian @ [np.cos(tilt), np.sin(tilt)])) for tilt in tilts]
-    tilt = tilts[int(np.argmin(heights))]
-    c, s = np.cos(tilt), np.sin(tilt)
-    lying = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]) @ lying

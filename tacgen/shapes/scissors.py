@@ -8,6 +8,7 @@ from scipy.interpolate import PchipInterpolator
 
 from tacgen.records import Mesh
 from tacgen.shapes.profiles import angles_rad, arc, joined, rounded_rectangle, superellipse_radius
+from tacgen.shapes.rest import settled
 from tacgen.shapes.shape import (
     Body,
     Shape,
@@ -44,13 +45,13 @@ def scissors(
     width_mm: float,
     length_mm: float,
     thickness_mm: float,
-    pivot_mm: float = 6.0,
+    pivot_mm: float = 14.0,
     blade_thickness_mm: float = 2.0,
     grind_mm: float = 3.2,
     screw_diameter_mm: float = 9.0,
     bow_mm: float = 9.5,
 ) -> Shape:
-    """Lying flat along y, tips towards +y, the pivot at ``pivot_mm``; the bows carry it."""
+    """Lying flat along y, tips towards +y, the pivot at ``pivot_mm``; bows and tips carry it."""
     middle = thickness_mm / 2
     lower = _blade(pivot_mm, length_mm / 2, blade_thickness_mm, grind_mm)
     about_y = np.diag([-1.0, 1.0, -1.0])
@@ -82,7 +83,7 @@ def scissors(
     ]
     bodies = [Body(solid, STEEL_KG_M3) for solid in blades]
     bodies += [Body(solid, POLYPROPYLENE_KG_M3) for solid in plastic]
-    return Shape(surface, (*blade_parts, *plastic_parts), tuple(bodies))
+    return settled(Shape(surface, (*blade_parts, *plastic_parts), tuple(bodies)))
 
 
 def _blade(
@@ -119,12 +120,12 @@ def _bow(
     side: float, width_mm: float, length_mm: float, thickness_mm: float, bow_mm: float
 ) -> NDArray[np.float64]:
     """Rings (k, n, 3) around one bow; the bow at +x is the longer one."""
-    long = 36.0 if side > 0 else 27.0
+    long = 44.0 if side > 0 else 38.0
     half_bow = bow_mm / 2
     outer = width_mm / 2 - half_bow
     wide = 0.47 * outer
     center = np.array(
-        [side * (outer - wide), -length_mm / 2 + half_bow + (36.0 if side > 0 else 33.0)]
+        [side * (outer - wide), -length_mm / 2 + half_bow + (44.0 if side > 0 else 43.0)]
     )
     turn = angles_rad(112)
     loop = superellipse_radius(turn, wide, long, 2.3)

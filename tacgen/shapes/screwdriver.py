@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from tacgen.shapes.profiles import angles_rad, between, superellipse_radius
+from tacgen.shapes.rest import settled
 from tacgen.shapes.shape import Body, Mesh, Shape, loft, moved, slab_hulls
 
 ACETATE_KG_M3 = 1280.0
@@ -65,26 +66,19 @@ def flat_screwdriver(
             for height in (handle_length_mm - tang_mm, handle_length_mm)
         ]
     )
-    lift = np.array([0.0, -length_mm / 2, -_lying(loft(handle)).vertices_mm[:, 2].min()])
-
-    def placed(solid: Mesh) -> Mesh:
-        return moved(solid, turn=_LYING, shift_mm=lift)
-
     breaks = np.searchsorted(
         handle[:, 0, 2] / handle_length_mm, (0, 0.04, 0.16, 0.28, 0.4, 0.6, 0.76, 0.9)
     )
     parts = slab_hulls(handle, [*breaks.tolist(), len(handle) - 1], count=30)
     ground = int(np.searchsorted(shaft_height, length_mm - blade_length_mm))
     parts += slab_hulls(shaft, [0, ground, len(shaft) - 1], count=20)
-    steel = [
-        Body(placed(loft(shaft)), STEEL_KG_M3),
-        Body(placed(loft(tang)), STEEL_KG_M3 - ACETATE_KG_M3),
-    ]
-    return Shape(
-        placed(loft(np.concatenate([handle, shaft]))),
-        tuple(placed(part) for part in parts),
-        (Body(placed(loft(handle)), ACETATE_KG_M3), *steel),
+    bodies = (
+        Body(_lying(loft(handle)), ACETATE_KG_M3),
+        Body(_lying(loft(shaft)), STEEL_KG_M3),
+        Body(_lying(loft(tang)), STEEL_KG_M3 - ACETATE_KG_M3),
     )
+    surface = _lying(loft(np.concatenate([handle, shaft])))
+    return settled(Shape(surface, tuple(_lying(part) for part in parts), bodies))
 
 
 def _lying(solid: Mesh) -> Mesh:

@@ -15,6 +15,7 @@ from tacgen.shapes.profiles import (
     rounded_rectangle,
     superellipse_radius,
 )
+from tacgen.shapes.rest import settled
 from tacgen.shapes.shape import (
     Shape,
     from_manifold,
@@ -74,17 +75,14 @@ def slotted_spatula(
     at = np.array([0.0, front, 0.0])
     head = moved(plate, turn=turn, shift_mm=at)
     head_part = moved(hull(outline), turn=turn, shift_mm=at)
-    lift = np.array([0.0, 0.0, -head.vertices_mm[:, 2].min()])
-    handle = loft(rings)
-    surface = moved(union([head, handle]), shift_mm=lift)
-    parts = (head_part, *path_hulls(rings, 5, count=20))
-    return Shape(surface, tuple(moved(part, shift_mm=lift) for part in parts))
+    surface = union([head, loft(rings)])
+    return settled(Shape(surface, (head_part, *path_hulls(rings, 5, count=20))))
 
 
 def _handle_rings(
     neck_mm: float, end_mm: float, height_mm: float, segments: int
 ) -> NDArray[np.float64]:
-    """Sections of the handle from the neck to its end, which touches the table."""
+    """Sections of the handle from the neck to its end."""
     share = np.concatenate([np.linspace(0, 0.985, 95), 1 - 0.015 * np.linspace(0.9, 0, 10) ** 2])
     height, width, thickness = (
         PchipInterpolator(_SPINE[:, 0], _SPINE[:, i])(share) for i in (1, 2, 3)
@@ -100,10 +98,7 @@ def _handle_rings(
         angle, (rounding * width / 2)[:, None], (rounding * thickness / 2)[:, None], 2.6
     )
     sections = radius[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    rings = sweep(path, np.array([1.0, 0.0, 0.0]), sections)
-    for _ in range(3):
-        rings[:, :, 2] -= rings[:, :, 2].min() * share[:, None]
-    return rings
+    return sweep(path, np.array([1.0, 0.0, 0.0]), sections)
 
 
 def _head(

@@ -13,10 +13,10 @@ from tacgen.errors import ObjectError
 from tacgen.objects_io import load_object
 from tacgen.objects_io.add import add_object
 from tacgen.objects_io.decompose import convex_parts
-from tacgen.objects_io.mass_properties import volume_mm3
 from tacgen.objects_io.mesh_import import import_surface
 from tacgen.records import Mesh
 from tacgen.resources import find_object_folder
+from tacgen.shapes.mass_properties import volume_mm3
 
 
 @pytest.fixture(autouse=True)

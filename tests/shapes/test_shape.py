@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen.objects_io.mass_properties import mass_properties, volume_mm3
+from tacgen.shapes.mass_properties import mass_properties, volume_mm3
 from tacgen.shapes.profiles import (
     angles_rad,
     circle,
@@ -17,7 +17,8 @@ from tacgen.shapes.profiles import (
     rounded_rectangle,
     superellipse_radius,
 )
-from tacgen.shapes.shape import hull, loft, moved, revolve, sweep, union
+from tacgen.shapes.rest import resting_tilt_rad, settled
+from tacgen.shapes.shape import Shape, hull, loft, moved, revolve, sweep, union
 
 
 def as_trimesh(mesh):
@@ -114,6 +115,29 @@ def test_two_materials_pull_the_centre_to_the_denser():
     # Cubes of 1 and 3 kg, 15 and 5 mm from the common centre.
     yy = 4.0 * 200 / 12 + 1 * 15**2 + 3 * 5**2
     assert found.inertia_kg_mm2[1, 1] == pytest.approx(yy)
+
+
+def test_a_cone_comes_to_rest_on_its_flank():
+    radius, height = 10.0, 40.0
+    lying = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    cone = loft(revolve(np.array([[radius, 0.0], [1e-3, height]]), 64))
+    rested = settled(Shape(moved(cone, turn=lying), (moved(cone, turn=lying),)))
+    vertices = rested.surface.vertices_mm
+    half = np.arctan(radius / height)
+    # On its flank the cone's axis slants by the half angle, and its whole flank is on the table.
+    assert np.ptp(vertices[:, 2]) == pytest.approx(2 * radius * np.cos(half), rel=1e-4)
+    touching = vertices[vertices[:, 2] < 0.01]
+    assert np.ptp(touching[:, 1]) == pytest.approx(np.hypot(radius, height), rel=1e-3)
+    np.testing.assert_allclose(rested.collision[0].vertices_mm, vertices, atol=1e-5)
+
+
+def test_a_block_tips_off_its_edge_to_the_nearer_face():
+    corners = np.array([[-20, -10], [20, -10], [20, 10], [-20, 10.0]])
+    for given in (0.3, -0.3, 0.9):
+        c, s = np.cos(given), np.sin(given)
+        tilt = resting_tilt_rad(corners @ np.array([[c, s], [-s, c]]), np.zeros(2))
+        nearest = -given if abs(given) < np.pi / 4 else np.pi / 2 - given
+        assert tilt == pytest.approx(nearest)
 
 
 HASHES = """
