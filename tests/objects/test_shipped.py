@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -189,3 +190,15 @@ def test_ranges_bring_both_outcomes(folder):
     assert forces.max() <= 40
     assert forces.max() > slip_n
     assert forces.min() < max(slip_n, turn_n)
+
+
+def test_the_manual_gives_the_same_figures():
+    manual = Path(__file__).resolve().parents[2] / "docs" / "objects.md"
+    lines = manual.read_text(encoding="utf-8").splitlines()
+    for folder in FOLDERS:
+        description = read_description(folder)
+        cells = next(line for line in lines if line.startswith(f"| `{folder.name}` | 0")).split("|")
+        assert float(cells[3]) == pytest.approx(1e3 * description.mass_kg.value)
+        size = [float(extent) for extent in cells[4].split("×")]
+        assert size == pytest.approx(list(description.dimensions_mm.value))
+        assert float(cells[6]) == description.friction.value
