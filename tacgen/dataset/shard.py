@@ -16,13 +16,14 @@ from pathlib import Path
 import h5py
 import hdf5plugin
 import numpy as np
-from h5py import h5d, h5g, h5l, h5o, h5s, h5t
+from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 from numpy.typing import NDArray
 
 from tacgen.dataset.schema import FORMAT_VERSION, PADS, ArraySpec, Layout
 from tacgen.errors import DatasetError
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
+MAX_TEXT_BYTES = 256
 ALLOWED_FILTERS = {hdf5plugin.HTJ2K_ID, hdf5plugin.ZSTD_ID}
 _HEADER_BYTES = 120
 # The coding style that the writer uses: one layer, five levels, blocks of 64 × 64, reversible.
@@ -42,6 +43,8 @@ class Shard:
     file: h5py.File
     layout: Layout
     arrays: Mapping[str, h5py.Dataset]
+    index_range: tuple[int, int] = (0, 0)
+    recipe_sha256: str = ""
 
     def __enter__(self) -> Shard:
         return self
@@ -162,7 +165,9 @@ def _checked(path: Path, file: h5py.File) -> tuple[Shard, list[str]]:
         for text in _array_problems(found[array.path], array, array.resolve(sizes))
     ]
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items() if ident is not None}
-    return Shard(path, file, layout, arrays), problems
+    span = _whole_numbers(file, "index_range", (2,))
+    index_range = (0, 0) if span is None else (int(span[0]), int(span[1]))
+    return Shard(path, file, layout, arrays, index_range, _text(file, "recipe_sha256")), problems
 
 
 class _Finder:
@@ -194,19 +199,43 @@ class _Finder:
 
 
 def _layout_of(file: h5py.File, finder: _Finder) -> tuple[Layout, list[str]]:
-    version = file.attrs.get("format_version")
-    sensor, pads = file.attrs.get("sensor"), file.attrs.get("pads")
-    if file.attrs.get("format") != "tacgen" or version is None:
+    kind, sensor, pads = (_text(file, name) for name in ("format", "sensor", "pads"))
+    version = _whole_numbers(file, "format_version", ())
+    if kind != "tacgen" or version is None:
         return Layout("", (), False, False), ["not a shard of tacgen"]
-    if int(version) != FORMAT_VERSION:
+    if version != FORMAT_VERSION:
         text = f"format {version} is not {FORMAT_VERSION}, which this version of tacgen reads"
         return Layout("", (), False, False), [text]
-    names = tuple(str(pads).split(","))
-    if not isinstance(sensor, str) or not sensor or "/" in sensor or not set(names) <= set(PADS):
+    names = tuple(pads.split(","))
+    if not sensor or "/" in sensor or not set(names) <= set(PADS):
         return Layout("", (), False, False), [f"sensor {sensor!r} with pads {pads!r} is not known"]
     plain = Layout(sensor, names, depth=False, picture=False)
     depth = finder.dataset(plain.tactile(names[0], "depth_mm")) is not None
     return Layout(sensor, names, depth, finder.dataset("/scene/picture") is not None), []
+
+
+def _text(file: h5py.File, name: str) -> str:
+    """An attribute of fixed-length text; empty where it is missing or anything else."""
+    values = _attribute(file, name, "S", ())
+    return "" if values is None else bytes(values[()]).decode("utf-8", "replace")
+
+
+def _whole_numbers(file: h5py.File, name: str, shape: tuple[int, ...]) -> NDArray | None:
+    """An attribute of whole numbers of that shape; None where it is missing or anything else."""
+    return _attribute(file, name, "i", shape)
+
+
+def _attribute(file: h5py.File, name: str, kind: str, shape: tuple[int, ...]) -> NDArray | None:
+    """An attribute of that kind of type and shape, its type looked at before it is read."""
+    if not h5a.exists(file.id, name.encode()):
+        return None
+    attribute = h5a.open(file.id, name.encode())
+    dtype = attribute.get_type().dtype
+    if dtype.kind != kind or dtype.itemsize > MAX_TEXT_BYTES or attribute.shape != shape:
+        return None
+    values = np.empty(shape, dtype)
+    attribute.read(values)
+    return values
 
 
 def _sizes_of(file: h5py.File, layout: Layout, finder: _Finder) -> tuple[dict[str, int], list[str]]:
@@ -224,7 +253,8 @@ def _sizes_of(file: h5py.File, layout: Layout, finder: _Finder) -> tuple[dict[st
         for name, limit in limits.items()
         if sizes[name] > limit
     ]
-    start, stop = (int(n) for n in file.attrs["index_range"])
+    span = _whole_numbers(file, "index_range", (2,))
+    start, stop = (0, -1) if span is None else (int(span[0]), int(span[1]))
     if stop - start != sizes["N"]:
         problems.append(f"index range {start} to {stop} does not go with {sizes['N']} grasps")
     return sizes, problems

@@ -55,12 +55,12 @@ def content_problems(path: Path, line: ShardLine, *, decode: Decode) -> list[str
 
 
 def _content_problems(shard: Shard, line: ShardLine, decode: Decode) -> Iterator[str]:
-    layout, attributes = shard.layout, shard.file.attrs
+    layout = shard.layout
     said = {
         "sensor": (layout.sensor, line.sensor),
         "pads": (layout.pads, line.pads),
-        "recipe_sha256": (attributes["recipe_sha256"], line.recipe_sha256),
-        "index_range": (tuple(int(n) for n in attributes["index_range"]), line.index_range),
+        "recipe_sha256": (shard.recipe_sha256, line.recipe_sha256),
+        "index_range": (shard.index_range, line.index_range),
         "frames": (shard.arrays["/time_s"].id.shape[0], line.frames),
     }
     for name, (here, there) in said.items():

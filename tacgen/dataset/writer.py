@@ -163,15 +163,22 @@ def _create(file: h5py.File, array: ArraySpec, shape: tuple[int, ...]) -> h5py.D
 
 
 def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> None:
-    sensor = spec.sensor
-    file.attrs["format"] = "tacgen"
-    file.attrs["format_version"] = FORMAT_VERSION
-    file.attrs["tacgen_version"] = tacgen.__version__
-    file.attrs["recipe_sha256"] = spec.recipe_sha256
-    file.attrs["index_range"] = (indices.start, indices.stop)
-    file.attrs["sensor"] = sensor.name
-    file.attrs["pads"] = ",".join(spec.pads)
-    file.attrs["mm_per_px"] = sensor.mm_per_px
+    """Write what a reader needs before it reads anything else; text has a fixed length.
+
+    HDF5 can be made to loop for ever by a broken heap, where it keeps text of variable length.
+    """
+    texts = {
+        "format": "tacgen",
+        "tacgen_version": tacgen.__version__,
+        "recipe_sha256": spec.recipe_sha256,
+        "sensor": spec.sensor.name,
+        "pads": ",".join(spec.pads),
+    }
+    for name, text in texts.items():
+        file.attrs[name] = np.bytes_(text.encode())
+    file.attrs["format_version"] = np.int64(FORMAT_VERSION)
+    file.attrs["index_range"] = np.array([indices.start, indices.stop], np.int64)
+    file.attrs["mm_per_px"] = spec.sensor.mm_per_px
 
 
 def _expected(
