@@ -72,6 +72,8 @@ class GraspObject:
         About the centre of mass, along the object's axes.
     friction : float
         Coulomb coefficient against the gel.
+    spinning_friction_mm : float
+        Moment about the contact normal that one pad resists, for each newton of normal force.
     grasp_ranges : mapping
         Axis values (``force_n``, ``x_mm``, ``y_mm``, ``z_mm``) a recipe falls back on.
     """

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,19 +13,6 @@ from tacgen.units import M_PER_MM
 
 OBJECT_FRICTION = 1.0
 """Bullet multiplies the coefficients of two bodies: the pads and the table carry the real ones."""
-
-
-def with_friction(obj: GraspObject, friction: float) -> GraspObject:
-    """``obj`` with another coefficient of friction; its spinning friction scales along.
-
-    A pad's moment about its normal is the coefficient times the pressure times the radius, so a
-    patch of the same size resists in proportion to the coefficient.
-    """
-    if obj.friction > 0:
-        spinning_mm = obj.spinning_friction_mm * friction / obj.friction
-    else:
-        spinning_mm = obj.spinning_friction_mm
-    return replace(obj, friction=friction, spinning_friction_mm=spinning_mm)
 
 
 def principal_axes(

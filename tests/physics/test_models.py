@@ -10,7 +10,7 @@ import pytest
 
 from tacgen.errors import PhysicsError
 from tacgen.physics import GraspSimulator, PhysicsSettings
-from tacgen.physics.bodies import ObjectBody, principal_axes, with_friction
+from tacgen.physics.bodies import ObjectBody, principal_axes
 from tacgen.physics.contacts import object_contacts
 from tacgen.physics.floating import FloatingGripper
 from tacgen.physics.frames import inverse, pose
@@ -184,13 +184,6 @@ class TestBodies:
         moments, axes = principal_axes(inertia)
         assert axes @ np.diag(moments) @ axes.T == pytest.approx(inertia)
         assert np.linalg.det(axes) == pytest.approx(1.0)
-
-    def test_another_friction_takes_the_patch_along(self) -> None:
-        obj = block(friction=0.4, spinning_friction_mm=1.2)
-        assert with_friction(obj, 0.8).spinning_friction_mm == pytest.approx(2.4)
-        assert with_friction(obj, 0.0).spinning_friction_mm == 0.0
-        slippery = replace(obj, friction=0.0)
-        assert with_friction(slippery, 0.5).spinning_friction_mm == 1.2
 
     def test_the_body_stands_where_the_object_says(self, simulator: GraspSimulator) -> None:
         obj = block(yaw_rad=0.4, center_of_mass_offset_mm=(3.0, -4.0, 7.0))
