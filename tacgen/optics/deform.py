@@ -20,9 +20,10 @@ deviations of 8.0, 3.5, 2.0 and 1.1 px by σ = 0.3 ((k − 1)/2 − 1) + 0.8.
 FINAL_SIGMA_MM = 0.0325
 """Width of the last Gaussian, over the contact too; Taxim's general kernel of 5 px."""
 
-FIRM_CONTACT = 0.4
-"""Pixels indented by more than this share of the deepest one keep the object's shape through the
-pyramid; the rim of the contact bends with the gel around it. Source: Taxim's ``contact_scale``."""
+FIRM_CONTACT = (0.2, 0.6)
+"""Shares of the deepest indentation between which the gel goes from bending freely to keeping the
+object's shape. Taxim switches at 0.4 (its ``contact_scale``), which leaves a ring in the picture
+where real presses have none; the same switch is drawn out here."""
 
 NEGLIGIBLE_MM = 1e-5
 """Deformation below this is none: it changes no slope by more than 2e-4 at 0.03 mm/px."""
@@ -79,13 +80,17 @@ def _blur_columns(source: NDArray, window: Window, kernel: NDArray, target: NDAr
 
 
 @njit(cache=True, nogil=True)
-def _keep_contact(depth: NDArray, window: Window, firm_mm: float, surface: NDArray) -> None:
+def _keep_contact(
+    depth: NDArray, window: Window, loose_mm: float, firm_mm: float, surface: NDArray
+) -> None:
+    """Hold the surface to the object: not at all up to loose, wholly from firm on."""
     top, bottom, left, right = window
-    firm = np.float32(firm_mm)
+    loose, per_mm = np.float32(loose_mm), np.float32(1 / (firm_mm - loose_mm))
     for r in range(top, bottom):
         row, out = depth[r, left:right], surface[r, left:right]
         for k in range(right - left):
-            out[k] = row[k] if row[k] > firm else out[k]
+            hold = min(max((row[k] - loose) * per_mm, np.float32(0)), np.float32(1))
+            out[k] += hold * (row[k] - out[k])
 
 
 @njit(cache=True, nogil=True)
@@ -144,7 +149,7 @@ class Deformer:
         *,
         pyramid_sigma_mm: tuple[float, ...] = PYRAMID_SIGMA_MM,
         final_sigma_mm: float = FINAL_SIGMA_MM,
-        firm_contact: float = FIRM_CONTACT,
+        firm_contact: tuple[float, float] = FIRM_CONTACT,
     ) -> None:
         self._pyramid = [half_kernel(sigma / mm_per_px) for sigma in pyramid_sigma_mm]
         self._final = half_kernel(final_sigma_mm / mm_per_px)
@@ -193,7 +198,8 @@ class Deformer:
         )
         depth[patch[0] : patch[1], patch[2] : patch[3]] = depth_mm
         surface, scratch = depth.copy(), np.empty_like(depth)
-        firm_mm = self._firm_contact * float(depth_mm.max(initial=0.0))
+        deepest_mm = max(float(depth_mm.max(initial=0.0)), NEGLIGIBLE_MM)
+        loose_mm, firm_mm = (share * deepest_mm for share in self._firm_contact)
         reach = 1
         for kernel in (*self._pyramid, self._final):
             # One pixel beyond what is deformed, so that the edge is at rest.
@@ -201,7 +207,7 @@ class Deformer:
             changed = grown(patch, reach, depth.shape)
             smooth(surface, changed, kernel, scratch)
             if kernel is not self._final:
-                _keep_contact(depth, changed, firm_mm, surface)
+                _keep_contact(depth, changed, loose_mm, firm_mm, surface)
         top, bottom, left, right = _clear_negligible(surface, NEGLIGIBLE_MM)
         if top >= bottom:
             return np.zeros((0, 0), dtype=np.float32), (0, 0, 0, 0)

@@ -19,6 +19,7 @@ from tacgen.optics.shadow import (
     cast_shadows,
     leds_of_table,
     shadow_reach_mm,
+    unlit_image,
 )
 from tacgen.optics.table import LookupTable
 
@@ -58,6 +59,7 @@ class Shader:
             leds = leds or leds_of_table(table)
             self._shadow_strength = float((cast or {}).get("strength", DEFAULT_STRENGTH))
             length_mm = (cast or {}).get("length_mm")
+            self._unlit = unlit_image(table)
             self._leds = _lowered(leds, float(length_mm)) if length_mm else leds
 
     def _effects_of(self, stage: str) -> list[tuple[str, dict[str, float]]]:
@@ -118,6 +120,7 @@ class Shader:
                 self.table.mm_per_px,
                 self._leds,
                 self._shadow_strength,
+                self._unlit[top:bottom, left:right],
                 image[top:bottom, left:right],
             )
         for name, parameters in self._image:

@@ -1,7 +1,8 @@
 """A virtual GelSight: coloured lights, a painted gel and a camera, by physics and not by table.
 
 It stands in for a real sensor: its ball presses are what the shipped tables are fitted to, and
-what tests compare the table renderer with. It shares no code with the renderer.
+what tests compare the table renderer with. It shares no code with the renderer. Its figures are
+those that agree best with real presses of a GelSight (``docs/contact_optics.md``).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Paint:
     """The gel's reflective skin: Lambertian, with a broad highlight."""
 
     diffuse: float = 0.85
-    specular: float = 0.15
+    specular: float = 0.08
     shininess: float = 6.0
 
 
@@ -46,6 +47,9 @@ class VirtualSensor:
     paint : Paint
     ambient_rgb : tuple of float
         Light scattered in the gel, which reaches every slope alike.
+    glare : float
+        Light that leaks from each light along the gel: a lobe at the window's edge, of this share
+        of the light's strength, which reaches every slope alike.
     exposure : float
         Irradiance 1 at the gel's centre, at rest, is this share of full scale.
     gamma : float
@@ -63,9 +67,10 @@ class VirtualSensor:
     mm_per_px: float
     leds: tuple[Led, ...]
     paint: Paint = field(default_factory=Paint)
-    ambient_rgb: tuple[float, float, float] = (0.45, 0.45, 0.45)
+    ambient_rgb: tuple[float, float, float] = (0.95, 0.95, 0.95)
+    glare: float = 0.4
     exposure: float = 0.30
-    gamma: float = 1.6
+    gamma: float = 1.0
     shadow: float = 0.0
     blur_mm: float = 0.0
     noise_grey: float = 0.0
@@ -80,13 +85,13 @@ class VirtualSensor:
         blur_mm: float = 0.0,
         noise_grey: float = 0.0,
     ) -> VirtualSensor:
-        """The virtual counterpart of ``sensor``, its lights just outside the window.
+        """The virtual counterpart of ``sensor``, its lights around the window.
 
-        ``distance_mm`` is that of each light from the gel's centre; by default 1.1 times half of
+        ``distance_mm`` is that of each light from the gel's centre; by default 2.4 times half of
         the window's diagonal.
         """
         half_mm = 0.5 * math.hypot(*sensor.shape_px) * sensor.mm_per_px
-        reach_mm = distance_mm or 1.1 * half_mm
+        reach_mm = distance_mm or 2.4 * half_mm
         leds = tuple(
             Led((x * reach_mm, y * reach_mm, z * reach_mm), rgb) for (x, y, z), rgb in sensor.leds
         )
@@ -155,10 +160,23 @@ class VirtualSensor:
             falloff = np.linalg.norm(led.position_mm) ** 2 / distance[..., 0] ** 2
             reflected = self.paint.diffuse * facing + self.paint.specular * glint * (facing > 0)
             light += ((1 - lost) * falloff * reflected)[..., None] * np.asarray(led.rgb)
+        light += self._leaked(point)
         response = (self.exposure * light) ** (1 / self.gamma)
         # A soft shoulder: linear below three quarters of full scale, reaching it only at infinity.
         over = np.maximum(0, response - 0.75)
         return 255 * (np.minimum(response, 0.75) + 0.25 * (1 - np.exp(-over / 0.25)))
+
+    def _leaked(self, point: FloatArray) -> FloatArray:
+        """Glare (…, 3) at surface points (…, 3)."""
+        half_mm = 0.5 * math.hypot(self.height_px, self.width_px) * self.mm_per_px
+        light = np.zeros(point.shape)
+        for led in self.leds:
+            x, y, _ = led.position_mm
+            edge = half_mm / max(math.hypot(x, y), 1e-9)
+            square = (point[..., 0] - edge * x) ** 2 + (point[..., 1] - edge * y) ** 2
+            lobe = np.exp(-0.5 * square / (0.4 * half_mm) ** 2)
+            light += self.glare * lobe[..., None] * np.asarray(led.rgb)
+        return light
 
     def _hidden(self, height: NDArray[np.float64], led: Led) -> NDArray[np.float64]:
         """How much of a light the relief hides from each pixel: rays stepped to the light."""
