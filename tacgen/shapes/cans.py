@@ -84,7 +84,7 @@ def drawn_can(
     base_radius_mm: float = 3.0,
     bead_depth_mm: float = 0.35,
     beads: int = 2,
-    spacing_mm: float = 0.5,
+    corner_steps: int = 56,
 ) -> Shape:
     """A two-piece can with rounded corners: a drawn base, shallow beads, one seam at the top.
 
@@ -92,7 +92,7 @@ def drawn_can(
     those over the seam.
     """
     half = (width_mm / 2 - seam_mm, length_mm / 2 - seam_mm)
-    outline, normals = rounded_rectangle(*half, corner_mm, spacing_mm)
+    outline, normals = rounded_rectangle(*half, corner_mm, 6.0, corner_steps)
     profile = _drawn_profile(
         height_mm, seam_mm, seam_height_mm, panel_depth_mm, base_radius_mm, bead_depth_mm, beads
     )
@@ -125,10 +125,13 @@ def _drawn_profile(
 ) -> Curve:
     """(outward offset, height) from the base, up the wall, over the seam, into the lid."""
     start = height_mm - seam_height_mm
-    wall = np.linspace(base_mm + 3, start - 3, 1 + 18 * beads)
-    waves = np.zeros_like(wall)
-    for middle in np.linspace(wall[0], wall[-1], 2 * beads + 1)[1::2]:
-        waves -= bead_mm * np.exp(-(((wall - middle) / 1.6) ** 2))
+    low, high = base_mm + 3, start - 3
+    middles = low + (high - low) * (2 * np.arange(beads) + 1) / (2 * beads)
+    # Rows gather in the beads; between them the wall is straight.
+    in_bead = np.linspace(-4.5, 4.5, 37)
+    wall = np.concatenate([[low], *(middle + in_bead for middle in middles), [high]])
+    off = np.min(np.abs(wall[:, None] - middles), axis=1)
+    waves = -bead_mm * np.exp(-((off / 1.6) ** 2))
     inner = seam_mm - 1.2
     return joined(
         [(-base_mm - 3.5, 1.0), (-base_mm - 2.0, 1.0), (-base_mm - 1.0, 0.0)],

@@ -127,7 +127,7 @@ def _bow(
     center = np.array(
         [side * (outer - wide), -length_mm / 2 + half_bow + (44.0 if side > 0 else 43.0)]
     )
-    turn = angles_rad(112)
+    turn = angles_rad(184)
     loop = superellipse_radius(turn, wide, long, 2.3)
     path = np.stack(
         [
@@ -137,7 +137,7 @@ def _bow(
         ],
         axis=-1,
     )
-    angle = angles_rad(110)
+    angle = angles_rad(77)
     radius = superellipse_radius(angle, thickness_mm / 2, half_bow, 2.6)
     section = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     # Two more points at each end make the direction of travel periodic.

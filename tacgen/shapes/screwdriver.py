@@ -48,7 +48,7 @@ def flat_screwdriver(
     tang_mm: float = 40.0,
     flutes: int = 6,
     flute_depth_mm: float = 1.7,
-    segments: int = 420,
+    segments: int = 360,
 ) -> Shape:
     """Lying along y, its blade towards +y: fluted acetate handle, round shaft, ground tip."""
     radius = handle_diameter_mm / 2
@@ -96,7 +96,7 @@ def _handle_rings(
     share = np.concatenate(
         [
             0.04 * np.linspace(0, 1, 9)[:-1] ** 1.5,
-            np.linspace(0.04, 0.9, 60),
+            np.linspace(0.04, 0.9, 76),
             np.linspace(0.91, 1, 12),
         ]
     )

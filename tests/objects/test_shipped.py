@@ -202,3 +202,34 @@ def test_the_manual_gives_the_same_figures():
         size = [float(extent) for extent in cells[4].split("×")]
         assert size == pytest.approx(list(description.dimensions_mm.value))
         assert float(cells[6]) == description.friction.value
+
+
+@every_object
+def test_facets_are_finer_than_the_gel_resolves_where_pads_touch(folder):
+    obj = loaded(folder)
+    surface = as_trimesh(obj.surface)
+    low, high = surface.triangles.min(axis=1), surface.triangles.max(axis=1)
+    touched = np.zeros(len(low), dtype=bool)
+    ranges = obj.grasp_ranges
+    for y_mm, z_mm in itertools.product(ranges["y_mm"], ranges["z_mm"]):
+        touched |= (
+            (low[:, 1] < y_mm + PAD_MM[0] / 2)
+            & (high[:, 1] > y_mm - PAD_MM[0] / 2)
+            & (low[:, 2] < z_mm + PAD_MM[1] / 2)
+            & (high[:, 2] > z_mm - PAD_MM[1] / 2)
+        )
+    touched &= np.abs(surface.face_normals[:, 0]) > 0.5
+    pairs, bends = surface.face_adjacency, surface.face_adjacency_angles
+    # Beyond 20° an edge is meant to be one.
+    chosen = touched[pairs].all(axis=1) & (bends < np.radians(20))
+    ends = surface.vertices[surface.face_adjacency_edges[chosen]]
+    length_mm = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    width_mm = 2 * surface.area_faces[pairs[chosen]].min(axis=1) / length_mm
+    chord_error_mm = width_mm * bends[chosen] / 8
+    order = np.argsort(chord_error_mm)
+    share = np.cumsum((width_mm * length_mm)[order])
+    share /= share[-1]
+    at = {part: chord_error_mm[order][np.searchsorted(share, part)] for part in (0.9, 0.99)}
+    # A hundredth of a millimetre is a third of a pixel; pits and bends may have twice that.
+    assert at[0.9] < 0.011
+    assert at[0.99] < 0.025
