@@ -161,7 +161,7 @@ def _facts(columns: Mapping[str, NDArray], row: int, moment: int) -> list[tuple[
         ("normal force", f"{columns['force_normal_n'][row, moment]:.1f} N"),
         ("shear force", f"{shear_n:.1f} N"),
         ("indentation", f"{columns['indentation_mm'][row, moment]:.2f} mm"),
-        ("rise", f"{columns['rise_mm'][row]:.0f} mm"),
+        ("rise", f"{round(float(columns['rise_mm'][row])):d} mm"),
         ("turn", f"{columns['turn_rad'][row]:.3f} rad"),
     ]
     if np.isfinite(columns["margin_translational"][row]):

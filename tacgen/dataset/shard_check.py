@@ -120,7 +120,9 @@ def _image_problems(shard: Shard, columns: dict[str, NDArray], decode: Decode) -
             if not has_image(dataset, place):
                 if not optional:
                     yield f"{array.path}: the image {place} is missing"
-            elif decode == "all" or (decode == "grasp" and frame in (0, moments[row])):
+            elif decode == "all" or (
+                decode == "grasp" and frame == (moments[row] if per_frame else 0)
+            ):
                 image = read_image(dataset, place)
                 if image.dtype.kind == "f" and not np.isfinite(image).all():
                     yield f"{array.path}: the image {place} is not finite"
