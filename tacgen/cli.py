@@ -327,7 +327,13 @@ def rig(
 
 @calibrate_app.command("contact")
 def calibrate_contact(
-    log: Annotated[Path, typer.Argument(help="A press log, CSV or Parquet.")],
+    log: Annotated[
+        Path,
+        typer.Argument(
+            help="A press log (CSV, Parquet), force-depth curves, or a folder of press images "
+            "with forces."
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="The contact.yaml to write.")],
     report: Annotated[Path | None, typer.Option(help="Folder for an HTML report.")] = None,
     by: Annotated[
@@ -345,6 +351,12 @@ def calibrate_contact(
     radius_mm: Annotated[
         float | None, typer.Option(help="The ball's radius, for curves of force against depth.")
     ] = None,
+    table: Annotated[
+        Path | None, typer.Option(help="The sensor's table.npz, for images: shape to volume.")
+    ] = None,
+    save_log: Annotated[
+        Path | None, typer.Option(help="Where to keep the press log found in images.")
+    ] = None,
     json_output: JsonFlag = False,
 ) -> None:
     """Fit the contact law k_n, k_s to a press log, with intervals and held-out error."""
@@ -353,7 +365,7 @@ def calibrate_contact(
 
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
-        marker_pitch_mm=marker_pitch_mm, radius_mm=radius_mm,
+        marker_pitch_mm=marker_pitch_mm, radius_mm=radius_mm, table=table, save_log=save_log,
     )  # fmt: skip
     for warning in result.warnings:
         typer.echo(f"warning: {warning}", err=True)
@@ -426,6 +438,50 @@ def objects_add(
     typer.echo(
         json.dumps(facts, indent=2, ensure_ascii=False) if json_output else facts_text(facts)
     )
+
+
+@app.command()
+def study(
+    recipe: Annotated[str, typer.Argument(help="A study, such as paper_table.")],
+    out: Annotated[Path, typer.Option("--out", help="Where datasets, runs and the table go.")],
+    real: Annotated[
+        Path | None, typer.Option("--real", help="Real grasps to test on as well.")
+    ] = None,
+    calibrate_on: Annotated[
+        Path | None,
+        typer.Option("--calibrate-on", help="Other real grasps, to calibrate friction on."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="The reduced version.")] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that collect.")] = 1,
+) -> None:
+    """Collect, train and test every row of a study; writes the table as Markdown and HTML."""
+    from tacgen.learning.extra import require_learning_extra
+    from tacgen.study_recipe import load_study
+
+    require_learning_extra()
+    from tacgen.study import RealFolders, run_study
+
+    run_study(
+        load_study(recipe), out, RealFolders(real, calibrate_on), quick=quick, workers=workers
+    )
+    typer.echo((out / "table.md").read_text(encoding="utf-8"))
+
+
+@app.command("stand-in")
+def stand_in(
+    data: DatasetArgument,
+    out: Annotated[Path, typer.Option("--out", help="The folder to write; it must not exist.")],
+    split: Annotated[str, typer.Option("--split", help="train or test.")] = "test",
+    per_object: Annotated[
+        int | None, typer.Option("--per-object", min=1, help="At most so many of each object.")
+    ] = None,
+    images: Annotated[bool, typer.Option(help="Write the images too.")] = True,
+) -> None:
+    """Write a dataset as a folder of real grasps: a stand-in for reality, still simulated."""
+    from tacgen.stand_in import write_stand_in
+
+    count = write_stand_in(data, out, split=split, per_object=per_object, images=images)
+    typer.echo(f"{out}: {count} simulated grasps in the format of real ones")
 
 
 def main() -> None:

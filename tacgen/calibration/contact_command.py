@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,10 +20,12 @@ from tacgen.calibration.depth_curves import (
     read_depth_curves,
 )
 from tacgen.calibration.depth_report import depth_dict, depth_text, depth_warnings
+from tacgen.calibration.press_forces import MeasuredLog, measure_presses, read_force_images
 from tacgen.calibration.press_log import read_press_log
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.errors import PressError
-from tacgen.files import sha256_of
+from tacgen.files import atomic_path, sha256_of
+from tacgen.optics.table import load_table
 from tacgen.records import Estimate
 
 CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
@@ -48,8 +50,13 @@ def calibrate_contact(
     force_unit: str | None = None,
     marker_pitch_mm: float = np.nan,
     radius_mm: float | None = None,
+    table: Path | None = None,
+    save_log: Path | None = None,
 ) -> ContactCalibration:
     """Fit ``log``, write the law to ``out`` and, where asked for, a page into ``report``.
+
+    ``log`` is a press log, a table of force–depth curves, or a folder of press images with
+    forces; of the last, ``table`` turns pictures into volumes and ``save_log`` keeps the log.
 
     Raises
     ------
@@ -60,7 +67,13 @@ def calibrate_contact(
         known = ", ".join(CONTACT_POINTS)
         msg = f"--contact-point {contact_point!r} is not known; use one of {known}"
         raise PressError(msg)
-    if is_depth_table(log):
+    measured: tuple[str, ...] = ()
+    if Path(log).is_dir():
+        log, found = _measure_images(Path(log), table, save_log or Path(out).with_suffix(".csv"))
+        measured = found.warnings
+        if np.isnan(marker_pitch_mm):
+            marker_pitch_mm = found.marker_pitch_mm
+    elif is_depth_table(log):
         return _explain_depths(Path(log), Path(out), radius_mm)
     fit = fit_contact(
         read_press_log(log, force_unit=force_unit),
@@ -68,10 +81,30 @@ def calibrate_contact(
         free_contact_point=CONTACT_POINTS[contact_point],
         marker_pitch_mm=marker_pitch_mm,
     )
+    fit = replace(fit, warnings=(*measured, *fit.warnings))
     save_law(fit.law, out)
     if report is not None:
         write_report(fit, report)
     return ContactCalibration(fit, fit.law, fit.warnings)
+
+
+def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
+    """The press log that a folder of images with forces holds, written to ``log``."""
+    images = read_force_images(folder)
+    lookup = None
+    if table is not None:
+        lookup = load_table(table)
+        if lookup.background.shape != images.background.shape:
+            msg = (
+                f"{table}: made for {lookup.background.shape[1]}×{lookup.background.shape[0]} px, "
+                f"the images in {folder} are {images.background.shape[1]}×"
+                f"{images.background.shape[0]}; use the table of this sensor and camera setting"
+            )
+            raise PressError(msg)
+    found = measure_presses(images, lookup)
+    with atomic_path(log) as partial:
+        found.frame.to_csv(partial, index=False)
+    return log, found
 
 
 def result_text(result: ContactCalibration, *, json_output: bool) -> str:

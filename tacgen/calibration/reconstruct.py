@@ -1,0 +1,253 @@
+"""From a picture back to the gel's shape: the lookup table inverted, then Poisson's equation.
+
+The table says what grey levels a slope has at a place; here each pixel's grey levels say its
+slope. What the background picture says is taken off, so that the gel at rest, dome or not, is
+flat in the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dctn, idctn
+from scipy.ndimage import gaussian_filter, label
+from scipy.spatial import cKDTree
+
+from tacgen.optics.table import LookupTable
+
+Floats = NDArray[np.floating]
+Tile = tuple[tuple[int, int], tuple[int, int]]
+
+MAX_WIDTH_PX = 320
+"""Pictures are averaged down to about this width: a shape needs no more, and noise goes."""
+TILE_PX = 32
+"""Over so few pixels the table's dependence on place is a small correction to a first guess."""
+GRID_NODES = 101
+STEEPEST_RAD = 1.25
+SLOPE_PRIOR_GREY = 1.0
+"""Grey levels that a slope of 1 has to be worth: of two slopes alike in colour, the flatter."""
+SEARCH_PRIOR_GREY = 8.0
+"""The same in the first search, whose colours are those of the middle of a tile: without it some
+pixels start at a steep slope of like colour, and stay there."""
+REFINEMENTS = 3
+BLUR_PX = 0.7
+CONTACT_SHARE = 0.02
+"""Depths below this share of the deepest are not contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What was reconstructed: depth below the gel at rest (h, w), and the pixels' size."""
+
+    depth_mm: Floats
+    mm_per_px: float
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume below the gel at rest, over the connected patch around the deepest point."""
+        if not self.depth_mm.max() > 0:
+            return 0.0
+        patches, _ = label(self.depth_mm > CONTACT_SHARE * self.depth_mm.max())
+        deepest = np.unravel_index(np.argmax(self.depth_mm), self.depth_mm.shape)
+        inside = patches == patches[deepest]
+        return float(self.depth_mm[inside].sum() * self.mm_per_px**2)
+
+
+class Reconstructor:
+    """Inverts a table; made ready once for all pictures of a sensor.
+
+    Parameters
+    ----------
+    table : LookupTable
+    background : (H, W, 3) uint8
+        RGB picture of the gel at rest, taken with the presses.
+    dome_radius_mm : float
+        Radius of curvature of the gel at rest; 0 for a flat one.
+    """
+
+    def __init__(
+        self, table: LookupTable, background: NDArray[np.uint8], dome_radius_mm: float = 0.0
+    ) -> None:
+        height, width = background.shape[:2]
+        self._step = max(1, round(width / MAX_WIDTH_PX))
+        self._shape = height // self._step, width // self._step
+        self.mm_per_px = table.mm_per_px * self._step
+        self._seen = _averaged(background.astype(np.float32), self._step, self._shape)
+        self._position = _features(self._shape)
+        self._steepest = float(np.tan(min(table.max_slope_rad, STEEPEST_RAD)))
+        self._grid = _cartesian(table, self._steepest)
+        self._rest = _rest_slopes(self._shape, self.mm_per_px, dome_radius_mm)
+        self._rest_colors = self._colors_at(self._rest)
+        self._trees = {tile: self._tree_of(tile) for tile in self._tiles()}
+
+    def shape_of(self, rgb: NDArray[np.uint8], hidden: NDArray[np.bool_] | None = None) -> Shape:
+        """Depth of one picture (H, W, 3); ``hidden`` (H, W) marks pixels that show no gel."""
+        change = _averaged(rgb.astype(np.float32), self._step, self._shape) - self._seen
+        known = np.ones(self._shape, dtype=np.float32)
+        if hidden is not None:
+            covered = _averaged(hidden.astype(np.float32), self._step, self._shape)
+            known = (covered < 0.25).astype(np.float32)
+        change = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
+        slopes = _filled(self._slopes_of(change) - self._rest, known)
+        surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
+        return Shape(_rest_level(surface) - surface, self.mm_per_px)
+
+    def _slopes_of(self, change: Floats) -> Floats:
+        """(h, w, 2) slopes that explain a change of grey levels from the gel at rest."""
+        wanted = change + self._rest_colors
+        slopes = np.empty((*self._shape, 2))
+        axis = np.linspace(-self._steepest, self._steepest, self._grid.shape[0])
+        for tile, (tree, nodes) in self._trees.items():
+            rows, columns = tile
+            part = wanted[rows[0] : rows[1], columns[0] : columns[1]].reshape(-1, 3)
+            _, nearest = tree.query(np.column_stack([part, np.zeros(len(part))]))
+            found = np.stack([axis[nodes[nearest, 1]], axis[nodes[nearest, 0]]], axis=-1)
+            slopes[rows[0] : rows[1], columns[0] : columns[1]] = found.reshape(
+                rows[1] - rows[0], columns[1] - columns[0], 2
+            )
+        for _ in range(REFINEMENTS):
+            slopes += self._newton_step(slopes, wanted)
+            np.clip(slopes, -self._steepest, self._steepest, out=slopes)
+        return slopes
+
+    def _newton_step(self, slopes: Floats, wanted: Floats) -> Floats:
+        """Gauss–Newton on the squared difference of colours, with the weak wish to be flat."""
+        nudge = 0.5 * 2.0 * self._steepest / (self._grid.shape[0] - 1)
+        here = self._colors_at(slopes)
+        along = [
+            (self._colors_at(slopes + shift) - self._colors_at(slopes - shift)) / (2.0 * nudge)
+            for shift in (np.array([nudge, 0.0]), np.array([0.0, nudge]))
+        ]
+        off = wanted - here
+        prior = SLOPE_PRIOR_GREY**2
+        xx, yy = ((d * d).sum(axis=-1) + prior for d in along)
+        xy = (along[0] * along[1]).sum(axis=-1)
+        bx, by = ((d * off).sum(axis=-1) - prior * slopes[..., i] for i, d in enumerate(along))
+        determinant = xx * yy - xy * xy
+        step = np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[..., None]
+        return np.clip(step, -4.0 * nudge, 4.0 * nudge)
+
+    def _colors_at(self, slopes: Floats) -> Floats:
+        """Grey levels (h, w, 3) that the table adds at slopes (h, w, 2), each at its place."""
+        scale = (self._grid.shape[0] - 1) / (2.0 * self._steepest)
+        limit = self._grid.shape[0] - 1.001
+        x, y = (np.clip((slopes[..., i] + self._steepest) * scale, 0.0, limit) for i in (0, 1))
+        column, row = x.astype(int), y.astype(int)
+        fx, fy = (x - column)[..., None], (y - row)[..., None]
+        colors = np.zeros((*self._shape, 3))
+        for dy, wy in ((0, 1.0 - fy), (1, fy)):
+            for dx, wx in ((0, 1.0 - fx), (1, fx)):
+                corner = self._grid[row + dy, column + dx]
+                colors += wy * wx * np.einsum("hwcf,hwf->hwc", corner, self._position)
+        return colors
+
+    def _tiles(self) -> list[Tile]:
+        """Bounds of the tiles: ((top, bottom), (left, right))."""
+        height, width = self._shape
+        return [
+            ((top, min(top + TILE_PX, height)), (left, min(left + TILE_PX, width)))
+            for top in range(0, height, TILE_PX)
+            for left in range(0, width, TILE_PX)
+        ]
+
+    def _tree_of(self, tile: Tile) -> tuple[cKDTree, NDArray[np.integer]]:
+        """Colours of the slopes at the middle of a tile, searchable; and the slopes' indices."""
+        (top, bottom), (left, right) = tile
+        middle = self._position[top:bottom, left:right].mean(axis=(0, 1))
+        axis = np.linspace(-self._steepest, self._steepest, self._grid.shape[0])
+        steepness = np.hypot(axis[:, None], axis[None, :])
+        nodes = np.argwhere(steepness <= self._steepest)
+        colors = self._grid[nodes[:, 0], nodes[:, 1]] @ middle
+        flatness = SEARCH_PRIOR_GREY * steepness[nodes[:, 0], nodes[:, 1]]
+        return cKDTree(np.column_stack([colors, flatness])), nodes
+
+
+def _cartesian(table: LookupTable, steepest: float) -> Floats:
+    """The table's coefficients over slopes (∂h/∂y, ∂h/∂x) on a square grid (m, m, 3, 6)."""
+    axis = np.linspace(-steepest, steepest, GRID_NODES)
+    slope_y, slope_x = np.meshgrid(axis, axis, indexing="ij")
+    n_slope, n_direction = table.coefficients.shape[:2]
+    i = np.arctan(np.hypot(slope_x, slope_y)) / table.max_slope_rad * (n_slope - 1)
+    j = (np.arctan2(slope_y, slope_x) + np.pi) / (2.0 * np.pi) * n_direction
+    i = np.minimum(i, n_slope - 1.0)
+    low_i = np.minimum(i.astype(int), n_slope - 2)
+    low_j = j.astype(int) % n_direction
+    fi, fj = (i - low_i)[..., None, None], (j - np.floor(j))[..., None, None]
+    nodes = table.coefficients.astype(np.float64)
+    high_j = (low_j + 1) % n_direction
+    return (1 - fi) * ((1 - fj) * nodes[low_i, low_j] + fj * nodes[low_i, high_j]) + fi * (
+        (1 - fj) * nodes[low_i + 1, low_j] + fj * nodes[low_i + 1, high_j]
+    )
+
+
+def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: float) -> Floats:
+    """(h, w, 2) slopes of the gel at rest: a sphere's, or 0."""
+    rows, columns = np.indices(shape_px, dtype=np.float64)
+    x = (columns - (shape_px[1] - 1) / 2) * mm_per_px
+    y = (rows - (shape_px[0] - 1) / 2) * mm_per_px
+    if dome_radius_mm <= 0:
+        return np.zeros((*shape_px, 2))
+    height = np.sqrt(np.maximum(dome_radius_mm**2 - x**2 - y**2, 1e-6))
+    return np.stack([-x / height, -y / height], axis=-1)
+
+
+def _features(shape_px: tuple[int, int]) -> Floats:
+    """(h, w, 6) features of the table, u², v², uv, u, v, 1."""
+    height, width = shape_px
+    v, u = np.meshgrid(
+        (np.arange(height) + 0.5) / height - 0.5,
+        (np.arange(width) + 0.5) / width - 0.5,
+        indexing="ij",
+    )
+    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+
+
+def _averaged(image: Floats, step: int, shape_px: tuple[int, int]) -> Floats:
+    if step == 1:
+        return image
+    return np.asarray(cv2.resize(image, (shape_px[1], shape_px[0]), interpolation=cv2.INTER_AREA))
+
+
+def _filled(values: Floats, known: Floats) -> Floats:
+    """Values (h, w, c) with the unknown pixels filled in from around them."""
+    if known.all():
+        return values
+    result, sigma = np.where(known[..., None] > 0, values, 0.0), 3.0
+    weight = gaussian_filter(known, sigma)
+    smooth = gaussian_filter(result, (sigma, sigma, 0.0)) / np.maximum(weight, 1e-6)[..., None]
+    return np.where(known[..., None] > 0, values, smooth)
+
+
+def integrate(slope_x: Floats, slope_y: Floats, mm_per_px: float) -> Floats:
+    """The surface (h, w), mm, whose slopes come nearest to the given ones; its mean is 0.
+
+    Least squares by Poisson's equation with free edges, solved by cosine transforms.
+
+    Source
+    ------
+    Simchony, Chellappa & Shao 1990, Direct analytical methods for solving Poisson equations.
+    """
+    height, width = slope_x.shape
+    # Slopes stand at pixels; differences between neighbours at the edges between them.
+    across = 0.5 * (slope_x[:, 1:] + slope_x[:, :-1]) * mm_per_px
+    down = 0.5 * (slope_y[1:] + slope_y[:-1]) * mm_per_px
+    divergence = np.zeros((height, width))
+    divergence[:, :-1] += across
+    divergence[:, 1:] -= across
+    divergence[:-1] += down
+    divergence[1:] -= down
+    rows = 2.0 - 2.0 * np.cos(np.pi * np.arange(height) / height)
+    columns = 2.0 - 2.0 * np.cos(np.pi * np.arange(width) / width)
+    eigenvalues = -(rows[:, None] + columns[None, :])
+    eigenvalues[0, 0] = 1.0
+    spectrum = dctn(divergence, norm="ortho") / eigenvalues
+    spectrum[0, 0] = 0.0
+    return np.asarray(idctn(spectrum, norm="ortho"))
+
+
+def _rest_level(surface: Floats) -> float:
+    """Height of the gel that was not touched: the median over the upper half of the surface."""
+    return float(np.median(surface[surface >= np.median(surface)]))
