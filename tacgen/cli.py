@@ -429,6 +429,7 @@ def objects_add(
     from tacgen.objects_io.description import read_description
     from tacgen.objects_io.listing import facts_text, object_facts
 
+    typer.echo(f"tacgen: importing {mesh}; convex parts take up to a minute", err=True)
     added = add_object(
         mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, force=force
     )

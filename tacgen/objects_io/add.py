@@ -116,7 +116,7 @@ def describe(
         },
         "mass_kg": {"value": mass_kg, "source": "given when the mesh was added"},
         "center_of_mass_mm": {
-            "value": [round(float(value), 3) for value in center],
+            "value": [round(float(value), 3) + 0.0 for value in center],
             "source": "computed from the mesh, evenly filled; not measured",
         },
         "dimensions_mm": {

@@ -9,7 +9,7 @@ from tacgen.records import Mesh
 from tacgen.shapes.shape import from_manifold, hull, to_manifold
 
 MAX_PARTS = 24
-MAX_PART_VERTICES = 64
+MAX_PART_VERTICES = 128
 DETAIL_MM = 0.2
 CONCAVITY = 0.05
 """CoACD's threshold: the concavity left, as a share of the object's size."""

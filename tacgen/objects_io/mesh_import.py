@@ -121,6 +121,9 @@ def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray) ->
 def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> None:
     size = np.ptp(vertices_mm, axis=0)
     shown = " × ".join(f"{extent:.4g}" for extent in size)
+    if size.min() <= 0:
+        msg = f"{path}: is {shown} mm, flat; give a solid object"
+        raise ObjectError(msg)
     if size.max() < SMALLEST_MM:
         msg = (
             f"{path}: is {shown} mm; if the mesh is in metres, pass --scale {1000 * scale:g}, "
@@ -132,9 +135,6 @@ def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> N
             f"{path}: is {shown} mm, too large for a gripper that opens {STROKE_MM:.0f} mm; "
             f"if the mesh is in µm, pass --scale {0.001 * scale:g}, else check the scale"
         )
-        raise ObjectError(msg)
-    if size.min() <= 0:
-        msg = f"{path}: is {shown} mm, flat; give a solid object"
         raise ObjectError(msg)
 
 
