@@ -13,7 +13,7 @@ from tacgen.resources import packaged
 from tacgen.sensors import load_sensor
 
 AXIS = TypeAdapter(Axis)
-OTHER_KINDS = ("rig", "train")
+OTHER_KINDS = ("rig", "train", "paper")
 SHIPPED = sorted(
     path for path in packaged("recipes").glob("*.yaml") if not path.stem.startswith(OTHER_KINDS)
 )

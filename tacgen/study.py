@@ -1,0 +1,140 @@
+"""Collecting, training and testing the rows of a study, and the table of what came out."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tacgen.collect import collect
+from tacgen.dataset.real_grasps import read_real_grasps
+from tacgen.errors import TacgenError
+from tacgen.files import write_text
+from tacgen.friction import friction_json, mu_range, sweep_friction
+from tacgen.learning.evaluate import evaluate
+from tacgen.learning.progress import tell
+from tacgen.learning.train import train
+from tacgen.recipe import Recipe
+from tacgen.study_recipe import Row, Study
+from tacgen.study_table import write_study
+
+MU_VALUES = "0:1:0.05"
+
+
+@dataclass(frozen=True, slots=True)
+class RealFolders:
+    """Real grasps to test on, and others to calibrate on; no grasp may be in both."""
+
+    test: Path | None = None
+    calibration: Path | None = None
+
+
+def run_study(
+    study: Study, out: Path, real: RealFolders, *, quick: bool = False, workers: int = 1
+) -> dict[str, Any]:
+    """Run every row of a study; what is finished in ``out`` is not done again.
+
+    Returns
+    -------
+    dict
+        ``rows`` with the scores on simulated and, where given, real grasps; also written as
+        ``table.json``, ``table.md`` and ``table.html``.
+
+    Raises
+    ------
+    TacgenError
+        If a row cannot be collected, trained or tested.
+    """
+    _check_real(study, real)
+    start_s = time.perf_counter()
+    rows = [_run_row(study, row, out, real, quick, workers) for row in study.rows]
+    result = {
+        "study": study.name,
+        "description": study.description,
+        "quick": quick,
+        "notes": list(study.notes),
+        "real": None if real.test is None else str(real.test),
+        "rows": rows,
+        "took_s": time.perf_counter() - start_s,
+    }
+    write_text(out / "table.json", json.dumps(result, indent=1))
+    write_study(result, out)
+    return result
+
+
+def _check_real(study: Study, real: RealFolders) -> None:
+    if any(row.calibrate_friction for row in study.rows) and real.calibration is None:
+        msg = (
+            f"{study.name}: a row calibrates friction, which needs real grasps that are not "
+            "tested on; give them with --calibrate-on DIR"
+        )
+        raise TacgenError(msg)
+    if real.test is None or real.calibration is None:
+        return
+    tested = {grasp.grasp_id for grasp in read_real_grasps(real.test).grasps}
+    shared = tested & {grasp.grasp_id for grasp in read_real_grasps(real.calibration).grasps}
+    if shared:
+        msg = (
+            f"{real.test} and {real.calibration} share grasps, such as {min(shared)}; "
+            "calibrate on other grasps than those tested on"
+        )
+        raise TacgenError(msg)
+
+
+def _run_row(
+    study: Study, row: Row, out: Path, real: RealFolders, quick: bool, workers: int
+) -> dict[str, Any]:
+    data_recipe = study.data_recipe(row, quick=quick)
+    train_recipe = study.train_recipe(row, quick=quick)
+    friction: Mapping[str, Any] = {}
+    if row.calibrate_friction and real.calibration is not None:
+        friction = _fitted_friction(data_recipe, real.calibration, out / "friction", workers)
+        data_recipe = _with_friction(data_recipe, friction)
+    data = out / "data" / data_recipe.sha256()[:12]
+    run = out / "runs" / re.sub(r"[^a-z0-9]+", "_", row.name.lower()).strip("_")
+    tell(f"{row.name}: collects into {data}")
+    collected = collect(data_recipe, data, workers=workers)
+    trained = train(train_recipe, data, run)
+    result: dict[str, Any] = {
+        "name": row.name,
+        "published": row.published.model_dump(),
+        "objects": [entry.name for entry in data_recipe.objects],
+        "kind": train_recipe.model.kind,
+        "contact_law": data_recipe.contact.law,
+        "input_px": list(train_recipe.input.size_px),
+        "epochs": train_recipe.training.epochs,
+        "weights": sorted({model["weights"] for model in trained["models"].values()}),
+        "training_grasps": {
+            name: model["grasps_fit"] + model["grasps_validation"]
+            for name, model in trained["models"].items()
+        },
+        "not_executed": collected.summary()["not_executed"],
+        "friction": {name: fit["mu"] for name, fit in friction.items()},
+        "sim": evaluate(run, data=data),
+    }
+    if real.test is not None:
+        result["real"] = evaluate(run, real=real.test)
+    return result
+
+
+def _fitted_friction(recipe: Recipe, real: Path, out: Path, workers: int) -> Mapping[str, Any]:
+    """μ of each object, as ``tacgen friction`` finds it."""
+    grasps = read_real_grasps(real)
+    fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), out, workers=workers)
+    found = friction_json(fits)
+    write_text(out / "friction.json", json.dumps(found, indent=1))
+    return found
+
+
+def _with_friction(recipe: Recipe, friction: Mapping[str, Any]) -> Recipe:
+    objects = tuple(
+        entry.model_copy(update={"friction": friction[entry.name]["mu"]})
+        if entry.name in friction
+        else entry
+        for entry in recipe.objects
+    )
+    return recipe.model_copy(update={"objects": objects})
