@@ -30,6 +30,7 @@ from tacgen.dataset.writer import write_shard_file
 from tacgen.errors import DatasetError
 from tacgen.files import atomic_path, write_text
 
+_NO_LINKS_HERE = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 _NO_LOCKS_HERE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
@@ -253,7 +254,14 @@ def _create_whole(path: Path, text: str) -> bool:
     partial = path.with_name(f".{path.name}.{socket.gethostname()}.{os.getpid()}.part")
     try:
         partial.write_text(text, encoding="utf-8")
-        os.link(partial, path)
+        try:
+            os.link(partial, path)
+        except OSError as error:
+            if error.errno not in _NO_LINKS_HERE:
+                raise
+            if path.exists():
+                return False
+            os.replace(partial, path)
     except FileExistsError:
         return False
     finally:

@@ -1,3 +1,4 @@
+import errno
 import json
 import multiprocessing
 import os
@@ -116,6 +117,18 @@ def test_without_locks_two_may_work_and_neither_corrupts(tmp_path, spec, monkeyp
         for folder in (one, two):
             folder.write_shard(0, (make_sample(i, spec) for i in range(4)), spec)
     assert not verify(tmp_path).problems[0].shard >= 0
+
+
+def test_where_there_are_no_hard_links_the_plan_is_still_written_once(tmp_path, spec, monkeypatch):
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", no_links)
+    DatasetFolder(tmp_path).prepare(spec)
+    DatasetFolder(tmp_path).prepare(spec)
+    with pytest.raises(DatasetError, match="n_grasps: 10 there, 12 now"):
+        DatasetFolder(tmp_path).prepare(replace(spec, n_grasps=12))
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_merge_is_the_same_however_often_and_keeps_lines_without_a_file(toy):
