@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tacgen import __version__
 from tacgen.calibration.press_fit import FitSettings, JointFit, fit_jointly
-from tacgen.calibration.press_geometry import rest_slope
+from tacgen.calibration.press_geometry import press_slope, rest_slope
 from tacgen.calibration.press_images import PressImages
 from tacgen.calibration.press_model import PressModel
 from tacgen.calibration.press_samples import place_mm
@@ -72,20 +72,20 @@ def tabulate(presses: PressImages, fit: JointFit, background: NDArray[np.float32
 
 def steepest_slope_rad(presses: PressImages, fit: JointFit) -> float:
     """The steepest slope of the gel that any of the presses holds, and a little more."""
+    model = fit.press_model
     steepest = 0.0
-    for geometry, ball_radius_mm in zip(fit.geometry, presses.ball_radius_mm, strict=True):
+    for (_, _, radius), ball_radius_mm in zip(fit.geometry, presses.ball_radius_mm, strict=True):
         r = np.linspace(0.0, float(ball_radius_mm), 400)
-        pixels = _RadialLine(r + geometry[0], np.full_like(r, geometry[1]))
-        gx, gy = fit.press_model.slopes(geometry, float(ball_radius_mm), pixels)  # type: ignore[arg-type]
-        steepest = max(steepest, float(np.arctan(np.hypot(gx, gy)).max()))
+        slope, _ = press_slope(
+            r,
+            np.zeros_like(r),
+            float(radius),
+            float(ball_radius_mm),
+            model.membrane,
+            model.dome_radius_mm,
+        )
+        steepest = max(steepest, float(np.arctan(slope).max()))
     return min(BEYOND_STEEPEST * steepest, math.pi / 2)
-
-
-class _RadialLine:
-    """Places along a line out of a contact's centre, as ``PressModel.slopes`` takes them."""
-
-    def __init__(self, x_mm: NDArray, y_mm: NDArray) -> None:
-        self.x_mm, self.y_mm = x_mm, y_mm
 
 
 def without_rest(

@@ -25,6 +25,7 @@ from tacgen.calibration.smooth_model import (
     normal_parts,
     solve_ridge,
 )
+from tacgen.calibration.table_background import press_drift
 
 FloatArray = NDArray[np.floating]
 
@@ -40,6 +41,9 @@ FIRST_RADIUS_SHARE = 0.85
 NOISE_GREY = 6.0
 CORRELATED_PIXELS = 20.0
 """Residuals of neighbouring pixels go together (JPEG blocks, texture): so many count as one."""
+
+DRIFT_NOISE_GREY = 0.5
+"""How well the drift of a whole picture can be told from its bare gel."""
 
 CENTER_PRIOR_RADII = 0.15
 RADIUS_PRIOR_RADII = 0.10
@@ -78,11 +82,17 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class JointFit:
-    """A smooth model, the press model and the geometry (N, 3), mm, of each press."""
+    """A smooth model, the press model, and the geometry (N, 3), mm, of each press.
+
+    ``drift_share`` is the share of what a picture's bare gel is brighter by than that of the
+    other pictures (lamps and camera drift in a session) that was taken off its contact, so that
+    it does not go into the table.
+    """
 
     model: SmoothModel
     press_model: PressModel
     geometry: NDArray[np.float64]
+    drift_share: float = 0.0
 
 
 def gather(
@@ -136,6 +146,24 @@ def fit_model(
         gram += weighted.T @ features
         moment += weighted.T @ sample.change
     return solve_ridge(gram, moment, settings.ridge, settings.degree)
+
+
+def drift_share(
+    samples: list[Sample],
+    geometry: FloatArray,
+    press_model: PressModel,
+    model: SmoothModel,
+    drift: FloatArray,
+) -> float:
+    """The share, 0 to 1, of the bare gel's drift (N, 3) that shows in the contacts too."""
+    residual = np.zeros_like(drift)
+    for k, (sample, place) in enumerate(zip(samples, geometry, strict=True)):
+        inside = sample.pixels.inside
+        features = sample_design(sample, place, press_model, model.degree)[inside]
+        residual[k] = (sample.change[inside] - features @ model.weights.reshape(-1, 3)).mean(axis=0)
+    residual -= residual.mean(axis=0)
+    size = float((drift**2).sum()) + len(drift) * DRIFT_NOISE_GREY**2
+    return float(np.clip((residual * drift).sum() / size, 0.0, 1.0))
 
 
 def refine_press(
@@ -235,7 +263,11 @@ def fit_jointly(
     press_model = plain_press_model(float(first_radius.mean()), presses.dome_radius_mm)
     geometry = np.column_stack([labels[:, :2], first_radius])
     rough = replace(settings, degree=min(settings.degree, 4))
+    drift = press_drift(presses)
+    share = 0.0
+    gathered = samples
     for _ in range(iterations):
+        samples = _without(gathered, share * drift)
         model = fit_model(samples, geometry, press_model, rough)
         expected = press_model.labels.geometry(labels)
         expected[:, 2] = np.minimum(expected[:, 2], 0.95 * balls)
@@ -247,5 +279,14 @@ def fit_jointly(
         )
         membrane = refine_membrane(samples, geometry, model, press_model)
         press_model = replace(press_model, membrane=membrane, labels=learn_labels(labels, geometry))
-    model = fit_model(samples, geometry, press_model, settings)
-    return JointFit(model, press_model, geometry)
+        share = drift_share(gathered, geometry, press_model, model, drift)
+    model = fit_model(_without(gathered, share * drift), geometry, press_model, settings)
+    return JointFit(model, press_model, geometry, share)
+
+
+def _without(samples: list[Sample], offsets: FloatArray) -> list[Sample]:
+    """The samples with each press's offset taken off."""
+    return [
+        replace(sample, change=sample.change - offset)
+        for sample, offset in zip(samples, offsets, strict=True)
+    ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.floating]
 
@@ -45,19 +46,27 @@ def rest_slope(
     return -x_mm / height, -y_mm / height
 
 
+def rest_height(x_mm: FloatArray, y_mm: FloatArray, dome_radius_mm: float) -> FloatArray:
+    """Height of the gel at rest, mm, 0 at its centre: what ``rest_slope`` is the slope of."""
+    if dome_radius_mm <= 0:
+        return np.zeros_like(x_mm)
+    limit = (0.95 * dome_radius_mm) ** 2
+    return np.sqrt(dome_radius_mm**2 - np.minimum(x_mm**2 + y_mm**2, limit)) - dome_radius_mm
+
+
 def press_slope(
     dx_mm: FloatArray,
     dy_mm: FloatArray,
     contact_radius_mm: float,
     ball_radius_mm: float,
     membrane: Membrane,
-    rest: tuple[FloatArray, FloatArray] | None = None,
+    dome_radius_mm: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Slope of the gel surface around a ball pressed into it.
+    """Slope that a ball adds to the gel at rest.
 
-    Inside the contact the surface is the ball's, r/√(R² − r²) along the radius; outside, what the
-    ball adds to the gel at rest decays exponentially. The two are joined by a power mean, so that
-    the slope is smooth.
+    Inside the contact the surface is the ball's, r/√(R² − r²) along the radius (on a dome, that
+    less the dome's own slope); outside, what the ball adds decays exponentially. The two are
+    joined by a power mean, so that the slope is smooth.
 
     Parameters
     ----------
@@ -65,8 +74,8 @@ def press_slope(
         Distance from the contact's centre along columns and rows, mm.
     contact_radius_mm, ball_radius_mm : float
     membrane : Membrane
-    rest : pair of (...) float, optional
-        Slope of the gel at rest at the same places (a dome); flat where it is not given.
+    dome_radius_mm : float
+        Radius of curvature of the gel at rest; 0 for a flat one.
 
     Returns
     -------
@@ -77,19 +86,17 @@ def press_slope(
     contact = min(contact_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
     r = np.hypot(dx_mm, dy_mm)
     power = membrane.sharpness
-    rim = contact / np.sqrt(ball_radius_mm**2 - contact**2)
+    dome_per_mm = 1.0 / dome_radius_mm if dome_radius_mm > 0 else 0.0
+    rim = contact / np.sqrt(ball_radius_mm**2 - contact**2) + contact * dome_per_mm
     outward = np.clip((r - contact) / membrane.decay_mm, -30.0, 30.0)
     inside = np.minimum(r, 0.9999 * ball_radius_mm)
-    cap_per_mm = 1.0 / np.sqrt(ball_radius_mm**2 - inside**2)
+    cap_per_mm = 1.0 / np.sqrt(ball_radius_mm**2 - inside**2) + dome_per_mm
     cap = inside * cap_per_mm
     tail = rim * np.exp(-outward)
     joined = (1.0 + (cap / tail) ** power) ** (-1.0 / power)
     per_mm = cap_per_mm * joined * inside / np.maximum(r, 1e-12)
     per_mm = np.where(r > 0, per_mm, cap_per_mm)
-    if rest is None:
-        return per_mm * dx_mm, per_mm * dy_mm
-    free = 1.0 - (1.0 + np.exp(outward * power)) ** (-1.0 / power)
-    return per_mm * dx_mm + rest[0] * free, per_mm * dy_mm + rest[1] * free
+    return per_mm * dx_mm, per_mm * dy_mm
 
 
 def press_height(
@@ -98,15 +105,17 @@ def press_height(
     contact_radius_mm: float,
     ball_radius_mm: float,
     membrane: Membrane,
+    dome_radius_mm: float = 0.0,
 ) -> FloatArray:
-    """Height of a flat gel around the ball, mm, gel frame: 0 far away, negative under the ball.
+    """Height that a ball adds to the gel at rest, mm: 0 far away, negative under the ball.
 
     The radial slope of ``press_slope``, integrated inwards from where it has died out.
     """
     r = np.hypot(dx_mm, dy_mm)
     reach = max(float(r.max()), contact_radius_mm + 20.0 * membrane.decay_mm)
-    grid = np.linspace(0.0, reach, 4096)
-    slope, _ = press_slope(grid, np.zeros_like(grid), contact_radius_mm, ball_radius_mm, membrane)
-    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(grid)
-    height = -np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
-    return np.interp(r, grid, height)
+    grid = np.linspace(0.0, reach, 2048)
+    slope, _ = press_slope(
+        grid, np.zeros_like(grid), contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm
+    )
+    spline = CubicSpline(grid, slope).antiderivative()
+    return np.asarray(spline(r) - spline(reach))

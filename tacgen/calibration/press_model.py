@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.calibration.press_geometry import Membrane, press_slope, rest_slope
+from tacgen.calibration.press_geometry import (
+    Membrane,
+    press_height,
+    press_slope,
+    rest_height,
+    rest_slope,
+)
 from tacgen.calibration.press_images import PressImages
 from tacgen.calibration.press_samples import Pixels, place_mm
 
@@ -79,17 +85,30 @@ class PressModel:
         self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels
     ) -> tuple[FloatArray, FloatArray]:
         """Slope of the gel at ``pixels`` around a ball at ``geometry`` (centre and radius, mm)."""
-        rest = None
-        if self.dome_radius_mm > 0:
-            rest = rest_slope(pixels.x_mm, pixels.y_mm, self.dome_radius_mm)
-        return press_slope(
+        added = press_slope(
             pixels.x_mm - geometry[0],
             pixels.y_mm - geometry[1],
             float(geometry[2]),
             ball_radius_mm,
             self.membrane,
-            rest,
+            self.dome_radius_mm,
         )
+        rest = rest_slope(pixels.x_mm, pixels.y_mm, self.dome_radius_mm)
+        return added[0] + rest[0], added[1] + rest[1]
+
+    def height(
+        self, geometry: FloatArray, ball_radius_mm: float, x_mm: FloatArray, y_mm: FloatArray
+    ) -> FloatArray:
+        """Height of the gel, mm, at places on it around a ball at ``geometry``."""
+        added = press_height(
+            x_mm - geometry[0],
+            y_mm - geometry[1],
+            float(geometry[2]),
+            ball_radius_mm,
+            self.membrane,
+            self.dome_radius_mm,
+        )
+        return added + rest_height(x_mm, y_mm, self.dome_radius_mm)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, for a table's provenance."""

@@ -3,7 +3,9 @@
 The change of grey level from flat to a slope is a polynomial in the two tangential parts of the
 surface's unit normal, (nx, ny) = (gx, gy)/√(1 + gx² + gy²), each term times a quadratic in image
 position. It is 0 where the slope is 0. For matt gel under distant light only the terms of first
-order would be left; the higher ones hold what lamps close by, gloss and several bounces add.
+order would be left; the higher ones hold what lamps close by, gloss and several bounces add. One
+more term steps from 0 to 1 within a few degrees of slope: gel under a ball differs from gel at
+rest even where it lies level, because its neighbourhood scatters other light.
 """
 
 from __future__ import annotations
@@ -18,14 +20,18 @@ from tacgen.optics.table import N_FEATURES
 FloatArray = NDArray[np.floating]
 
 
+STEP_SINE = 0.1
+"""Sine of the slope at which the step term is half way up."""
+
+
 def exponents(degree: int) -> list[tuple[int, int]]:
-    """Powers of (nx, ny) in the order of the model's terms, without the constant."""
+    """Powers of (nx, ny) in the order of the model's terms, without constant and step."""
     return [(k - j, j) for k in range(1, degree + 1) for j in range(k + 1)]
 
 
 def n_terms(degree: int) -> int:
-    """How many terms in (nx, ny) a model of this degree has."""
-    return degree * (degree + 3) // 2
+    """How many terms a model of this degree has: the powers of (nx, ny) and the step."""
+    return degree * (degree + 3) // 2 + 1
 
 
 def normal_parts(gx: FloatArray, gy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -40,7 +46,9 @@ def monomials(nx: FloatArray, ny: FloatArray, degree: int) -> FloatArray:
     for _ in range(degree):
         powers_x.append(powers_x[-1] * nx)
         powers_y.append(powers_y[-1] * ny)
-    return np.stack([powers_x[i] * powers_y[j] for i, j in exponents(degree)], axis=-1)
+    terms = [powers_x[i] * powers_y[j] for i, j in exponents(degree)]
+    square = nx * nx + ny * ny
+    return np.stack([*terms, square / (square + STEP_SINE**2)], axis=-1)
 
 
 def monomial_derivatives(
@@ -54,7 +62,8 @@ def monomial_derivatives(
     terms = exponents(degree)
     by_x = [i * powers_x[max(i - 1, 0)] * powers_y[j] for i, j in terms]
     by_y = [j * powers_x[i] * powers_y[max(j - 1, 0)] for i, j in terms]
-    return np.stack(by_x, axis=-1), np.stack(by_y, axis=-1)
+    step = 2 * STEP_SINE**2 / (nx * nx + ny * ny + STEP_SINE**2) ** 2
+    return np.stack([*by_x, step * nx], axis=-1), np.stack([*by_y, step * ny], axis=-1)
 
 
 def position_terms(u: FloatArray, v: FloatArray) -> FloatArray:
@@ -68,12 +77,8 @@ def design(terms: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def roughness(degree: int) -> FloatArray:
-    """Diagonal (n_terms · 6,) of the ridge: steeper terms and higher position powers cost more.
-
-    A term of power k is weighed as the k-th power's share of a smooth function's spectrum, and a
-    position power as if lamps' fall-off took the whole image to change.
-    """
-    term_cost = np.array([float(i + j) ** 2 for i, j in exponents(degree)])
+    """Diagonal (n_terms · 6,) of the ridge: higher powers of slope and of position cost more."""
+    term_cost = np.array([*(float(i + j) ** 2 for i, j in exponents(degree)), 1.0])
     position_cost = np.array([16.0, 16.0, 16.0, 4.0, 4.0, 1.0]) / 16.0
     return (term_cost[:, None] * position_cost[None, :]).ravel()
 

@@ -48,11 +48,8 @@ def blur(image: NDArray, sigma_px: float) -> NDArray:
     return np.asarray(cv2.GaussianBlur(source, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT))
 
 
-def bare_gel_change(presses: PressImages) -> FloatArray:
-    """Median over the presses of image − reference where no press touches: (h, w, 3), coarse.
-
-    Where fewer than three presses leave the gel bare the change is carried over from around.
-    """
+def _bare_changes(presses: PressImages) -> NDArray:
+    """Image − reference where no press touches (N, h, w, 3), coarse; NaN near the contacts."""
     height, width = presses.shape_px
     scale = min(1.0, _COARSE_PX / width)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -67,14 +64,33 @@ def bare_gel_change(presses: PressImages) -> FloatArray:
         x, y = (presses.center_px[k] + 0.5) * scale - 0.5
         bare = np.hypot(columns - x, rows - y) > BARE_BEYOND * presses.radius_px[k] * scale
         changes[k] = np.where(bare[..., None], coarse(presses.images[k]) - reference, np.nan)
+    return changes
+
+
+def press_drift(presses: PressImages) -> NDArray:
+    """What each picture's bare gel is brighter by than that of the others (N, 3), grey levels."""
+    drift = np.zeros((len(presses), 3))
+    for k, change in enumerate(_bare_changes(presses)):
+        bare = change[np.isfinite(change[..., 0])]
+        if len(bare):
+            drift[k] = np.median(bare, axis=0)
+    return drift - drift.mean(axis=0)
+
+
+def bare_gel_change(presses: PressImages) -> NDArray:
+    """Median over the presses of image − reference where no press touches: (h, w, 3), coarse.
+
+    Where fewer than three presses leave the gel bare the change is carried over from around.
+    """
+    changes = _bare_changes(presses)
     views = np.isfinite(changes[..., 0]).sum(axis=0)
     known = views >= MIN_VIEWS
+    median = np.zeros(changes.shape[1:], np.float32)
     if not known.any():
-        return np.zeros_like(reference)
-    median = np.zeros_like(reference)
+        return median
     median[known] = np.nanmedian(changes[:, known], axis=0)
     weight = known.astype(np.float32)
-    sigma = 0.05 * size[0]
+    sigma = 0.05 * known.shape[1]
     near = (
         blur(median * weight[..., None], sigma) / np.maximum(blur(weight, sigma), 1e-6)[..., None]
     )
