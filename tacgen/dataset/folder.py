@@ -142,7 +142,7 @@ class DatasetFolder:
             self.line_path(shard).unlink(missing_ok=True)
             with atomic_path(self.shard_path(shard)) as partial:
                 line = write_shard_file(partial, samples, spec, shard)
-                problems = content_problems(partial, line, decode="grasp")
+                problems = content_problems(partial, line, decode="first")
                 if problems:
                     raise DatasetError.from_problems(
                         [f"{self.shard_path(shard)}: {text}" for text in problems]

@@ -25,15 +25,15 @@ from tacgen.dataset.tally import Tally
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
 
-Decode = Literal["none", "grasp", "all"]
+Decode = Literal["none", "first", "all"]
 _MAX_NAMED = 5
 
 
 def shard_problems(path: Path, line: ShardLine, *, decode: Decode = "none") -> list[str]:
     """Everything about the file ``path`` that is not as ``line`` of the manifest says.
 
-    ``decode`` says which images are decompressed: none, those of the moment of grasp, or all. An
-    image that is not is still known to be there, with a header that fits.
+    ``decode`` says which images are decompressed: none, those of the first executed grasp at the
+    moment of grasp, or all. Every other image is still known to be there, with a header that fits.
     """
     if not path.is_file():
         return ["is missing"]
@@ -116,13 +116,11 @@ def _image_problems(shard: Shard, columns: dict[str, NDArray], decode: Decode) -
         rows: Iterable[int] = executed if array.shape[0] == "N" else (-1,)
         for row, frame in itertools.product(rows, range(n_frames)):
             place = () if row < 0 else (int(row), frame) if per_frame else (int(row),)
-            optional = array.path == "/scene/picture"
+            first = row in (-1, *executed[:1]) and frame == (moments[row] if per_frame else 0)
             if not has_image(dataset, place):
-                if not optional:
+                if array.path != "/scene/picture":
                     yield f"{array.path}: the image {place} is missing"
-            elif decode == "all" or (
-                decode == "grasp" and frame == (moments[row] if per_frame else 0)
-            ):
+            elif decode == "all" or (decode == "first" and first):
                 image = read_image(dataset, place)
                 if image.dtype.kind == "f" and not np.isfinite(image).all():
                     yield f"{array.path}: the image {place} is not finite"
