@@ -6,13 +6,13 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tacgen import __version__
 from tacgen.calibration.contact_law import ContactFit, fit_contact
-from tacgen.calibration.contact_report import summary_dict, summary_text, write_report
+from tacgen.calibration.contact_summary import summary_dict, summary_text
 from tacgen.calibration.depth_curves import (
     DepthReport,
     explain_curves,
@@ -20,13 +20,15 @@ from tacgen.calibration.depth_curves import (
     read_depth_curves,
 )
 from tacgen.calibration.depth_report import depth_dict, depth_text, depth_warnings
-from tacgen.calibration.press_forces import MeasuredLog, measure_presses, read_force_images
 from tacgen.calibration.press_log import read_press_log
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.errors import PressError
 from tacgen.files import atomic_path, sha256_of
 from tacgen.optics.table import load_table
 from tacgen.records import Estimate
+
+if TYPE_CHECKING:
+    from tacgen.calibration.press_forces import MeasuredLog
 
 CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
 
@@ -84,12 +86,16 @@ def calibrate_contact(
     fit = replace(fit, warnings=(*measured, *fit.warnings))
     save_law(fit.law, out)
     if report is not None:
+        from tacgen.calibration.contact_report import write_report
+
         write_report(fit, report)
     return ContactCalibration(fit, fit.law, fit.warnings)
 
 
 def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
     """The press log that a folder of images with forces holds, written to ``log``."""
+    from tacgen.calibration.press_forces import measure_presses, read_force_images
+
     images = read_force_images(folder)
     lookup = None
     if table is not None:

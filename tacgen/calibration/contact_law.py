@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.stats import f as fisher_f
+from scipy.special import fdtrc
 
 from tacgen import __version__
 from tacgen.calibration.contact_point import ContactPoint, free_contact_points
@@ -28,7 +28,7 @@ BLOCKS_OF_A_TRIAL = 8
 """Parts into which a group of one single trial is cut, as its samples are not independent."""
 DISAGREEMENT_P = 0.01
 
-UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
+PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
     trial = log["trial"]
     pooled = fit_slope(load, response, trial)
     if not pooled.value > 0:
-        unit = UNITS[channel][1]
+        unit = PLAIN_UNITS[channel][1]
         msg = (
             f"{log.path}: the {channel} response does not grow with the load (k = "
             f"{pooled.value:.3g} {unit}); check the signs of force and "
@@ -166,7 +166,7 @@ def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
     }
     return ChannelFit(
         channel, pooled, by, MappingProxyType(groups), agreement_of(groups, pooled.value),
-        _held_out(load, response, trial, UNITS[channel][0]),
+        _held_out(load, response, trial, PLAIN_UNITS[channel][0]),
     )  # fmt: skip
 
 
@@ -199,7 +199,7 @@ def agreement_of(groups: Mapping[str, SlopeFit], pooled: float) -> Agreement | N
     between = (weight * (k - mean) ** 2).sum() / (n - 1)
     statistic = float(between / (1.0 + 2.0 * (n - 2) / (n**2 - 1) * unevenness))
     dof_within = float((n**2 - 1) / (3.0 * unevenness))
-    p_value = float(fisher_f.sf(statistic, n - 1, dof_within))
+    p_value = float(fdtrc(n - 1, dof_within, statistic))
     return Agreement(statistic, (n - 1.0, dof_within), p_value, float(np.ptp(k) / pooled))
 
 

@@ -16,10 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import f as fisher_f
+from scipy.special import fdtrc
 
 from tacgen.calibration.ball import ball_volume_mm3
-from tacgen.calibration.press_log import column_problems, numeric_columns, read_table
+from tacgen.calibration.press_log import (
+    column_names,
+    column_problems,
+    numeric_columns,
+    read_table,
+)
 from tacgen.errors import PressError
 
 Floats = NDArray[Any]
@@ -82,7 +87,7 @@ class DepthReport:
 
 def is_depth_table(path: Path) -> bool:
     """Whether a file holds depths and no volumes: force–depth curves, not a press log."""
-    columns = read_table(path).columns
+    columns = column_names(path)
     return "depth_mm" in columns and "volume_mm3" not in columns
 
 
@@ -141,7 +146,7 @@ def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = Non
             for c, fit in zip(curves, own, strict=True)
         )
         statistic = excess / (len(curves) - 1) / (n_samples / dof)
-        p_value = float(fisher_f.sf(max(statistic, 0.0), len(curves) - 1, dof))
+        p_value = float(fdtrc(len(curves) - 1, dof, max(statistic, 0.0)))
     return DepthReport(
         own,
         float(np.exp(shared_log_k)),

@@ -110,7 +110,7 @@ def follow(dots: Dots, pictures: list[Image]) -> tuple[Floats, NDArray[np.int64]
         matched = _match(expected, found, 0.5 * dots.spacing_px)
         known: NDArray[np.bool_] = np.asarray(np.isfinite(matched).all(axis=1))
         seen[index] = int(known.sum())
-        step = matched - dots.places_px
+        step: Floats = matched - dots.places_px
         if known.any():
             step = _filled_from_neighbours(step, known, dots.places_px)
             motion[index] = step

@@ -191,6 +191,17 @@ def read_table(path: Path) -> pd.DataFrame:
     return frame
 
 
+def column_names(path: Path) -> list[str]:
+    """The header of a table; empty where it cannot be read, which ``read_table`` then says."""
+    try:
+        if Path(path).suffix.lower() in (".parquet", ".pq"):
+            return [str(name) for name in pd.read_parquet(path).columns]
+        header = pd.read_csv(path, nrows=0, encoding="utf-8-sig")
+        return [str(name).strip() for name in header.columns]
+    except (OSError, ValueError):
+        return []
+
+
 def column_problems(frame: pd.DataFrame, path: Path, required: tuple[str, ...]) -> list[str]:
     """What is wrong with the header, a line each."""
     if frame.shape[1] == 1 and (

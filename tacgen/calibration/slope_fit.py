@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import sqrtm
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 Floats = NDArray[np.floating[Any]]
 Integers = NDArray[np.integer[Any]]
@@ -26,6 +26,9 @@ Integers = NDArray[np.integer[Any]]
 TUKEY = 4.685
 """95 % efficiency at normal noise (Holland & Welsch 1977)."""
 MAX_ITERATIONS = 100
+TOLERANCE = 1e-9
+SCALE_ITERATIONS = 5
+"""The residuals' scale is settled by then; a median that flickers would never let it end."""
 LOADED_SHARE = 0.1
 """Samples below this share of the largest load tell little about the slope or its noise."""
 MIN_RELEVANCE = 0.8
@@ -112,7 +115,7 @@ def fit_slope(
 
     for widening in WIDENINGS:
         beta, scale = _solve_robustly(design, instruments, y, loaded, widening)
-        residual = y - design @ beta
+        residual = y - _predicted(design, beta)
         weight, slope = _tukey(residual, scale * widening)
         kept = weight > 0
         refused = np.bincount(groups, loaded & ~kept, n_trials) / np.maximum(
@@ -183,25 +186,36 @@ def _solve_robustly(
     if design.shape[1] > 1:
         beta = _least_absolute(design, y, beta)
     scale = 0.0
-    for _ in range(MAX_ITERATIONS):
-        residual = y - design @ beta
-        scale = _robust_scale(residual[loaded])
+    for iteration in range(MAX_ITERATIONS):
+        residual = y - _predicted(design, beta)
+        if iteration < SCALE_ITERATIONS:
+            scale = _robust_scale(residual[loaded])
         weighted = instruments * _tukey(residual, scale * widening)[0][:, None]
-        updated = np.linalg.solve(weighted.T @ design, weighted.T @ y)
-        done = np.abs(updated - beta).max() <= 1e-10 * np.abs(updated).max()
+        updated = np.linalg.solve(_gram(weighted, design), _gram(weighted, y[:, None])[:, 0])
+        done = np.abs(updated - beta).max() <= TOLERANCE * np.abs(updated).max()
         beta = updated
         if done:
             break
     return beta, scale
 
 
+def _predicted(design: Floats, beta: Floats) -> Floats:
+    return np.einsum("np,p->n", design, beta)
+
+
+def _gram(left: Floats, right: Floats) -> Floats:
+    """leftᵀ right of tall matrices; a BLAS would wake all its threads for so little work."""
+    return np.einsum("ni,nj->ij", left, right)
+
+
 def _least_absolute(design: Floats, y: Floats, beta: Floats) -> Floats:
     """A few reweighted steps towards the smallest absolute residuals."""
     for _ in range(20):
-        residual = np.abs(y - design @ beta)
+        residual = np.abs(y - _predicted(design, beta))
         floor = max(1e-3 * float(np.median(residual)), 1e-12)
         weighted = design / np.maximum(residual, floor)[:, None]
-        beta = np.linalg.lstsq(weighted.T @ design, weighted.T @ y, rcond=None)[0]
+        gram, moment = _gram(weighted, design), _gram(weighted, y[:, None])[:, 0]
+        beta = np.linalg.lstsq(gram, moment, rcond=None)[0]
     return beta
 
 
@@ -255,7 +269,7 @@ def _clustered_error(
     effect = adjusted @ inverse.T
     variance = float((effect[:, 0] ** 2).sum())
     dof = _degrees_of_freedom(instruments[:, 0], influence, groups, n_groups, score[:, 0])
-    factor = student_t.ppf(0.975, dof) / NORMAL_975
+    factor = float(stdtrit(dof, 0.975)) / NORMAL_975
     return float(np.sqrt(variance) * factor), dof
 
 
