@@ -105,6 +105,20 @@ class TestOutcomes:
         assert (trace.status, trace.label) == ("unreachable", -1)
         assert reason in trace.reason
 
+    def test_a_way_round_a_broad_middle_is_found(self, simulator: GraspSimulator) -> None:
+        # Broader than the stroke in the middle, with a handle that can be gripped at y = 70 mm.
+        parts = tuple(
+            hull_mesh(np.array([[i, j, k] for i in x for j in y for k in (0.0, 60.0)]))
+            for x, y in (((-70.0, 70.0), (-40.0, 40.0)), ((-20.0, 20.0), (40.0, 100.0)))
+        )
+        obj = replace(
+            block(spinning_friction_mm=50.0),
+            collision=parts,
+            center_of_mass_mm=np.array([0.0, 50.0, 30.0]),
+        )
+        assert grasp(simulator, obj, z_mm=30.0).status == "unreachable"
+        assert grasp(simulator, obj, y_mm=70.0, z_mm=30.0).label == 1
+
     def test_the_arm_knows_its_reach(self, arm_simulator: GraspSimulator) -> None:
         trace = grasp(arm_simulator, block(), x_mm=600.0)
         assert trace.status == "unreachable"
