@@ -145,9 +145,10 @@ class GraspPipeline:
 
 def grasp_frame(trace: GraspTrace) -> int:
     """The frame of the moment of grasp: the first one at 95 % of the largest normal force."""
-    if not trace.frames:
+    frames = next(iter(trace.frames.values()), ())
+    if not frames:
         return 0
-    forces = np.array([frame.force_normal_n for frame in next(iter(trace.frames.values()))])
+    forces = np.array([frame.force_normal_n for frame in frames])
     return int(np.argmax(forces >= 0.95 * forces.max()))
 
 
