@@ -494,6 +494,11 @@ def main() -> None:
     except TacgenError as error:
         typer.echo(f"tacgen: {error}", err=True)
         sys.exit(error.exit_code)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        mend = "check the path, its rights and the free space"
+        typer.echo(f"tacgen: {where}{error.strerror or error}; {mend}", err=True)
+        sys.exit(2)
     except Interrupted:
         typer.echo("tacgen: interrupted; finished work is kept", err=True)
         sys.exit(130)
