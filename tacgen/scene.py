@@ -6,22 +6,32 @@ machine.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from tacgen.objects_io.raster import shaded_view
+from tacgen.physics.frames import rotation_about_z, rotation_from_quaternion
+from tacgen.physics.gripper import (
+    FINGER_THICKNESS_MM,
+    PAD_DEPTH_MM,
+    PAD_HEIGHT_MM,
+    PAD_WIDTH_MM,
+)
 from tacgen.records import GraspConfig, GraspObject, GraspTrace, Mesh
+from tacgen.shading import shaded_view
 
 PICTURE_PX = (150, 200)
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
 
 _PAD_COLOR, _FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
-_PAD_MM = (4.0, 24.0, 20.0)
-_FINGER_MM = (9.0, 26.0, 70.0)
-_PALM_MM = (150.0, 50.0, 22.0)
+_PAD_MM = (PAD_DEPTH_MM, PAD_WIDTH_MM, PAD_HEIGHT_MM)
+# The fingers are cut off above, so that the object fills the picture.
+_FINGER_MM = (FINGER_THICKNESS_MM, PAD_WIDTH_MM, 75.0)
 _TABLE_RADIUS_MM = 78.0
 
+Triple = tuple[float, float, float]
 Part = tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int, int]]
 
 
@@ -46,8 +56,8 @@ def grasp_picture(
 
 def _pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """x, y, z and a quaternion x, y, z, w as a 4×4 matrix."""
-    x, y, z, w = pose[3:]
-    matrix = trimesh.transformations.quaternion_matrix([w, x, y, z])
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_from_quaternion(pose[3:].tolist())
     matrix[:3, 3] = pose[:3]
     return matrix
 
@@ -69,32 +79,35 @@ def _openings_mm(
     return left, found.get("right", left)
 
 
+@lru_cache(maxsize=1)
 def _table() -> Part:
     disc = trimesh.creation.cylinder(radius=_TABLE_RADIUS_MM, height=3.0, sections=48)
     disc.apply_translation([0.0, 0.0, -1.6])
-    return disc.vertices, disc.faces, _TABLE_COLOR
+    return np.array(disc.vertices), np.array(disc.faces), _TABLE_COLOR
 
 
 def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part]:
-    """Two fingers with their pads, and the palm above; the left finger is on the −x side."""
-    boxes = []
+    """Two fingers with their pads; the left one is on the −x side."""
+    boxes: list[tuple[Triple, Triple, tuple[int, int, int]]] = []
+    finger_z = (_FINGER_MM[2] - PAD_HEIGHT_MM) / 2
     for side, opening_mm in zip((-1.0, 1.0), openings_mm, strict=True):
-        pad_x = side * (opening_mm + _PAD_MM[0] / 2)
-        finger_x = side * (opening_mm + _PAD_MM[0] + _FINGER_MM[0] / 2)
-        finger_z = _FINGER_MM[2] / 2 - _PAD_MM[2] / 2 - 2.0
+        pad_x = side * (opening_mm + PAD_DEPTH_MM / 2)
+        finger_x = side * (opening_mm + PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2)
         boxes.append((_PAD_MM, (pad_x, 0.0, 0.0), _PAD_COLOR))
         boxes.append((_FINGER_MM, (finger_x, 0.0, finger_z), _FINGER_COLOR))
-    palm_z = _FINGER_MM[2] - _PAD_MM[2] / 2 + _PALM_MM[2] / 2 - 2.0
-    boxes.append((_PALM_MM, (0.0, 0.0, palm_z), _FINGER_COLOR))
-    place = trimesh.transformations.rotation_matrix(config.yaw_rad, [0, 0, 1])
-    place[:3, 3] = config.x_mm, config.y_mm, config.z_mm
-    parts = []
-    for extents, center, color in boxes:
-        box = trimesh.creation.box(extents=extents)
-        box.apply_translation(center)
-        box.apply_transform(place)
-        parts.append((box.vertices, box.faces, color))
-    return parts
+    turn = rotation_about_z(config.yaw_rad)
+    corners, faces = _unit_box()
+    center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
+    return [
+        ((corners * extents + place) @ turn.T + center_mm, faces, color)
+        for extents, place, color in boxes
+    ]
+
+
+@lru_cache(maxsize=1)
+def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
+    return np.array(box.vertices), np.array(box.faces)
 
 
 def _shade(parts: list[Part], size_px: tuple[int, int]) -> NDArray[np.uint8]:

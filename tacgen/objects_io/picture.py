@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.files import atomic_path
-from tacgen.objects_io.raster import depth_view, shaded_view, view_axes
+from tacgen.shading import depth_view, shaded_view, view_axes
 from tacgen.records import GraspObject
 
 WINDOW_PX, MM_PER_PX = (480, 640), 0.0295

@@ -13,13 +13,15 @@ LIGHTS = ((0.45, 0.55, 0.7, 0.75), (-0.7, 0.1, 0.7, 0.45))
 
 
 @numba.njit(cache=True)
-def _nearest_face(corners: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+def _nearest_face(
+    points: np.ndarray, faces: np.ndarray, height: int, width: int
+) -> tuple[np.ndarray, np.ndarray]:
     depth = np.full((height, width), -np.inf)
     face = np.full((height, width), -1, np.int64)
-    for f in range(corners.shape[0]):
-        ax, ay, az = corners[f, 0]
-        bx, by, bz = corners[f, 1]
-        cx, cy, cz = corners[f, 2]
+    for f in range(faces.shape[0]):
+        ax, ay, az = points[faces[f, 0]]
+        bx, by, bz = points[faces[f, 1]]
+        cx, cy, cz = points[faces[f, 2]]
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if area == 0.0:
             continue
@@ -67,7 +69,7 @@ def depth_view(
     seen = (mesh.vertices_mm - center_mm) @ axes.T
     seen[:, 0] = seen[:, 0] / mm_per_px + (width - 1) / 2
     seen[:, 1] = (height - 1) / 2 - seen[:, 1] / mm_per_px
-    depth, face = _nearest_face(np.ascontiguousarray(seen[mesh.faces]), height, width)
+    depth, face = _nearest_face(seen, mesh.faces, height, width)
     return depth, face
 
 
@@ -93,17 +95,29 @@ def shaded_view(
     center = axes.T @ ((low + high) / 2)
     _, face = depth_view(mesh, axes, center, samples, mm_per_px)
 
-    corners = mesh.vertices_mm[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ axes.T
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    light = np.full(len(normals), 0.25)
-    gloss = np.zeros(len(normals))
+    # Only faces that are seen need a shade: a few hundred of a fine mesh in a small picture.
+    is_shown = np.zeros(len(mesh.faces) + 1, dtype=bool)  # the last: −1, nothing
+    is_shown[face] = True
+    shown = np.flatnonzero(is_shown[:-1])
+    place = np.full(len(is_shown), len(shown))
+    place[shown] = np.arange(len(shown))
+    normals = _normals(mesh, shown) @ axes.T
+    light = np.full(len(shown), 0.25)
+    gloss = np.zeros(len(shown))
     for *direction, strength in LIGHTS:
         towards = np.array(direction) / np.linalg.norm(direction)
         light += strength * np.clip(normals @ towards, 0, None)
         half = towards + np.array([0.0, 0.0, 1.0])
         gloss += 0.25 * strength * np.clip(normals @ (half / np.linalg.norm(half)), 0, None) ** 30
-    shade = np.array(color_rgb) * light[:, None] + 255 * gloss[:, None]
-    picture = np.vstack([shade, [255.0, 255.0, 255.0]])[face]
+    colors = np.broadcast_to(color_rgb, (len(mesh.faces), 3))[shown]
+    shade = colors * light[:, None] + 255 * gloss[:, None]
+    picture = np.vstack([shade, [255.0, 255.0, 255.0]])[place[face]]
     picture = picture.reshape(size_px[0], 2, size_px[1], 2, 3).mean(axis=(1, 3))
     return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+def _normals(mesh: Mesh, faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Unit normals (n, 3) of some faces."""
+    corners = mesh.vertices_mm[mesh.faces[faces]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
