@@ -12,7 +12,7 @@ from tacgen.optics.deform import Window, grown
 from tacgen.optics.effects import EFFECTS, Patch, check_effects
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
-from tacgen.optics.shade import packed_nodes, quantize, shade_window
+from tacgen.optics.shade import feature_factors, packed_nodes, quantize, shade_window
 from tacgen.optics.shadow import (
     DEFAULT_STRENGTH,
     Leds,
@@ -45,6 +45,7 @@ class Shader:
         check_effects(table.effects)
         self.table = table
         self._nodes = packed_nodes(table)
+        self._along = feature_factors(table.shape_px)
         self._interpolate = table.interpolation == "linear" and self._nodes.shape[0] > 1
         self._background = np.ascontiguousarray(table.background, dtype=np.float32)
         n_rows, n_columns = table.shape_px
@@ -104,6 +105,7 @@ class Shader:
             self._nodes,
             self.table.max_slope_rad,
             self._interpolate,
+            self._along,
             self._background,
             image,
         )

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from tacgen.optics.deform import Window
 from tacgen.optics.table import N_FEATURES, LookupTable
+from tacgen.optics.vector import NODE_FLOATS, blend_nodes
 
-_LANES = 4
-_NODE = _LANES * N_FEATURES
+_LANES = NODE_FLOATS // N_FEATURES
 
 
 def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
@@ -24,7 +24,21 @@ def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
     nodes = np.zeros((n_slope, n_direction + 1, N_FEATURES, _LANES), dtype=np.float32)
     nodes[:, :-1, :, :3] = table.coefficients.transpose(0, 1, 3, 2)
     nodes[:, -1] = nodes[:, 0]
-    return nodes.reshape(n_slope, n_direction + 1, _NODE)
+    return nodes.reshape(n_slope, n_direction + 1, NODE_FLOATS)
+
+
+def feature_factors(shape_px: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What depends on u (W, 24) and on v (H, 24) in each feature of a node: u², v², uv, u, v, 1."""
+    n_rows, n_columns = shape_px
+    u = (np.arange(n_columns) + 0.5) / n_columns - 0.5
+    v = (np.arange(n_rows) + 0.5) / n_rows - 0.5
+    one_u, one_v = np.ones_like(u), np.ones_like(v)
+    along_u = np.stack([u * u, one_u, u, u, one_u, one_u], axis=1)
+    along_v = np.stack([one_v, v * v, v, one_v, v, one_v], axis=1)
+    return (
+        np.repeat(along_u, _LANES, axis=1).astype(np.float32),
+        np.repeat(along_v, _LANES, axis=1).astype(np.float32),
+    )
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -97,6 +111,28 @@ def _slope_coordinates(
 
 
 @njit(cache=True, nogil=True)
+def _place_in_table(
+    slope: NDArray,
+    direction: NDArray,
+    n_slope: int,
+    n_direction: int,
+    interpolate: bool,
+    offset: NDArray,
+) -> None:
+    """Turn coordinates into the node below (its offset) and the shares of the next ones."""
+    last_slope = np.int32(n_slope - 2 if interpolate else n_slope - 1)
+    last_direction = np.int32(n_direction - 1)
+    row_length = np.int32((n_direction + 1) * NODE_FLOATS)
+    share = np.float32(1 if interpolate else 0)
+    for k in range(slope.shape[0]):
+        i = min(np.int32(slope[k]), last_slope)
+        j = min(np.int32(direction[k]), last_direction)
+        slope[k] = share * min(slope[k] - np.float32(i), np.float32(1))
+        direction[k] = share * min(direction[k] - np.float32(j), np.float32(1))
+        offset[k] = i * row_length + j * np.int32(NODE_FLOATS)
+
+
+@njit(cache=True, nogil=True)
 def shade_window(
     height_mm: NDArray,
     window: Window,
@@ -104,6 +140,7 @@ def shade_window(
     nodes: NDArray,
     max_slope_rad: float,
     interpolate: bool,
+    along: tuple[NDArray, NDArray],
     background: NDArray,
     image: NDArray,
 ) -> None:
@@ -115,14 +152,18 @@ def shade_window(
         The deformed gel surface, gel frame.
     nodes : (n_slope, n_direction + 1, 24) float32
         See ``packed_nodes``.
+    along : tuple of (W, 24) and (H, 24) float32
+        See ``feature_factors``.
     """
-    n_rows, n_columns = height_mm.shape
     top, bottom, left, right = window
-    n_slope, n_direction = nodes.shape[0], nodes.shape[1] - 1
-    slope, direction = np.empty(right - left, np.float32), np.empty(right - left, np.float32)
-    last_slope = n_slope - 2 if interpolate else n_slope - 1
-    blend = np.empty(_NODE, np.float32)
-    one, half = np.float32(1), np.float32(0.5)
+    n_slope, n_direction, width = nodes.shape[0], nodes.shape[1] - 1, right - left
+    table, along_u, along_v = nodes.reshape(-1), along[0].reshape(-1), along[1].reshape(-1)
+    slope, direction = np.empty(width, np.float32), np.empty(width, np.float32)
+    offset = np.empty(width, np.int32)
+    change = np.empty(3 * width + 1, np.float32)
+    to_slope = (n_direction + 1) * NODE_FLOATS if interpolate else 0
+    to_direction = NODE_FLOATS if interpolate else 0
+    one = np.float32(1)
     for r in range(top, bottom):
         _slope_coordinates(
             height_mm,
@@ -135,31 +176,30 @@ def shade_window(
             slope,
             direction,
         )
-        v = (np.float32(r) + half) / np.float32(n_rows) - half
-        image_row, background_row = image[r, left:right], background[r, left:right]
-        for k in range(slope.shape[0]):
-            u = (np.float32(left + k) + half) / np.float32(n_columns) - half
-            i = min(np.int64(slope[k]), last_slope)
-            j = min(np.int64(direction[k]), n_direction - 1)
-            if interpolate:
-                p = min(slope[k] - np.float32(i), one)
-                q = min(direction[k] - np.float32(j), one)
-                w11 = p * q
-                w10, w01 = p - w11, q - w11
-                w00 = one - p - w01
-                n00, n01 = nodes[i, j], nodes[i, j + 1]
-                n10, n11 = nodes[i + 1, j], nodes[i + 1, j + 1]
-                for m in range(_NODE):
-                    blend[m] = (w00 * n00[m] + w01 * n01[m]) + (w10 * n10[m] + w11 * n11[m])
-            else:
-                n00 = nodes[i, j]
-                for m in range(_NODE):
-                    blend[m] = n00[m]
-            uu, vv, uv = u * u, v * v, u * v
-            for channel in range(3):
-                polynomial = blend[channel] * uu + blend[channel + 4] * vv + blend[channel + 8] * uv
-                linear = blend[channel + 12] * u + blend[channel + 16] * v + blend[channel + 20]
-                image_row[k, channel] = background_row[k, channel] + (polynomial + linear)
+        _place_in_table(slope, direction, n_slope, n_direction, interpolate, offset)
+        for k in range(width):
+            p, q, here = slope[k], direction[k], np.int64(offset[k])
+            w11 = p * q
+            w10, w01 = p - w11, q - w11
+            w00 = one - p - w01
+            beside = here + to_direction
+            blend_nodes(  # type: ignore[call-arg]  # numba passes the typing context itself
+                table,
+                (here, beside, here + to_slope, beside + to_slope),
+                (w00, w01, w10, w11),
+                along_u,
+                (left + k) * NODE_FLOATS,
+                along_v,
+                r * NODE_FLOATS,
+                change,
+                3 * k,
+            )
+        image_row, background_row = (
+            image[r, left:right].reshape(-1),
+            background[r, left:right].reshape(-1),
+        )
+        for k in range(3 * width):
+            image_row[k] = background_row[k] + change[k]
 
 
 @njit(cache=True, nogil=True)

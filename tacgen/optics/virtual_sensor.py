@@ -17,6 +17,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from tacgen.records import FloatArray, Sensor
 
+KNEE = 0.9
+"""Share of full scale at which the camera begins to saturate."""
+
 
 @dataclass(frozen=True, slots=True)
 class Led:
@@ -68,7 +71,7 @@ class VirtualSensor:
     leds: tuple[Led, ...]
     paint: Paint = field(default_factory=Paint)
     ambient_rgb: tuple[float, float, float] = (0.95, 0.95, 0.95)
-    glare: float = 0.4
+    glare: float = 0.3
     exposure: float = 0.30
     gamma: float = 1.0
     shadow: float = 0.0
@@ -162,9 +165,9 @@ class VirtualSensor:
             light += ((1 - lost) * falloff * reflected)[..., None] * np.asarray(led.rgb)
         light += self._leaked(point)
         response = (self.exposure * light) ** (1 / self.gamma)
-        # A soft shoulder: linear below three quarters of full scale, reaching it only at infinity.
-        over = np.maximum(0, response - 0.75)
-        return 255 * (np.minimum(response, 0.75) + 0.25 * (1 - np.exp(-over / 0.25)))
+        # A soft shoulder: linear up to KNEE of full scale, reaching it only at infinity.
+        over = np.maximum(0, response - KNEE)
+        return 255 * (np.minimum(response, KNEE) + (1 - KNEE) * (1 - np.exp(-over / (1 - KNEE))))
 
     def _leaked(self, point: FloatArray) -> FloatArray:
         """Glare (…, 3) at surface points (…, 3)."""
