@@ -7,9 +7,10 @@ from pathlib import Path
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from tacgen.errors import RecipeError
-from tacgen.recipe import Finite, Section, SensorChoice
+from tacgen.recipe import SensorChoice
 from tacgen.records import Markers, Sensor
 from tacgen.resources import sensor_path
+from tacgen.sections import Finite, Section
 from tacgen.yaml_source import read_yaml, validate
 
 

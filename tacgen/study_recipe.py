@@ -6,21 +6,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from tacgen.errors import RecipeError
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.recipe import Recipe
 from tacgen.resources import find_recipe
+from tacgen.sections import Section
 from tacgen.yaml_source import YamlSource, read_yaml, validate
 
 _OWN_KEYS = ("name", "description", "objects")
-
-
-class Section(BaseModel):
-    """A part of a study: frozen, and no key that is not known."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Published(Section):
@@ -34,8 +29,8 @@ class Variant(Section):
     """What to say otherwise than the study: objects, parts of ``data`` and of ``train``."""
 
     objects: tuple[Any, ...] | None = None
-    data: dict[str, Any] = {}
-    train: dict[str, Any] = {}
+    data: dict[str, Any] = Field(default_factory=dict)
+    train: dict[str, Any] = Field(default_factory=dict)
 
 
 class Row(Variant):
@@ -57,15 +52,15 @@ class Study(Section):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
     description: str = ""
     objects: tuple[Any, ...] = Field(min_length=1)
-    data: dict[str, Any] = {}
-    train: dict[str, Any] = {}
+    data: dict[str, Any] = Field(default_factory=dict)
+    train: dict[str, Any] = Field(default_factory=dict)
     rows: tuple[Row, ...] = Field(min_length=1)
     quick: Variant = Variant()
     notes: tuple[str, ...] = ()
 
     def data_recipe(self, row: Row, *, quick: bool) -> Recipe:
         """The recipe of the row's dataset."""
-        merged: dict[str, Any] = {}
+        merged: dict[str, Any] = Field(default_factory=dict)
         for part in (self.data, row.data, self.quick.data if quick else {}):
             merged = merged_mapping(merged, part)
         objects = list(row.objects or self.objects)
@@ -76,7 +71,7 @@ class Study(Section):
 
     def train_recipe(self, row: Row, *, quick: bool) -> TrainRecipe:
         """The training recipe of the row."""
-        merged: dict[str, Any] = {}
+        merged: dict[str, Any] = Field(default_factory=dict)
         for part in (self.train, row.train, self.quick.train if quick else {}):
             merged = merged_mapping(merged, part)
         return TrainRecipe.model_validate({"name": self.name, **merged})

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from tacgen.errors import RecipeError
-from tacgen.recipe import Axis, Recipe, load_recipe
+from tacgen.recipe import Recipe, load_recipe
 from tacgen.resources import packaged
+from tacgen.sections import Axis
 from tacgen.sensors import load_sensor
 
 AXIS = TypeAdapter(Axis)

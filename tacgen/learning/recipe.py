@@ -9,8 +9,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     NonNegativeFloat,
     NonNegativeInt,
@@ -20,16 +18,11 @@ from pydantic import (
 
 from tacgen.errors import LearningError
 from tacgen.resources import find_recipe
+from tacgen.sections import Section
 from tacgen.yaml_source import finite, read_yaml, validate
 
 MIN_INPUT_PX = 32
 POOLED = "pooled"
-
-
-class Section(BaseModel):
-    """A part of a recipe: frozen, and no key that is not known."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
@@ -84,7 +77,7 @@ class TrainingOptions(Section):
     backbone_rate_factor: Annotated[NonNegativeFloat, AfterValidator(finite)] = 0.8
     weight_decay: Annotated[NonNegativeFloat, AfterValidator(finite)] = 5e-5
     plateau_factor: Annotated[float, Field(gt=0, lt=1)] = 0.1
-    plateau_patience: NonNegativeInt = 5
+    plateau_patience: NonNegativeInt = 10
     validation_fraction: Annotated[float, Field(gt=0, lt=0.9)] = 0.15
     grasps: PositiveInt | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"

@@ -9,9 +9,6 @@ from typing import Annotated, Any, get_type_hints
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
     Field,
     NonNegativeFloat,
     PositiveFloat,
@@ -23,36 +20,17 @@ from pydantic import (
 )
 
 from tacgen.errors import ObjectError, TacgenError
+from tacgen.sections import Axis, Finite, Section
 from tacgen.shapes import BUILDERS
 from tacgen.yaml_source import finite, read_yaml, validate
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 
-Finite = Annotated[float, AfterValidator(finite)]
 Source = Annotated[str, Field(min_length=3)]
 Vector = tuple[Finite, Finite, Finite]
 
 
-def _axis_values(given: Any) -> Any:
-    """A number or a list as it is; ``linspace`` and ``range`` as a recipe reads them."""
-    if isinstance(given, dict):
-        # Recipes know the physics, which objects need not have: only who writes one loads it.
-        from tacgen.recipe import Axis
-
-        return TypeAdapter(Axis).validate_python(given)
-    return [given] if isinstance(given, (int, float)) else given
-
-
-Axis = Annotated[
-    tuple[Finite, ...], Field(min_length=1, max_length=10_000), BeforeValidator(_axis_values)
-]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
-
-
-class Section(BaseModel):
-    """A part of ``object.yaml``: frozen, and no key that is not known."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Mass(Section):

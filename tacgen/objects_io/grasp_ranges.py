@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from tacgen.objects_io.raster import depth_view, view_axes
 from tacgen.records import Mesh
+from tacgen.shading import depth_view, view_axes
 from tacgen.units import STANDARD_GRAVITY_M_S2
 
 STROKE_MM = 110.0

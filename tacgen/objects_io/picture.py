@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.files import atomic_path
-from tacgen.shading import depth_view, shaded_view, view_axes
 from tacgen.records import GraspObject
+from tacgen.shading import depth_view, shaded_view, view_axes
 
 WINDOW_PX, MM_PER_PX = (480, 640), 0.0295
 """The window of the default sensor."""

@@ -18,8 +18,9 @@ from pydantic import (
 
 from tacgen.contact.effects import find_effect
 from tacgen.errors import ContactError, RecipeError
-from tacgen.recipe import Finite, Section, SensorChoice
+from tacgen.recipe import SensorChoice
 from tacgen.resources import find_recipe, sensor_path
+from tacgen.sections import Finite, Section
 from tacgen.yaml_source import YamlSource, read_yaml, validate
 
 
