@@ -20,14 +20,18 @@ from tacgen.contact.effects.shapes import with_gain
 
 
 def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
-    """Gain 1 + amount·exp(−(n/trials)^stretch), n the number of trials before this one.
+    """Gain 1 + amount·(1 + tail·n/trials)^(−1/tail), n the number of trials before this one.
+
+    At tail 0 that is exp(−n/trials), at tail 1 it is 1/(1 + n/trials).
 
     Source
     ------
     Mullins 1969: a rubber softens over its first loadings and then settles.
     """
-    n = np.maximum(history.trial - p["first_trial"], 0.0)
-    return with_gain(load, p["amount"] * np.exp(-((n / p["trials"]) ** p["stretch"])))
+    n = np.maximum(history.trial - p["first_trial"], 0.0) / p["trials"]
+    tail = p["tail"]
+    faded = np.exp(-n) if tail < 1e-6 else (1.0 + tail * n) ** (-1.0 / tail)
+    return with_gain(load, p["amount"] * faded)
 
 
 def _references(history: LoadHistory) -> dict[str, float]:
@@ -39,10 +43,16 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
         variant(f"over {trials:g} trials", [{"amount": 0.05}], {"trials": trials})
         for trials in (1.0, 2.5, 5.0)
     ]
-    stretched = Variant(
-        "stretched", ({"amount": 0.05},), ("amount", "trials"), {"trials": 1.5, "stretch": 0.6}
-    )
-    return (*single, stretched)
+    tailed = [
+        Variant(
+            f"over {trials:g} trials, with a tail",
+            ({"amount": 0.05},),
+            ("amount", "trials"),
+            {"trials": trials, "tail": 1.0},
+        )
+        for trials in (0.5, 1.5)
+    ]
+    return (*single, *tailed)
 
 
 register(
@@ -54,7 +64,7 @@ register(
         parameters=(
             amount("amount", -0.9, 5.0),
             shape("trials", 0.3, 20.0, 3.0, "trials"),
-            shape("stretch", 0.3, 2.0, 1.0),
+            shape("tail", 0.0, 3.0, 0.0),
             reference("first_trial", "trial", 0.0),
         ),
         apply=_apply,

@@ -19,6 +19,9 @@ from tacgen.contact.effects.registry import (
     variant,
 )
 
+SPREAD = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Widths of the Prandtl-Ishlinskii operator's plays, as shares of its largest."""
+
 
 def _apply(
     load: NDArray[np.float64], history: LoadHistory, p: Parameters, channel: Channel
@@ -26,7 +29,13 @@ def _apply(
     """Load plus what the way back adds.
 
     With P the load at its peak so far: ``residual``·(P − F) at any time, ``loop``·F(1 − |F|/|P|)
-    and ``jump``·F while unloading, and ``play``·(F − play operator of width ``width_n``).
+    and ``jump``·F while unloading; ``play``·(F − play operator of width ``width_n``) and
+    ``friction``·(Dahl friction of that width) turn round with the direction, and ``spread`` is
+    the play with widths spread evenly up to ``width_n``.
+
+    Source
+    ------
+    Visintin 1994, Differential Models of Hysteresis, ch. III: play, Prandtl-Ishlinskii.
     """
     peak_row, unloading = history.reversal(channel)
     peak = load[peak_row]
@@ -38,11 +47,19 @@ def _apply(
         result = result + p["loop"] * back * (1.0 - share)[:, None]
     if p["jump"] != 0.0:
         result = result + p["jump"] * back
-    if p["play"] != 0.0:
-        for axis in range(load.shape[1]):
-            values = np.ascontiguousarray(load[:, axis])
+    for axis in range(load.shape[1]):
+        values = np.ascontiguousarray(load[:, axis])
+        if p["play"] != 0.0:
             lagging = kernels.play(values, history.starts, p["width_n"])
             result[:, axis] += p["play"] * (values - lagging)
+        if p["spread"] != 0.0:
+            for share in SPREAD:
+                lagging = kernels.play(values, history.starts, share * p["width_n"])
+                result[:, axis] += p["spread"] / len(SPREAD) * (values - lagging)
+        if p["friction"] != 0.0:
+            smooth = kernels.moving_mean(values, history.starts, 2)
+            rubbing = kernels.dahl(smooth, history.starts, p["width_n"])
+            result[:, axis] += p["friction"] * rubbing
     return result
 
 
@@ -68,7 +85,21 @@ def _apply_shear(
 def _variants(span_n: float) -> tuple[Variant, ...]:
     plays = [
         variant(f"play of {share:g} of the load", [{"play": 0.05}], {"width_n": share * span_n})
-        for share in (0.03, 0.1, 0.25)
+        for share in (0.05, 0.2)
+    ]
+    plays += [
+        variant(
+            f"plays up to {share:g} of the load", [{"spread": 0.05}], {"width_n": share * span_n}
+        )
+        for share in (0.3, 0.6, 1.0)
+    ]
+    frictions = [
+        variant(
+            f"friction over {share:g} of the load",
+            [{"friction": 0.05}],
+            {"width_n": share * span_n},
+        )
+        for share in (0.04, 0.1, 0.25)
     ]
     return (
         variant("residual", [{"residual": 0.05}]),
@@ -77,6 +108,7 @@ def _variants(span_n: float) -> tuple[Variant, ...]:
         variant("residual and loop", [{"residual": 0.05}, {"loop": 0.05}]),
         variant("loop and jump", [{"loop": 0.05}, {"jump": 0.05}]),
         *plays,
+        *frictions,
     )
 
 
@@ -101,6 +133,8 @@ _PARAMETERS = (
     amount("loop", -1.0, 3.0),
     amount("jump", -1.0, 3.0),
     amount("play", -3.0, 3.0),
+    amount("spread", -3.0, 3.0),
+    amount("friction", -3.0, 3.0),
     shape("width_n", 1e-4, 1e3, 1.0, "N"),
     reference("span_n", "N"),
 )

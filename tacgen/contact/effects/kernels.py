@@ -75,6 +75,28 @@ def play(
 
 
 @njit(cache=True)
+def dahl(
+    values: NDArray[np.float64], starts: NDArray[np.int64], width: float
+) -> NDArray[np.float64]:
+    """Friction that saturates at ±width exponentially with the way since the last turn.
+
+    Source
+    ------
+    Dahl 1968, A solid friction model, with exponent 1: dz/dx = 1 − sgn(dx)·z/width.
+    """
+    result = np.empty(values.size)
+    for k in range(starts.size - 1):
+        state = 0.0
+        result[starts[k]] = 0.0
+        for i in range(starts[k] + 1, starts[k + 1]):
+            step = values[i] - values[i - 1]
+            end = width if step > 0.0 else -width
+            state = end + (state - end) * np.exp(-abs(step) / width)
+            result[i] = state
+    return result
+
+
+@njit(cache=True)
 def moving_mean(
     values: NDArray[np.float64], starts: NDArray[np.int64], reach: int
 ) -> NDArray[np.float64]:
