@@ -7,7 +7,7 @@ the gel frame.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +97,20 @@ def object_contacts(raw: Sequence[tuple], object_body: int) -> Contacts:
     )
 
 
+def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
+    """The contact points of all steps of ``window``, each with its share of the mean force.
+
+    The first of several snapshots only serves to tell accelerations and is left out.
+    """
+    steps = window[1:] if len(window) > 1 else window
+    contacts = object_contacts([c for step in steps for c in step.contacts], object_body)
+    return replace(
+        contacts,
+        normal_force_n=contacts.normal_force_n / len(steps),
+        force_n=contacts.force_n / len(steps),
+    )
+
+
 def closing_force_n(
     raw: Sequence[tuple], robot_body: int, link: int, axis: Sequence[float]
 ) -> float:
@@ -159,28 +173,19 @@ def gel_pose(snapshot: Snapshot, pad: str) -> Pose:
 def contact_frames(
     window: Sequence[Snapshot], bodies: Bodies, pads: Sequence[str]
 ) -> dict[str, ContactFrame]:
-    """What each of ``pads`` feels at the end of ``window``, forces averaged over its steps.
-
-    The first snapshot of a window of several only serves to tell the object's angular
-    acceleration.
-    """
+    """What each of ``pads`` feels at the end of ``window``, forces averaged over its steps."""
     last = window[-1]
-    steps = [
-        object_contacts(snapshot.contacts, bodies.object_body)
-        for snapshot in (window[1:] if len(window) > 1 else window)
-    ]
-    spins = _spinning_moments_n_m(window, steps, bodies)
+    contacts = mean_contacts(window, bodies.object_body)
+    spins = _spinning_moments_n_m(window, contacts, bodies)
     object_in_world = object_pose(last, bodies)
     frames = {}
     for pad in pads:
         gel = gel_pose(last, pad)
-        force, moment = np.zeros(3), 0.0
-        for contacts in steps:
-            own = contacts.of(bodies.robot_body, bodies.pad_links[pad])
-            on_gel = -own.force_n @ gel[:3, :3]
-            at = (own.point_m - gel[:3, 3]) @ gel[:3, :3]
-            force += on_gel.sum(axis=0) / len(steps)
-            moment += float(np.sum(at[:, 0] * on_gel[:, 1] - at[:, 1] * on_gel[:, 0])) / len(steps)
+        own = contacts.of(bodies.robot_body, bodies.pad_links[pad])
+        on_gel = -own.force_n @ gel[:3, :3]
+        at = (own.point_m - gel[:3, 3]) @ gel[:3, :3]
+        force = on_gel.sum(axis=0)
+        moment = float(np.sum(at[:, 0] * on_gel[:, 1] - at[:, 1] * on_gel[:, 0]))
         # The spinning moment is about the gripper's x, along which both gels' z lie.
         moment -= spins[pad] * float(gel[:3, 2] @ gripper_pose(last)[:3, 0])
         gel_from_object = inverse(gel) @ object_in_world
@@ -189,7 +194,7 @@ def contact_frames(
             array.setflags(write=False)
         frames[pad] = ContactFrame(
             time_s=last.step * bodies.time_step_s,
-            force_normal_n=float(-force[2]),
+            force_normal_n=0.0 - float(force[2]),
             force_shear_n=force[:2],
             torsion_n_mm=moment * MM_PER_M,
             pose_gel_object=gel_from_object,
@@ -198,7 +203,7 @@ def contact_frames(
 
 
 def _spinning_moments_n_m(
-    window: Sequence[Snapshot], steps: Sequence[Contacts], bodies: Bodies
+    window: Sequence[Snapshot], contacts: Contacts, bodies: Bodies
 ) -> dict[str, float]:
     """The moment about the gripper's x by which each pad's spinning friction acts on the object.
 
@@ -210,13 +215,13 @@ def _spinning_moments_n_m(
     axis = gripper_pose(last)[:3, 0]
     center = np.array(last.object_position_m)
     normals = {
-        pad: float(np.mean([c.of(bodies.robot_body, link).normal_force_n.sum() for c in steps]))
+        pad: float(contacts.of(bodies.robot_body, link).normal_force_n.sum())
         for pad, link in bodies.pad_links.items()
     }
     total = sum(normals.values())
     if total <= 0:
         return dict.fromkeys(normals, 0.0)
-    reported = np.mean([np.cross(c.point_m - center, c.force_n).sum(axis=0) for c in steps], axis=0)
+    reported = np.cross(contacts.point_m - center, contacts.force_n).sum(axis=0)
     rotation = rotation_of(last.object_quaternion)
     inertia = rotation @ np.diag(bodies.principal_moments_kg_m2) @ rotation.T
     omega = np.array(last.object_angular_velocity)

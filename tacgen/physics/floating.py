@@ -18,6 +18,7 @@ from tacgen.physics.world import World
 
 AXIS_FORCE_N = 2000.0
 """Of the vertical axis: far more than any grasp asks for, so that it follows its command."""
+SAME_SPEED_M_S = 1e-9
 
 _HAND = 0
 
@@ -50,11 +51,15 @@ class FloatingGripper:
 
     def prepare_lift(self, lift_m: float) -> str:
         """Hold the present height."""
+        self._speed_m_s = math.inf
         self.command_lift(0.0, 0.0)
         return ""
 
     def command_lift(self, height_m: float, speed_m_s: float) -> None:
         """Move up at ``speed_m_s``; the axis follows so closely that heights need no correction."""
+        if abs(speed_m_s - self._speed_m_s) < SAME_SPEED_M_S:
+            return
+        self._speed_m_s = speed_m_s
         self._world.bullet.setJointMotorControl2(
             self.body,
             _HAND,

@@ -23,16 +23,17 @@ PAD_SIDE = {"left": -1.0, "right": 1.0}
 """On which side of the gripper's centre a pad is, along the gripper's x."""
 
 
-def rotation_from_quaternion(quaternion_xyzw: Sequence[float]) -> NDArray[np.float64]:
-    """The (3, 3) rotation of a unit quaternion."""
-    x, y, z, w = quaternion_xyzw
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def rotation_from_quaternion(
+    quaternion_xyzw: Sequence[float] | NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The (..., 3, 3) rotation of each unit quaternion of (..., 4)."""
+    x, y, z, w = np.moveaxis(np.asarray(quaternion_xyzw, dtype=np.float64), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def quaternion_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -59,10 +60,11 @@ def quaternion_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def pose(rotation: NDArray[np.float64], position: Sequence[float] | NDArray[np.float64]) -> Pose:
-    """The (4, 4) transform of a rotation followed by a translation."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    matrix[:3, 3] = position
+    """The (..., 4, 4) transforms of rotations (..., 3, 3) followed by translations (..., 3)."""
+    matrix = np.zeros((*rotation.shape[:-2], 4, 4))
+    matrix[..., :3, :3] = rotation
+    matrix[..., :3, 3] = position
+    matrix[..., 3, 3] = 1.0
     return matrix
 
 

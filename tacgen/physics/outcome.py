@@ -13,10 +13,11 @@ from tacgen.physics.contacts import (
     contact_frames,
     gel_pose,
     gripper_pose,
-    object_contacts,
+    mean_contacts,
     object_pose,
 )
-from tacgen.physics.frames import quaternion_from_rotation, turn_rad
+from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, turn_rad
+from tacgen.physics.frames import rotation_from_quaternion as rotation_of
 from tacgen.physics.labels import Motion
 from tacgen.physics.margins import Capacity, PadLoad, grasp_capacity
 from tacgen.physics.settings import PhysicsSettings
@@ -28,20 +29,11 @@ def capacity_of(
     grasped: Sequence[Snapshot], bodies: Bodies, obj: GraspObject, settings: PhysicsSettings
 ) -> Capacity:
     """What the pads can hold, by the contact forces at the moment of grasp."""
-    steps = [object_contacts(snapshot.contacts, bodies.object_body) for snapshot in grasped[1:]]
-    pads = []
-    for link in bodies.pad_links.values():
-        own = [contacts.of(bodies.robot_body, link) for contacts in steps]
-        pads.append(
-            PadLoad(
-                np.concatenate([contacts.point_m for contacts in own]),
-                np.concatenate([contacts.normal for contacts in own]),
-                np.concatenate([contacts.normal_force_n for contacts in own]) / len(steps),
-            )
-        )
+    contacts = mean_contacts(grasped, bodies.object_body)
+    pads = [contacts.of(bodies.robot_body, link) for link in bodies.pad_links.values()]
     last = grasped[-1]
     return grasp_capacity(
-        tuple(pads),
+        tuple(PadLoad(pad.point_m, pad.normal, pad.normal_force_n) for pad in pads),
         closing_axis=gripper_pose(last)[:3, 0],
         center_of_mass_m=np.array(last.object_position_m),
         mass_kg=obj.mass_kg,
@@ -52,20 +44,21 @@ def capacity_of(
 
 def motion_of(lifted: Sequence[Snapshot], bodies: Bodies, pad: str) -> Motion:
     """How the object moved from the first of ``lifted`` on; slides in the gel axes of ``pad``."""
-    grippers = np.stack([gripper_pose(snapshot) for snapshot in lifted])
-    objects = np.stack([object_pose(snapshot, bodies) for snapshot in lifted])
-    in_gripper = np.linalg.inv(grippers) @ objects
+    grippers = pose(
+        rotation_of(np.array([snapshot.gripper_quaternion for snapshot in lifted])),
+        np.array([snapshot.gripper_position_m for snapshot in lifted]),
+    )
+    inertial = pose(
+        rotation_of(np.array([snapshot.object_quaternion for snapshot in lifted])),
+        np.array([snapshot.object_position_m for snapshot in lifted]),
+    )
+    in_gripper = np.linalg.inv(grippers) @ inertial @ inverse(bodies.inertial)
     left_m, right_m = lifted[0].pad_distance_m
     between_pads = np.array([(right_m - left_m) / 2, 0.0, 0.0, 1.0])
     gel_axes = gripper_pose(lifted[0])[:3, :3].T @ gel_pose(lifted[0], pad)[:3, :2]
     return Motion(
         time_s=np.array([snapshot.step for snapshot in lifted]) * bodies.time_step_s,
-        rise_mm=np.array(
-            [
-                (snapshot.object_position_m[2] - lifted[0].object_position_m[2]) * MM_PER_M
-                for snapshot in lifted
-            ]
-        ),
+        rise_mm=(inertial[:, 2, 3] - inertial[0, 2, 3]) * MM_PER_M,
         turn_rad=turn_rad(in_gripper[0, :3, :3].T @ in_gripper[:, :3, :3]),
         slide_mm=_slide_mm(in_gripper, between_pads) @ gel_axes,
         center_slide_mm=_slide_mm(in_gripper, in_gripper[0] @ bodies.inertial[:, 3]) @ gel_axes,
