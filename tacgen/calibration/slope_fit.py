@@ -289,5 +289,8 @@ def _degrees_of_freedom(
     own = min(total, float(((instrument * influence) ** 2).sum()))
     if total <= 0.0:
         return float(n_groups - 1)
-    expected = own * power / power.sum() + (total - own) * power**2 / (power**2).sum()
-    return float(np.clip((expected.sum() ** 2 / (expected**2).sum()) - 1.0, 1.0, n_groups - 1))
+    share = (own * power / power.sum() + (total - own) * power**2 / (power**2).sum()) / total
+    # Residuals of different presses share the fitted slope: what each lends to the others.
+    lent = share**2 / np.maximum(1.0 - share, 1e-3)
+    spread = (share**2).sum() + lent.sum() ** 2 - (lent**2).sum()
+    return float(np.clip(1.0 / spread, 1.0, n_groups - 1))
