@@ -12,6 +12,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,7 +141,7 @@ def _grasp_figures(repeats: int) -> list[Figure]:
 
 def _physics_share(pipeline: GraspPipeline, planned: PlannedGrasp, repeats: int) -> float:
     """Wall time inside ``stepSimulation`` as a share of the whole grasp."""
-    bullet = pipeline.simulator.world.bullet
+    bullet: Any = pipeline.simulator.world.bullet
     step = bullet.stepSimulation
     inside = [0.0]
 

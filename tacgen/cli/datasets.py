@@ -1,0 +1,141 @@
+"""Commands about datasets: plan, collect, look at, check, export."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tacgen.cli.app import (
+    DatasetArgument,
+    JsonFlag,
+    RecipeArgument,
+    app,
+    print_record,
+)
+
+
+@app.command(rich_help_panel="Datasets")
+def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
+    """List the grasps of a recipe and the shard of each, as CSV."""
+    from tacgen.grid import grid_rows, plan_recipe
+    from tacgen.recipe import load_recipe
+
+    rows = grid_rows(plan_recipe(load_recipe(recipe)))
+    if json_output:
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+
+
+@app.command(rich_help_panel="Datasets")
+def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
+    """Show what a dataset holds: counts, labels by object, splits, sizes, origin."""
+    from tacgen.dataset.summary import summarize, summary_text
+
+    summary = summarize(folder)
+    typer.echo(json.dumps(summary.as_dict(), indent=2) if json_output else summary_text(summary))
+
+
+@app.command(rich_help_panel="Datasets")
+def verify(
+    folder: DatasetArgument,
+    decode: Annotated[bool, typer.Option("--decode", help="Also decompress every image.")] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Check a dataset: every hash, shape and label; exit 1 and the bad shards if any is wrong."""
+    from tqdm import tqdm
+
+    from tacgen.dataset import verify as check
+    from tacgen.errors import VerificationError
+
+    with tqdm(unit="B", unit_scale=True, disable=None, leave=False) as bar:
+        found = check.verify(folder, decode=decode, progress=bar.update)
+    if json_output:
+        typer.echo(json.dumps(found.as_dict(), indent=2))
+        raise typer.Exit(1 if found.problems else 0)
+    if found.problems:
+        raise VerificationError.from_problems(
+            [
+                f"{folder}: {len(found.problems)} problems, {len(found.bad_shards)} bad shards",
+                *(f"  {problem.file}: {problem.reason}" for problem in found.problems),
+                "`tacgen collect` makes what is missing, `tacgen collect --repair` the bad shards",
+            ]
+        )
+    typer.echo(f"{found.n_grasps} grasps in {found.n_shards} shards, all as they were written")
+
+
+@app.command(rich_help_panel="Datasets")
+def merge(folder: DatasetArgument) -> None:
+    """Make the one manifest out of those of all shards, wherever they were made."""
+    from tacgen.dataset import DatasetFolder
+
+    lines = DatasetFolder(folder).merge()
+    typer.echo(f"{folder}/manifest.jsonl: {len(lines)} shards")
+
+
+@app.command(rich_help_panel="Datasets")
+def export(
+    folder: DatasetArgument,
+    out: Annotated[Path, typer.Option(help="The folder to write; it must not exist.")],
+    format_name: Annotated[
+        str, typer.Option("--format", help="What to write: lerobot.")
+    ] = "lerobot",
+) -> None:
+    """Write a dataset in a format that other tools read."""
+    from tacgen.dataset.lerobot import export_dataset
+
+    typer.echo(export_dataset(folder, out, format_name))
+
+
+@app.command(rich_help_panel="Datasets")
+def collect(
+    recipe: RecipeArgument,
+    out: Annotated[Path, typer.Option(help="The dataset's folder; goes on if it is there.")],
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    shard: Annotated[
+        str, typer.Option(help="Only part I of N (I from 0), or auto in a batch job's array.")
+    ] = "0/1",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done.")] = False,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Verify first, and remake the shards that are bad.")
+    ] = False,
+    grasp_limit_s: Annotated[
+        float, typer.Option(min=1.0, help="A grasp that takes longer is recorded as crashed.")
+    ] = 120.0,
+    json_output: JsonFlag = False,
+) -> None:
+    """Simulate a recipe's grasps and write them as a dataset; goes on where it stopped."""
+    from tacgen.collect import collect as run
+    from tacgen.collect import describe, shards_to_repair
+    from tacgen.recipe import load_recipe
+    from tacgen.shares import parse_share, share_of
+
+    loaded = load_recipe(recipe)
+    plan = describe(loaded, out)
+    part, parts, origin = parse_share(shard, os.environ)
+    share = share_of(plan.shards, part, parts)
+    if dry_run:
+        print_record(asdict(plan), json_output)
+        return
+    if parts > 1:
+        typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
+    redo = [number for number in shards_to_repair(out) if number in share] if repair else []
+    result = run(
+        loaded,
+        out,
+        workers=workers,
+        shards=share,
+        redo=redo,
+        item_limit_s=grasp_limit_s,
+        progress=not json_output,
+    )
+    print_record(result.summary(), json_output)

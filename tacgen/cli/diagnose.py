@@ -1,0 +1,54 @@
+"""Commands that hold the model against measured data: friction, diagnosis."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tacgen.cli.app import (
+    JsonFlag,
+    RecipeArgument,
+    app,
+)
+
+
+@app.command(rich_help_panel="Truth")
+def friction(
+    recipe: RecipeArgument,
+    real: Annotated[Path, typer.Option(help="A folder of real grasps: grasps.csv, images/.")],
+    out: Annotated[Path, typer.Option(help="Folder of the results; goes on if it is there.")],
+    mu: Annotated[str, typer.Option(help="Values of μ: start:stop:step.")] = "0:1:0.05",
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    write_objects: Annotated[
+        bool, typer.Option("--write-objects", help="Write object.yaml copies with the new μ.")
+    ] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Find each object's friction: the μ whose simulated grasps end as the real ones did."""
+    from tacgen.dataset.real_grasps import read_real_grasps
+    from tacgen.friction import friction_json, mu_range, sweep_friction, write_object_copies
+    from tacgen.friction_report import verdict_of, write_friction_report
+    from tacgen.recipe import load_recipe
+    from tacgen.resources import object_folders
+
+    loaded = load_recipe(recipe)
+    grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
+    for warning in grasps.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    from tacgen.progress import progress_counter
+
+    with progress_counter("grasp") as show:
+        fits, outcomes = sweep_friction(
+            loaded, grasps, mu_range(mu), out, workers=workers, show=show
+        )
+    write_friction_report(out / "report.html", grasps, outcomes, fits)
+    if write_objects:
+        write_object_copies(fits, out / "objects")
+    if json_output:
+        typer.echo(json.dumps(friction_json(fits), indent=2))
+    else:
+        for name, fit in fits.items():
+            typer.echo(verdict_of(name, fit))
