@@ -185,6 +185,16 @@ class Deformer:
         self._pyramid = [half_kernel(sigma / mm_per_px) for sigma in pyramid_sigma_mm]
         self._final = half_kernel(final_sigma_mm / mm_per_px)
         self._firm_contact = firm_contact
+        self._memory = np.empty((3, 0), dtype=np.float32)
+
+    def _maps(self, height: int, width: int) -> tuple[NDArray, NDArray, NDArray]:
+        """Three maps of a size, in memory that is kept: new pages would cost as much as a blur."""
+        if self._memory.shape[1] < height * width:
+            self._memory = np.empty((3, height * width), dtype=np.float32)
+        depth, surface, scratch = (
+            plane[: height * width].reshape(height, width) for plane in self._memory
+        )
+        return depth, surface, scratch
 
     @property
     def reach_px(self) -> int:
@@ -211,7 +221,8 @@ class Deformer:
         Returns
         -------
         deformation_mm : (h', w') float32
-            Into the gel, mm; 0 where it would be below 10 nm.
+            Into the gel, mm; 0 where it would be below 10 nm. In the deformer's own memory, valid
+            until its next use.
         window : tuple of int
             Where in the image; the gel is at rest outside it. Empty where nothing is deformed.
 
@@ -220,7 +231,8 @@ class Deformer:
         Si & Yuan 2022, Taxim, §III-C.
         """
         frame = grown(contact, self.reach_px + 1, shape_px)
-        depth = np.zeros((frame[1] - frame[0], frame[3] - frame[2]), dtype=np.float32)
+        depth, surface, scratch = self._maps(frame[1] - frame[0], frame[3] - frame[2])
+        depth.fill(0)
         patch = (
             contact[0] - frame[0],
             contact[1] - frame[0],
@@ -228,7 +240,7 @@ class Deformer:
             contact[3] - frame[2],
         )
         depth[patch[0] : patch[1], patch[2] : patch[3]] = depth_mm
-        surface, scratch = depth.copy(), np.empty_like(depth)
+        surface[...] = depth
         deepest_mm = max(float(depth_mm.max(initial=0.0)), NEGLIGIBLE_MM)
         loose_mm, firm_mm = (share * deepest_mm for share in self._firm_contact)
         reach = 1
