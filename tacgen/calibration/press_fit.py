@@ -35,6 +35,9 @@ REACH = 1.5
 PIXELS_PER_PRESS = 2000
 """No more pixels of a press than this are used; they are an even lattice."""
 
+PIXELS_FOR_PLACES = 600
+"""As many are enough to find a press's centre and radius."""
+
 FIRST_RADIUS_SHARE = 0.85
 """Where the contact radius starts, as a share of the labelled one: people circle the dark rim."""
 
@@ -253,11 +256,15 @@ def fit_jointly(
     settings: FitSettings,
     *,
     iterations: int = 8,
-    limit: int | None = None,
+    start: JointFit | None = None,
 ) -> JointFit:
-    """Alternate between the smooth model, each press's place, the rim and the label model."""
-    samples = gather(presses, background, settings, limit=limit)
-    labels = np.array([sample.label for sample in samples])
+    """Alternate between the smooth model, each press's place, the rim and the label model.
+
+    The places are found on a thinned lattice of pixels; the model is then fitted to more of them.
+    ``start`` is an earlier fit of the same presses to go on from.
+    """
+    thinned = gather(presses, background, settings, limit=PIXELS_FOR_PLACES)
+    labels = np.array([sample.label for sample in thinned])
     balls = presses.ball_radius_mm
     first_radius = np.minimum(FIRST_RADIUS_SHARE * labels[:, 2], 0.9 * balls)
     press_model = plain_press_model(float(first_radius.mean()), presses.dome_radius_mm)
@@ -265,9 +272,10 @@ def fit_jointly(
     rough = replace(settings, degree=min(settings.degree, 4))
     drift = press_drift(presses)
     share = 0.0
-    gathered = samples
+    if start is not None:
+        press_model, geometry, share = start.press_model, start.geometry, start.drift_share
     for _ in range(iterations):
-        samples = _without(gathered, share * drift)
+        samples = _without(thinned, share * drift)
         model = fit_model(samples, geometry, press_model, rough)
         expected = press_model.labels.geometry(labels)
         expected[:, 2] = np.minimum(expected[:, 2], 0.95 * balls)
@@ -279,8 +287,9 @@ def fit_jointly(
         )
         membrane = refine_membrane(samples, geometry, model, press_model)
         press_model = replace(press_model, membrane=membrane, labels=learn_labels(labels, geometry))
-        share = drift_share(gathered, geometry, press_model, model, drift)
-    model = fit_model(_without(gathered, share * drift), geometry, press_model, settings)
+        share = drift_share(thinned, geometry, press_model, model, drift)
+    dense = _without(gather(presses, background, settings), share * drift)
+    model = fit_model(dense, geometry, press_model, settings)
     return JointFit(model, press_model, geometry, share)
 
 

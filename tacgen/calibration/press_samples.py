@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,7 +85,7 @@ def disc_pixels(
     left, right = (int(np.clip(center_px[0] + s * (reach_px + 1), 0, width)) for s in (-1, 1))
     step = 1
     if limit is not None:
-        step = max(1, round(float(np.sqrt(np.pi * reach_px**2 / limit))))
+        step = max(1, math.ceil(math.sqrt(np.pi * reach_px**2 / limit) - 0.05))
     rows, columns = np.mgrid[top:bottom:step, left : right + 1 : step]
     rows, columns = rows.ravel(), np.minimum(columns.ravel(), width - 1)
     distance = np.hypot(columns - center_px[0], rows - center_px[1])

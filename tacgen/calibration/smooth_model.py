@@ -127,4 +127,4 @@ def solve_ridge(gram: FloatArray, moment: FloatArray, ridge: float, degree: int)
     """
     penalty = ridge * np.trace(gram) / len(gram) * roughness(degree)
     weights = np.linalg.solve(gram + np.diag(penalty), moment)
-    return SmoothModel(weights.reshape(n_terms(degree), N_FEATURES, 3), degree)
+    return SmoothModel(weights.reshape(n_terms(degree), N_FEATURES, -1), degree)

@@ -14,6 +14,16 @@ from tacgen.cli.app import (
     calibrate_app,
 )
 
+PressesArgument = Annotated[
+    Path, typer.Argument(help="A folder of press images, or Taxim's dataPack.npz.")
+]
+ScaleOption = Annotated[
+    float | None, typer.Option("--mm-per-px", help="Size of a pixel on the gel, if not in a file.")
+]
+BallOption = Annotated[
+    float | None, typer.Option("--ball-radius-mm", help="The ball's radius, if not in a file.")
+]
+
 
 @app.command(rich_help_panel="Truth")
 def rig(
@@ -25,6 +35,60 @@ def rig(
 
     for path in run_rig(load_rig_recipe(recipe), out):
         typer.echo(str(path))
+
+
+@calibrate_app.command("lookup")
+def calibrate_lookup(
+    presses: PressesArgument,
+    out: Annotated[Path, typer.Option("--out", help="The table.npz to write.")],
+    report: Annotated[Path | None, typer.Option(help="Folder for an HTML report.")] = None,
+    mm_per_px: ScaleOption = None,
+    ball_radius_mm: BallOption = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Fit the lookup table to images of ball presses, with its error on presses left out."""
+    from tacgen.calibration import lookup_command as command
+
+    made, used = command.calibrate_lookup(
+        presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
+    )
+    for line in command.said_about(used):
+        typer.echo(f"warning: {line}", err=True)
+    typer.echo(command.score_text(made.heldout, json_output=json_output))
+
+
+@calibrate_app.command("score")
+def calibrate_score(
+    table: Annotated[Path, typer.Argument(help="A table.npz.")],
+    presses: PressesArgument,
+    mm_per_px: ScaleOption = None,
+    ball_radius_mm: BallOption = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Score a table on presses: labels as they stand, and each press's place re-estimated."""
+    from tacgen.calibration import lookup_command as command
+
+    score, used = command.score_presses(
+        table, presses, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
+    )
+    for line in command.said_about(used):
+        typer.echo(f"warning: {line}", err=True)
+    typer.echo(command.score_text(score, json_output=json_output))
+
+
+@calibrate_app.command("import")
+def calibrate_import(
+    polycalib: Annotated[Path, typer.Argument(help="Taxim's polycalib.npz.")],
+    background: Annotated[Path, typer.Option(help="Its background: .npy (BGR) or an image.")],
+    mm_per_px: Annotated[float, typer.Option(help="Size of a pixel on the gel.")],
+    out: Annotated[Path, typer.Option("--out", help="The table.npz to write.")],
+) -> None:
+    """Turn a Taxim table into one that tacgen renders the same picture with."""
+    from tacgen.calibration.taxim_import import import_polycalib
+    from tacgen.optics import save_table
+
+    save_table(import_polycalib(polycalib, background, mm_per_px), out)
+    typer.echo(str(out))
 
 
 @calibrate_app.command("contact")

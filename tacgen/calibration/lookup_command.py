@@ -1,0 +1,88 @@
+"""What ``tacgen calibrate lookup`` and ``score`` do: read, check, fit or score, write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from tacgen.calibration.lookup import Calibration, calibrate
+from tacgen.calibration.press_doubts import usable_presses
+from tacgen.calibration.press_folder import read_presses
+from tacgen.calibration.press_images import PressImages
+from tacgen.calibration.score import TableScore, score_table
+from tacgen.optics.table import LookupTable, load_table, save_table
+
+
+def calibrate_lookup(
+    presses_path: Path,
+    out: Path,
+    report: Path | None = None,
+    *,
+    mm_per_px: float | None = None,
+    ball_radius_mm: float | None = None,
+) -> tuple[Calibration, PressImages]:
+    """Fit a table to the presses at ``presses_path`` and write it to ``out``."""
+    raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
+    presses = usable_presses(raw)
+    calibration = calibrate(presses, heldout=True)
+    save_table(calibration.table, out)
+    if report is not None:
+        from tacgen.calibration.table_report import write_table_report
+
+        write_table_report(report, presses, calibration)
+    return calibration, presses
+
+
+def score_presses(
+    table_path: Path,
+    presses_path: Path,
+    *,
+    mm_per_px: float | None = None,
+    ball_radius_mm: float | None = None,
+) -> tuple[TableScore, PressImages]:
+    """Score the table at ``table_path`` on presses.
+
+    What a dataPack does not say, the scale and the ball, is what the table was made with.
+    """
+    table = load_table(table_path)
+    if Path(presses_path).is_file():
+        mm_per_px = mm_per_px or table.mm_per_px
+        ball_radius_mm = ball_radius_mm or _ball_of(table)
+    raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
+    presses = usable_presses(raw, least=1)
+    return score_table(table, presses), presses
+
+
+def _ball_of(table: LookupTable) -> float | None:
+    """The ball that a table was made with, where it was one."""
+    balls = table.provenance.get("ball_radius_mm", ())
+    return float(balls[0]) if len(balls) == 1 else None
+
+
+def said_about(presses: PressImages) -> Iterator[str]:
+    """Warnings and presses left out, a line each."""
+    yield from presses.warnings
+    yield from (str(press) for press in presses.doubtful)
+
+
+def score_text(score: TableScore | None, *, json_output: bool = False) -> str:
+    """The score in words for a terminal, or as JSON."""
+    if score is None:
+        return ""
+    if json_output:
+        return json.dumps(score.as_dict())
+    labels, labels_rgb = score.rmse("labels")
+    refined, refined_rgb = score.rmse("refined")
+    return "\n".join(
+        [
+            f"{len(score.presses)} presses, {score.n_pixels} pixels inside the contact circles; "
+            "RMSE in grey levels (R, G, B)",
+            f"  labels as they stand        {labels:6.2f}  {_channels(labels_rgb)}",
+            f"  centre, radius re-estimated {refined:6.2f}  {_channels(refined_rgb)}",
+        ]
+    )
+
+
+def _channels(values: list[float]) -> str:
+    return f"({', '.join(f'{value:.2f}' for value in values)})"

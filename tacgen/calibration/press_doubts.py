@@ -1,0 +1,118 @@
+"""Which presses can be used: circles found where none are labelled, doubtful presses left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.calibration.circles import Circle, find_circle, outside_share
+from tacgen.calibration.press_images import DoubtfulPress, PressImages
+from tacgen.errors import PressError
+
+MIN_PRESSES = 3
+
+MAX_OUTSIDE = 0.25
+"""A contact may lie out of view by this share of its circle."""
+
+MAX_SATURATED = 0.25
+"""Share of the contact's pixels that may be at 0 or 255 in a channel where the gel is not."""
+
+MAX_LABEL_SHARE = 1.5
+"""A labelled radius may exceed the ball's own by this factor: people circle the gel's rim too."""
+
+MISMATCH_GREY = 40.0
+"""A background this far from the median of the presses is not of the same gel and light."""
+
+
+def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressImages:
+    """The presses that a fit or a score can use, each with a circle; the others are listed.
+
+    Raises
+    ------
+    PressError
+        If the background does not match the presses or fewer than ``least`` are left.
+    """
+    _check_background(presses)
+    center, radius = presses.center_px.copy(), presses.radius_px.copy()
+    found = ~presses.labelled
+    doubtful: list[DoubtfulPress] = []
+    for k in range(len(presses)):
+        circle = Circle(center[k], float(radius[k]))
+        if found[k]:
+            circle = find_circle(presses.images[k], presses.background)
+            center[k], radius[k] = circle.center_px, circle.radius_px
+        reason, mend = circle.problem, "press again, with the ball well in view"
+        if not reason:
+            reason, mend = _doubt(presses, k, circle, labelled=not found[k])
+        if reason:
+            doubtful.append(DoubtfulPress(presses.names[k], k + 2, reason, mend))
+    bad = {press.row - 2 for press in doubtful}
+    keep = np.array([k for k in range(len(presses)) if k not in bad], dtype=int)
+    if len(keep) < least:
+        head = (
+            f"{len(keep)} usable presses, at least {least} are needed; take more, spread over the "
+            "whole gel"
+        )
+        raise PressError.from_problems([head, *(str(press) for press in doubtful)])
+    marked = replace(presses, center_px=center, radius_px=radius, found=found)
+    return replace(marked.select(keep), doubtful=(*presses.doubtful, *doubtful))
+
+
+def _check_background(presses: PressImages) -> None:
+    median = np.median(presses.images[:: max(1, len(presses) // 15)], axis=0)
+    apart = float(np.median(np.abs(median - presses.background)))
+    if apart > MISMATCH_GREY:
+        msg = (
+            f"the background is {apart:.0f} grey levels away from the presses in the median: it "
+            "is not of the same gel and light; take it anew, just before the presses"
+        )
+        raise PressError(msg)
+
+
+def _doubt(presses: PressImages, k: int, circle: Circle, *, labelled: bool) -> tuple[str, str]:
+    """Why a press cannot be trusted and the mend; empty where it can."""
+    ball_px = presses.ball_radius_mm[k] / presses.mm_per_px
+    said = "labelled" if labelled else "found"
+    if circle.radius_px <= 1:
+        return f"the {said} contact radius is {circle.radius_px:.1f} px", "correct the label"
+    if circle.radius_px > MAX_LABEL_SHARE * ball_px:
+        return (
+            f"the {said} contact radius of {circle.radius_px:.1f} px is over {MAX_LABEL_SHARE:g} "
+            f"times the ball's own {ball_px:.1f} px",
+            "check the label, the ball's radius_mm and mm_per_px",
+        )
+    outside = outside_share(circle.center_px, circle.radius_px, presses.shape_px)
+    if outside > MAX_OUTSIDE:
+        return f"{outside:.0%} of its contact lies out of view", "press farther from the edge"
+    saturated = _saturated_share(presses, k, circle)
+    if saturated > MAX_SATURATED:
+        return f"{saturated:.0%} of its contact is saturated", "lower the exposure"
+    if labelled and _change_in(presses, k, circle) < 2.0:
+        return "its labelled circle shows no contact", "correct the label or press again"
+    return "", ""
+
+
+def _disc(circle: Circle, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
+    rows, columns = np.indices(shape_px)
+    disc: NDArray[np.bool_] = (
+        np.hypot(columns - circle.center_px[0], rows - circle.center_px[1]) <= circle.radius_px
+    )
+    return disc
+
+
+def _saturated_share(presses: PressImages, k: int, circle: Circle) -> float:
+    """Share of the circle's pixels at the end of the scale in at least one channel."""
+    disc = _disc(circle, presses.shape_px)
+    press, rest = presses.images[k][disc], presses.background[disc]
+    ends = ((press == 255) & (rest < 255)) | ((press == 0) & (rest > 0))
+    return float(ends.any(axis=1).mean())
+
+
+def _change_in(presses: PressImages, k: int, circle: Circle) -> float:
+    """How much more the circle differs from the background than the rest of the image does."""
+    disc = _disc(circle, presses.shape_px)
+    change = presses.images[k].astype(np.float32) - presses.background
+    change = np.abs(change - np.median(change, axis=(0, 1))).mean(axis=2)
+    return float(change[disc].mean() - np.median(change[~disc]))
