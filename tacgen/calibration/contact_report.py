@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibration.contact_law import ChannelFit, ContactFit, channel_arrays
+from tacgen.calibration.channel_fit import ChannelFit, channel_arrays
+from tacgen.calibration.contact_law import ContactFit
 from tacgen.calibration.contact_summary import SYMBOLS, UNITS, agreement_words
 from tacgen.calibration.press_limits import limits_of
 from tacgen.calibration.slope_fit import SlopeFit
@@ -16,6 +17,7 @@ from tacgen.report import Section, figure_section, table_section, text_section, 
 
 MAX_POINTS = 20_000
 """Samples drawn in a scatter plot; more only make the page heavy."""
+MAX_WORST = 8
 RESPONSES = {"normal": "V", "shear": "D"}
 COLORS = ("#1f6f8b", "#c8553d", "#588157", "#8d6a9f", "#e09f3e", "#5c677d", "#9c6644", "#2b2d42")
 
@@ -35,7 +37,8 @@ def write_report(fit: ContactFit, folder: Path) -> Path:
                 "Added to the logged depth, taken from the logged force.",
             )
         )
-    sections.append(text_section("Warnings", *(fit.warnings or ("None.",))))
+    warnings = [text.replace(f"{fit.log.path}: ", "") for text in fit.warnings]
+    sections.append(text_section("Warnings", *(warnings or ["None."])))
     nexts = [str(limit) for limit in limits_of(fit.log)]
     sections.append(text_section("What to press next", *(nexts or ("Nothing is missing.",))))
     path = Path(folder) / "contact.html"
@@ -54,11 +57,11 @@ def _headline(fit: ContactFit) -> str:
 
 
 def _channel_sections(fit: ContactFit, channel: ChannelFit) -> list[Section]:
-    symbol, (unit, k_unit) = SYMBOLS[channel.channel], UNITS[channel.channel]
+    symbol, (unit, _) = SYMBOLS[channel.channel], UNITS[channel.channel]
     log = fit.log if channel.channel == "normal" else fit.log.with_shear()
     load, response = channel_arrays(log, channel.channel)
     held = channel.held_out
-    worst = sorted(held.by_trial.items(), key=lambda item: -item[1])[:15]
+    worst = sorted(held.by_trial.items(), key=lambda item: -item[1])[:MAX_WORST]
     title = "Normal" if channel.channel == "normal" else "Shear"
     return [
         figure_section(
@@ -70,7 +73,7 @@ def _channel_sections(fit: ContactFit, channel: ChannelFit) -> list[Section]:
         figure_section(
             f"{title}: {symbol} by {channel.by}",
             _agreement_figure(channel),
-            f"95 % intervals; the band is the pooled value. {agreement_words(channel)}.",
+            f"95 % intervals; the band is the pooled one. In short: {agreement_words(channel)}.",
         ),
         figure_section(
             f"{title}: held out by trial",
@@ -82,7 +85,7 @@ def _channel_sections(fit: ContactFit, channel: ChannelFit) -> list[Section]:
             f"{title}: presses with the largest held-out error",
             ("trial", "first row", f"RMSE, {unit}"),
             [(trial, int(log.rows[log["trial"] == trial][0]), rmse) for trial, rmse in worst],
-            f"k in {k_unit}; rows as a spreadsheet counts them.",
+            "Rows as a spreadsheet counts them.",
         ),
     ]
 
@@ -139,9 +142,12 @@ def _agreement_figure(channel: ChannelFit) -> Figure:
 def _held_out_figure(by_trial: Mapping[int, float], rmse: float, unit: str) -> Figure:
     figure = Figure(figsize=(9.5, 2.8), layout="constrained")
     axes = figure.subplots()
-    axes.bar(range(len(by_trial)), list(by_trial.values()), color="#1f6f8b", width=0.8)
+    places = np.arange(len(by_trial))
+    axes.bar(places, list(by_trial.values()), color="#1f6f8b", width=0.8)
     axes.axhline(rmse, color="#c8553d", lw=1.2)
-    axes.set_xlabel("press, in the order of trial numbers")
+    every = max(1, len(by_trial) // 24)
+    axes.set_xticks(places[::every], [str(trial) for trial in by_trial][::every])
+    axes.set_xlabel("trial")
     axes.set_ylabel(f"RMSE, {unit}")
     return figure
 

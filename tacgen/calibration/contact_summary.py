@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.calibration.contact_law import PLAIN_UNITS, ChannelFit, ContactFit
+from tacgen.calibration.channel_fit import PLAIN_UNITS, ChannelFit
+from tacgen.calibration.contact_law import ContactFit
 from tacgen.calibration.press_limits import limits_of
 from tacgen.calibration.slope_fit import SlopeFit
 

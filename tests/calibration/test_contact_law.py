@@ -12,7 +12,8 @@ import yaml
 from typer.testing import CliRunner
 
 from tacgen.calibration.ball import ball_depth_mm, ball_volume_mm3, cap_volume_from_circle_mm3
-from tacgen.calibration.contact_law import agreement_of, fit_contact
+from tacgen.calibration.channel_fit import agreement_of
+from tacgen.calibration.contact_law import fit_contact
 from tacgen.calibration.press_limits import limits_of
 from tacgen.calibration.press_log import read_press_log
 from tacgen.calibration.slope_fit import fit_slope
@@ -176,6 +177,16 @@ def test_signs_that_cannot_be(tmp_path):
     frame["volume_mm3"] *= -1.0
     with pytest.raises(PressError, match="does not grow with the load"):
         fit_contact(read_press_log(write(frame, tmp_path)))
+
+
+def test_structure_that_a_line_leaves_over_is_said(tmp_path):
+    clean = fit_contact(read_press_log(write(session(), tmp_path)))
+    assert clean.warnings == ()
+    assert clean.normal.noise == pytest.approx(0.22, rel=0.15)
+    frame = session()
+    frame["volume_mm3"] *= 1.0 - 0.03 * frame["force_normal_n"]
+    bent = fit_contact(read_press_log(write(frame, tmp_path)))
+    assert any("an effect is missing; `tacgen diagnose" in text for text in bent.warnings)
 
 
 def test_an_unknown_group(tmp_path):
