@@ -15,8 +15,9 @@ from tacgen.contact.gap import GAP_GRAIN_MM, FeltGap, GapMapper, checked_mesh
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
-from tacgen.optics.deform import Deformer, Window
+from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer
+from tacgen.optics.smooth import Window
 from tacgen.optics.table import LookupTable
 from tacgen.records import Mesh, Sensor
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Window = tuple[int, int, int, int]
-"""Half-open rectangle of pixels: top, bottom, left, right."""
+from tacgen.optics.smooth import COARSEST, Gaussian, Window, aligned, grown
 
 PYRAMID_SIGMA_MM = (0.236, 0.1033, 0.059, 0.0325)
 """Widths of the Gaussians, coarse to fine.
@@ -27,84 +24,6 @@ where real presses have none; the same switch is drawn out here."""
 
 NEGLIGIBLE_MM = 1e-5
 """Deformation below this is none: it changes no slope by more than 2e-4 at 0.03 mm/px."""
-
-_REACH_SIGMAS = 3.0
-
-
-def grown(window: Window, margin_px: int, shape_px: tuple[int, int]) -> Window:
-    """The window with a margin on each side, as far as the image goes."""
-    top, bottom, left, right = window
-    return (
-        max(0, top - margin_px),
-        min(shape_px[0], bottom + margin_px),
-        max(0, left - margin_px),
-        min(shape_px[1], right + margin_px),
-    )
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _add_taps(out: NDArray, kernel: NDArray, j: int, lower: tuple, upper: tuple) -> None:
-    """Add four taps on each side, j to j + 3, in one walk along the row."""
-    b0, b1, b2, b3 = lower
-    a0, a1, a2, a3 = upper
-    w0, w1, w2, w3 = kernel[j], kernel[j + 1], kernel[j + 2], kernel[j + 3]
-    for k in range(out.shape[0]):
-        near = w0 * (b0[k] + a0[k]) + w1 * (b1[k] + a1[k])
-        far = w2 * (b2[k] + a2[k]) + w3 * (b3[k] + a3[k])
-        out[k] += near + far
-
-
-@njit(cache=True, nogil=True)
-def _blur_rows(source: NDArray, window: Window, kernel: NDArray, target: NDArray) -> None:
-    """Convolve along rows within the window; what lies beyond its edge equals the edge."""
-    top, bottom, left, right = window
-    radius, width = kernel.shape[0] - 1, right - left
-    line = np.empty(width + 2 * radius, np.float32)
-    for r in range(top, bottom):
-        row, out = source[r, left:right], target[r, left:right]
-        line[:radius] = row[0]
-        line[radius : radius + width] = row
-        line[radius + width :] = row[width - 1]
-        for k in range(width):
-            out[k] = kernel[0] * row[k]
-        for j in range(1, radius, 4):
-            low, high = line[radius - j - 3 :], line[radius + j :]
-            _add_taps(
-                out,
-                kernel,
-                j,
-                (low[3:], low[2:], low[1:], low),
-                (high, high[1:], high[2:], high[3:]),
-            )
-
-
-@njit(cache=True, nogil=True)
-def _blur_columns(source: NDArray, window: Window, kernel: NDArray, target: NDArray) -> None:
-    """Convolve along columns within the window; what lies beyond its edge equals the edge."""
-    top, bottom, left, right = window
-    radius, last = kernel.shape[0] - 1, bottom - 1
-    for r in range(top, bottom):
-        row, out = source[r, left:right], target[r, left:right]
-        for k in range(right - left):
-            out[k] = kernel[0] * row[k]
-        for j in range(1, radius, 4):
-            _add_taps(
-                out,
-                kernel,
-                j,
-                (
-                    source[max(r - j, top), left:right],
-                    source[max(r - j - 1, top), left:right],
-                    source[max(r - j - 2, top), left:right],
-                    source[max(r - j - 3, top), left:right],
-                ),
-                (
-                    source[min(r + j, last), left:right],
-                    source[min(r + j + 1, last), left:right],
-                    source[min(r + j + 2, last), left:right],
-                    source[min(r + j + 3, last), left:right],
-                ),
-            )
 
 
 @njit(cache=True, nogil=True)
@@ -146,24 +65,6 @@ def _clear_negligible(surface: NDArray, least_mm: float) -> tuple[int, int, int,
     return top, bottom, left, right
 
 
-def half_kernel(sigma_px: float) -> NDArray[np.float32]:
-    """The centre and right half of a Gaussian of unit sum; a single 1 below a tenth of a pixel.
-
-    The half reaches three standard deviations, and to the next multiple of four.
-    """
-    radius = 4 * math.ceil(_REACH_SIGMAS * sigma_px / 4) if sigma_px > 0.1 else 0
-    weights = np.exp(-0.5 * (np.arange(radius + 1) / max(sigma_px, 0.1)) ** 2)
-    return (weights / (2 * weights.sum() - weights[0])).astype(np.float32)
-
-
-def smooth(
-    surface: NDArray[np.float32], window: Window, kernel: NDArray[np.float32], scratch: NDArray
-) -> None:
-    """Blur ``surface`` in place within the window, whose surroundings it takes for its edge."""
-    _blur_rows(surface, window, kernel, scratch)
-    _blur_columns(scratch, window, kernel, surface)
-
-
 class Deformer:
     """Turns the indentation under an object into the deformation of the whole gel.
 
@@ -182,8 +83,8 @@ class Deformer:
         final_sigma_mm: float = FINAL_SIGMA_MM,
         firm_contact: tuple[float, float] = FIRM_CONTACT,
     ) -> None:
-        self._pyramid = [half_kernel(sigma / mm_per_px) for sigma in pyramid_sigma_mm]
-        self._final = half_kernel(final_sigma_mm / mm_per_px)
+        self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in pyramid_sigma_mm]
+        self._final = Gaussian(final_sigma_mm / mm_per_px)
         self._firm_contact = firm_contact
         self._memory = np.empty((3, 0), dtype=np.float32)
 
@@ -199,7 +100,7 @@ class Deformer:
     @property
     def reach_px(self) -> int:
         """Pixels around a contact that it can deform."""
-        return sum(len(kernel) - 1 for kernel in (*self._pyramid, self._final))
+        return sum(blur.reach_px for blur in (*self._pyramid, self._final))
 
     def deform(
         self, depth_mm: NDArray[np.float32], contact: Window, shape_px: tuple[int, int]
@@ -230,7 +131,7 @@ class Deformer:
         ------
         Si & Yuan 2022, Taxim, §III-C.
         """
-        frame = grown(contact, self.reach_px + 1, shape_px)
+        frame = aligned(grown(contact, self.reach_px + 1, shape_px), COARSEST, shape_px)
         depth, surface, scratch = self._maps(frame[1] - frame[0], frame[3] - frame[2])
         depth.fill(0)
         patch = (
@@ -244,12 +145,12 @@ class Deformer:
         deepest_mm = max(float(depth_mm.max(initial=0.0)), NEGLIGIBLE_MM)
         loose_mm, firm_mm = (share * deepest_mm for share in self._firm_contact)
         reach = 1
-        for kernel in (*self._pyramid, self._final):
+        for blur in (*self._pyramid, self._final):
             # One pixel beyond what is deformed, so that the edge is at rest.
-            reach += len(kernel) - 1
-            changed = grown(patch, reach, depth.shape)
-            smooth(surface, changed, kernel, scratch)
-            if kernel is not self._final:
+            reach += blur.reach_px
+            changed = aligned(grown(patch, reach, depth.shape), blur.factor, depth.shape)
+            blur.apply(surface, changed, scratch)
+            if blur is not self._final:
                 _keep_contact(depth, changed, loose_mm, firm_mm, surface)
         top, bottom, left, right = _clear_negligible(surface, NEGLIGIBLE_MM)
         if top >= bottom:

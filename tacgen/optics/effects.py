@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.errors import TableError
-from tacgen.optics.deform import half_kernel, smooth
+from tacgen.optics.smooth import half_kernel, smooth
 
 Image = NDArray[np.float32]
 

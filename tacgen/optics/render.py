@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.errors import TableError
-from tacgen.optics.deform import Window, grown
 from tacgen.optics.effects import EFFECTS, Patch, check_effects
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
@@ -21,6 +20,7 @@ from tacgen.optics.shadow import (
     shadow_reach_mm,
     unlit_image,
 )
+from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import LookupTable
 
 

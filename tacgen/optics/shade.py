@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tacgen.optics.deform import Window
+from tacgen.optics.smooth import Window
 from tacgen.optics.table import N_FEATURES, LookupTable
 from tacgen.optics.vector import NODE_FLOATS, blend_nodes
 

@@ -1,9 +1,12 @@
 """The pyramid of Gaussians."""
 
+import math
+
 import numpy as np
 import pytest
 
-from tacgen.optics.deform import PYRAMID_SIGMA_MM, Deformer, deform, half_kernel, smooth
+from tacgen.optics.deform import PYRAMID_SIGMA_MM, Deformer, deform
+from tacgen.optics.smooth import Gaussian, half_kernel, smooth
 
 MM_PER_PX = 0.0295
 
@@ -25,6 +28,19 @@ def test_smoothing_is_a_convolution_with_a_gaussian():
     expected = np.apply_along_axis(np.convolve, 0, rows, full, "valid")
     np.testing.assert_allclose(smoothed, expected, atol=1e-6)
     assert full.sum() == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("sigma_px", [1.1, 3.5, 3.9, 4.0, 7.0, 8.0, 12.0])
+@pytest.mark.parametrize("shape", [(160, 200), (161, 203)])
+def test_a_gaussian_is_a_gaussian_also_where_it_works_on_blocks(sigma_px, shape):
+    """The spread of a step is the error function; its mass stays."""
+    step = np.zeros(shape, dtype=np.float32)
+    step[:, 100:] = 1
+    Gaussian(sigma_px).apply(step, (0, shape[0], 0, shape[1]), np.empty_like(step))
+    away = (np.arange(shape[1]) + 0.5 - 100) / sigma_px
+    expected = np.array([0.5 * (1 + math.erf(a / math.sqrt(2))) for a in away])
+    # Sampled, cut at three standard deviations or linear between blocks: a percent of the step.
+    np.testing.assert_allclose(step, np.tile(expected, (shape[0], 1)), atol=1e-2)
 
 
 def test_firm_contact_keeps_the_objects_shape_and_the_rim_falls_off_smoothly():
