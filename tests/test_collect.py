@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -133,7 +134,10 @@ def test_what_a_grasp_varies_does_not_depend_on_the_others(tmp_path, monkeypatch
 def test_ctrl_c_keeps_finished_shards_and_exits_130(reference, world, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", str(out)]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    process = subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
+    )
     deadline = time.monotonic() + 60
     while not list(out.glob("shards/shard-*.json")) and time.monotonic() < deadline:
         time.sleep(0.02)
