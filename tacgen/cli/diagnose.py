@@ -12,6 +12,7 @@ from tacgen.cli.app import (
     JsonFlag,
     RecipeArgument,
     app,
+    diagnose_app,
 )
 
 
@@ -52,3 +53,26 @@ def friction(
     else:
         for name, fit in fits.items():
             typer.echo(verdict_of(name, fit))
+
+
+@diagnose_app.command("contact")
+def diagnose_contact(
+    log: Annotated[Path, typer.Argument(help="A press log: CSV or Parquet.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the diagnosis.")],
+    marker_pitch_mm: Annotated[
+        float, typer.Option(help="Pitch of the markers whose motion was summed.")
+    ] = float("nan"),
+    json_output: JsonFlag = False,
+) -> None:
+    """Trace what V = k_n F_n and D = k_s F_s leave over of a press log, and extend the law."""
+    from tacgen.loop.contact import diagnose_log
+    from tacgen.loop.diagnosis import diagnosis_record
+
+    diagnosis = diagnose_log(log, out, marker_pitch_mm=marker_pitch_mm)
+    for note in diagnosis.notes:
+        typer.echo(note, err=True)
+    if json_output:
+        typer.echo(json.dumps(diagnosis_record(diagnosis), ensure_ascii=False))
+        return
+    for found in diagnosis.channels.values():
+        typer.echo(found.sentence)

@@ -20,7 +20,7 @@ from tacgen.contact.effects import Effect
 from tacgen.loop import candidates as cand
 from tacgen.loop import scores
 from tacgen.loop.candidates import Candidate
-from tacgen.loop.channel import ChannelData
+from tacgen.loop.channel import MIN_TRIALS_AS_UNITS, ChannelData
 from tacgen.loop.model import Fit, Model, fit_model, start_term
 from tacgen.loop.nuisance import Nuisance
 from tacgen.loop.waves import find_waves
@@ -30,6 +30,9 @@ ALPHA = 0.01
 MIN_GAIN = 0.01
 """Least share of the held-out sum of squares that an effect must take: one of a tenth of the
 noise is not worth a parameter, and below it the noise of the force is no longer negligible."""
+FEW_ALPHA, FEW_MIN_GAIN = 0.05, 0.2
+"""With too few trials to shuffle: parts of trials are not independent, so that p-values say
+little, and only what takes a fifth of the sum of squares from parts left out is believed."""
 N_SHUFFLES = 1999
 N_WAVE_SHUFFLES = 40
 N_FOLDS = 10
@@ -100,10 +103,24 @@ class Attribution:
 class Tracer:
     """Selection on one channel's fit trials."""
 
-    def __init__(self, data: ChannelData, rng: np.random.Generator, skip: Sequence[str] = ()):
+    def __init__(
+        self,
+        data: ChannelData,
+        rng: np.random.Generator,
+        skip: Sequence[str] = (),
+        *,
+        session_clock: bool = True,
+    ) -> None:
         self.data = data
-        self.effects: list[Effect] = cand.usable_effects(data)
+        self.effects: list[Effect] = [
+            e for e in cand.usable_effects(data) if session_clock or e.name != "drift"
+        ]
         self.nuisances: list[Nuisance] = cand.covariate_nuisances(data, skip)
+        self.session_clock = session_clock
+        self.few = data.history.n_trials < MIN_TRIALS_AS_UNITS
+        self.max_members = min(MAX_MEMBERS, data.history.n_trials)
+        self.alpha = FEW_ALPHA if self.few else ALPHA
+        self.min_gain = FEW_MIN_GAIN if self.few else MIN_GAIN
         self.folds = scores.fold_of_units(data.n_units, N_FOLDS)
         self.shuffled = scores.shuffles(data.n_units, N_SHUFFLES, rng)
         self._fits: dict[tuple[str, ...], Ranked] = {}
@@ -114,7 +131,7 @@ class Tracer:
         base = self.rank((), Model(self._rough_compliance()))
         current, ranking = base, None
         visited = {base.key}
-        while len(current.members) < MAX_MEMBERS:
+        while len(current.members) < self.max_members:
             pool, losses = self._pool(current, new_waves=True)
             p_values = self._p_values(current, pool)
             if ranking is None:
@@ -159,7 +176,7 @@ class Tracer:
         pool = cand.effect_candidates(self.data, fit.model, effects)
         others = [n for n in self.nuisances if n.covariate not in taken]
         pool += cand.nuisance_candidates(self.data, fit, others)
-        if "time_s" not in taken:
+        if "time_s" not in taken and self.session_clock:
             if new_waves or not self._waves:
                 self._waves = find_waves(self.data, fit, self.shuffled.signs[1:N_WAVE_SHUFFLES])
             pool += cand.nuisance_candidates(self.data, fit, self._waves)
@@ -167,14 +184,14 @@ class Tracer:
         return pool, scores.losses_of_groups(grams, self.folds, base, groups)
 
     def _p_values(self, current: Ranked, pool: Sequence[Candidate]) -> NDArray[np.float64]:
-        """p of each candidate, corrected for the number of names looked at."""
+        """Return the p of each candidate, corrected for the number of names looked at."""
         constant = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
         grams, groups, base = self._grams(current.fit, [*pool, constant])
         statistics = scores.shuffle_statistics(
             grams, base, groups[:-1], self.shuffled, groups[-1][0]
         )
         search = [c.nuisance.p_search if c.nuisance is not None else 0.0 for c in pool]
-        n_names = len({candidate.name for candidate in pool})
+        n_names = 1 if self.few else len({candidate.name for candidate in pool})
         return np.minimum(np.maximum(scores.shuffle_p_values(statistics), search) * n_names, 1.0)
 
     def _grams(
@@ -198,7 +215,7 @@ class Tracer:
     ) -> Ranked | None:
         """The best model with one or two members more; None if nothing is significant."""
         order = np.argsort(losses.sum(axis=1))
-        significant = {pool[i].name for i in np.flatnonzero(p_values <= ALPHA)}
+        significant = {pool[i].name for i in np.flatnonzero(p_values <= self.alpha)}
         gains = current.loss - losses.sum(axis=1)
         singles = [
             self.add(current, [pool[i]])
@@ -207,7 +224,7 @@ class Tracer:
         ]
         singles = [s for s in singles if self._is_worth(current, s)]
         best_single = min(singles, key=lambda r: r.loss, default=None)
-        if len(current.members) + 2 > MAX_MEMBERS:
+        if len(current.members) + 2 > self.max_members:
             return best_single
         pairs = [self.add(current, pair) for pair in self._best_pairs(current, pool, order)]
         pairs.sort(key=lambda r: r.loss)
@@ -293,7 +310,7 @@ class Tracer:
         difference = smaller.unit_losses - larger.unit_losses
         error = float(difference.std() * np.sqrt(difference.size))
         gain = float(difference.sum())
-        return gain > MIN_GAIN * self._total(larger) and gain > error
+        return gain > self.min_gain * self._total(larger) and gain > error
 
     def _total(self, ranked: Ranked) -> float:
         """Held-out sum of squares, the noise included."""
@@ -303,11 +320,11 @@ class Tracer:
         """Whether either of the last two members is missed when it is left out."""
         known = current.key
         new = [member for member in pair.members if member.name not in known]
-        return all(self._is_needed(pair, member, 0.1 * ALPHA) for member in new)
+        return all(self._is_needed(pair, member, 0.1 * self.alpha) for member in new)
 
-    def _is_needed(self, full: Ranked, member: Candidate, alpha: float = ALPHA) -> bool:
+    def _is_needed(self, full: Ranked, member: Candidate, alpha: float | None = None) -> bool:
         less = self._less(full, member)
-        if not self._is_worth(less, full) or self._p_value(full, member) > alpha:
+        if not self._is_worth(less, full) or self._p_value(full, member) > (alpha or self.alpha):
             return False
         worth = less.loss - full.loss
         kind = _kind_of(member.name)
@@ -322,7 +339,7 @@ class Tracer:
         return self.rank(members, _model_without(full.fit.model, member))
 
     def _p_value(self, full: Ranked, member: Candidate) -> float:
-        """p of the member's columns beside the others, not corrected for a choice."""
+        """Return the p of the member's columns beside the others, not corrected for a choice."""
         less = self._less(full, member)
         fresh = self._fresh(less, member)
         return 1.0 if fresh is None else float(self._p_values(less, [fresh])[0])
@@ -332,7 +349,8 @@ class Tracer:
         fit = ranked.fit
         if member.nuisance is not None:
             return cand.nuisance_candidates(self.data, fit, [member.nuisance])[0]
-        assert member.effect is not None and member.variant is not None
+        if member.effect is None or member.variant is None:
+            return None
         for found in cand.effect_candidates(self.data, fit.model, [member.effect]):
             if found.variant is not None and found.variant.label == member.variant.label:
                 return found
@@ -489,7 +507,9 @@ def _lead_in_se(best: Ranked, other: Ranked) -> float:
 def _model_without(model: Model, member: Candidate) -> Model:
     if member.nuisance is None:
         return model.without(member.name)
-    nuisances, coefficients, position = [], [], 0
+    nuisances: list[Nuisance] = []
+    coefficients: list[float] = []
+    position = 0
     for nuisance in model.nuisances:
         share = model.coefficients[position : position + nuisance.n_columns]
         position += nuisance.n_columns

@@ -21,6 +21,9 @@ CONTRACT_COLUMNS = frozenset(
         "temperature_c",
     }
 )
+MAX_SHARE_BESIDE_LOAD = 0.4
+"""Part of a column's variation within trials that load, turn and time must leave, for the column
+to count as a condition of its own."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,8 @@ def covariate_nuisances(data: ChannelData, skip: Sequence[str] = ()) -> list[Nui
         if name in CONTRACT_COLUMNS or name in skip or name in TARGETS[data.channel]:
             continue
         if np.issubdtype(np.asarray(values).dtype, np.number):
-            found += numeric_nuisances(name, data)
+            if not follows_load(data, name):
+                found += numeric_nuisances(name, data)
         else:
             found += text_nuisances(name, data)
     return found
@@ -134,3 +138,31 @@ def nuisance_candidates(
         )
         for nuisance in nuisances
     ]
+
+
+def follows_load(data: ChannelData, name: str) -> bool:
+    """Whether a numeric column is, within trials, mostly a function of load, turn and time.
+
+    A depth or a gripper's width is another reading of the press, not a condition of it: the law
+    must not be excused by it.
+    """
+    history = data.history
+    values = np.nan_to_num(history.column(name))
+    load = history.force_normal_n / history.normal_span_n
+    _, unloading = history.reversal("normal")
+    time = history.time_in_trial_s / max(float(history.time_in_trial_s.max()), 1e-9)
+    basis = [load, load**2, load**3, unloading * 1.0, unloading * load, time, time**2]
+    design = np.stack([_within(b, history.trial_index) for b in basis], axis=1)
+    centred = _within(values, history.trial_index)
+    total = float(centred @ centred)
+    if total <= 1e-6 * float(((values - values.mean()) ** 2).sum()):
+        return False
+    share = np.linalg.lstsq(design, centred, rcond=None)[0]
+    left = centred - design @ share
+    return float(left @ left) < MAX_SHARE_BESIDE_LOAD * total
+
+
+def _within(values: NDArray[np.float64], trial_index: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Values less their trial's mean."""
+    mean: NDArray[np.float64] = np.bincount(trial_index, values) / np.bincount(trial_index)
+    return values - mean[trial_index]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,8 @@ TARGETS: dict[Channel, tuple[str, ...]] = {
 }
 UNITS: dict[Channel, str] = {"normal": "mm3", "shear": "mm"}
 ROWS_PER_TRIAL = 60
-MIN_UNITS = 24
+MIN_ROWS = 1200
+MIN_UNITS = 36
 """With few trials, parts of trials are the units that tests resample: about so many."""
 MIN_TRIALS_AS_UNITS = 12
 OUTLIER_SIGMAS = 7.0
@@ -99,11 +101,13 @@ class ChannelData:
         return shaped[self.pairs[0]].reshape(flat), shaped[self.pairs[1]].reshape(flat), unit
 
 
-def channel_data(
-    columns: Columns, channel: Channel, *, rows_per_trial: int = ROWS_PER_TRIAL
-) -> ChannelData:
-    """Prepare one channel of a press log's columns (finite where they are used)."""
+def channel_data(columns: Columns, channel: Channel, *, rows_per_trial: int = 0) -> ChannelData:
+    """Prepare one channel of a press log's columns (finite where they are used).
+
+    ``rows_per_trial`` 0 keeps ``ROWS_PER_TRIAL``, and more where trials are few.
+    """
     history = LoadHistory(columns)
+    rows_per_trial = rows_per_trial or max(ROWS_PER_TRIAL, MIN_ROWS // max(history.n_trials, 1))
     target = np.stack([history.column(name) for name in TARGETS[channel]], axis=1)
     load = history.force_normal_n[:, None] if channel == "normal" else history.force_shear_n
     rough_k = float((load * target).sum() / max(float((load**2).sum()), 1e-12))
@@ -126,7 +130,7 @@ def _thinned(
     """Means over neighbouring samples so that a trial has at most ``rows`` rows, in order."""
     starts = [
         np.arange(first, stop, max(1, int(np.ceil((stop - first) / rows))), dtype=np.int64)
-        for first, stop in zip(history.starts[:-1], history.starts[1:], strict=True)
+        for first, stop in pairwise(history.starts)
     ]
     edges = np.concatenate(starts)
     weight = np.add.reduceat(precision, edges)
@@ -147,7 +151,7 @@ def _pairs(starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int
     n_trials = starts.size - 1
     parts = 1 if n_trials >= MIN_TRIALS_AS_UNITS else int(np.ceil(MIN_UNITS / max(n_trials, 1)))
     first_rows, units = [], []
-    for trial, (first, stop) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+    for trial, (first, stop) in enumerate(pairwise(starts)):
         here = np.arange(first, stop - 1, 2, dtype=np.int64)
         first_rows.append(here)
         units.append(trial * parts + np.arange(here.size) * parts // max(here.size, 1))
@@ -202,7 +206,7 @@ def _spikes(
 ) -> NDArray[np.bool_]:
     """Single samples far from the median of their neighbours on both sides."""
     sticks = np.zeros(rough.shape[0], dtype=bool)
-    for first, stop in zip(starts[:-1], starts[1:], strict=True):
+    for first, stop in pairwise(starts):
         if stop - first < 5:
             continue
         part = rough[first:stop]

@@ -51,13 +51,11 @@ def select(columns: Columns, mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]
     return {name: np.asarray(values)[mask] for name, values in columns.items()}
 
 
-def errors(
-    residual: NDArray[np.float64], trial: NDArray[np.float64], scale: float
-) -> Errors:
-    """Errors of a residual (N, C): RMS over samples of its length, and the same over ``scale``."""
-    square = (residual**2).sum(axis=1)
+def errors(residual: NDArray[np.float64], trial: NDArray[np.float64], scale: float) -> Errors:
+    """Errors of a residual (N, C): RMS over samples and outputs, and the same over ``scale``."""
+    square = (residual**2).mean(axis=1)
     _, inverse = np.unique(trial, return_inverse=True)
-    squares = np.bincount(inverse, square)
+    squares = np.bincount(inverse, square).astype(np.float64)
     counts = np.bincount(inverse)
     rmse = float(np.sqrt(squares.sum() / counts.sum()))
     return Errors(rmse, rmse / scale, squares, counts.astype(np.int64))
@@ -72,14 +70,10 @@ def pooled(parts: Sequence[Errors]) -> Errors:
     return Errors(rmse, rmse / scale, squares, counts)
 
 
-def gain_interval(
-    before: Errors, after: Errors, rng: np.random.Generator
-) -> tuple[float, float]:
+def gain_interval(before: Errors, after: Errors, rng: np.random.Generator) -> tuple[float, float]:
     """95 % interval of 1 − error_after/error_before, by resampling the held-out trials."""
     n = before.squares.size
     drawn = rng.integers(0, n, size=(N_BOOTSTRAP, n))
-    ratio = after.squares[drawn].sum(axis=1) / np.maximum(
-        before.squares[drawn].sum(axis=1), 1e-300
-    )
+    ratio = after.squares[drawn].sum(axis=1) / np.maximum(before.squares[drawn].sum(axis=1), 1e-300)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return float(low), float(high)

@@ -184,6 +184,38 @@ def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
     return best
 
 
+@dataclass(frozen=True)
+class StandardErrors:
+    """Standard errors of the compliance and of each effect's free parameters."""
+
+    compliance: float
+    effects: Mapping[str, Mapping[str, float]]
+
+
+def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
+    """Errors that hold for samples that are correlated within a trial (or part of one).
+
+    Source
+    ------
+    Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor.
+    """
+    space = _Space(data, fit.model)
+    unit = np.zeros(data.history.n_samples, dtype=np.int64)
+    unit[data.pairs[0]] = data.pair_unit
+    unit[data.pairs[1]] = data.pair_unit
+    rows = np.repeat(unit, data.n_outputs)
+    products = fit.jacobian * fit.residual[:, None]
+    sums = np.stack([np.bincount(rows, column) for column in products.T], axis=1)
+    inverse = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, rcond=1e-12, hermitian=True)
+    factor = data.n_units / max(data.n_units - fit.jacobian.shape[1], 1)
+    covariance = factor * inverse @ (sums.T @ sums) @ inverse
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * space.natural_scale(space.start)
+    effects: dict[str, dict[str, float]] = {term.name: {} for term in fit.model.terms}
+    for (index, name), error in zip(space.slot_names, spread[1:], strict=False):
+        effects[fit.model.terms[index].name][name] = float(error)
+    return StandardErrors(float(spread[0]), effects)
+
+
 class _Space:
     """The free numbers of a model as one vector, in units of about their own size."""
 
@@ -214,6 +246,19 @@ class _Space:
         self.reach = np.full(self.start.size, np.inf)
         self.reach[1 : 1 + len(self._slots)] = np.where(logarithmic_slots, MAX_LOG_STEP, np.inf)
         self._low, self._high = np.asarray(lows), np.asarray(highs)
+
+    @property
+    def slot_names(self) -> list[tuple[int, str]]:
+        """Term and parameter of each number after the first."""
+        return [(index, name) for index, name, _, _ in self._slots]
+
+    def natural_scale(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """d(parameter)/d(number) at ``vector``, in the parameters' own units."""
+        scale = np.ones(vector.size)
+        scale[0] = self._compliance_scale
+        for i, (_, _, size, logarithmic) in enumerate(self._slots, start=1):
+            scale[i] = np.exp(vector[i]) if logarithmic else size
+        return scale
 
     def clip(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
         """``vector`` within the bounds."""

@@ -49,7 +49,8 @@ class Nuisance:
     def label(self) -> str:
         """In words."""
         if self.kind == "wave":
-            return f"oscillation in {self.covariate}, period {1 / self.frequency_hz:.4g} s ({self.how})"
+            period = f"period {1 / self.frequency_hz:.4g} s"
+            return f"oscillation in {self.covariate}, {period} ({self.how})"
         power = f", degree {self.degree}" if self.kind == "polynomial" else ""
         return f"{self.covariate} ({self.how}{power})"
 

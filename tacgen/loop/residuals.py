@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.loop import scores
-from tacgen.loop.candidates import CONTRACT_COLUMNS
+from tacgen.loop.candidates import CONTRACT_COLUMNS, follows_load
 from tacgen.loop.channel import TARGETS, ChannelData
 from tacgen.loop.model import Fit
 
@@ -55,10 +56,16 @@ def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDAr
     for name, values in data.columns.items():
         named = name in ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
         other = name not in CONTRACT_COLUMNS and name not in TARGETS[data.channel]
-        if (named or other) and name not in skip:
+        if (named or other) and name not in skip and not _is_reading(data, name, other):
             numeric = np.issubdtype(np.asarray(values).dtype, np.number)
             found[name] = history.column(name) if numeric else history.text(name)
     return found
+
+
+def _is_reading(data: ChannelData, name: str, other: bool) -> bool:
+    """Whether an extra column is another reading of the press."""
+    numeric = np.issubdtype(np.asarray(data.columns[name]).dtype, np.number)
+    return other and numeric and follows_load(data, name)
 
 
 def dependences(
@@ -127,7 +134,7 @@ def _rate(
 ) -> NDArray[np.float64]:
     """d|load|/dt (N,), clipped to its bulk; 0 for trials of one sample."""
     rate = np.zeros_like(load)
-    for first, stop in zip(starts[:-1], starts[1:], strict=True):
+    for first, stop in pairwise(starts):
         if stop - first > 2 and np.all(np.diff(time_s[first:stop]) > 0):
             rate[first:stop] = np.gradient(load[first:stop], time_s[first:stop])
     bulk = np.quantile(np.abs(rate), 0.98) if rate.size else 0.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ def unit_grams(data: ChannelData, columns: NDArray[np.float64]) -> GramArray:
     """
     a, b, unit = data.halves(columns)
     bounds = np.searchsorted(unit, np.arange(data.n_units + 1))
-    grams = np.stack([a[i:j].T @ b[i:j] for i, j in zip(bounds[:-1], bounds[1:], strict=True)])
+    grams = np.stack([a[i:j].T @ b[i:j] for i, j in pairwise(bounds)])
     return 0.5 * (grams + grams.transpose(0, 2, 1))
 
 
@@ -160,7 +161,7 @@ def shuffle_statistics(
             across = across / np.sqrt(information)[:, None]
             covariance = across.T @ across
             sums = per_unit[shuffled.orders] @ across
-        size = np.sqrt(np.diag(covariance)) + 1e-300
+        size = np.sqrt(np.diag(covariance)) + 1e-150
         scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
         sums = sums / size
         quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
@@ -188,7 +189,7 @@ def _information(grams: GramArray, shape: int) -> NDArray[np.float64]:
 
 
 def shuffle_p_values(statistics: NDArray[np.float64]) -> NDArray[np.float64]:
-    """p of each group (columns) by its own shuffles.
+    """Return the p of each group (columns) by its own shuffles.
 
     Beyond the largest twentieth of the shuffles an exponential tail, fitted to that twentieth,
     goes on where ranks end: the statistics are on a scale where that is their law's tail.

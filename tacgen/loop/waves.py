@@ -22,7 +22,9 @@ def frequency_grid_hz(data: ChannelData) -> NDArray[np.float64]:
     highest = min(0.25 / data.history.sample_period_s, 2.5 / trial_duration_s(data))
     count = int(np.ceil((highest - MIN_CYCLES / session) * session * 2.0))
     count = min(max(count, 1), MAX_FREQUENCIES)
-    return MIN_CYCLES / session + 0.5 * np.arange(count) / session
+    cycles = MIN_CYCLES + 0.5 * np.arange(count, dtype=np.float64)
+    grid: NDArray[np.float64] = np.divide(cycles, session)
+    return grid
 
 
 def find_waves(data: ChannelData, fit: Fit, signs: NDArray[np.float64]) -> list[Nuisance]:
@@ -100,7 +102,7 @@ def _strongest(
 
 
 def _gumbel_p(observed: float, null: NDArray[np.float32]) -> float:
-    """p of a largest value by the Gumbel law of the null's largest values, by its moments."""
+    """Return the p of a largest value by the Gumbel law that has the null's moments."""
     if null.size < 2:
         return 1.0
     scale = max(float(null.std()) * np.sqrt(6.0) / np.pi, 1e-300)

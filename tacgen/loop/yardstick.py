@@ -52,7 +52,7 @@ def gp_rmse(
     for axis in range(fit_residual.shape[1]):
         y = fit_residual[rows, axis]
         left[:, axis] = test_residual[:, axis] - _predict(x, y - y.mean(), test) - y.mean()
-    return float(np.sqrt((left**2).mean() * left.shape[1]))
+    return float(np.sqrt((left**2).mean()))
 
 
 def _predict(
