@@ -56,3 +56,7 @@ class PressError(TacgenError):
 
 class LearningError(TacgenError):
     """Training or evaluation that cannot go on."""
+
+
+class ClusterError(TacgenError):
+    """Jobs that cannot be handed to a scheduler, or whose records cannot be read."""

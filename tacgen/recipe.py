@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     NonNegativeFloat,
+    NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    ValidationError,
 )
 
 from tacgen.errors import RecipeError
@@ -123,6 +126,39 @@ class Randomize(Section):
     yaw_rad: NonNegativeFloat = 0.0
 
 
+def _one_line(text: str) -> str:
+    if "\n" in text or not text.strip():
+        msg = f"is to be one line of text, got {text!r}"
+        raise ValueError(msg)
+    return text
+
+
+Line = Annotated[str, AfterValidator(_one_line)]
+
+
+class Cluster(Section):
+    """Where batch jobs run and what they ask for; it changes no byte of the dataset.
+
+    ``max_array`` is the most tasks of one array (None: asked of the scheduler), ``max_running``
+    the most of them at a time; ``setup`` are shell lines before the job, ``sbatch`` any other
+    options of sbatch, by their long names.
+    """
+
+    time_min: PositiveInt = 60
+    mem_gb: PositiveFloat = 4.0
+    cpus_per_task: PositiveInt = 1
+    partition: Line | None = None
+    account: Line | None = None
+    qos: Line | None = None
+    constraint: Line | None = None
+    max_array: PositiveInt | None = None
+    max_running: PositiveInt = 256
+    shards_per_task: PositiveInt = 40
+    max_timeouts: NonNegativeInt = 20
+    setup: tuple[Line, ...] = ()
+    sbatch: Mapping[str, bool | int | Line] = Field(default_factory=dict)
+
+
 _BELONGS_TO_ROBOT = {"max_force_n", "tactile_pads"}
 
 
@@ -153,6 +189,7 @@ class Recipe(Section):
     frames: Frames = Frames()
     dataset: DatasetOptions = DatasetOptions()
     randomize: Randomize = Randomize()
+    cluster: Cluster = Cluster()
 
     @property
     def physics_settings(self) -> PhysicsSettings:
@@ -164,11 +201,14 @@ class Recipe(Section):
         )
 
     def resolved(self) -> dict[str, Any]:
-        """Every setting, written or not, as plain data."""
-        return self.model_dump(mode="json", exclude={"physics": _BELONGS_TO_ROBOT})
+        """Every setting that a byte of the dataset can depend on, written or not, as plain data.
+
+        The section ``cluster`` is left out: where a job runs changes nothing of what it makes.
+        """
+        return self.model_dump(mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True})
 
     def sha256(self) -> str:
-        """A hash of every setting, the same for recipes that mean the same."""
+        """A hash of ``resolved``, the same for recipes that mean the same."""
         return hashlib.sha256(json.dumps(self.resolved(), sort_keys=True).encode()).hexdigest()
 
 
@@ -190,6 +230,24 @@ def load_recipe(name: str | Path) -> Recipe:
     if problems:
         raise RecipeError.from_problems(problems)
     return recipe
+
+
+def with_cluster(recipe: Recipe, **settings: str | float | None) -> Recipe:
+    """``recipe`` with these settings of its section ``cluster``; None leaves one as it is.
+
+    Raises
+    ------
+    RecipeError
+        Names every setting that cannot be.
+    """
+    given = {name: value for name, value in settings.items() if value is not None}
+    try:
+        cluster = Cluster.model_validate(recipe.cluster.model_dump() | given)
+    except ValidationError as error:
+        raise RecipeError.from_problems(
+            [f"cluster.{d['loc'][0]} = {d['input']!r}: {d['msg']}" for d in error.errors()]
+        ) from None
+    return recipe.model_copy(update={"cluster": cluster})
 
 
 def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:

@@ -12,7 +12,7 @@ import sys
 import typer
 
 # Importing a module of commands registers them.
-from tacgen.cli import calibrate, datasets, diagnose, learning, machine, objects  # noqa: F401
+from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects  # noqa: F401
 from tacgen.cli.app import app
 from tacgen.errors import Interrupted, TacgenError
 

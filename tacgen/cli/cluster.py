@@ -1,0 +1,69 @@
+"""Commands about batch jobs: hand a recipe to a scheduler, see how far it is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tacgen.cli.app import DatasetArgument, JsonFlag, RecipeArgument, app, print_record
+
+
+@app.command(rich_help_panel="Datasets")
+def submit(
+    recipe: RecipeArgument,
+    out: Annotated[Path, typer.Option(help="The dataset's folder, seen by every machine.")],
+    executor: Annotated[str, typer.Option(help="local or slurm.")] = "slurm",
+    failed: Annotated[
+        bool, typer.Option("--failed", help="Only what no living job will make.")
+    ] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stay until the jobs end; exit 1 if shards lack.")
+    ] = False,
+    time_min: Annotated[int | None, typer.Option(help="Minutes a job may take.")] = None,
+    mem_gb: Annotated[float | None, typer.Option(help="Memory of a job.")] = None,
+    cpus_per_task: Annotated[int | None, typer.Option(help="Processes of a job.")] = None,
+    partition: Annotated[str | None, typer.Option(help="Slurm partition.")] = None,
+    account: Annotated[str | None, typer.Option(help="Slurm account.")] = None,
+    max_array: Annotated[int | None, typer.Option(help="Most jobs of one array.")] = None,
+    shards_per_task: Annotated[int | None, typer.Option(help="Shards of one job.")] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Hand a recipe's missing shards to a scheduler; flags win over the section `cluster`."""
+    from tacgen import cluster
+    from tacgen.recipe import load_recipe, with_cluster
+
+    loaded = with_cluster(
+        load_recipe(recipe),
+        time_min=time_min,
+        mem_gb=mem_gb,
+        cpus_per_task=cpus_per_task,
+        partition=partition,
+        account=account,
+        max_array=max_array,
+        shards_per_task=shards_per_task,
+    )
+    submitted = cluster.submit(loaded, out, cluster.Request(executor, failed_only=failed))
+    if not submitted.shards:
+        typer.echo("tacgen: nothing to submit: every shard is there or in a living job", err=True)
+    print_record(asdict(submitted), json_output)
+    if wait:
+        found = cluster.wait_for(out)
+        typer.echo(cluster.status_text(found), err=True)
+        if found.not_begun:
+            raise typer.Exit(1)
+
+
+@app.command(rich_help_panel="Datasets")
+def status(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
+    """Show how far a dataset is: shards done, running, failed and why, rate, time left."""
+    from tacgen import cluster
+
+    found = cluster.status(folder)
+    if json_output:
+        typer.echo(json.dumps(found.as_dict(), indent=2))
+    else:
+        typer.echo(cluster.status_text(found))

@@ -1,0 +1,134 @@
+"""What was handed to a scheduler, and what each task says of itself: small JSON files.
+
+``out/jobs/000/submission.json`` is written by whoever submits, ``out/jobs/000/task-00000.json``
+by the task, so no two processes write one file. Logs and submitit's own files stand beside them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tacgen.errors import ClusterError
+from tacgen.files import write_text
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One job of a submission: the scheduler's id for it, and its shards."""
+
+    number: int
+    job_id: str
+    shards: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Submission:
+    """Jobs handed over by one ``tacgen submit``; ``host`` is where that was."""
+
+    executor: str
+    host: str
+    tasks: tuple[Task, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """What a task last said: ``state`` is running, done, failed or interrupted."""
+
+    state: str
+    attempt: int
+    host: str
+    pid: int
+    reason: str = ""
+
+
+class JobsFolder:
+    """Every path of a dataset's batch jobs."""
+
+    def __init__(self, dataset_root: Path) -> None:
+        self.root = Path(dataset_root) / "jobs"
+
+    def create(self) -> Path:
+        """The folder of a new submission: the next free number."""
+        self.root.mkdir(parents=True, exist_ok=True)
+        number = max((int(path.name) for path in self._folders()), default=-1) + 1
+        while True:
+            folder = self.root / f"{number:03d}"
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                number += 1
+            else:
+                return folder
+
+    def submissions(self) -> dict[Path, Submission]:
+        """Every submission by its folder, in order; empty where nothing was submitted."""
+        paths = (folder / "submission.json" for folder in self._folders())
+        return {path.parent: read_submission(path) for path in paths if path.is_file()}
+
+    def _folders(self) -> list[Path]:
+        if not self.root.is_dir():
+            return []
+        return sorted(path for path in self.root.iterdir() if path.name.isdecimal())
+
+
+def write_submission(folder: Path, submission: Submission) -> None:
+    """Write or replace ``folder/submission.json``."""
+    write_text(folder / "submission.json", json.dumps(asdict(submission)))
+
+
+def read_submission(path: Path) -> Submission:
+    """What ``write_submission`` wrote.
+
+    Raises
+    ------
+    ClusterError
+        If the file does not hold that.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        tasks = tuple(
+            Task(int(task["number"]), str(task["job_id"]), _whole_numbers(task["shards"]))
+            for task in data["tasks"]
+        )
+        return Submission(str(data["executor"]), str(data["host"]), tasks)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        msg = f"{path}: not the record of a submission; delete the folder {path.parent}"
+        raise ClusterError(msg) from error
+
+
+def note_path(folder: Path, task: int) -> Path:
+    """``task-00000.json`` of a submission."""
+    return folder / f"task-{task:05d}.json"
+
+
+def write_note(path: Path, note: Note) -> None:
+    """Write or replace what a task says of itself."""
+    write_text(path, json.dumps(asdict(note)))
+
+
+def read_note(path: Path) -> Note | None:
+    """What a task last said; None where it has not begun, or the file was cut short."""
+    try:
+        data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return Note(
+            str(data["state"]),
+            int(data["attempt"]),
+            str(data["host"]),
+            int(data["pid"]),
+            str(data["reason"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def log_path(folder: Path, job_id: str) -> Path:
+    """Where submitit sends what a task writes to standard error."""
+    return folder / f"{job_id}_0_log.err"
+
+
+def _whole_numbers(values: Sequence[Any]) -> tuple[int, ...]:
+    return tuple(int(value) for value in values)

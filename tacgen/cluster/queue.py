@@ -1,0 +1,82 @@
+"""What a scheduler knows of jobs at the moment."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+
+from tacgen.cluster.ledger import Submission
+from tacgen.errors import ClusterError
+
+SCHEDULER_PATIENCE_S = 60
+_RUNNING = {"RUNNING", "COMPLETING", "STOPPED", "SUSPENDED"}
+_DEFAULT_MAX_ARRAY = 1000
+
+
+def live_jobs(submissions: Iterable[Submission]) -> dict[str, tuple[str, str]] | None:
+    """Job id → (``running`` or ``queued``, the scheduler's reason) for every job that lives.
+
+    None where that cannot be told from here: another machine's processes, or no ``squeue``.
+
+    Raises
+    ------
+    ClusterError
+        If ``squeue`` fails.
+    """
+    live: dict[str, tuple[str, str]] = {}
+    slurm_ids: set[str] = set()
+    for submission in submissions:
+        ids = [task.job_id for task in submission.tasks]
+        if submission.executor == "slurm":
+            slurm_ids.update(job_id.split("_")[0] for job_id in ids)
+        elif submission.host != socket.gethostname():
+            return None
+        else:
+            live.update({job_id: ("running", "") for job_id in ids if _is_ours(job_id)})
+    if slurm_ids and shutil.which("squeue") is None:
+        return None
+    return live | (_slurm_jobs() if slurm_ids else {})
+
+
+def site_array_limit() -> int:
+    """The most tasks of one array that this site's Slurm takes."""
+    text = _ask(["scontrol", "show", "config"])
+    for line in text.splitlines():
+        name, _, value = line.partition("=")
+        if name.strip() == "MaxArraySize" and value.strip().isdecimal():
+            return max(1, int(value))
+    return _DEFAULT_MAX_ARRAY
+
+
+def _slurm_jobs() -> dict[str, tuple[str, str]]:
+    # All of the user's jobs: asking for single ids fails as soon as one of them is forgotten.
+    text = _ask(["squeue", "--me", "--noheader", "--array", "--format=%i|%T|%r"])
+    jobs = {}
+    for line in text.splitlines():
+        job_id, state, reason = line.strip().split("|", 2)
+        word = "running" if state in _RUNNING else "queued"
+        jobs[job_id] = (word, "" if reason == "None" else reason)
+    return jobs
+
+
+def _ask(command: list[str]) -> str:
+    try:
+        result = subprocess.run(
+            command, capture_output=True, text=True, timeout=SCHEDULER_PATIENCE_S, check=True
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        said = (getattr(error, "stderr", "") or str(error)).strip()
+        msg = f"`{' '.join(command)}` failed: {said}; is the scheduler up?"
+        raise ClusterError(msg) from error
+    return result.stdout
+
+
+def _is_ours(pid: str) -> bool:
+    """Whether the process lives and is one of submitit's: numbers are used again."""
+    try:
+        return b"submitit" in Path(f"/proc/{int(pid)}/cmdline").read_bytes()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,235 @@
+"""Handing a recipe's shards to a scheduler, as arrays of jobs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from tacgen.cluster.ledger import (
+    JobsFolder,
+    Submission,
+    Task,
+    note_path,
+    write_submission,
+)
+from tacgen.cluster.queue import site_array_limit
+from tacgen.cluster.states import Status, status
+from tacgen.cluster.task import CollectTask
+from tacgen.dataset import DatasetFolder
+from tacgen.errors import ClusterError
+from tacgen.grasp_pipeline import dataset_spec
+from tacgen.grid import plan_recipe
+from tacgen.recipe import Cluster, Recipe
+
+EXECUTORS = ("local", "slurm")
+SIGNAL_DELAY_S = 60
+_A_WEEK_MIN = 7 * 24 * 60
+_POLL_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """How to submit: where to, and whether beside jobs that still live (``failed_only``)."""
+
+    executor: str
+    failed_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Submitted:
+    """What was handed over; ``arrays`` is into how many arrays the jobs were split."""
+
+    folder: str
+    executor: str
+    shards: int
+    jobs: tuple[str, ...]
+    arrays: int
+
+
+def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
+    """Submit jobs for every shard that ``out`` lacks and no living job will make.
+
+    Raises
+    ------
+    ClusterError
+        If submitit or the scheduler is missing or refuses, or jobs of this dataset still live
+        (unless ``request.failed_only``).
+    DatasetError
+        If the folder cannot be written to or holds another dataset.
+    """
+    _require(request.executor)
+    planned = plan_recipe(recipe)
+    DatasetFolder(out).prepare(dataset_spec(recipe, len(planned)))
+    found = status(out)
+    shards = _shards_to_submit(found, failed_only=request.failed_only)
+    if not shards:
+        return Submitted(str(out), request.executor, 0, (), 0)
+    folder = JobsFolder(out.resolve()).create()
+    cluster = recipe.cluster
+    shares = _shares(shards, _task_count(len(shards), request.executor, cluster))
+    tasks = [
+        CollectTask(recipe, out.resolve(), share, cluster.cpus_per_task, note_path(folder, number))
+        for number, share in enumerate(shares)
+    ]
+    jobs = _hand_over(tasks, folder, request.executor, recipe)
+    array = _array_limit(request.executor, cluster)
+    return Submitted(str(folder), request.executor, len(shards), jobs, -(-len(jobs) // array))
+
+
+def wait_for(root: Path, show: Callable[[Status], None] = lambda _: None) -> Status:
+    """Wait until no job of the dataset lives, and say how it stands; ``show`` hears of progress."""
+    while (found := status(root)).alive:
+        show(found)
+        time.sleep(_POLL_S)
+    show(found)
+    return found
+
+
+def _require(executor: str) -> None:
+    problems = []
+    if executor not in EXECUTORS:
+        problems.append(f"--executor {executor}: give {' or '.join(EXECUTORS)}")
+    if find_spec("submitit") is None:
+        problems.append(
+            "batch jobs need submitit, not installed here; install it with "
+            "`pip install 'tacgen[cluster]'` (in a checkout: `make setup`)"
+        )
+    if executor == "slurm":
+        missing = [name for name in ("sbatch", "srun", "squeue") if shutil.which(name) is None]
+        if missing:
+            problems.append(
+                f"Slurm's {', '.join(missing)} not found here; submit from a login node of the "
+                "cluster, or give --executor local"
+            )
+    if problems:
+        raise ClusterError.from_problems(problems)
+
+
+def _shards_to_submit(found: Status, *, failed_only: bool) -> list[int]:
+    if found.alive and not failed_only:
+        live = [task.job_id for task in found.tasks if task.state in ("queued", "running")]
+        unsure = [task.job_id for task in found.tasks if task.state == "unknown"]
+        msg = (
+            f"{found.root}: jobs {', '.join((live + unsure)[:5])} of this dataset still live; "
+            "wait for them (`tacgen status`), or give --failed to submit only what none of them "
+            "will make"
+        )
+        raise ClusterError(msg)
+    return sorted(found.failed + found.missing)
+
+
+def _task_count(n_shards: int, executor: str, cluster: Cluster) -> int:
+    """Jobs of ``shards_per_task`` each; here, no more than the processors can run at once."""
+    wanted = -(-n_shards // cluster.shards_per_task)
+    if executor == "local":
+        return min(wanted, max(1, (os.cpu_count() or 1) // cluster.cpus_per_task))
+    return wanted
+
+
+def _shares(shards: Sequence[int], parts: int) -> list[tuple[int, ...]]:
+    """Every parts-th shard: objects differ in what they cost, neighbours are alike."""
+    return [tuple(shards[part::parts]) for part in range(parts)]
+
+
+def _array_limit(executor: str, cluster: Cluster) -> int:
+    if executor == "local":
+        return 1
+    return cluster.max_array or site_array_limit()
+
+
+def _hand_over(
+    tasks: Sequence[CollectTask], folder: Path, executor: str, recipe: Recipe
+) -> tuple[str, ...]:
+    """Submit the tasks, an array at a time, and record each array as soon as it is accepted."""
+    limit = _array_limit(executor, recipe.cluster)
+    recorded: list[Task] = []
+    with _background():
+        engine = _engine(executor, folder, recipe)
+        for start in range(0, len(tasks), limit):
+            batch = tasks[start : start + limit]
+            jobs = _submit_array(engine, batch, executor)
+            recorded += [
+                Task(start + k, job.job_id, task.shards)
+                for k, (job, task) in enumerate(zip(jobs, batch, strict=True))
+            ]
+            submission = Submission(executor, socket.gethostname(), tuple(recorded))
+            write_submission(folder, submission)
+    return tuple(task.job_id for task in recorded)
+
+
+def _submit_array(engine: Any, batch: Sequence[CollectTask], executor: str) -> list[Any]:
+    from submitit.core.utils import FailedJobError, FailedSubmissionError
+
+    try:
+        with engine.batch():
+            return [engine.submit(task) for task in batch]
+    except (FailedJobError, FailedSubmissionError, OSError) as error:
+        msg = f"{executor} refused the jobs: {error}; see the section `cluster` of the recipe"
+        raise ClusterError(msg) from error
+
+
+def _engine(executor: str, folder: Path, recipe: Recipe) -> Any:
+    import submitit
+
+    cluster = recipe.cluster
+    if executor == "local":
+        here = submitit.LocalExecutor(folder)
+        here.update_parameters(timeout_min=_A_WEEK_MIN, setup=list(cluster.setup))
+        return here
+    slurm = submitit.SlurmExecutor(folder, max_num_timeout=cluster.max_timeouts)
+    slurm.update_parameters(**slurm_parameters(cluster, recipe.name))
+    return slurm
+
+
+def slurm_parameters(cluster: Cluster, name: str) -> dict[str, Any]:
+    """The section ``cluster`` in the words of submitit's executor for Slurm."""
+    parameters: dict[str, Any] = {
+        "job_name": f"tacgen-{name}",
+        "time": cluster.time_min,
+        "mem": f"{round(cluster.mem_gb * 1024)}MB",
+        "cpus_per_task": cluster.cpus_per_task,
+        "partition": cluster.partition,
+        "account": cluster.account,
+        "qos": cluster.qos,
+        "constraint": cluster.constraint,
+        "array_parallelism": cluster.max_running,
+        "signal_delay_s": SIGNAL_DELAY_S,
+        "setup": list(cluster.setup) or None,
+        # A node that fails, and a preemption, put the job back into the queue; it resumes.
+        "additional_parameters": {"requeue": True} | dict(cluster.sbatch),
+    }
+    return {key: value for key, value in parameters.items() if value is not None}
+
+
+@contextlib.contextmanager
+def _background() -> Iterator[None]:
+    """Processes started here outlive the terminal and hold none of this process's output.
+
+    submitit's local executor hands its own output and signals on; a pipe behind ``tacgen
+    submit`` would stay open for as long as the jobs run.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(number) for number in (1, 2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    hang_up = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        for number, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(nowhere)
+        signal.signal(signal.SIGHUP, hang_up)
