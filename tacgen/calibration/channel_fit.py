@@ -16,6 +16,8 @@ from tacgen.calibration.slope_fit import SlopeFit, fit_slope
 from tacgen.errors import PressError
 
 MAX_FOLDS = 20
+MIN_SAMPLES_FOR_NOISE = 10
+"""In shorter presses neighbouring samples are too far apart to show a sample's own noise."""
 BLOCKS_OF_A_TRIAL = 8
 """Parts into which a group of one single trial is cut, as its samples are not independent."""
 
@@ -152,7 +154,9 @@ def _held_out(
 def _own_noise(residual: NDArray[Any], trial: NDArray[Any]) -> float:
     """Robust noise of a sample, all components: second differences know no slow course."""
     bends = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
-    bends = bends[(trial[:-2] == trial[2:])]
+    _, index, counts = np.unique(trial, return_inverse=True, return_counts=True)
+    long = counts[index] >= MIN_SAMPLES_FOR_NOISE
+    bends = bends[(trial[:-2] == trial[2:]) & long[1:-1]]
     if not len(bends):
         return float("nan")
     by_component = 1.4826 * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)

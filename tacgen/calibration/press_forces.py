@@ -17,7 +17,7 @@ import yaml
 from numpy.typing import NDArray
 
 from tacgen.calibration.ball import cap_volume_from_circle_mm3
-from tacgen.calibration.contact_circle import find_circle
+from tacgen.calibration.circles import find_circle
 from tacgen.calibration.markers import MIN_DOTS, dot_mask, dot_places_px, dots_at_rest, follow
 from tacgen.calibration.press_log import SHEAR_FORCES, numeric_columns, read_table
 from tacgen.calibration.reconstruct import Reconstructor
@@ -155,14 +155,15 @@ def measure_presses(images: ForceImages, table: LookupTable | None = None) -> Me
     for index in range(len(rows)):
         picture = images.picture(index)
         hidden = (dot_mask(picture) | at_rest) if at_rest is not None else None
+        problem = "shows no contact"
         if reconstructor is not None:
             volumes[index] = reconstructor.shape_of(picture, hidden).volume_mm3
         else:
-            volumes[index] = _ball_volume(images, rows.iloc[index], picture, hidden)
+            volumes[index], problem = _ball_volume(images, rows.iloc[index], picture, hidden)
         if not volumes[index] > 0:
             warnings.append(
-                f"{images.folder / 'presses.csv'}: row {index + 2}: {rows['file'][index]}: no "
-                "contact found; left out: press harder, or check background.png"
+                f"{images.folder / 'presses.csv'}: row {index + 2}: {rows['file'][index]} "
+                f"{problem}; left out: press again, or check background.png"
             )
     frame = _log_frame(rows, volumes)
     if has_dots:
@@ -177,19 +178,26 @@ def measure_presses(images: ForceImages, table: LookupTable | None = None) -> Me
 
 def _ball_volume(
     images: ForceImages, row: pd.Series, picture: Image, hidden: NDArray[np.bool_] | None
-) -> float:
-    """Volume below the contact circle: the ball's cap, and the dome's where the gel has one."""
+) -> tuple[float, str]:
+    """Volume below the contact circle, the ball's cap and the dome's; or 0 and what is wrong."""
     circle_px = float(row.get("contact_radius_px", np.nan))
     if not np.isfinite(circle_px):
-        circle = find_circle(picture, images.background, hidden)
-        if circle is None:
-            return 0.0
+        pair = [_without_dots(each, hidden) for each in (picture, images.background)]
+        circle = find_circle(*pair)
+        if circle.problem:
+            return 0.0, circle.problem
         circle_px = circle.radius_px
     circle_mm = circle_px * images.mm_per_px
     volume = float(cap_volume_from_circle_mm3(circle_mm, row["radius_mm"]))
     if images.dome_radius_mm > 0:
         volume += float(cap_volume_from_circle_mm3(circle_mm, images.dome_radius_mm))
-    return volume
+    return volume, ""
+
+
+def _without_dots(picture: Image, hidden: NDArray[np.bool_] | None) -> Image:
+    if hidden is None:
+        return picture
+    return np.asarray(cv2.inpaint(picture, hidden.astype(np.uint8), 3, cv2.INPAINT_TELEA))
 
 
 def _log_frame(rows: pd.DataFrame, volumes: Floats) -> pd.DataFrame:

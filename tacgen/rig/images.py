@@ -39,6 +39,11 @@ class BallContact:
     markers_mm: Floats
     markers_at_rest_mm: Floats
 
+    def contact_center_px(self) -> tuple[float, float]:
+        """Column and row of the middle of the contact: beside the ball's centre on a dome."""
+        rows, columns = np.nonzero(self.depth_mm)
+        return float(columns.mean()), float(rows.mean())
+
     def contact_radius_mm(self, pixel_area_mm2: float) -> float:
         """Radius of the circle of the contact's area."""
         return float(np.sqrt((self.depth_mm > 0).sum() * pixel_area_mm2 / np.pi))
@@ -169,9 +174,10 @@ def _record(
 ) -> dict[str, Any]:
     record: dict[str, Any] = {"file": name, "radius_mm": sample["radius_mm"]}
     if recipe.images.labels:
+        column, row = contact.contact_center_px()
         record |= {
-            "center_x_px": contact.center_mm[0] / sensor.mm_per_px + (sensor.width_px - 1) / 2,
-            "center_y_px": contact.center_mm[1] / sensor.mm_per_px + (sensor.height_px - 1) / 2,
+            "center_x_px": column,
+            "center_y_px": row,
             "contact_radius_px": contact.contact_radius_mm(sensor.pixel_area_mm2)
             / sensor.mm_per_px,
         }

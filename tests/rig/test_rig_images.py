@@ -71,6 +71,24 @@ def test_a_ball_on_a_flat_gel_takes_its_cap(small):
     )
 
 
+def test_on_a_dome_the_contact_lies_between_the_centres():
+    """Two spheres meet in a circle on the line through their centres, (d² + R_d² − R²) / 2d² on."""
+    given = load_rig_recipe("rig_images_with_forces")
+    given = given.model_copy(
+        update={"sensor": given.sensor.model_copy(update={"name": "gelsight"})}
+    )
+    sensor = rig_sensor(given)
+    assert sensor.dome_radius_mm == 30.0
+    contact = press_ball(sensor, 6.0, (3.0, -2.0), 3.0, np.zeros(2))
+    column, row = contact.contact_center_px()
+    d = 36.0 - contact.depth_mm.max()
+    share = (d**2 + 30.0**2 - 6.0**2) / (2.0 * d**2)
+    x_mm = (column - (sensor.width_px - 1) / 2) * sensor.mm_per_px
+    y_mm = (row - (sensor.height_px - 1) / 2) * sensor.mm_per_px
+    assert x_mm == pytest.approx(3.0 * share, rel=0.01)
+    assert y_mm == pytest.approx(-2.0 * share, rel=0.01)
+
+
 def test_markers_move_by_the_sum_that_was_asked_for(small):
     sensor = rig_sensor(small)
     still = press_ball(sensor, 5.0, (0.0, 0.0), 8.0, np.zeros(2))
