@@ -29,11 +29,15 @@ BallOption = Annotated[
 def rig(
     recipe: RecipeArgument,
     out: Annotated[Path, typer.Option("--out", help="Folder for the log and the images.")],
+    seed: Annotated[
+        int | None, typer.Option(help="Another session of the same recipe.", min=0)
+    ] = None,
 ) -> None:
     """Press balls on a virtual rig: a press log, press images or both, with known truth."""
     from tacgen.rig import load_rig_recipe, run_rig
 
-    for path in run_rig(load_rig_recipe(recipe), out):
+    changes = {} if seed is None else {"seed": seed}
+    for path in run_rig(load_rig_recipe(recipe, changes), out):
         typer.echo(str(path))
 
 

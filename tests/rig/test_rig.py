@@ -191,3 +191,11 @@ def test_the_command_writes_what_it_says(tmp_path):
     result = CliRunner().invoke(app, ["rig", "rig_creep", "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert result.stdout.split() == [str(tmp_path / "truth.yaml"), str(tmp_path / "press_log.csv")]
+
+
+def test_another_seed_is_another_session(tmp_path):
+    for name, options in (("a", []), ("b", ["--seed", "7"]), ("c", ["--seed", "7"])):
+        result = CliRunner().invoke(app, ["rig", "rig", "--out", str(tmp_path / name), *options])
+        assert result.exit_code == 0, result.output
+    logs = [(tmp_path / name / "press_log.csv").read_bytes() for name in "abc"]
+    assert logs[0] != logs[1] == logs[2]
