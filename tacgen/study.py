@@ -26,15 +26,19 @@ MU_VALUES = "0:1:0.05"
 
 
 @dataclass(frozen=True, slots=True)
-class RealFolders:
-    """Real grasps to test on, and others to calibrate on; no grasp may be in both."""
+class Reality:
+    """What is known of the real world: grasps to test on, others to calibrate on, a contact law.
+
+    No grasp may be in both folders. ``contact`` is a ``contact.yaml`` of the real sensor.
+    """
 
     test: Path | None = None
     calibration: Path | None = None
+    contact: Path | None = None
 
 
 def run_study(
-    study: Study, out: Path, real: RealFolders, *, quick: bool = False, workers: int = 1
+    study: Study, out: Path, real: Reality, *, quick: bool = False, workers: int = 1
 ) -> dict[str, Any]:
     """Run every row of a study; what is finished in ``out`` is not done again.
 
@@ -66,11 +70,17 @@ def run_study(
     return result
 
 
-def _check_real(study: Study, real: RealFolders) -> None:
+def _check_real(study: Study, real: Reality) -> None:
     if any(row.calibrate_friction for row in study.rows) and real.calibration is None:
         msg = (
             f"{study.name}: a row calibrates friction, which needs real grasps that are not "
             "tested on; give them with --calibrate-on DIR"
+        )
+        raise TacgenError(msg)
+    if any(row.calibrate_contact for row in study.rows) and real.contact is None:
+        msg = (
+            f"{study.name}: a row takes the real sensor's contact law; give the contact.yaml that "
+            "`tacgen calibrate contact` or `tacgen diagnose contact` wrote with --contact FILE"
         )
         raise TacgenError(msg)
     if real.test is None or real.calibration is None:
@@ -86,13 +96,16 @@ def _check_real(study: Study, real: RealFolders) -> None:
 
 
 def _run_row(
-    study: Study, row: Row, out: Path, real: RealFolders, quick: bool, workers: int
+    study: Study, row: Row, out: Path, real: Reality, quick: bool, workers: int
 ) -> dict[str, Any]:
     data_recipe = study.data_recipe(row, quick=quick)
     train_recipe = study.train_recipe(row, quick=quick)
     friction: Mapping[str, Any] = {}
+    if row.calibrate_contact and real.contact is not None:
+        contact = data_recipe.contact.model_copy(update={"file": str(real.contact)})
+        data_recipe = data_recipe.model_copy(update={"contact": contact})
     if row.calibrate_friction and real.calibration is not None:
-        friction = _fitted_friction(data_recipe, real.calibration, out / "friction", workers)
+        friction = _fitted_friction(data_recipe, real.calibration, out, workers)
         data_recipe = _with_friction(data_recipe, friction)
     data = out / "data" / data_recipe.sha256()[:12]
     run = out / "runs" / re.sub(r"[^a-z0-9]+", "_", row.name.lower()).strip("_")
@@ -113,6 +126,7 @@ def _run_row(
             for name, model in trained["models"].items()
         },
         "not_executed": collected.summary()["not_executed"],
+        "contact_file": data_recipe.contact.file,
         "friction": {name: fit["mu"] for name, fit in friction.items()},
         "sim": evaluate(run, data=data),
     }
@@ -123,10 +137,11 @@ def _run_row(
 
 def _fitted_friction(recipe: Recipe, real: Path, out: Path, workers: int) -> Mapping[str, Any]:
     """μ of each object, as ``tacgen friction`` finds it."""
+    folder = out / "friction" / recipe.sha256()[:12]
     grasps = read_real_grasps(real)
-    fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), out, workers=workers)
+    fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), folder, workers=workers)
     found = friction_json(fits)
-    write_text(out / "friction.json", json.dumps(found, indent=1))
+    write_text(folder / "friction.json", json.dumps(found, indent=1))
     return found
 
 

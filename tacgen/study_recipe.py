@@ -34,11 +34,16 @@ class Variant(Section):
 
 
 class Row(Variant):
-    """A row of the table. ``calibrate_friction`` fits μ to real grasps before it collects."""
+    """A row of the table.
+
+    ``calibrate_friction`` fits μ to real grasps before it collects; ``calibrate_contact`` takes
+    the contact law that was calibrated on the real sensor.
+    """
 
     name: str = Field(min_length=1)
     published: Published = Published()
     calibrate_friction: bool = False
+    calibrate_contact: bool = False
 
 
 class Study(Section):
@@ -60,7 +65,7 @@ class Study(Section):
 
     def data_recipe(self, row: Row, *, quick: bool) -> Recipe:
         """The recipe of the row's dataset."""
-        merged: dict[str, Any] = Field(default_factory=dict)
+        merged: dict[str, Any] = {}
         for part in (self.data, row.data, self.quick.data if quick else {}):
             merged = merged_mapping(merged, part)
         objects = list(row.objects or self.objects)
@@ -71,7 +76,7 @@ class Study(Section):
 
     def train_recipe(self, row: Row, *, quick: bool) -> TrainRecipe:
         """The training recipe of the row."""
-        merged: dict[str, Any] = Field(default_factory=dict)
+        merged: dict[str, Any] = {}
         for part in (self.train, row.train, self.quick.train if quick else {}):
             merged = merged_mapping(merged, part)
         return TrainRecipe.model_validate({"name": self.name, **merged})

@@ -71,6 +71,11 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
         for row in rows
         if row["friction"]
     ]
+    remarks += [
+        f"{row['name']}: contact law from {row['contact_file']}."
+        for row in rows
+        if row["contact_file"]
+    ]
     return [*remarks, *result["notes"]]
 
 

@@ -9,7 +9,7 @@ from tacgen.errors import DatasetError, RecipeError, TacgenError
 from tacgen.recipe import load_recipe
 from tacgen.resources import packaged
 from tacgen.stand_in import write_stand_in
-from tacgen.study import RealFolders, run_study
+from tacgen.study import Reality, run_study
 from tacgen.study_recipe import load_study, merged_mapping
 from tacgen.study_table import markdown_table
 from tests.learning.conftest import collect, make_sample, make_spec, write_real
@@ -137,7 +137,7 @@ def toy_collect(monkeypatch):
 
 def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy_collect):
     study, real = load_study(small_study(tmp_path)), write_real(tmp_path / "real")
-    result = run_study(study, tmp_path / "out", RealFolders(test=real), quick=True)
+    result = run_study(study, tmp_path / "out", Reality(test=real), quick=True)
     assert len(toy_collect) == 1
     assert [row["sim"]["source"] for row in result["rows"]] == ["sim", "sim"]
     assert all("sim_to_real_gap" in row["real"] for row in result["rows"])
@@ -154,10 +154,20 @@ def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, t
     study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
     real = write_real(tmp_path / "real")
     with pytest.raises(TacgenError, match=r"give them with --calibrate-on DIR"):
-        run_study(study, tmp_path / "out", RealFolders(test=real))
+        run_study(study, tmp_path / "out", Reality(test=real))
     with pytest.raises(TacgenError, match=r"share grasps, such as g00; calibrate on other"):
-        run_study(study, tmp_path / "out", RealFolders(test=real, calibration=real))
+        run_study(study, tmp_path / "out", Reality(test=real, calibration=real))
     assert not toy_collect
+
+
+def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
+    study = load_study(small_study(tmp_path, ", calibrate_contact: true"))
+    with pytest.raises(TacgenError, match=r"contact\.yaml .*--contact FILE"):
+        run_study(study, tmp_path / "out", Reality())
+    given = Reality(contact=tmp_path / "contact.yaml")
+    result = run_study(study, tmp_path / "out", given)
+    assert [row["contact_file"] for row in result["rows"]] == [str(given.contact), None]
+    assert f"contact law from {given.contact}" in (tmp_path / "out" / "table.md").read_text()
 
 
 def test_a_dataset_becomes_a_folder_of_grasps_that_says_it_is_not_real(toy, tmp_path):

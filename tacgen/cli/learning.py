@@ -67,6 +67,10 @@ def study(
         Path | None,
         typer.Option("--calibrate-on", help="Other real grasps, to calibrate friction on."),
     ] = None,
+    contact: Annotated[
+        Path | None,
+        typer.Option("--contact", help="The real sensor's contact.yaml, for rows that take it."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="The reduced version.")] = False,
     workers: Annotated[int, typer.Option(min=1, help="Processes that collect.")] = 1,
 ) -> None:
@@ -75,11 +79,10 @@ def study(
     from tacgen.study_recipe import load_study
 
     require_learning_extra()
-    from tacgen.study import RealFolders, run_study
+    from tacgen.study import Reality, run_study
 
-    run_study(
-        load_study(recipe), out, RealFolders(real, calibrate_on), quick=quick, workers=workers
-    )
+    reality = Reality(real, calibrate_on, contact)
+    run_study(load_study(recipe), out, reality, quick=quick, workers=workers)
     typer.echo((out / "table.md").read_text(encoding="utf-8"))
 
 
