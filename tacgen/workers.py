@@ -13,6 +13,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import threading
 import time
 import traceback
 from collections import deque
@@ -202,6 +203,7 @@ def _serve(connection: Connection, make_job: JobFactory) -> None:
     """A worker's life: tasks in, news out, until the supervisor closes the line or is gone."""
     # Ctrl-C reaches the whole group; the supervisor decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with_the_supervisor()
 
     def report(kind: str, item: int, value: Any = None) -> None:
         connection.send((kind, item, value))
@@ -218,6 +220,19 @@ def _serve(connection: Connection, make_job: JobFactory) -> None:
     except Exception:
         # Whatever it is, the supervisor must hear of it; it ends the run with this text.
         _last_words(connection, ("bug", -1, traceback.format_exc()))
+
+
+def _end_with_the_supervisor() -> None:
+    """Amid an item too: whoever takes over must not find the lock of a shard held by an orphan."""
+    supervisor = multiprocessing.parent_process()
+    if supervisor is None:
+        return
+
+    def watch(sentinel: int) -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, args=(supervisor.sentinel,), daemon=True).start()
 
 
 def _last_words(connection: Connection, words: tuple[str, int, str]) -> None:

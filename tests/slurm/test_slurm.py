@@ -1,0 +1,140 @@
+"""A real Slurm of one node: arrays, a kill, a drain, a requeue, and the bytes in the end."""
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tacgen import cluster
+from tacgen.collect import collect
+from tacgen.errors import ClusterError
+from tacgen.recipe import load_recipe, with_cluster
+from tests.small_world import write_world
+
+SCRIPT = Path(__file__).with_name("slurm.sh")
+PROGRAMS = ("slurmctld", "slurmd", "munged", "sbatch", "srun", "squeue", "scontrol")
+PATIENCE_S = 180
+
+
+@pytest.fixture(scope="module")
+def slurm(tmp_path_factory):
+    """A running Slurm; its commands find it by ``SLURM_CONF``."""
+    missing = [name for name in PROGRAMS if shutil.which(name) is None]
+    if missing or os.geteuid() != 0:
+        pytest.skip("a Slurm of one's own takes root and `apt-get install slurm-wlm munge`")
+    folder = tmp_path_factory.mktemp("slurm")
+    subprocess.run(["bash", SCRIPT, "start", folder], check=True, timeout=60)
+    try:
+        with pytest.MonkeyPatch.context() as environment:
+            environment.setenv("SLURM_CONF", str(folder / "slurm.conf"))
+            yield folder
+            subprocess.run(["scancel", "--me", "--signal=KILL", "--full"], check=False)
+            subprocess.run(["scancel", "--me"], check=False)
+            wait_until(lambda: not said("squeue", "--me", "--noheader"), "jobs would not end")
+    finally:
+        subprocess.run(["bash", SCRIPT, "stop", folder], check=True, timeout=60)
+
+
+@pytest.fixture
+def world(slurm, tmp_path, monkeypatch):
+    """Six grasps in six shards: two at a time on two processors."""
+    monkeypatch.chdir(tmp_path)
+    return write_world(tmp_path, dataset="{shard_size: 1}")
+
+
+def said(*command):
+    return subprocess.run(
+        command, capture_output=True, text=True, check=True, timeout=60
+    ).stdout.strip()
+
+
+def wait_until(true, what):
+    deadline = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.1)
+
+
+def hashes(folder):
+    return {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.glob("shards/*.h5"))
+    }
+
+
+def state_of(out, task):
+    return next(entry for entry in cluster.status(out).tasks if entry.task == task)
+
+
+def set_node(state, *reason):
+    node = said("sinfo", "--noheader", "--format=%n")
+    said("scontrol", "update", f"NodeName={node}", f"State={state}", *reason)
+
+
+@pytest.mark.slow
+def test_killed_drained_and_requeued_the_dataset_is_the_local_one(world, tmp_path):
+    """Six jobs in two arrays (the site takes three at a time); three of them meet with trouble."""
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--mem-gb", "0.5", "--shards-per-task", "1", "--json"]
+    submitted = subprocess.run(
+        [sys.executable, "-m", "tacgen", "submit", str(world), *options],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert submitted.returncode == 0, submitted.stderr
+    handed = json.loads(submitted.stdout)
+    assert (len(handed["jobs"]), handed["arrays"]) == (6, 2)
+
+    notes = [out / "jobs/000" / f"task-{task:05d}.json" for task in range(6)]
+    wait_until(lambda: notes[0].is_file() and notes[1].is_file(), "no two jobs began")
+    # The node is drained: what runs goes on, the rest waits.
+    set_node("drain", "Reason=test")
+    said("scontrol", "requeue", handed["jobs"][0])
+    os.kill(json.loads(notes[1].read_text())["pid"], signal.SIGKILL)
+    wait_until(lambda: state_of(out, 1).state == "failed", "the killed job never failed")
+    wait_until(lambda: state_of(out, 0).state == "queued", "the requeued job does not wait")
+    assert state_of(out, 5).state == "queued"
+    assert not notes[5].exists()
+    found = cluster.status(out)
+    assert found.failed == state_of(out, 1).shards
+    assert Path(state_of(out, 1).log).is_file()
+    set_node("resume")
+
+    recipe = with_cluster(load_recipe(world), mem_gb=0.5)
+    again = cluster.submit(recipe, out, cluster.Request("slurm", failed_only=True))
+    assert again.shards == 1
+    found = cluster.wait_for(out)
+    assert found.not_begun == (), cluster.status_text(found)
+    assert state_of(out, 0).attempt == 2
+    collect(recipe, tmp_path / "local", progress=False)
+    assert hashes(out) == hashes(tmp_path / "local")
+
+
+@pytest.mark.slow
+def test_a_job_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path):
+    """The signal that submitit asks Slurm for before a time limit or a preemption."""
+    out = tmp_path / "out"
+    recipe = with_cluster(load_recipe(world), mem_gb=0.5)
+    (job,) = cluster.submit(recipe, out, cluster.Request("slurm")).jobs
+    wait_until(lambda: cluster.status(out).done >= 1, "the job made no shard")
+    said("scancel", "--signal=USR2", job)
+    wait_until(lambda: (out / "jobs/000/task-00000.json").read_text().count("interrupted"), "?")
+    assert cluster.status(out).alive
+    found = cluster.wait_for(out)
+    assert found.done == 6, cluster.status_text(found)
+    assert found.tasks[0].attempt == 2
+
+
+@pytest.mark.slow
+def test_what_slurm_refuses_is_said_in_its_words(world, tmp_path):
+    recipe = with_cluster(load_recipe(world), partition="nowhere")
+    with pytest.raises(ClusterError, match=r"nvalid partition.*section `cluster`"):
+        cluster.submit(recipe, tmp_path / "out", cluster.Request("slurm"))
