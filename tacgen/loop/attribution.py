@@ -42,6 +42,8 @@ PAIRS_FITTED = 8
 FORM_SHARE = 0.04
 """An effect worth less than this share of another of the same kind, a fifth in amplitude, is not
 told from that other one's true form being a little different."""
+WAVE_SHARE = 0.08
+"""The same for an oscillation beside any effect: one frequency of a thousand follows anything."""
 BETWEEN_TRIALS = frozenset(
     {"drift", "conditioning", "temperature", "position", "geometry", "time_s"}
 )
@@ -143,7 +145,7 @@ class Tracer:
             if current.key in visited:
                 break
             visited.add(current.key)
-        current = self._bend_or_limit(self._prune(current))
+        current = self._first_presses(self._bend_or_limit(self._prune(current)))
         return Attribution(base, current, self._describe(current), ranking or ())
 
     def _rough_compliance(self) -> float:
@@ -192,7 +194,8 @@ class Tracer:
         )
         search = [c.nuisance.p_search if c.nuisance is not None else 0.0 for c in pool]
         n_names = 1 if self.few else len({candidate.name for candidate in pool})
-        return np.minimum(np.maximum(scores.shuffle_p_values(statistics), search) * n_names, 1.0)
+        by_shuffle = np.maximum(scores.shuffle_p_values(statistics), search)
+        return np.minimum(by_shuffle * n_names, 1.0)
 
     def _grams(
         self, fit: Fit, pool: Sequence[Candidate]
@@ -324,13 +327,19 @@ class Tracer:
 
     def _is_needed(self, full: Ranked, member: Candidate, alpha: float | None = None) -> bool:
         less = self._less(full, member)
-        if not self._is_worth(less, full) or self._p_value(full, member) > (alpha or self.alpha):
+        if not self._is_worth(less, full) or self._p_value(full, member) > (
+            0.1 * self.alpha if member.name == "time_s" else alpha or self.alpha
+        ):
             return False
         worth = less.loss - full.loss
         kind = _kind_of(member.name)
-        rivals = [m for m in full.members if m.label != member.label and _kind_of(m.name) == kind]
+        is_wave = member.name == "time_s"
+        rivals = [m for m in full.members if m.label != member.label]
+        share = WAVE_SHARE if is_wave else FORM_SHARE
         return all(
-            worth >= FORM_SHARE * (self._less(full, rival).loss - full.loss) for rival in rivals
+            worth >= share * (self._less(full, rival).loss - full.loss)
+            for rival in rivals
+            if is_wave or _kind_of(rival.name) == kind
         )
 
     def _less(self, full: Ranked, member: Candidate) -> Ranked:
@@ -420,6 +429,25 @@ class Tracer:
         term = power.fit.model.terms[-1]
         is_limit = term.values["amount"] < 0 and term.values["exponent"] > LIMIT_EXPONENT
         return limit if is_limit else bend
+
+    def _first_presses(self, ranked: Ranked) -> Ranked:
+        """Where a bent drift does no better than a change of the first presses, take the latter.
+
+        A drift of one sign needs no second or third power; conditioning that fits as well and is
+        over early in the session explains the bend.
+        """
+        drift = next((m for m in ranked.members if m.name == "drift"), None)
+        if drift is None or len(drift.fitted) < 2 or "conditioning" in ranked.key:
+            return ranked
+        rest = self._less(ranked, drift)
+        pool, losses = self._pool(rest)
+        order = [i for i in np.argsort(losses.sum(axis=1)) if pool[i].name == "conditioning"]
+        fits = [self.add(rest, [pool[i]]) for i in order]
+        if not fits:
+            return ranked
+        early = min(fits, key=lambda r: r.loss)
+        over = early.fit.model.terms[-1].values["trials"] < 0.12 * self.data.history.n_trials
+        return early if over and _lead_in_se(ranked, early) < 1.0 else ranked
 
     def _ranking(
         self,

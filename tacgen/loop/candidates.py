@@ -147,13 +147,15 @@ def follows_load(data: ChannelData, name: str) -> bool:
     must not be excused by it.
     """
     history = data.history
-    values = np.nan_to_num(history.column(name))
+    values: NDArray[np.float64] = np.nan_to_num(history.column(name)).astype(np.float64)
     load = history.force_normal_n / history.normal_span_n
     _, unloading = history.reversal("normal")
     time = history.time_in_trial_s / max(float(history.time_in_trial_s.max()), 1e-9)
     basis = [load, load**2, load**3, unloading * 1.0, unloading * load, time, time**2]
-    design = np.stack([_within(b, history.trial_index) for b in basis], axis=1)
-    centred = _within(values, history.trial_index)
+    design = np.stack(
+        [_within(np.asarray(b, dtype=np.float64), history.trial_index) for b in basis], axis=1
+    )
+    centred = _within(values.astype(np.float64), history.trial_index)
     total = float(centred @ centred)
     if total <= 1e-6 * float(((values - values.mean()) ** 2).sum()):
         return False

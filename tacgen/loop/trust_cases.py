@@ -209,7 +209,7 @@ def _lagging(truth: Truth, strength: float, rng: np.random.Generator) -> Array:
 
 
 def _power_conditioning(truth: Truth, rng: np.random.Generator) -> Array:
-    return (1.0 + truth.trial) ** -1.0
+    return 1.0 / (1.0 + truth.trial.astype(np.float64))
 
 
 def _exponential_conditioning(truth: Truth, rng: np.random.Generator) -> Array:

@@ -66,7 +66,7 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
     ]
     gross = [
         variant(f"gross slip at {scale:g}", [{"gross_mu": scale * high}], scales=False)
-        for scale in (0.6, 0.8)
+        for scale in (0.6, 0.8, 0.95)
     ]
     return (*powers, *mindlin, *gross)
 
