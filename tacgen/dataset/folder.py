@@ -8,6 +8,7 @@ import fcntl
 import json
 import os
 import socket
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,9 +29,10 @@ from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.shard_check import content_problems
 from tacgen.dataset.writer import write_shard_file
 from tacgen.errors import DatasetError
-from tacgen.files import atomic_path, write_text
+from tacgen.files import atomic_path, sync_directory, sync_file, write_text
 
 _NO_LINKS_HERE = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
+_LOCK_TRIES, _LOCK_PAUSE_S = 5, 0.02
 _NO_LOCKS_HERE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
@@ -254,6 +256,7 @@ def _create_whole(path: Path, text: str) -> bool:
     partial = path.with_name(f".{path.name}.{socket.gethostname()}.{os.getpid()}.part")
     try:
         partial.write_text(text, encoding="utf-8")
+        sync_file(partial)
         try:
             os.link(partial, path)
         except OSError as error:
@@ -266,6 +269,7 @@ def _create_whole(path: Path, text: str) -> bool:
         return False
     finally:
         partial.unlink(missing_ok=True)
+    sync_directory(path.parent)
     return True
 
 
@@ -274,9 +278,16 @@ def _open_locked(path: Path) -> tuple[int, bool | None]:
 
     None instead of True where this file system has no locks.
     """
+    tries = _LOCK_TRIES
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         held = _lock(descriptor)
+        tries -= 1
+        if held is False and tries:
+            # It may be `running`, looking whether a lock is held: that lasts an instant.
+            os.close(descriptor)
+            time.sleep(_LOCK_PAUSE_S)
+            continue
         # The holder removes the file when it is through: a lock on a removed file is no lock.
         if not held or _is_same_file(descriptor, path):
             return descriptor, held

@@ -1,0 +1,55 @@
+"""Clocks that jump, and a look at a lock at the wrong moment."""
+
+import os
+import threading
+import time
+
+import numpy as np
+
+from tacgen import cluster
+from tacgen.dataset import folder as folder_module
+from tacgen.dataset.verify import verify
+from tacgen.workers import run_tasks
+from tests.dataset.conftest import collect_toy
+from tests.test_workers import Script
+
+
+def test_files_from_the_future_and_the_past_are_as_done_as_others(toy, spec):
+    """Clocks of nodes differ, and are set: only bytes count, and the rate stays a rate."""
+    for n, year_s in enumerate((-1e8, 4e9, 1e9)):
+        os.utime(toy.shard_path(n), (year_s, year_s))
+        os.utime(toy.line_path(n), (year_s, year_s))
+    found = cluster.status(toy.root)
+    assert (found.done, found.not_begun) == (3, ())
+    assert found.rate_grasps_per_s is None
+    assert not verify(toy.root).problems
+    os.utime(toy.manifest_path, (4e9, 4e9))
+    assert len(toy.merge()) == 3
+    assert [toy.is_done(n) for n in range(3)] == [True] * 3
+
+
+def test_the_rate_is_that_of_the_last_shards(tmp_path, spec):
+    """Four grasps in the second shard and two in the third, ten seconds apart each."""
+    folder = collect_toy(tmp_path, spec)
+    for n in range(3):
+        os.utime(folder.shard_path(n), (1e9 + 10 * n, 1e9 + 10 * n))
+    assert cluster.status(tmp_path).rate_grasps_per_s == np.float64(6 / 20)
+    assert cluster.status(tmp_path).time_left_s is None
+
+
+def test_a_leap_of_the_clock_makes_no_grasp_hang(tmp_path, monkeypatch):
+    leaps = iter(np.random.default_rng(0).uniform(-1e8, 1e8, 100_000))
+    monkeypatch.setattr(time, "time", lambda: next(leaps))
+    events = list(run_tasks(range(2), Script(tmp_path, {}), workers=1, item_limit_s=20.0))
+    assert {event.kind for event in events} == {"item", "done"}
+
+
+def test_somebody_looking_at_a_lock_does_not_scare_a_writer_off(toy):
+    """``tacgen status`` tries the locks; a writer that comes at that instant tries again."""
+    descriptor, held = folder_module._open_locked(toy.lock_path(1))
+    assert held
+    release = threading.Timer(0.03, os.close, [descriptor])
+    release.start()
+    with toy.claim(1, redo=True) as mine:
+        assert mine
+    release.join()

@@ -1,0 +1,102 @@
+"""Processes killed at random moments: nothing lost, no wrong byte."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen.dataset import DatasetFolder
+from tacgen.dataset.verify import verify
+from tests.dataset.conftest import collect_toy, make_sample, make_spec
+
+from .conftest import digests
+
+KILLS = 50
+PATIENCE_S = 120
+
+
+def write_what_is_missing(root, spec):
+    folder = DatasetFolder(root)
+    folder.prepare(spec)
+    for shard in range(spec.n_shards):
+        with folder.claim(shard) as mine:
+            if mine:
+                samples = (make_sample(i, spec) for i in spec.shard_range(shard))
+                folder.write_shard(shard, samples, spec)
+    folder.merge()
+
+
+def test_fifty_writers_killed_at_random_moments(tmp_path):
+    """After every kill, what counts as done has the right bytes; the next one goes on."""
+    spec = make_spec(n_grasps=80, shard_size=2)
+    right = digests(collect_toy(tmp_path / "right", spec).root)
+    context = multiprocessing.get_context("fork")
+    rng = np.random.default_rng(0)
+    kills = rounds = 0
+    amid_work = 0
+    while kills < KILLS:
+        folder = DatasetFolder(tmp_path / f"round-{rounds}")
+        rounds += 1
+        while kills < KILLS:
+            writer = context.Process(target=write_what_is_missing, args=(folder.root, spec))
+            writer.start()
+            writer.join(rng.uniform(0.0, 0.15))
+            whole = not writer.is_alive()
+            os.kill(writer.pid, signal.SIGKILL) if not whole else None
+            writer.join()
+            done = [shard for shard in range(spec.n_shards) if folder.is_done(shard)]
+            made = digests(folder.root)
+            assert all(
+                made[folder.shard_path(n).name] == right[folder.shard_path(n).name] for n in done
+            )
+            if whole:
+                break
+            kills += 1
+            amid_work += bool(done)
+        write_what_is_missing(folder.root, spec)
+        assert digests(folder.root) == right
+        assert not verify(folder.root).problems
+        assert not list(folder.root.glob("shards/.*"))
+    assert amid_work > KILLS / 4, "the kills came too early to mean anything"
+
+
+def children_of(pid):
+    """The worker processes of a running ``tacgen collect``: not its resource tracker."""
+    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [
+        int(child)
+        for child in listed
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+
+
+def wait_for_shards(out, count, process):
+    deadline = time.monotonic() + PATIENCE_S
+    while len(list(out.glob("shards/shard-*.json"))) < count:
+        assert time.monotonic() < deadline
+        assert process.poll() is None, "it ended before it was killed"
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+def test_a_worker_and_then_the_parent_are_killed_and_the_next_run_finds_no_lock(
+    world, tmp_path, untroubled
+):
+    """The next run starts at once: an orphan that still held its shard would make it leave it."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", str(out)]
+    first = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
+    wait_for_shards(out, 1, first)
+    (worker,) = children_of(first.pid)
+    os.kill(worker, signal.SIGKILL)
+    wait_for_shards(out, 2, first)
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=PATIENCE_S, capture_output=True)
+    assert digests(out) == untroubled
