@@ -76,7 +76,7 @@ def calibrate_contact(
         if np.isnan(marker_pitch_mm):
             marker_pitch_mm = found.marker_pitch_mm
     elif is_depth_table(log):
-        return _explain_depths(Path(log), Path(out), radius_mm)
+        return _explain_depths(Path(log), Path(out), report, radius_mm)
     fit = fit_contact(
         read_press_log(log, force_unit=force_unit),
         by=by,
@@ -124,9 +124,12 @@ def result_text(result: ContactCalibration, *, json_output: bool) -> str:
     return json.dumps(depth_dict(result.fit), indent=2) if json_output else depth_text(result.fit)
 
 
-def _explain_depths(log: Path, out: Path, radius_mm: float | None) -> ContactCalibration:
+def _explain_depths(
+    log: Path, out: Path, report: Path | None, radius_mm: float | None
+) -> ContactCalibration:
     """The law of curves without volumes is the k_n that all of them share."""
-    found = explain_curves(read_depth_curves(log), radius_mm)
+    curves = read_depth_curves(log)
+    found = explain_curves(curves, radius_mm)
     warnings = depth_warnings(log, found)
     values = [np.log(fit.k_n_mm3_per_n) for fit in found.curves]
     ends = [np.log(fit.k_interval) for fit in found.curves]
@@ -145,4 +148,8 @@ def _explain_depths(log: Path, out: Path, radius_mm: float | None) -> ContactCal
         provenance=MappingProxyType(provenance),
     )
     save_law(law, out)
+    if report is not None:
+        from tacgen.calibration.depth_page import write_depth_page
+
+        write_depth_page(found, curves, warnings, report)
     return ContactCalibration(found, law, warnings)

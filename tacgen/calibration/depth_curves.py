@@ -51,6 +51,8 @@ class BallFit:
     ``radius_interval_mm`` and ``k_interval`` (95 %) come from the profile of the misfit: at its
     ends the other quantities are refitted. An interval that ends at a bound of ``RADII_MM`` is
     open there: the curve cannot tell. ``exponent`` is the slope of log F against log depth.
+    ``waviness`` is the correlation of neighbouring residuals: near 1, what is left over is no
+    noise but shape that a ball on a linear gel does not have, and the intervals are too narrow.
     """
 
     name: str
@@ -62,6 +64,7 @@ class BallFit:
     r_squared: float
     rmse_n: float
     exponent: float
+    waviness: float
     n_samples: int
 
 
@@ -175,6 +178,7 @@ def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
         0
     ]
     spread = ((curve.force_n - curve.force_n.mean()) ** 2).sum()
+    left = curve.force_n - _predict(curve, np.exp(parameters[0]), parameters[1], parameters[2])
     return BallFit(
         name=curve.name,
         radius_mm=float(np.exp(parameters[0])),
@@ -185,6 +189,7 @@ def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
         r_squared=float(1.0 - best / spread),
         rmse_n=float(np.sqrt(best / len(curve.depth_mm))),
         exponent=float(exponent),
+        waviness=float((left[1:] * left[:-1]).mean() / max(float((left**2).mean()), 1e-300)),
         n_samples=len(curve.depth_mm),
     )
 

@@ -7,6 +7,9 @@ from typing import Any
 
 from tacgen.calibration.depth_curves import RADII_MM, BallFit, DepthReport
 
+WAVY = 0.5
+"""Correlation of neighbouring residuals above which they are shape, not noise."""
+
 
 def depth_dict(report: DepthReport) -> dict[str, Any]:
     """The result as plain data."""
@@ -28,6 +31,7 @@ def _curve_dict(fit: BallFit, report: DepthReport) -> dict[str, Any]:
         "r_squared": fit.r_squared,
         "rmse_n": fit.rmse_n,
         "log_log_exponent": fit.exponent,
+        "residual_correlation": fit.waviness,
         "samples": fit.n_samples,
         "with_shared_k_n": {
             "radius_mm": report.shared_radius_mm[fit.name],
@@ -72,6 +76,12 @@ def depth_warnings(path: Path, report: DepthReport) -> tuple[str, ...]:
     for fit in report.curves:
         if fit.radius_interval_mm[1] >= 0.99 * RADII_MM[1]:
             texts.append(f"{path}: curve {fit.name}: no upper bound of the radius can be told")
+        if fit.waviness > WAVY:
+            texts.append(
+                f"{path}: curve {fit.name}: what is left over runs in waves (neighbours correlate "
+                f"by {fit.waviness:.2f}), so it is no noise: this was not exactly a ball on a "
+                "linear gel, and the intervals are too narrow"
+            )
     if not report.one_k_n_will_do:
         texts.append(
             f"{path}: one constant k_n does not explain these curves; contact.yaml holds the best "

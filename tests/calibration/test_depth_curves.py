@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from tacgen.calibration.ball import ball_volume_mm3
 from tacgen.calibration.depth_curves import DepthCurve, explain_curves, read_depth_curves
+from tacgen.calibration.depth_report import depth_warnings
 from tacgen.cli import app
 from tacgen.errors import PressError
 
@@ -46,6 +48,16 @@ def test_one_k_n_or_not():
     assert not other.one_k_n_will_do
 
 
+def test_what_is_no_ball_is_said():
+    """A cone: F grows as d³ and no ball's curve does."""
+    made = curve("a", 2.0, 4.0, 2.5)
+    cone = DepthCurve("cone", made.depth_mm, made.depth_mm**3)
+    found = explain_curves((cone,))
+    assert found.curves[0].waviness > 0.5
+    assert any("no noise" in text for text in depth_warnings(Path("c.csv"), found))
+    assert abs(explain_curves((made,)).curves[0].waviness) < 0.5
+
+
 def test_a_known_radius_is_kept():
     found = explain_curves((curve("a", 5.0, 4.0, 0.3),), radius_mm=5.0).curves[0]
     assert found.radius_mm == pytest.approx(5.0)
@@ -57,6 +69,20 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path):
     pd.DataFrame({"curve": "a", "force_normal_n": [1.0, 2.0], "depth_mm": [0.1, None]}).to_csv(path)
     with pytest.raises(PressError, match="row 3: curve a: depth_mm or force_normal_n is empty"):
         read_depth_curves(path)
+
+
+def test_the_page_shows_the_curves(tmp_path):
+    path = tmp_path / "curves.csv"
+    made = curve("a", 2.0, 4.0, 2.5)
+    pd.DataFrame({"curve": "a", "force_normal_n": made.force_n, "depth_mm": made.depth_mm}).to_csv(
+        path, index=False
+    )
+    arguments = ["calibrate", "contact", str(path), "--out", str(tmp_path / "c.yaml")]
+    result = CliRunner().invoke(app, [*arguments, "--report", str(tmp_path / "report")])
+    assert result.exit_code == 0, result.output
+    page = (tmp_path / "report" / "contact.html").read_text()
+    assert "data:image/png" in page
+    assert "the volume is that of a ball whose radius was fitted" in page
 
 
 def test_measured_curves_by_the_command(measured_data, tmp_path):
