@@ -21,7 +21,7 @@ from tacgen.loop import candidates as cand
 from tacgen.loop import scores
 from tacgen.loop.candidates import Candidate
 from tacgen.loop.channel import MIN_TRIALS_AS_UNITS, ChannelData
-from tacgen.loop.model import Fit, Model, fit_model, start_term
+from tacgen.loop.model import Fit, Model, Term, fit_model, start_term
 from tacgen.loop.nuisance import Nuisance
 from tacgen.loop.waves import find_waves
 
@@ -313,6 +313,8 @@ class Tracer:
         difference = smaller.unit_losses - larger.unit_losses
         error = float(difference.std() * np.sqrt(difference.size))
         gain = float(difference.sum())
+        if self.few and any(_is_at_bound(term) for term in larger.fit.model.terms):
+            return False
         return gain > self.min_gain * self._total(larger) and gain > error
 
     def _total(self, ranked: Ranked) -> float:
@@ -478,7 +480,8 @@ class Tracer:
             ]
             rivals.sort(key=lambda r: r.loss)
             runner = rivals[0] if rivals else None
-            confusable = tuple(r.members[-1].name for r in rivals if _lead_in_se(final, r) < 2.0)
+            close = [r.members[-1].name for r in rivals if _lead_in_se(final, r) < 2.0]
+            confusable = tuple(dict.fromkeys(close))
             described.append(
                 Chosen(
                     member,
@@ -495,6 +498,17 @@ class Tracer:
                 )
             )
         return tuple(described)
+
+
+def _is_at_bound(term: Term) -> bool:
+    """Whether a fitted amount ended where its bound stopped it: then it is no measurement."""
+    for name in term.variant.free:
+        parameter = term.effect.parameter(name)
+        if parameter is not None and parameter.role == "amount":
+            value = term.values[name]
+            if value != parameter.identity and not parameter.low < value < parameter.high:
+                return True
+    return False
 
 
 def _is_converged(fit: Fit) -> bool:
