@@ -134,8 +134,9 @@ def _diagnose_channel(columns: Columns, channel: Channel, session_clock: bool) -
     data = channel_data(columns, channel, rows_per_trial=FULL_FIT_ROWS)
     base = _final_fit(data, Model(attribution.base.fit.model.compliance))
     final = _final_fit(data, attribution.final.fit.model)
-    before_structure = dependences(data, base, rng)
-    after_structure = dependences(data, final, rng)
+    skip = () if session_clock else ("time_s",)
+    before_structure = dependences(data, base, rng, skip)
+    after_structure = dependences(data, final, rng, skip)
     return ChannelDiagnosis(
         data=data,
         attribution=attribution,

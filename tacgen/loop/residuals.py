@@ -48,6 +48,7 @@ def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDAr
         "time_s": history.time_s,
         "trial": history.trial,
     }
+    found = {name: values for name, values in found.items() if name not in skip}
     if history.has("force_shear_x_n", "force_shear_y_n"):
         found["shear_direction"] = np.arctan2(*history.force_shear_n.T[::-1])
         found["shear_force" if data.channel == "normal" else "force_normal_n"] = (

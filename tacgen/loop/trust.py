@@ -155,7 +155,7 @@ def run_study(repeats: int, store: Path) -> list[Outcome]:
                 outcome = _outcome_of(item)
                 done[outcome.seed].append(outcome)
     store.parent.mkdir(parents=True, exist_ok=True)
-    planned = list(cases(repeats))
+    planned = sorted(cases(repeats), key=lambda case: (case[0] == "single", case[1] != 1.5))
     with store.open("a", encoding="utf-8") as file:
         for number, (kind, strength, effects, seed) in enumerate(planned):
             if seed not in done:
