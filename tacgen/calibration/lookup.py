@@ -38,12 +38,18 @@ BEYOND_STEEPEST = 1.02
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A table, how it was fitted, and its score on presses that had no part in fitting it."""
+    """A table, how it was fitted, and its score on presses that had no part in fitting it.
+
+    ``fold_tables`` are those that the score is of: press k was left out of table k mod their
+    number.
+    """
 
     table: LookupTable
     fit: JointFit
     choice: Choice
+    background: NDArray[np.float32]
     heldout: TableScore | None = None
+    fold_tables: tuple[LookupTable, ...] = ()
 
 
 def fit_lookup(presses: PressImages) -> LookupTable:
@@ -70,23 +76,25 @@ def calibrate(presses: PressImages, *, heldout: bool = False) -> Calibration:
     fit = rough
     if (choice.settings, choice.background) != (first, FIRST_BACKGROUND):
         fit = fit_jointly(presses, background, choice.settings, start=rough, iterations=3)
-    score = _heldout(presses) if heldout else None
+    score, tables = _heldout(presses) if heldout else (None, ())
     table = tabulate(presses, fit, background, choice, score)
-    return Calibration(table, fit, choice, score)
+    return Calibration(table, fit, choice, background, score, tables)
 
 
-def _heldout(presses: PressImages) -> TableScore:
+def _heldout(presses: PressImages) -> tuple[TableScore, tuple[LookupTable, ...]]:
     """The score of five tables, each on the fifth of the presses that it was made without."""
     folds = fold_of(len(presses))
     scored: list[PressScore | None] = [None] * len(presses)
+    tables = []
     for fold in np.unique(folds):
         left_out = np.nonzero(folds == fold)[0]
         table = calibrate(presses.select(folds != fold)).table
+        tables.append(table)
         for k, press in zip(
             left_out, score_table(table, presses.select(left_out)).presses, strict=True
         ):
             scored[k] = press
-    return TableScore(tuple(press for press in scored if press is not None))
+    return TableScore(tuple(press for press in scored if press is not None)), tuple(tables)
 
 
 def tabulate(

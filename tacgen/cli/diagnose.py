@@ -76,3 +76,28 @@ def diagnose_contact(
         return
     for found in diagnosis.channels.values():
         typer.echo(found.sentence)
+
+
+@diagnose_app.command("optics")
+def diagnose_optics(
+    presses: Annotated[
+        Path, typer.Argument(help="A folder of press images, or Taxim's dataPack.npz.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder of diagnosis.json, table.npz, page.")],
+    mm_per_px: Annotated[
+        float | None, typer.Option("--mm-per-px", help="Size of a pixel, if not in a file.")
+    ] = None,
+    ball_radius_mm: Annotated[
+        float | None, typer.Option("--ball-radius-mm", help="Its radius, if not in a file.")
+    ] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Trace what a table leaves over on ball presses to optical effects."""
+    from tacgen.loop.optics_report import sentence, write_optics_diagnosis
+
+    diagnosis, used = write_optics_diagnosis(
+        presses, out, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
+    )
+    for line in (*used.warnings, *(str(press) for press in used.doubtful)):
+        typer.echo(f"warning: {line}", err=True)
+    typer.echo(json.dumps(diagnosis.as_dict()) if json_output else sentence(diagnosis))

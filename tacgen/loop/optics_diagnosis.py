@@ -209,10 +209,13 @@ def left_out_squares(presses: PressImages, effects: frozenset[str]) -> FloatArra
 
 
 def _step(current: FloatArray, squares: dict[str, FloatArray]) -> Step:
-    """Error and one-sided paired t-test over the presses for every candidate."""
+    """Error and one-sided paired t-test over the presses for every candidate.
+
+    The test looks at logarithms, so that one press with a large error does not decide.
+    """
     p_value = {}
     for name, square in squares.items():
-        gain = current - square
+        gain = np.log(current) - np.log(square)
         error = gain.std(ddof=1) / math.sqrt(len(gain)) + 1e-12
         p_value[name] = float(student.sf(gain.mean() / error, len(gain) - 1))
     rmse = {name: float(np.sqrt(square.mean())) for name, square in squares.items()}
