@@ -103,7 +103,7 @@ def main(folder: Path) -> None:
     """Write the tables of the shipped sensors into ``folder``."""
     for name in SENSORS:
         path = folder / f"{name}.table.npz"
-        save_table(make_default_table(load_sensor(name)), path)
+        save_table(make_default_table(load_sensor(name, needs_table=False)), path)
         sys.stderr.write(f"{path}\n")
 
 

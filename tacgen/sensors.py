@@ -38,8 +38,10 @@ class _SensorYaml(Section):
     table: str = ""
 
 
-def load_sensor(choice: SensorChoice | str) -> Sensor:
+def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sensor:
     """The sensor that ``choice`` names, with its changes; ``table`` becomes a path that exists.
+
+    With ``needs_table`` False a sensor that is yet to be calibrated has an empty ``table``.
 
     Raises
     ------
@@ -54,7 +56,7 @@ def load_sensor(choice: SensorChoice | str) -> Sensor:
     if choice.table:
         places.reverse()
     found = next((place for place in places if table and place.is_file()), None)
-    if found is None:
+    if found is None and needs_table:
         msg = f"{path}: there is no table {table!r}; `tacgen calibrate lookup` makes one"
         raise RecipeError(msg)
     return Sensor(
@@ -68,5 +70,5 @@ def load_sensor(choice: SensorChoice | str) -> Sensor:
         ),
         markers=Markers(**given.markers.model_dump()) if given.markers else None,
         leds=tuple((led.direction, led.rgb) for led in given.leds),
-        table=str(found),
+        table=str(found or ""),
     )

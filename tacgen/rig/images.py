@@ -51,7 +51,7 @@ class BallContact:
 
 def rig_sensor(recipe: RigRecipe) -> Sensor:
     """The sensor that is pressed."""
-    return load_sensor(recipe.sensor)
+    return load_sensor(recipe.sensor, needs_table=False)
 
 
 def press_ball(
