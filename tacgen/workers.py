@@ -90,13 +90,15 @@ def run_tasks(
                     _hand_out(worker, progress)
             _await_news(crew)
             for k, worker in enumerate(crew):
+                # Looked at once: a worker may die at any line below, and is then found dead next
+                # time, with its task.
+                alive = worker.process.is_alive()
                 yield from _read_news(worker)
-                if worker.process.is_alive():
+                if alive:
                     yield from _end_if_hung(worker, progress, item_limit_s)
                 else:
-                    yield from _read_news(worker)
                     yield from _account_for_death(worker, progress)
-                if not worker.process.is_alive() and (progress.queue or worker.task is not None):
+                if worker.task is None and progress.queue and not worker.process.is_alive():
                     crew[k] = _start(context, make_job)
     finally:
         for worker in crew:
@@ -181,14 +183,24 @@ def _blame_item(worker: _Worker, progress: _Progress, reason: str) -> Event:
     if task is None or item is None:
         msg = "a worker without an item cannot be blamed for one"
         raise RuntimeError(msg)
-    crashed = progress.crashed.setdefault(task, {})
-    crashed[item] = reason
-    if all(item - k in crashed for k in range(MAX_CRASHES_IN_A_ROW)):
+    progress.crashed.setdefault(task, {})[item] = reason
+    if _crashed_around(item, progress) >= MAX_CRASHES_IN_A_ROW:
         msg = f"{MAX_CRASHES_IN_A_ROW} grasps in a row crashed, the last ({item}) because {reason}"
         raise TacgenError(msg)
     worker.task = worker.item = None
     progress.queue.appendleft(task)
     return Event("crashed", task, item, reason)
+
+
+def _crashed_around(item: int, progress: _Progress) -> int:
+    """How many items in a row crashed, this one among them, whatever their tasks."""
+    every = {crashed for items in progress.crashed.values() for crashed in items}
+    first = last = item
+    while first - 1 in every:
+        first -= 1
+    while last + 1 in every:
+        last += 1
+    return last - first + 1
 
 
 def _stop(worker: _Worker) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tacgen import workers
 from tacgen.errors import TacgenError
 from tacgen.workers import run_tasks
 
@@ -47,6 +48,8 @@ class Script:
             os.kill(os.getpid(), signal.SIGKILL)
         elif what == "hang":
             time.sleep(60)
+        elif what == "slow":
+            time.sleep(0.5)
         elif what == "wrong_input":
             raise TacgenError("item 5 is wrong; mend it")
         elif what == "bug":
@@ -90,14 +93,34 @@ def test_a_worker_killed_from_outside_costs_nothing(tmp_path):
     assert [event.task for event in events if event.kind == "retried"] == [1]
 
 
+def test_a_worker_that_dies_between_two_looks_loses_no_task(tmp_path, monkeypatch):
+    look = workers._end_if_hung
+    killed = []
+
+    def look_and_kill(worker, progress, limit_s):
+        yield from look(worker, progress, limit_s)
+        if worker.item == 5 and not killed:
+            worker.process.kill()
+            worker.process.join()
+            killed.append(worker.task)
+
+    monkeypatch.setattr(workers, "_end_if_hung", look_and_kill)
+    done, events = results(tmp_path, {5: "slow"}, workers=1)
+    assert killed == [1]
+    assert done == {task: items_of(task) for task in range(3)}
+    assert [event.task for event in events if event.kind == "retried"] == [1]
+
+
 def test_a_task_whose_worker_is_always_killed_stops_the_run_with_the_cause(tmp_path):
     with pytest.raises(TacgenError, match="out of memory"):
         results(tmp_path, {5: "killed"}, workers=1)
 
 
-def test_three_crashes_in_a_row_stop_the_run_with_the_cause(tmp_path):
+@pytest.mark.parametrize("items", [(4, 5, 6), (6, 7, 8)])
+def test_three_crashes_in_a_row_stop_the_run_with_the_cause(tmp_path, items):
+    """Of one task, or of two that follow each other."""
     with pytest.raises(TacgenError, match=r"3 grasps in a row crashed.*SIGSEGV"):
-        results(tmp_path, dict.fromkeys((4, 5, 6), "segfault"))
+        results(tmp_path, dict.fromkeys(items, "segfault"))
 
 
 def test_wrong_input_ends_the_run_with_its_own_words(tmp_path):

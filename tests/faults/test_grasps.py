@@ -1,6 +1,6 @@
 """Grasps that take their process down, or never end; folders that go amid the work."""
 
-import shutil
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -20,9 +20,11 @@ SCRIPT = Path(__file__).with_name("faulty_collect.py")
 
 
 def collect_faulty(world, out, *faults, limit_s=60):
+    options = ["--out", str(out), "--grasp-limit-s", str(limit_s)]
     return subprocess.run(
-        [sys.executable, SCRIPT, world, out, str(limit_s), *faults],
+        [sys.executable, SCRIPT, "collect", str(world), *options],
         cwd=world.parent,
+        env=os.environ | {"TACGEN_FAULTS": " ".join(faults)},
         capture_output=True,
         text=True,
         timeout=150,
@@ -82,4 +84,3 @@ def test_repair_remakes_the_bad_shard_alone(world, tmp_path, untroubled):
     assert '"shards_made": 1' in run.stdout
     assert digests(out) == untroubled
     assert {path: path.stat().st_mtime_ns for path in others} == others
-    shutil.rmtree(out)
