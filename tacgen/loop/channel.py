@@ -111,9 +111,9 @@ def channel_data(columns: Columns, channel: Channel, *, rows_per_trial: int = 0)
     target = np.stack([history.column(name) for name in TARGETS[channel]], axis=1)
     load = history.force_normal_n[:, None] if channel == "normal" else history.force_shear_n
     rough_k = float((load * target).sum() / max(float((load**2).sum()), 1e-12))
-    noise, precision = noise_and_weight(
-        target - rough_k * load, np.linalg.norm(load, axis=1), history.starts
-    )
+    # Smoothed, since weights that follow a sample's own noise would bias every fit.
+    size = np.linalg.norm(_smoothed(load, history.starts), axis=1)
+    noise, precision = noise_and_weight(target - rough_k * load, size, history.starts)
     n_samples = history.n_samples
     columns, weight = _thinned(columns, history, precision, rows_per_trial)
     history = LoadHistory(columns)
@@ -219,10 +219,9 @@ def _spikes(
     return sticks
 
 
-def smooth_residual(data: ChannelData, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Residual (N, C) lightly smoothed along each trial, to look at."""
+def _smoothed(values: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Means (N, C) over nine neighbouring samples of a trial."""
     parts = [
-        moving_mean(np.ascontiguousarray(residual[:, k]), data.history.starts, 3)
-        for k in range(residual.shape[1])
+        moving_mean(np.ascontiguousarray(values[:, k]), starts, 4) for k in range(values.shape[1])
     ]
     return np.stack(parts, axis=1)

@@ -37,7 +37,12 @@ class Nuisance:
     @property
     def n_columns(self) -> int:
         """Number of columns; ``added`` has its own for each output."""
-        basis = {"levels": len(self.levels), "polynomial": self.degree, "wave": 2}[self.kind]
+        constant = self.how == "added"
+        basis = {
+            "levels": len(self.levels),
+            "polynomial": self.degree + constant,
+            "wave": 2,
+        }[self.kind]
         return basis * (self.n_outputs if self.how == "added" else 1)
 
     @property
@@ -64,7 +69,8 @@ class Nuisance:
             phase = 2.0 * np.pi * self.frequency_hz * (values - self.center)
             return [np.cos(phase), np.sin(phase)]
         scaled = np.nan_to_num((values - self.center) / self.scale, nan=0.0)
-        return [scaled**power for power in range(1, self.degree + 1)]
+        lowest = 0 if self.how == "added" else 1
+        return [scaled**power for power in range(lowest, self.degree + 1)]
 
     def columns(
         self, data: ChannelData, response: NDArray[np.float64]
@@ -84,12 +90,19 @@ def text_nuisances(covariate: str, data: ChannelData) -> list[Nuisance]:
     if levels.size < 2 or levels.size > max(2, data.history.n_trials // 3):
         return []
     used = tuple(str(level) for level, count in zip(levels, counts, strict=True) if count >= 2)
-    if len(used) == levels.size:
-        used = used[1:]
     if not used:
         return []
+    # On the compliance one level is the reference; an added one may be of any level, so that
+    # what is added to one of them alone is not taken for a zero offset beside the others.
+    every = len(used) == levels.size
     return [
-        Nuisance(covariate, "levels", how, levels=used, n_outputs=data.target.shape[1])
+        Nuisance(
+            covariate,
+            "levels",
+            how,
+            levels=used[1:] if every and how == "gain" else used,
+            n_outputs=data.n_outputs,
+        )
         for how in HOWS
     ]
 
