@@ -16,6 +16,7 @@ from tacgen import cluster
 from tacgen.collect import collect
 from tacgen.errors import ClusterError
 from tacgen.recipe import load_recipe, with_cluster
+from tacgen.resources import packaged
 from tests.small_world import write_world
 
 SCRIPT = Path(__file__).with_name("slurm.sh")
@@ -45,13 +46,14 @@ def slurm(tmp_path_factory):
 @pytest.fixture
 def world(slurm, tmp_path, monkeypatch):
     """Six grasps in six shards: two at a time on two processors."""
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     monkeypatch.chdir(tmp_path)
     return write_world(tmp_path, dataset="{shard_size: 1}")
 
 
 def said(*command):
     return subprocess.run(
-        command, capture_output=True, text=True, check=True, timeout=60
+        command, capture_output=True, text=True, check=True, timeout=PATIENCE_S
     ).stdout.strip()
 
 
@@ -131,6 +133,20 @@ def test_a_job_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path):
     found = cluster.wait_for(out)
     assert found.done == 6, cluster.status_text(found)
     assert found.tasks[0].attempt == 2
+
+
+@pytest.mark.slow
+def test_the_shipped_script_collects_as_an_array(world, tmp_path):
+    """``recipes/cluster/collect.sbatch`` as it stands, but for the size of this node."""
+    out = tmp_path / "out"
+    options = ["--wait", "--array=1-2", "--cpus-per-task=1", "--mem=500M"]
+    said("sbatch", *options, str(packaged("recipes") / "cluster/collect.sbatch"), world, out)
+    logs = "".join(path.read_text() for path in tmp_path.glob("tacgen-*.log"))
+    assert "part 0 of 2 (SLURM_ARRAY_TASK_ID): 3 shards" in logs
+    assert "part 1 of 2" in logs
+    assert cluster.status(out).done == 6
+    collect(load_recipe(world), tmp_path / "local", progress=False)
+    assert hashes(out) == hashes(tmp_path / "local")
 
 
 @pytest.mark.slow
