@@ -62,6 +62,10 @@ def diagnose_contact(
     marker_pitch_mm: Annotated[
         float, typer.Option(help="Pitch of the markers whose motion was summed.")
     ] = float("nan"),
+    grasp: Annotated[
+        str | None,
+        typer.Option(help="A recipe with sequences: show its strongest grasp before and after."),
+    ] = None,
     json_output: JsonFlag = False,
 ) -> None:
     """Trace what V = k_n F_n and D = k_s F_s leave over of a press log, and extend the law."""
@@ -71,6 +75,13 @@ def diagnose_contact(
     diagnosis = diagnose_log(log, out, marker_pitch_mm=marker_pitch_mm)
     for note in diagnosis.notes:
         typer.echo(note, err=True)
+    if grasp is not None:
+        from tacgen.before_after import write_before_after
+        from tacgen.recipe import load_recipe
+
+        write_before_after(
+            load_recipe(grasp), diagnosis.linear_law, diagnosis.law, out / "grasp.html"
+        )
     if json_output:
         typer.echo(json.dumps(diagnosis_record(diagnosis), ensure_ascii=False))
         return
