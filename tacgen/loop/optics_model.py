@@ -33,6 +33,7 @@ from tacgen.calibration.table_background import (
     make_background,
     press_drift,
 )
+from tacgen.loop.optics_terms import clip_level, shadow_terms, unclipped
 
 FloatArray = NDArray[np.floating]
 
@@ -198,21 +199,6 @@ def _corner(sample: Sample) -> FloatArray:
     return np.asarray(sample.pixels.position[:, 0] + sample.pixels.position[:, 1])
 
 
-def shadow_terms(sample: Sample, geometry: FloatArray) -> FloatArray:
-    """Terms (n, 10) of shade on the walls of the dent and around it, by direction from the centre.
-
-    A lamp's shadow lies on one side of the contact; what slope alone explains lies on both.
-    """
-    dx = sample.pixels.x_mm - geometry[0]
-    dy = sample.pixels.y_mm - geometry[1]
-    r = np.hypot(dx, dy) / geometry[2]
-    ux, uy = dx / np.maximum(np.hypot(dx, dy), 1e-9), dy / np.maximum(np.hypot(dx, dy), 1e-9)
-    around = np.stack([np.ones_like(r), ux, uy, ux * ux - uy * uy, 2 * ux * uy], axis=-1)
-    outside = np.clip((r - 1.0) / 0.3, 0.0, 1.0)[:, None]
-    wall = np.exp(-(((r - 0.8) / 0.15) ** 2))[:, None]
-    return np.hstack([outside * around, wall * around])
-
-
 def _solve(
     samples: list[Sample],
     geometry: FloatArray,
@@ -228,7 +214,7 @@ def _solve(
     stacked: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for sample, place in zip(samples, geometry, strict=True):
         features = features_of(sample, place, press_model, effects, vignetting)
-        weight = _unclipped(sample, background, level)
+        weight = unclipped(sample, background, level)
         stacked.append((features, sample.change, weight))
         weighted = features * weight[:, None]
         gram = weighted.T @ features if gram is None else gram + weighted.T @ features
@@ -276,23 +262,6 @@ def _solve_with_shadow(
         )
         shadow = np.linalg.solve(shade_gram, rest)
     return model, shadow
-
-
-def _unclipped(sample: Sample, background: FloatArray, level: float) -> FloatArray:
-    """Weights of the pixels; one that is clipped in any channel says nothing of its slope."""
-    if level >= 255:
-        return sample.weight
-    clipped = (sample.pixels.grey >= level - 1).any(axis=1)
-    return np.where(clipped, 0.0, sample.weight)
-
-
-def clip_level(presses: PressImages) -> float:
-    """The grey level that the brightest pixels pile up at; 255 where they do not."""
-    counts = np.bincount(presses.images.ravel(), minlength=256).astype(float)
-    top = int(np.nonzero(counts)[0].max())
-    below = float(np.median(counts[max(0, top - 12) : max(1, top - 2)]))
-    piled = counts[max(0, top - 1) : top + 1].max()
-    return float(top) if piled > 5 * max(below, 1.0) and counts[top] > 50 else 255.0
 
 
 def _refine_vignetting(samples: list[Sample], fit: OpticsFit) -> float:
