@@ -153,7 +153,7 @@ class Cluster(Section):
     constraint: Line | None = None
     max_array: PositiveInt | None = None
     max_running: PositiveInt = 256
-    shards_per_task: PositiveInt = 40
+    shards_per_task: PositiveInt = 20
     max_timeouts: NonNegativeInt = 20
     setup: tuple[Line, ...] = ()
     sbatch: Mapping[str, bool | int | Line] = Field(default_factory=dict)
