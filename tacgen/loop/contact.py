@@ -6,7 +6,6 @@ import json
 import platform
 from collections.abc import Sequence
 from importlib.metadata import version
-from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,14 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.calibration.press_log import PressLog, read_press_log
+from tacgen.calibration.press_log import read_press_log
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.contact.law import ContactLaw, FittedEffect, save_law
 from tacgen.errors import PressError
 from tacgen.files import write_text
 from tacgen.loop import heldout
 from tacgen.loop.attribution import ALPHA, Attribution, Tracer
-from tacgen.loop.candidates import CONTRACT_COLUMNS, follows_load
 from tacgen.loop.channel import TARGETS, ChannelData, Columns, channel_data
 from tacgen.loop.diagnosis import (
     ChannelDiagnosis,
@@ -32,6 +30,7 @@ from tacgen.loop.diagnosis import (
 )
 from tacgen.loop.heldout import Errors
 from tacgen.loop.model import Fit, Model, fit_model, standard_errors, without_noise_bias
+from tacgen.loop.notes import channel_notes, log_notes
 from tacgen.loop.residuals import Dependence, dependences
 from tacgen.loop.yardstick import gp_rmse
 from tacgen.records import Estimate
@@ -57,7 +56,7 @@ def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")
     from tacgen.loop.report import write_report
 
     log = read_press_log(path)
-    diagnosis = diagnose(log.columns, notes=_log_notes(log), session_clock=log.session_clock)
+    diagnosis = diagnose(log.columns, notes=log_notes(log), session_clock=log.session_clock)
     law = diagnosis.law
     provenance = {"data_sha256": {path.name: log.sha256}, **law.provenance}
     law = ContactLaw(
@@ -101,7 +100,7 @@ def diagnose(
             said.append(words)
         if usable is not None:
             channels[channel] = _diagnose_channel(usable, channel, session_clock)
-            said += _trial_notes(channels[channel])
+            said += channel_notes(channels[channel])
     if "normal" not in channels:
         msg = "the log has too few samples under load to fit V = k_n F_n: press harder or longer"
         raise PressError(msg)
@@ -295,62 +294,3 @@ def _scale(columns: Columns, channel: Channel) -> float:
     """RMS of what is measured, which ``nrmse`` is relative to."""
     square = sum(np.asarray(columns[name], dtype=np.float64) ** 2 for name in TARGETS[channel])
     return float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
-
-
-def _log_notes(log: PressLog) -> list[str]:
-    return [*log.warnings, *(str(dropped) for dropped in log.dropped)]
-
-
-def _trial_notes(found: ChannelDiagnosis) -> list[str]:
-    name = found.data.channel
-    return [*_column_notes(found), *_few_trials_notes(found, name)]
-
-
-def _column_notes(found: ChannelDiagnosis) -> list[str]:
-    """What is not taken as a covariate, and why."""
-    data, notes = found.data, []
-    for column, values in data.columns.items():
-        if column in CONTRACT_COLUMNS:
-            continue
-        array = np.asarray(values)
-        levels = np.unique(array)
-        if levels.size == 1:
-            notes.append(f"column {column!r} is constant: nothing can be said of it")
-        elif not np.issubdtype(array.dtype, np.number):
-            per_trial = np.unique(data.history.text(column)[data.history.starts[:-1]])
-            if levels.size > max(2, data.history.n_trials // 3):
-                notes.append(
-                    f"column {column!r} has {levels.size} values for {data.history.n_trials} "
-                    f"trials ({per_trial.size} at their starts): too many to compare"
-                )
-        elif follows_load(data, column):
-            notes.append(
-                f"column {column!r} follows load and time within each trial: it is taken for "
-                "another reading of the press, not for a condition that may change the law"
-            )
-    return notes + _equal_columns(data)
-
-
-def _equal_columns(data: ChannelData) -> list[str]:
-    names = [n for n, v in data.columns.items() if np.issubdtype(np.asarray(v).dtype, np.number)]
-    values = {n: np.nan_to_num(data.history.column(n)) for n in names}
-    return [
-        f"columns {a!r} and {b!r} are equal: what follows the one cannot be told from the other"
-        for a, b in combinations(names, 2)
-        if b not in CONTRACT_COLUMNS and np.array_equal(values[a], values[b])
-    ]
-
-
-def _few_trials_notes(found: ChannelDiagnosis, name: str) -> list[str]:
-    if found.n_test == 0:
-        return [
-            f"{name} channel: one trial only; the errors are those on the trial that was fitted. "
-            "Press at least twice, better twelve times"
-        ]
-    if found.n_test == 1:
-        return [
-            f"{name} channel: {found.n_fit + 1} trials are too few to set some aside; each was "
-            "left out in turn, and parts of trials stood in for trials in the tests, which "
-            "makes p-values optimistic. Press at least twelve times"
-        ]
-    return []

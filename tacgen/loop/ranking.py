@@ -1,0 +1,270 @@
+"""Fit sets of candidates and judge them on held-out trials: what selection is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.contact.effects import Effect
+from tacgen.loop import candidates as cand
+from tacgen.loop import scores
+from tacgen.loop.candidates import Candidate
+from tacgen.loop.channel import MIN_TRIALS_AS_UNITS, ChannelData
+from tacgen.loop.model import Fit, Model, Term, fit_model, start_term
+from tacgen.loop.nuisance import Nuisance
+from tacgen.loop.waves import find_waves
+
+ALPHA = 0.01
+"""Chance of a first false effect, over all candidates together."""
+MIN_GAIN = 0.01
+"""Least share of the held-out sum of squares that an effect must take: one of a tenth of the
+noise is not worth a parameter, and below it the noise of the force is no longer negligible."""
+FEW_ALPHA, FEW_MIN_GAIN = 0.05, 0.2
+"""With too few trials to shuffle: parts of trials are not independent, so that p-values say
+little, and only what takes a fifth of the sum of squares from parts left out is believed."""
+N_SHUFFLES = 1999
+N_WAVE_SHUFFLES = 40
+N_FOLDS = 10
+MAX_MEMBERS = 5
+SINGLES_FITTED = 6
+PAIRS_FITTED = 8
+FORM_SHARE = 0.04
+"""An effect worth less than this share of another of the same kind, a fifth in amplitude, is not
+told from that other one's true form being a little different."""
+WAVE_SHARE = 0.08
+"""The same for an oscillation beside any effect: one frequency of a thousand follows anything."""
+BETWEEN_TRIALS = frozenset(
+    {"drift", "conditioning", "temperature", "position", "geometry", "time_s"}
+)
+LIMIT_EXPONENT = 1.5
+TIE_IN_SE = 2.5
+PAIRS_SCORED = 60
+PAIR_SHARE = 0.85
+SINGLE_SHARE = 0.5
+"""Candidates whose linearised gain is below this share of the best one's are not fitted."""
+PAIR_POOL = 44
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A set of candidates that was fitted, and how well it predicts trials it did not see."""
+
+    members: tuple[Candidate, ...]
+    fit: Fit
+    unit_losses: NDArray[np.float64]
+
+    @property
+    def loss(self) -> float:
+        """Held-out sum of squares."""
+        return float(self.unit_losses.sum())
+
+    @property
+    def key(self) -> frozenset[str]:
+        """Names of the members."""
+        return frozenset(member.name for member in self.members)
+
+
+class Ranker:
+    """Fits on one channel's fit trials, kept by their members, and what they are worth."""
+
+    def __init__(
+        self,
+        data: ChannelData,
+        rng: np.random.Generator,
+        skip: Sequence[str] = (),
+        *,
+        session_clock: bool = True,
+    ) -> None:
+        self.data = data
+        self.effects: list[Effect] = [
+            e for e in cand.usable_effects(data) if session_clock or e.name != "drift"
+        ]
+        self.nuisances: list[Nuisance] = cand.covariate_nuisances(data, skip)
+        self.session_clock = session_clock
+        self.few = data.history.n_trials < MIN_TRIALS_AS_UNITS
+        self.max_members = min(MAX_MEMBERS, data.history.n_trials)
+        self.alpha = FEW_ALPHA if self.few else ALPHA
+        self.min_gain = FEW_MIN_GAIN if self.few else MIN_GAIN
+        self.folds = scores.fold_of_units(data.n_units, N_FOLDS)
+        self.shuffled = scores.shuffles(data.n_units, N_SHUFFLES, rng)
+        self._fits: dict[tuple[str, ...], Ranked] = {}
+        self._waves: list[Nuisance] = []
+
+    def _rough_compliance(self) -> float:
+        history, target = self.data.history, self.data.target
+        load = history.force_normal_n[:, None]
+        if self.data.channel == "shear":
+            load = history.force_shear_n
+        return float((load * target).sum() / max(float((load**2).sum()), 1e-12)) or 1e-6
+
+    def rank(self, members: tuple[Candidate, ...], start: Model) -> Ranked:
+        """Fit ``members`` from ``start`` and cross-validate around the fit."""
+        key = tuple(sorted(member.label for member in members))
+        if key not in self._fits:
+            fit = fit_model(self.data, start)
+            design = np.column_stack([fit.jacobian, fit.residual])
+            grams = scores.unit_grams(self.data, design)
+            columns = range(fit.jacobian.shape[1])
+            losses = scores.cv_losses(grams, self.folds, [list(columns)])[0]
+            if not _is_converged(fit):
+                losses = np.maximum(grams[:, -1, -1], losses)
+            self._fits[key] = Ranked(members, fit, losses)
+        return self._fits[key]
+
+    def _pool(
+        self, current: Ranked, *, new_waves: bool = False
+    ) -> tuple[list[Candidate], NDArray[np.float64]]:
+        """Candidates beside ``current`` and the losses they leave on held-out units."""
+        fit, taken = current.fit, current.key
+        effects = [e for e in self.effects if e.name not in taken]
+        pool = cand.effect_candidates(self.data, fit.model, effects)
+        others = [n for n in self.nuisances if n.covariate not in taken]
+        pool += cand.nuisance_candidates(self.data, fit, others)
+        if "time_s" not in taken and self.session_clock:
+            if new_waves or not self._waves:
+                self._waves = find_waves(self.data, fit, self.shuffled.signs[1:N_WAVE_SHUFFLES])
+            pool += cand.nuisance_candidates(self.data, fit, self._waves)
+        grams, groups, base = self._grams(fit, pool)
+        return pool, scores.losses_of_groups(grams, self.folds, base, groups)
+
+    def _p_values(self, current: Ranked, pool: Sequence[Candidate]) -> NDArray[np.float64]:
+        """Return the p of each candidate, corrected for the number of names looked at."""
+        constant = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
+        grams, groups, base = self._grams(current.fit, [*pool, constant])
+        statistics = scores.shuffle_statistics(
+            grams, base, groups[:-1], self.shuffled, groups[-1][0]
+        )
+        search = [c.nuisance.p_search if c.nuisance is not None else 0.0 for c in pool]
+        n_names = 1 if self.few else len({candidate.name for candidate in pool})
+        by_shuffle = np.maximum(scores.shuffle_p_values(statistics), search)
+        return np.minimum(by_shuffle * n_names, 1.0)
+
+    def _grams(
+        self, fit: Fit, pool: Sequence[Candidate]
+    ) -> tuple[NDArray[np.float64], list[list[int]], list[int]]:
+        base = list(range(fit.jacobian.shape[1]))
+        groups, position = [], len(base)
+        for candidate in pool:
+            width = candidate.columns.shape[1]
+            groups.append(list(range(position, position + width)))
+            position += width
+        design = np.column_stack([fit.jacobian, *(c.columns for c in pool), fit.residual])
+        return scores.unit_grams(self.data, design), groups, base
+
+    def add(self, current: Ranked, more: Sequence[Candidate]) -> Ranked:
+        """``current`` with ``more`` members, fitted from the linear solution."""
+        members = (*current.members, *more)
+        fit = current.fit
+        grams, groups, base = self._grams(fit, more)
+        share = scores.coefficients(
+            grams.sum(axis=0), [*base, *(i for group in groups for i in group)]
+        )[len(base) :]
+        model, position = fit.model, 0
+        for candidate in more:
+            width = candidate.columns.shape[1]
+            part = share[position : position + width]
+            position += width
+            if candidate.effect is not None and candidate.variant is not None:
+                scales = part if candidate.variant.scales else np.ones(len(part))
+                term = start_term(candidate.effect, candidate.variant, self.data, list(scales))
+                model = replace(model, terms=(*model.terms, term))
+            elif candidate.nuisance is not None:
+                model = replace(
+                    model,
+                    nuisances=(*model.nuisances, candidate.nuisance),
+                    coefficients=(*model.coefficients, *(float(v) for v in part)),
+                )
+        return self.rank(members, model)
+
+    def _is_worth(self, smaller: Ranked, larger: Ranked) -> bool:
+        """Whether the larger model's gain on held-out units is large and above its own error."""
+        difference = smaller.unit_losses - larger.unit_losses
+        error = float(difference.std() * np.sqrt(difference.size))
+        gain = float(difference.sum())
+        if self.few and any(_is_at_bound(term) for term in larger.fit.model.terms):
+            return False
+        return gain > self.min_gain * self._total(larger) and gain > error
+
+    def _total(self, ranked: Ranked) -> float:
+        """Held-out sum of squares, the noise included."""
+        return max(self.data.noise_loss + ranked.loss, 0.5 * self.data.noise_loss)
+
+    def _is_needed(self, full: Ranked, member: Candidate, alpha: float | None = None) -> bool:
+        less = self._less(full, member)
+        if not self._is_worth(less, full) or self._p_value(full, member) > (
+            0.1 * self.alpha if member.name == "time_s" else alpha or self.alpha
+        ):
+            return False
+        worth = less.loss - full.loss
+        kind = _kind_of(member.name)
+        is_wave = member.name == "time_s"
+        rivals = [m for m in full.members if m.label != member.label]
+        share = WAVE_SHARE if is_wave else FORM_SHARE
+        return all(
+            worth >= share * (self._less(full, rival).loss - full.loss)
+            for rival in rivals
+            if is_wave or _kind_of(rival.name) == kind
+        )
+
+    def _less(self, full: Ranked, member: Candidate) -> Ranked:
+        """``full`` without ``member``, refitted."""
+        members = tuple(m for m in full.members if m.label != member.label)
+        return self.rank(members, _model_without(full.fit.model, member))
+
+    def _p_value(self, full: Ranked, member: Candidate) -> float:
+        """Return the p of the member's columns beside the others, not corrected for a choice."""
+        less = self._less(full, member)
+        fresh = self._fresh(less, member)
+        return 1.0 if fresh is None else float(self._p_values(less, [fresh])[0])
+
+    def _fresh(self, ranked: Ranked, member: Candidate) -> Candidate | None:
+        """``member`` with columns linearised at another fit."""
+        fit = ranked.fit
+        if member.nuisance is not None:
+            return cand.nuisance_candidates(self.data, fit, [member.nuisance])[0]
+        if member.effect is None or member.variant is None:
+            return None
+        for found in cand.effect_candidates(self.data, fit.model, [member.effect]):
+            if found.variant is not None and found.variant.label == member.variant.label:
+                return found
+        return None
+
+
+def _is_at_bound(term: Term) -> bool:
+    """Whether a fitted amount ended where its bound stopped it: then it is no measurement."""
+    for name in term.variant.free:
+        parameter = term.effect.parameter(name)
+        if parameter is not None and parameter.role == "amount":
+            value = term.values[name]
+            if value != parameter.identity and not parameter.low < value < parameter.high:
+                return True
+    return False
+
+
+def _is_converged(fit: Fit) -> bool:
+    """Whether one more linear step would change little, so that it may stand for a refit."""
+    predicted = fit.jacobian @ np.linalg.lstsq(fit.jacobian, fit.residual, rcond=1e-9)[0]
+    return float(predicted @ predicted) < 0.01 * fit.loss
+
+
+def _kind_of(name: str) -> str:
+    """Whether an effect tells trials apart or acts within each of them."""
+    return "between trials" if name in BETWEEN_TRIALS else "within trials"
+
+
+def _model_without(model: Model, member: Candidate) -> Model:
+    if member.nuisance is None:
+        return model.without(member.name)
+    nuisances: list[Nuisance] = []
+    coefficients: list[float] = []
+    position = 0
+    for nuisance in model.nuisances:
+        share = model.coefficients[position : position + nuisance.n_columns]
+        position += nuisance.n_columns
+        if nuisance != member.nuisance:
+            nuisances.append(nuisance)
+            coefficients += share
+    return replace(model, nuisances=tuple(nuisances), coefficients=tuple(coefficients))
