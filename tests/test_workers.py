@@ -48,6 +48,8 @@ class Script:
             os.kill(os.getpid(), signal.SIGKILL)
         elif what == "hang":
             time.sleep(60)
+        elif what == "brief":
+            time.sleep(0.01)
         elif what == "slow":
             time.sleep(0.5)
         elif what == "wrong_input":

@@ -1,5 +1,6 @@
 """Processes killed at random moments: nothing lost, no wrong byte."""
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -13,7 +14,9 @@ import pytest
 
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.verify import verify
+from tacgen.workers import run_tasks
 from tests.dataset.conftest import collect_toy, make_sample, make_spec
+from tests.test_workers import ITEMS_PER_TASK, Script, items_of
 
 from .conftest import digests
 
@@ -64,6 +67,27 @@ def test_fifty_writers_killed_at_random_moments(tmp_path):
         assert not verify(folder.root).problems
         assert not list(folder.root.glob("shards/.*"))
     assert amid_work > KILLS / 4, "the kills came too early to mean anything"
+
+
+@pytest.mark.slow
+def test_workers_killed_at_random_moments_lose_no_item(tmp_path):
+    """Whenever news of an item comes, its worker may be shot, wherever it is by then."""
+    rng = np.random.default_rng(1)
+    n_tasks = 20
+    shot = dict.fromkeys(range(n_tasks), 0)
+    done = {}
+    script = Script(tmp_path, dict.fromkeys(range(n_tasks * ITEMS_PER_TASK), "brief"))
+    for event in run_tasks(range(n_tasks), script, workers=2, item_limit_s=60.0):
+        if event.kind == "item" and shot[event.task] < 2 and rng.random() < 0.6:
+            time.sleep(rng.uniform(0.0, 0.03))
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(event.value, signal.SIGKILL)
+                shot[event.task] += 1
+        if event.kind == "done":
+            assert event.task not in done
+            done[event.task] = event.value
+    assert done == {task: items_of(task) for task in range(n_tasks)}
+    assert sum(shot.values()) > n_tasks
 
 
 def children_of(pid):
