@@ -103,11 +103,11 @@ class Tracer(Ranker):
             if pool[i].name in significant
         ]
         singles = [s for s in singles if self._is_worth(current, s)]
-        best_single = min(singles, key=lambda r: r.loss, default=None)
+        best_single = min(singles, key=self._score, default=None)
         if len(current.members) + 2 > self.max_members:
             return best_single
         pairs = [self.add(current, pair) for pair in self._best_pairs(current, pool, order)]
-        pairs.sort(key=lambda r: r.loss)
+        pairs.sort(key=self._score)
         for pair in pairs:
             gains_more = self._is_worth(best_single or current, pair)
             if gains_more and self._both_needed(current, pair):
@@ -187,7 +187,7 @@ class Tracer(Ranker):
                 rest = self._less(ranked, member)
                 for other in self._alternatives(rest, ranked):
                     trial = self.add(rest, [other])
-                    if trial.loss < best.loss - 1e-3 * self._total(best):
+                    if self._score(trial) < self._score(best) - 1e-3 * self._total(best):
                         best = trial
             if best is ranked:
                 return ranked

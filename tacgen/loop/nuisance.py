@@ -37,12 +37,7 @@ class Nuisance:
     @property
     def n_columns(self) -> int:
         """Number of columns; ``added`` has its own for each output."""
-        constant = self.how == "added"
-        basis = {
-            "levels": len(self.levels),
-            "polynomial": self.degree + constant,
-            "wave": 2,
-        }[self.kind]
+        basis = {"levels": len(self.levels), "polynomial": self.degree, "wave": 2}[self.kind]
         return basis * (self.n_outputs if self.how == "added" else 1)
 
     @property
@@ -69,8 +64,7 @@ class Nuisance:
             phase = 2.0 * np.pi * self.frequency_hz * (values - self.center)
             return [np.cos(phase), np.sin(phase)]
         scaled = np.nan_to_num((values - self.center) / self.scale, nan=0.0)
-        lowest = 0 if self.how == "added" else 1
-        return [scaled**power for power in range(lowest, self.degree + 1)]
+        return [scaled**power for power in range(1, self.degree + 1)]
 
     def columns(
         self, data: ChannelData, response: NDArray[np.float64]

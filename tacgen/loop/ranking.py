@@ -188,6 +188,11 @@ class Ranker:
             return False
         return gain > self.min_gain * self._total(larger) and gain > error
 
+    def _score(self, ranked: Ranked) -> float:
+        """Loss for comparing rivals: a covariate must beat an effect by what is worth one."""
+        n_covariates = sum(not member.is_effect for member in ranked.members)
+        return ranked.loss + MIN_GAIN * n_covariates * self._total(ranked)
+
     def _total(self, ranked: Ranked) -> float:
         """Held-out sum of squares, the noise included."""
         return max(self.data.noise_loss + ranked.loss, 0.5 * self.data.noise_loss)
