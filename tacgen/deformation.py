@@ -29,14 +29,19 @@ class Deformation:
 
 
 def deformation(
-    law: ContactLaw, frames: Sequence[ContactFrame], k_n_factor: float = 1.0
+    law: ContactLaw,
+    frames: Sequence[ContactFrame],
+    *,
+    grasp_index: int = 0,
+    k_n_factor: float = 1.0,
 ) -> Deformation:
     """The deformation of the gel at a grasp's frames.
 
     The history that the law sees starts unloaded at the start of closing, so that effects with
-    memory know how long the load has been on.
+    memory know how long the load has been on. ``grasp_index`` counts the grasps on this gel, so
+    that a gel that is conditioned by its first presses is so in a dataset too.
     """
-    history = load_history(frames)
+    history = load_history(frames, grasp_index)
     volume_mm3, shear_sum_mm = (values[1:] for values in law.predict(history, simulate=True))
     k_s = 0.0 if math.isnan(law.k_s_mm_per_n.value) else law.k_s_mm_per_n.value
     turn_sum_mm2 = k_s * np.array([frame.torsion_n_mm for frame in frames])
@@ -47,13 +52,15 @@ def deformation(
     return Deformation((volume_mm3 * k_n_factor).tolist(), nothing, shear_sum_mm, turn_sum_mm2)
 
 
-def load_history(frames: Sequence[ContactFrame]) -> Mapping[str, NDArray[np.float64]]:
+def load_history(
+    frames: Sequence[ContactFrame], grasp_index: int = 0
+) -> Mapping[str, NDArray[np.float64]]:
     """The columns of a press log for one grasp, with an unloaded sample before the first frame."""
     first_s = min(0.0, frames[0].time_s)
     # Two samples of one trial may not share a time.
     start_s = first_s if frames[0].time_s > first_s else first_s - 1e-3
     return {
-        "trial": np.zeros(len(frames) + 1),
+        "trial": np.full(len(frames) + 1, float(grasp_index)),
         "time_s": np.array([start_s, *(frame.time_s for frame in frames)]),
         "force_normal_n": np.array([0.0, *(frame.force_normal_n for frame in frames)]),
         "force_shear_x_n": np.array([0.0, *(frame.force_shear_n[0] for frame in frames)]),

@@ -84,7 +84,7 @@ class GraspPipeline:
         frame = grasp_frame(trace)
         noise = _rng(planned, _STREAM_NOISE)
         pads = {
-            pad: self._feel(grasped, frames, frame, variation, noise)
+            pad: self._feel(grasped, frames, frame, planned.config.index, variation, noise)
             for pad, frames in trace.frames.items()
             if trace.status == "executed"
         }
@@ -113,11 +113,14 @@ class GraspPipeline:
         grasped: GraspObject,
         frames: tuple[ContactFrame, ...],
         grasp_frame: int,
+        grasp_index: int,
         variation: Variation,
         noise: np.random.Generator,
     ) -> PadSample:
         """The images and depths of one pad over a grasp's frames."""
-        bulk = deformation(self._law, frames, variation.k_n_factor)
+        bulk = deformation(
+            self._law, frames, grasp_index=grasp_index, k_n_factor=variation.k_n_factor
+        )
         felt = [
             self._pad.feel(
                 grasped.surface,

@@ -78,6 +78,19 @@ def test_a_single_frame_knows_how_long_the_load_has_been_on():
     assert 20 < early < late < 26
 
 
+def test_a_gel_is_conditioned_by_the_first_grasps_of_a_dataset():
+    parameters = {"amount": Estimate(0.5), "trials": Estimate(2.0)}
+    effect = FittedEffect("conditioning", "normal", MappingProxyType(parameters))
+    law = replace(ContactLaw.linear(5.0), effects=(effect,))
+    volume = [
+        deformation(law, frames([4], [1.0]), grasp_index=index).volume_mm3[0]
+        for index in (0, 1, 100)
+    ]
+    # Gain 1 + 0.5 exp(−n / 2), n the grasps before this one.
+    expected = [20 * (1 + 0.5 * math.exp(-n / 2)) for n in (0, 1, 100)]
+    assert volume == pytest.approx(expected, rel=1e-9)
+
+
 def test_the_history_starts_unloaded_at_distinct_times():
     for first in (0.0, 0.7):
         history = load_history(frames([1, 2], [first, first + 1]))
