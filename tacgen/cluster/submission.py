@@ -74,16 +74,16 @@ def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
     shards = _shards_to_submit(found, failed_only=request.failed_only)
     if not shards:
         return Submitted(str(out), request.executor, 0, (), 0)
-    folder = JobsFolder(out.resolve()).create()
     cluster = recipe.cluster
+    limit = _array_limit(request.executor, cluster)
+    folder = JobsFolder(out.resolve()).create()
     shares = _shares(shards, _task_count(len(shards), request.executor, cluster))
     tasks = [
         CollectTask(recipe, out.resolve(), share, cluster.cpus_per_task, note_path(folder, number))
         for number, share in enumerate(shares)
     ]
-    jobs = _hand_over(tasks, folder, request.executor, recipe)
-    array = _array_limit(request.executor, cluster)
-    return Submitted(str(folder), request.executor, len(shards), jobs, -(-len(jobs) // array))
+    jobs = _hand_over(tasks, folder, request.executor, recipe, limit)
+    return Submitted(str(folder), request.executor, len(shards), jobs, -(-len(jobs) // limit))
 
 
 def wait_for(root: Path, show: Callable[[Status], None] = lambda _: None) -> Status:
@@ -148,10 +148,9 @@ def _array_limit(executor: str, cluster: Cluster) -> int:
 
 
 def _hand_over(
-    tasks: Sequence[CollectTask], folder: Path, executor: str, recipe: Recipe
+    tasks: Sequence[CollectTask], folder: Path, executor: str, recipe: Recipe, limit: int
 ) -> tuple[str, ...]:
     """Submit the tasks, an array at a time, and record each array as soon as it is accepted."""
-    limit = _array_limit(executor, recipe.cluster)
     recorded: list[Task] = []
     with _background():
         engine = _engine(executor, folder, recipe)
