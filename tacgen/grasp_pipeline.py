@@ -37,6 +37,7 @@ from tacgen.records import (
     GraspTrace,
     frozen_array,
 )
+from tacgen.resources import contact_law_path
 from tacgen.scene import PICTURE_PX, grasp_picture
 from tacgen.sensors import load_sensor
 
@@ -175,7 +176,7 @@ def contact_law(contact: Contact) -> ContactLaw:
         If the file is not a contact law.
     """
     if contact.file is not None:
-        return load_law(contact.file)
+        return load_law(contact_law_path(contact.file))
     law = ContactLaw.linear(contact.k_n_mm3_per_n, contact.k_s_mm_per_n or math.nan)
     if contact.law == "linear_depth":
         k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
@@ -228,7 +229,7 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
     calibration = {"table": sha256_of(Path(sensor.table))}
     if recipe.contact.file is not None:
         contact_law(recipe.contact)
-        calibration["contact_law"] = sha256_of(Path(recipe.contact.file))
+        calibration["contact_law"] = sha256_of(contact_law_path(recipe.contact.file))
     return DatasetSpec(
         recipe=recipe.resolved(),
         recipe_sha256=recipe.sha256(),

@@ -28,6 +28,11 @@ def sensor_path(name: str, *, beside: Path | None = None) -> Path:
     return _find_yaml(name, "recipes/sensors", "sensor", beside)
 
 
+def contact_law_path(name: str) -> Path:
+    """The ``contact.yaml`` that a recipe names, found the same way."""
+    return _find_yaml(name, "recipes", "contact law", None)
+
+
 def _find_yaml(name: str, folder: str, kind: str, beside: Path | None) -> Path:
     file = name if name.endswith((".yaml", ".yml")) else f"{name}.yaml"
     places = [Path(file), Path(folder) / file, packaged("recipes").parent / folder / file]
