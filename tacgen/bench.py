@@ -12,6 +12,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -128,7 +129,7 @@ def _grasp_figures(repeats: int) -> list[Figure]:
         )
         planned = plan_recipe(recipe)[0]
         with GraspPipeline(recipe) as pipeline:
-            seconds = _median_s(lambda p=pipeline, g=planned: p.sample(g), repeats)
+            seconds = _median_s(partial(pipeline.sample, planned), repeats)
             if frames["mode"] == "single":
                 share = _physics_share(pipeline, planned, repeats)
         what = "1 image" if frames["mode"] == "single" else f"{SEQUENCE_FRAMES} images"

@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull
 from tacgen.objects_io import load_object
 from tacgen.objects_io.description import read_description
 from tacgen.objects_io.load import build_shape
-from tacgen.shading import depth_view, view_axes
 from tacgen.resources import packaged
+from tacgen.shading import depth_view, view_axes
 from tacgen.shapes.mass_properties import mass_properties, volume_mm3
 from tacgen.units import STANDARD_GRAVITY_M_S2
 
