@@ -62,9 +62,7 @@ def estimate_s(recipe: Recipe, *, sample: int = 6, workers: int = 1) -> dict[str
     chosen = [planned[i] for i in np.linspace(0, len(planned) - 1, sample).astype(int)]
     with GraspPipeline(recipe) as pipeline:
         pipeline.sample(chosen[0])
-        grasp_s = statistics.median(
-            _timed_s(lambda one=one: pipeline.sample(one)) for one in chosen
-        )
+        grasp_s = statistics.median(_timed_s(partial(pipeline.sample, one)) for one in chosen)
     return {
         "grasps": len(planned),
         "grasp_s": grasp_s,
