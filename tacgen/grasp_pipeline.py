@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tacgen.contact.law import ContactLaw, load_law
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.deformation import deformation
+from tacgen.errors import TableError
 from tacgen.felt import Imprint, Pad
 from tacgen.files import sha256_of
 from tacgen.grid import PlannedGrasp
@@ -185,11 +186,25 @@ def contact_law(contact: Contact) -> ContactLaw:
 
 
 def felt_pad(recipe: Recipe) -> Pad:
-    """The tactile pad of a recipe with its table, ready to feel."""
+    """The tactile pad of a recipe with its table, ready to feel.
+
+    Raises
+    ------
+    TableError
+        If the table cannot be read, or is of another resolution than the sensor.
+    """
     sensor = load_sensor(recipe.sensor)
+    table = load_table(sensor.table)
+    if table.shape_px != sensor.shape_px:
+        (rows, columns), (height, width) = table.shape_px, sensor.shape_px
+        msg = (
+            f"{sensor.table}: the table is of {columns}×{rows} pixels, the sensor {sensor.name!r} "
+            f"of {width}×{height}; give the table that was calibrated on it"
+        )
+        raise TableError(msg)
     return Pad(
         sensor,
-        load_table(sensor.table),
+        table,
         camera=recipe.contact.camera,
         shadows=recipe.optics.shadows,
         markers=recipe.optics.markers,

@@ -2,9 +2,10 @@
 
 import pytest
 
-from tacgen.errors import RecipeError
-from tacgen.grasp_pipeline import contact_law, dataset_spec, recipe_object
-from tacgen.recipe import Contact, ObjectEntry, load_recipe
+from tacgen.errors import RecipeError, TableError
+from tacgen.grasp_pipeline import contact_law, dataset_spec, felt_pad, recipe_object
+from tacgen.recipe import Contact, ObjectEntry, Recipe, load_recipe
+from tacgen.resources import packaged
 
 
 def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
@@ -17,6 +18,13 @@ def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
 def test_a_law_that_is_not_there_is_named():
     with pytest.raises(RecipeError, match="no contact law named 'nowhere.yaml'"):
         contact_law(Contact(file="nowhere.yaml"))
+
+
+def test_a_table_of_another_resolution_is_named_with_both():
+    choice = {"name": "digit", "table": str(packaged("recipes") / "sensors/gelsight.table.npz")}
+    recipe = Recipe.model_validate({"name": "r", "objects": ["cup"], "sensor": choice})
+    with pytest.raises(TableError, match=r"gelsight.table.npz: .* 640×480 .* 'digit' of 240×320"):
+        felt_pad(recipe)
 
 
 def test_a_recipe_overrides_what_the_object_says():
