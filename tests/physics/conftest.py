@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_gr
 from tacgen.records import GraspConfig, GraspObject, GraspTrace, Mesh
 
 GRAVITY_M_S2 = 9.80665
+SEQUENCE = FrameRequest("sequence", 25, 3.0)
 
 
 def hull_mesh(vertices_mm: np.ndarray) -> Mesh:
@@ -47,6 +49,22 @@ def block(
         friction=friction,
         spinning_friction_mm=spinning_friction_mm,
         grasp_ranges={},
+    )
+
+
+def dumbbell() -> GraspObject:
+    """Two plates joined by a bar: three convex parts, concave as a whole."""
+
+    def box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Mesh:
+        return hull_mesh(np.array([[i, j, k] for i in x for j in y for k in z]))
+
+    parts = (
+        box((-30, 30), (-40, -25), (0, 60)),
+        box((-30, 30), (25, 40), (0, 60)),
+        box((-10, 10), (-25, 25), (20, 40)),
+    )
+    return replace(
+        block(mass_kg=0.2), collision=parts, center_of_mass_mm=np.array([0.0, 0.0, 30.0])
     )
 
 

@@ -1,0 +1,115 @@
+"""What cannot be simulated is refused in words that tell the mend; extremes stay sane."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tacgen.errors import PhysicsError
+from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.records import GraspConfig
+
+from .conftest import block, grasp
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ("force_n", "words"),
+        [
+            (50.0, "force_n = 50 exceeds max_force_n = 40; lower it or raise max_force_n"),
+            (0.0, "force_n = 0 is not a force to grip with; ask for more than 0 N"),
+            (float("nan"), "force_n = nan is not a force to grip with"),
+        ],
+    )
+    def test_forces_out_of_range(
+        self, simulator: GraspSimulator, force_n: float, words: str
+    ) -> None:
+        with pytest.raises(PhysicsError) as caught:
+            grasp(simulator, block(), force_n=force_n)
+        assert words in str(caught.value)
+        assert "grasp 0 of 'block'" in str(caught.value)
+
+    def test_every_fault_of_an_object_is_named(self, simulator: GraspSimulator) -> None:
+        broken = replace(
+            block(),
+            collision=(),
+            mass_kg=-1.0,
+            friction=-0.1,
+            inertia_kg_mm2=np.diag([1.0, 1.0, 5.0]),
+        )
+        with pytest.raises(PhysicsError) as caught:
+            grasp(simulator, broken)
+        for words in (
+            "has no collision part; add at least one convex part",
+            "mass_kg = -1 is not above 0; weigh the object",
+            "friction = -0.1 is negative",
+            "principal moments 1, 1, 5, which no body has",
+        ):
+            assert words in str(caught.value)
+
+    def test_every_fault_of_the_settings_is_named(self, simulator: GraspSimulator) -> None:
+        settings = PhysicsSettings(
+            time_step_s=0.0,
+            hold_s=-1.0,
+            success_rise_mm=200.0,
+            pad_dome_radius_mm=5.0,
+            contact_average_steps=0,
+        )
+        with pytest.raises(PhysicsError) as caught:
+            grasp(
+                simulator,
+                block(),
+                force_n=99.0,
+                settings=settings,
+                frames=FrameRequest("sequence", 0, -1.0),
+            )
+        for words in (
+            "physics.time_step_s = 0 is not above 0; raise it",
+            "physics.contact_average_steps = 0 is not above 0",
+            "physics.hold_s = -1 is below 0; give 0 or more",
+            "physics.success_rise_mm = 200 is not reached by lift_mm = 180; lift further",
+            "physics.pad_dome_radius_mm = 5 cannot span the pad; give at least 20",
+            "frames.count = 0 is below 1",
+            "frames.span_s = -1 is not above 0",
+            "force_n = 99 exceeds max_force_n = 40",
+        ):
+            assert words in str(caught.value)
+
+    def test_a_force_that_never_arrives(self, simulator: GraspSimulator) -> None:
+        settings = PhysicsSettings(delivered_force_offset_n=-20.0)
+        trace = grasp(simulator, block(), force_n=10.0, settings=settings)
+        assert trace.status == "no_contact"
+        assert "no force is delivered" in trace.reason
+
+    @pytest.mark.parametrize(
+        ("friction", "mass_kg", "force_n", "label"),
+        [(0.0, 0.3, 40.0, 0), (1.0, 0.002, 40.0, 1), (1.0, 6.0, 40.0, 1), (1.0, 9.0, 40.0, 0)],
+    )
+    def test_extremes_stay_sane(
+        self,
+        simulator: GraspSimulator,
+        friction: float,
+        mass_kg: float,
+        force_n: float,
+        label: int,
+    ) -> None:
+        obj = block(friction=friction, mass_kg=mass_kg)
+        trace = grasp(simulator, obj, force_n=force_n)
+        assert (trace.status, trace.label) == ("executed", label)
+        assert trace.rise_mm == pytest.approx(180.0 * label, abs=1.0)
+
+    def test_an_unknown_robot(self) -> None:
+        with pytest.raises(PhysicsError, match="known: wsg50, ur5e_wsg50"):
+            GraspSimulator("panda")  # type: ignore[arg-type]
+
+    def test_a_closed_simulator(self) -> None:
+        with pytest.raises(PhysicsError, match="use it in a `with` block"):
+            run_grasp(
+                GraspSimulator(),
+                block(),
+                GraspConfig(0, "block", 5.0, 0.0, 0.0, 50.0),
+                PhysicsSettings(),
+                frames=FrameRequest(),
+            )

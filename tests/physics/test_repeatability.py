@@ -1,0 +1,76 @@
+"""A grasp depends on its own configuration and on nothing that came before."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen.physics import FrameRequest, GraspSimulator
+
+from .conftest import SEQUENCE, block, dumbbell, grasp
+
+
+def as_bytes(value: object) -> bytes:
+    """Every number of a record, to the last bit."""
+    if is_dataclass(value):
+        return b"|".join(as_bytes(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    if isinstance(value, tuple):
+        return b",".join(as_bytes(item) for item in value)
+    if isinstance(value, dict):
+        return b";".join(key.encode() + as_bytes(item) for key, item in value.items())
+    if isinstance(value, float):
+        return np.float64(value).tobytes()
+    return repr(value).encode()
+
+
+class TestRepeatability:
+    def test_a_grasp_does_not_remember_those_before_it(self) -> None:
+        asked = [
+            (block(), 8.0, FrameRequest()),
+            (dumbbell(), 12.0, SEQUENCE),
+            (block(center_of_mass_offset_mm=(0, 20, 0)), 10.0, FrameRequest()),
+            (block(size_mm=(150, 60, 100)), 10.0, FrameRequest()),
+            (block(), 2.0, SEQUENCE),
+        ]
+
+        def trace(simulator: GraspSimulator, k: int) -> bytes:
+            obj, force_n, frames = asked[k]
+            return as_bytes(
+                grasp(simulator, obj, force_n=force_n, x_mm=2.0, z_mm=30.0, frames=frames)
+            )
+
+        fresh = []
+        for k in range(len(asked)):
+            with GraspSimulator() as simulator:
+                fresh.append(trace(simulator, k))
+        with GraspSimulator() as simulator:
+            for k in (4, 0, 3, 1, 2, 0, 4, 2, 1):
+                assert trace(simulator, k) == fresh[k], f"grasp {k} differs"
+
+    def test_two_simulators_do_not_disturb_each_other(self) -> None:
+        with GraspSimulator() as first:
+            alone = as_bytes(grasp(first, block()))
+            with GraspSimulator("ur5e_wsg50") as second:
+                grasp(second, block(), force_n=3.0)
+                assert as_bytes(grasp(first, block())) == alone
+
+    @pytest.mark.slow
+    def test_memory_does_not_grow(self) -> None:
+        def resident_kb() -> int:
+            return int(Path("/proc/self/statm").read_text().split()[1]) * 4
+
+        if not Path("/proc/self/statm").exists():
+            pytest.skip("needs /proc")
+        with GraspSimulator() as simulator:
+            for _ in range(20):
+                grasp(simulator, dumbbell(), z_mm=30.0)
+            before = resident_kb()
+            for _ in range(60):
+                grasp(simulator, dumbbell(), z_mm=30.0)
+            # 10 kB a grasp would be 10 MB over a thousand; PyBullet itself keeps about 0.3 kB.
+            assert resident_kb() - before < 60 * 10
