@@ -2,53 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from tacgen.altered_worlds import Alteration, Outcome, place_of, simulate_altered
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.errors import RecipeError
 from tacgen.files import write_text
 from tacgen.friction_fit import FrictionFit, fit_friction
-from tacgen.grasp_pipeline import recipe_object
-from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
-from tacgen.randomize import with_friction
-from tacgen.recipe import ObjectEntry, Recipe
-from tacgen.records import GraspTrace
+from tacgen.recipe import Recipe
 from tacgen.resources import find_object_folder
-from tacgen.workers import Report, run_tasks
-
-GRASP_LIMIT_S = 120.0
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How one simulated grasp ended, and how far it was from ending otherwise."""
-
-    label: int
-    failure_mode: str
-    translational_margin: float
-    rotational_margin: float
-
-    @classmethod
-    def of(cls, trace: GraspTrace) -> Outcome:
-        """The outcome of a trace; margins are NaN where the grasp was not executed."""
-        margin = trace.margin
-        return cls(
-            trace.label,
-            trace.failure_mode,
-            margin.translational if margin else float("nan"),
-            margin.rotational if margin else float("nan"),
-        )
-
 
 Key = tuple[str, float]
 """(grasp_id, μ)."""
@@ -151,101 +120,19 @@ def simulate_outcomes(
 ) -> dict[Key, Outcome]:
     """The outcome of every grasp at every μ, by (grasp_id, μ).
 
-    A line of ``out/outcomes.jsonl`` is written as soon as a grasp has been simulated at every μ;
-    a sweep that was interrupted goes on from there. The lines carry the hash of the recipe and
-    are not used for another.
+    What has been simulated is kept in ``out/outcomes.jsonl``; a sweep that was interrupted goes
+    on from there.
     """
-    store = _Store(out / "outcomes.jsonl", recipe.sha256())
-    outcomes = store.read()
-    pending = [
-        k
-        for k, grasp in enumerate(grasps)
-        if any((grasp.grasp_id, mu) not in outcomes for mu in mu_values)
-    ]
-    make_job = partial(_grasp_job, recipe, tuple(grasps), tuple(mu_values))
-    done = len(grasps) - len(pending)
-    show(done, len(grasps))
-    for event in run_tasks(pending, make_job, workers=workers, item_limit_s=GRASP_LIMIT_S):
-        if event.kind != "done":
-            continue
-        grasp = grasps[event.task]
-        found = {(grasp.grasp_id, mu): one for mu, one in zip(mu_values, event.value, strict=True)}
-        store.append(found)
-        outcomes |= found
-        done += 1
-        show(done, len(grasps))
-    return outcomes
-
-
-@contextlib.contextmanager
-def _grasp_job(
-    recipe: Recipe, grasps: tuple[RealGrasp, ...], mu_values: tuple[float, ...]
-) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Outcome]]]:
-    """One process: a task is one real grasp, its items are the values of μ."""
-    entries = {entry.name: entry for entry in recipe.objects}
-    settings = recipe.physics_settings
-    built = lru_cache(maxsize=1)(recipe_object)
-    with GraspSimulator(recipe.robot.name) as simulator:
-
-        def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Outcome]:
-            grasp = grasps[task]
-            name = grasp.config.object
-            base = built(entries.get(name, ObjectEntry(name=name)))
-            found = []
-            for k, mu in enumerate(mu_values):
-                item = task * len(mu_values) + k
-                if item in crashed:
-                    found.append(Outcome(-1, "", float("nan"), float("nan")))
-                    continue
-                report("start", item, None)
-                trace = run_grasp(
-                    simulator,
-                    with_friction(base, mu),
-                    replace(grasp.config, index=task),
-                    settings,
-                    frames=FrameRequest(),
-                )
-                found.append(Outcome.of(trace))
-            return found
-
-        yield job
-
-
-class _Store:
-    """Finished simulations on disk, a line each."""
-
-    def __init__(self, path: Path, recipe_sha256: str) -> None:
-        self._path = path
-        self._recipe = recipe_sha256
-
-    def read(self) -> dict[Key, Outcome]:
-        """What is there of this recipe; a line cut short by a crash is passed over."""
-        found: dict[Key, Outcome] = {}
-        if not self._path.is_file():
-            return found
-        for line in self._path.read_text(encoding="utf-8").splitlines():
-            try:
-                data = json.loads(line)
-                if data["recipe"] == self._recipe:
-                    found[(data["grasp_id"], data["mu"])] = Outcome(*data["outcome"])
-            except (ValueError, KeyError, TypeError):
-                continue
-        return found
-
-    def append(self, outcomes: Mapping[Key, Outcome]) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a", encoding="utf-8") as file:
-            for (grasp_id, mu), one in outcomes.items():
-                values = [
-                    one.label,
-                    one.failure_mode,
-                    one.translational_margin,
-                    one.rotational_margin,
-                ]
-                line = {
-                    "recipe": self._recipe,
-                    "grasp_id": grasp_id,
-                    "mu": mu,
-                    "outcome": values,
-                }
-                file.write(json.dumps(line) + "\n")
+    worlds = {mu: Alteration(friction=mu) for mu in mu_values}
+    found = simulate_altered(
+        recipe,
+        [(grasp.config, world) for grasp in grasps for world in worlds.values()],
+        out,
+        workers=workers,
+        show=show,
+    )
+    return {
+        (grasp.grasp_id, mu): found[place_of(grasp.config), world]
+        for grasp in grasps
+        for mu, world in worlds.items()
+    }

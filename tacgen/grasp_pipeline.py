@@ -28,6 +28,7 @@ from tacgen.randomize import (
     vary_object,
     with_friction,
     with_mass,
+    with_scale,
 )
 from tacgen.recipe import Contact, ObjectEntry, Recipe
 from tacgen.records import (
@@ -160,10 +161,14 @@ def grasp_frame(trace: GraspTrace) -> int:
 def recipe_object(entry: ObjectEntry) -> GraspObject:
     """The object of a recipe's entry, with the entry's own figures."""
     grasped = load_object(entry.name)
+    if entry.scale != 1.0:
+        grasped = with_scale(grasped, entry.scale)
     if entry.friction is not None:
         grasped = with_friction(grasped, entry.friction)
     if entry.mass_kg is not None:
         grasped = with_mass(grasped, entry.mass_kg)
+    if entry.spinning_friction_mm is not None:
+        grasped = replace(grasped, spinning_friction_mm=entry.spinning_friction_mm)
     moved = grasped.center_of_mass_mm + np.asarray(entry.center_of_mass_offset_mm)
     return replace(grasped, center_of_mass_mm=frozen_array(moved))
 

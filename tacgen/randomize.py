@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacgen.recipe import Randomize
-from tacgen.records import GraspConfig, GraspObject, frozen_array
+from tacgen.records import GraspConfig, GraspObject, Mesh, frozen_array
 
 # Relative changes are log-normal, so that no draw makes a mass or a friction negative; beyond
 # this many standard deviations a draw is pulled back, so that none is absurd.
@@ -71,6 +71,21 @@ def with_mass(grasped: GraspObject, mass_kg: float) -> GraspObject:
     """The object with another mass, distributed as before."""
     inertia = grasped.inertia_kg_mm2 * (mass_kg / grasped.mass_kg)
     return replace(grasped, mass_kg=mass_kg, inertia_kg_mm2=frozen_array(inertia))
+
+
+def with_scale(grasped: GraspObject, factor: float) -> GraspObject:
+    """The object of another size about the centre of its footprint, its mass as before."""
+
+    def scaled(mesh: Mesh) -> Mesh:
+        return Mesh(frozen_array(mesh.vertices_mm * factor), mesh.faces)
+
+    return replace(
+        grasped,
+        surface=scaled(grasped.surface),
+        collision=tuple(scaled(part) for part in grasped.collision),
+        center_of_mass_mm=frozen_array(grasped.center_of_mass_mm * factor),
+        inertia_kg_mm2=frozen_array(grasped.inertia_kg_mm2 * factor**2),
+    )
 
 
 def vary_config(config: GraspConfig, variation: Variation) -> GraspConfig:

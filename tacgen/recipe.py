@@ -17,7 +17,9 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    SerializerFunctionWrapHandler,
     ValidationError,
+    model_serializer,
 )
 
 from tacgen.errors import RecipeError
@@ -45,7 +47,18 @@ class ObjectEntry(Section):
     friction: NonNegativeFloat | None = None
     mass_kg: PositiveFloat | None = None
     center_of_mass_offset_mm: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    spinning_friction_mm: NonNegativeFloat | None = None
+    scale: PositiveFloat = 1.0
     grid: Grid | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Keys that came later are left out at their usual value: older recipes keep their hash."""
+        written = dict(serialize(self))
+        for name in ("spinning_friction_mm", "scale"):
+            if getattr(self, name) == type(self).model_fields[name].default:
+                written.pop(name, None)
+        return written
 
 
 def _object_entry(given: Any) -> Any:

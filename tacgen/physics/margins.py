@@ -127,4 +127,11 @@ def slip_margin(
         rotational=(capacity.torsion_limit_n_mm - capacity.moment_n_mm) / weight_n,
         first_slip_time_s=first_slip_time_s,
         first_slip_direction=direction,
+        friction_ratio=_ratio(capacity.friction_limit_n, capacity.tangential_load_n),
+        torsion_ratio=_ratio(capacity.torsion_limit_n_mm, capacity.moment_n_mm),
     )
+
+
+def _ratio(limit: float, asked: float) -> float:
+    """How many times over a limit suffices; infinite where nothing is asked of it."""
+    return limit / asked if asked > 0 else float("inf")
