@@ -16,6 +16,7 @@ import pandas as pd
 from tacgen.dataset import Dataset
 from tacgen.errors import DatasetError
 from tacgen.files import write_text
+from tacgen.learning.real_grasps import ABOUT
 from tacgen.records import LABEL_NOT_EXECUTED
 from tacgen.report.page import encode_png
 
@@ -78,7 +79,7 @@ def _write_grasps(chosen: pd.DataFrame, folder: Path) -> None:
     table = chosen[names].copy()
     table.insert(0, "grasp_id", [_grasp_id(int(index)) for index in chosen["index"]])
     write_text(folder / "grasps.csv", table.to_csv(index=False))
-    write_text(folder / "about.json", json.dumps({"note": NOTE}, indent=1))
+    write_text(folder / ABOUT, json.dumps({"simulated": True, "note": NOTE}, indent=1))
 
 
 def _write_images(dataset: Dataset, indices: Sequence[int], folder: Path) -> None:

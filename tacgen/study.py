@@ -17,6 +17,7 @@ from tacgen.files import write_text
 from tacgen.friction import friction_json, mu_range, sweep_friction
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.progress import tell
+from tacgen.learning.real_grasps import is_simulated
 from tacgen.learning.train import train
 from tacgen.recipe import Recipe
 from tacgen.study_recipe import Row, Study
@@ -62,6 +63,7 @@ def run_study(
         "quick": quick,
         "notes": list(study.notes),
         "real": None if real.test is None else str(real.test),
+        "stand_in": real.test is not None and is_simulated(real.test),
         "rows": rows,
         "took_s": time.perf_counter() - start_s,
     }

@@ -10,36 +10,27 @@ from tacgen.files import write_text
 from tacgen.learning.reports import started_from
 from tacgen.report import Section, table_section, text_section, write_page
 
-HEADER = (
-    "variant",
-    "network",
-    "sim-to-sim",
-    "95 % interval",
-    "n",
-    "sim-to-real",
-    "95 % interval",
-    "n",
-    "paper, sim",
-    "paper, real",
-)
+STAND_IN = "other simulation"
+"""What the column "sim-to-real" is called where another simulation stands in for reality."""
 
 
 def write_study(result: Mapping[str, Any], out: Path) -> None:
     """Write ``table.md`` and ``table.html``."""
     rows = [_row(row) for row in result["rows"]]
+    header = _header(result)
     object_header, object_rows = _by_object(result)
     remarks = study_remarks(result)
     parts = [
         f"# {result['study']}",
         result["description"],
-        markdown_table(HEADER, rows),
+        markdown_table(header, rows),
         "## By object",
         markdown_table(object_header, object_rows),
         "\n".join(f"* {text}" for text in remarks),
     ]
     write_text(out / "table.md", "\n\n".join(part for part in parts if part) + "\n")
     sections: list[Section] = [
-        table_section("Accuracy", HEADER, rows),
+        table_section("Accuracy", header, rows),
         table_section("By object", object_header, object_rows),
         text_section("What this is", *remarks),
     ]
@@ -64,7 +55,8 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
     if result["quick"]:
         remarks.insert(0, "REDUCED VERSION (--quick): fewer objects, smaller input.")
     if result["real"] is not None:
-        remarks.append(f"The column sim-to-real is measured on {result['real']}.")
+        what = ", simulated grasps of another world: NOT real" if result["stand_in"] else ""
+        remarks.append(f"The column {_tested_on(result)} is measured on {result['real']}{what}.")
     remarks += [
         f"{row['name']}: friction fitted, "
         + ", ".join(f"{name} μ = {mu:g}" for name, mu in row["friction"].items())
@@ -85,6 +77,16 @@ def markdown_table(header: tuple[str, ...], rows: list[tuple[object, ...]]) -> s
     return "\n".join(
         "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
     )
+
+
+def _tested_on(result: Mapping[str, Any]) -> str:
+    return STAND_IN if result["stand_in"] else "sim-to-real"
+
+
+def _header(result: Mapping[str, Any]) -> tuple[str, ...]:
+    interval = "95 % interval"
+    tested = ("sim-to-sim", interval, "n", _tested_on(result), interval, "n")
+    return ("variant", "network", *tested, "paper, sim", "paper, real")
 
 
 def _row(row: Mapping[str, Any]) -> tuple[object, ...]:
@@ -112,11 +114,13 @@ def _figure(value: float | None) -> str:
 
 def _by_object(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
     names = sorted({name for row in result["rows"] for name in row["objects"]})
-    sources = ["sim", "real"] if result["real"] is not None else ["sim"]
+    sources = {"sim": "sim"}
+    if result["real"] is not None:
+        sources["real"] = _tested_on(result)
     rows = []
     for row in result["rows"]:
-        for source in sources:
+        for source, told in sources.items():
             parts = row[source]["by_object"]
             cells = [_figure(parts[n]["accuracy"]) if n in parts else "–" for n in names]
-            rows.append((row["name"], source, *cells))
+            rows.append((row["name"], told, *cells))
     return ("variant", "tested on", *names), rows

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tacgen.errors import DatasetError, RecipeError, TacgenError
+from tacgen.learning.words import evaluation_lines
 from tacgen.recipe import load_recipe
 from tacgen.resources import packaged
 from tacgen.stand_in import write_stand_in
@@ -146,8 +147,27 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy
     assert "REDUCED VERSION" in text
     assert "NONE: trained from scratch" in text
     assert "| 0.900 |" in text
+    assert "sim-to-real" in text
+    assert "NOT real" not in text
     assert json.loads((tmp_path / "out" / "table.json").read_text())["quick"] is True
     assert "Accuracy" in (tmp_path / "out" / "table.html").read_text()
+
+
+def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect):
+    """The folder says that it is simulated: no table and no line may call it real."""
+    study = load_study(small_study(tmp_path))
+    write_stand_in(toy, tmp_path / "world", split="test")
+    result = run_study(study, tmp_path / "out", Reality(test=tmp_path / "world"))
+    assert result["stand_in"] is True
+    for name in ("table.md", "table.html"):
+        text = (tmp_path / "out" / name).read_text()
+        assert "sim-to-real" not in text
+        assert "other simulation" in text
+        assert "NOT real" in text
+    lines = "\n".join(evaluation_lines(result["rows"][0]["real"]))
+    assert "another simulation, standing in for reality: accuracy" in lines
+    assert "gap to the other simulation" in lines
+    assert "sim-to-real" not in lines
 
 
 def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, toy_collect):

@@ -51,17 +51,20 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     plan = folder.plan()
     recipe = TrainRecipe.model_validate(plan["recipe"])
     notes: list[str] = []
+    stand_in = False
     if data is not None:
         source: GraspSource = SimulatedGrasps(data, recipe.input.pad)
         notes += _check_unseen(plan, source, str(data))  # type: ignore[arg-type]
     else:
         source = RealGraspImages(Path(str(real)))
         notes += source.warnings
+        stand_in = source.simulated
     where = str(data if data is not None else real)
     device = choose_device(recipe.training)
     with exact_torch(recipe.training.threads):
         predictions, cards = _predict_all(folder, plan, recipe, source, where, device, notes)
     result = _summary(predictions, cards, "sim" if data is not None else "real", where, notes)
+    result["stand_in"] = stand_in
     _add_gap(folder, result)
     text = json.dumps(result, indent=1)
     write_text(folder.eval_path, text)

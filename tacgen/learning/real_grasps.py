@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from tacgen.errors import LearningError
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspTable
 
 BACKGROUND = "background.png"
+ABOUT = "about.json"
+"""Says ``simulated: true`` where no robot made the grasps; a real folder needs none."""
 MAX_IMAGE_BYTES, MAX_SIDE_PX = 64 << 20, 8192
 _SHOWN = 5
 
@@ -21,7 +24,8 @@ _SHOWN = 5
 class RealGraspImages:
     """Grasps of a real robot, or of anything written in the same format.
 
-    A picture of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``.
+    A picture of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``;
+    ``simulated`` tells that another simulation stands in for the robot.
 
     Raises
     ------
@@ -35,6 +39,7 @@ class RealGraspImages:
         self.folder = Path(folder)
         found = read_real_grasps(self.folder)
         self.warnings = found.warnings
+        self.simulated = is_simulated(self.folder)
         missing = [grasp.grasp_id for grasp in found.grasps if not grasp.images]
         if missing:
             more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
@@ -81,6 +86,15 @@ class RealGraspImages:
                 "take all with the same sensor and size"
             )
             raise LearningError(msg)
+
+
+def is_simulated(folder: Path) -> bool:
+    """Whether a folder of grasps says of itself that a simulation made them."""
+    try:
+        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(about, dict) and about.get("simulated") is True
 
 
 def _table_of(grasps: Sequence[RealGrasp]) -> GraspTable:

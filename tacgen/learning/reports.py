@@ -10,6 +10,7 @@ from tacgen.learning.figures import confusion_figure, curves, reliability_figure
 from tacgen.learning.predictions import Predictions
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.scores import reliability
+from tacgen.learning.words import tested_on
 from tacgen.report import (
     Section,
     figure_section,
@@ -106,13 +107,13 @@ def _rows(parts: Mapping[str, Mapping[str, Any]]) -> list[tuple[object, ...]]:
 
 
 def _overview(result: Mapping[str, Any]) -> Section:
-    rows: list[tuple[object, ...]] = [(result["source"], *score_row(result))]
+    rows: list[tuple[object, ...]] = [(tested_on(result), *score_row(result))]
     note = f"Backbone's first weights: {started_from(result['weights'])}."
     gap = result.get("sim_to_real_gap")
     if gap is not None:
         note += (
             f" On simulated test grasps the accuracy was {result['sim_accuracy']:.3f}: "
-            f"a sim-to-real gap of {gap:+.3f}."
+            f"a gap of {gap:+.3f}."
         )
     notes = " ".join([note, *result["notes"]])
     return table_section("Overall", ("source", *_SCORES), rows, notes)

@@ -22,15 +22,23 @@ def training_lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 def evaluation_lines(result: Mapping[str, Any]) -> Iterator[str]:
     """The scores overall and by object, and the sim-to-real gap where both sides are known."""
-    yield _score_line({"sim": "simulated", "real": "real"}[result["source"]], result)
+    yield _score_line(tested_on(result), result)
     for name, scores in result["by_object"].items():
         yield _score_line(f"  {name}", scores)
     if "sim_to_real_gap" in result:
+        gap = "gap to the other simulation" if result["stand_in"] else "sim-to-real gap"
         yield (
-            f"sim-to-real gap: {result['sim_to_real_gap']:+.3f} "
+            f"{gap}: {result['sim_to_real_gap']:+.3f} "
             f"(accuracy {result['sim_accuracy']:.3f} on simulated test grasps)"
         )
     yield result["weights_note"]
+
+
+def tested_on(result: Mapping[str, Any]) -> str:
+    """What kind of grasps a result was measured on; a stand-in for reality is called so."""
+    if result["source"] == "sim":
+        return "simulated"
+    return "another simulation, standing in for reality" if result["stand_in"] else "real"
 
 
 def _score_line(name: str, scores: Mapping[str, Any]) -> str:
