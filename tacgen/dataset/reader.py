@@ -204,7 +204,7 @@ class Dataset:
             force_normal_n=self.contact(index, "force_normal_n", pad),
             force_shear_n=self.contact(index, "force_shear_n", pad),
             indentation_mm=self.contact(index, "indentation_mm", pad),
-            depth_mm=(self._read(index, layout.tactile(pad, "depth_mm")) if layout.depth else None),
+            depth_mm=self._image(index, layout.tactile(pad, "depth_mm")) if layout.depth else None,
         )
 
     def _pad(self, pad: str | None) -> str:

@@ -46,7 +46,7 @@ class ArraySpec:
 
     ``dtype`` is numpy's name, or ``S<n>`` for text of at most n bytes of UTF-8. ``nan`` says
     whether values that do not apply may be NaN. An ``image`` array is stored compressed, one
-    image a chunk.
+    image a chunk; a ``noisy`` one is of a camera, whose noise asks for a codec of its own.
     """
 
     path: str
@@ -57,6 +57,7 @@ class ArraySpec:
     description: str
     nan: bool = False
     image: bool = False
+    noisy: bool = False
 
     def resolve(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
         """The shape in numbers."""
@@ -147,6 +148,7 @@ _RGB = ArraySpec(
     _GEL,
     "tactile images",
     image=True,
+    noisy=True,
 )
 _REFERENCE = ArraySpec(
     "/tactile/{pad}/reference",

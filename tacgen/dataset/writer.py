@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import hdf5plugin
 import numpy as np
 
 import tacgen
 from tacgen.dataset.check import sample_problems
+from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
@@ -62,6 +62,7 @@ def write_shard_file(
         with h5py.File(disk, "w", libver=LIBRARY_VERSION) as file:
             _write_attributes(file, spec, indices)
             small = _create_arrays(file, layout, sizes)
+            noisy = {array.path for array in layout.arrays() if array.noisy}
             for row, sample in enumerate(_expected(samples, indices, spec)):
                 tally.add(
                     sample.label,
@@ -73,6 +74,8 @@ def write_shard_file(
                 for place, values in grasp_values(sample, layout):
                     if place in small:
                         small[place][row] = values
+                    elif place in noisy:
+                        write_images(file[place], row, np.asarray(values))
                     else:
                         file[place][row] = values
                 disk.raise_failure()
@@ -153,9 +156,7 @@ def _create(file: h5py.File, array: ArraySpec, shape: tuple[int, ...]) -> h5py.D
     stored = h5py.string_dtype("utf-8", dtype.itemsize) if dtype.kind == "S" else dtype
     storage: dict[str, Any] = {}
     if array.image:
-        # JPEG 2000 without loss: only a codec of images gets a noisy one to a third of its size.
-        codec = hdf5plugin.Htj2k() if array.dtype == "uint8" else hdf5plugin.Zstd(clevel=3)
-        storage = {"chunks": array.chunks(shape), **codec}
+        storage = {"chunks": array.chunks(shape), **storage_of(array)}
     dataset = file.create_dataset(array.path, shape, stored, track_times=False, **storage)
     for name in ("unit", "frame", "description"):
         dataset.attrs[name] = getattr(array, name)

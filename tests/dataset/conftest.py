@@ -1,11 +1,13 @@
 """Small synthetic grasps: no physics, but every array a real dataset has."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample, PadSample
+from tacgen.files import sha256_of
 from tacgen.records import GraspConfig, Sensor, SlipMargin
 
 SENSOR = Sensor("gelsight", height_px=24, width_px=32, mm_per_px=0.5, gel_depth_mm=2.0)
@@ -78,6 +80,18 @@ def collect_toy(
             assert mine
             folder.write_shard(shard, (make_sample(i, spec) for i in spec.shard_range(shard)), spec)
     return folder
+
+
+def vouch_for(toy, shard: int) -> None:
+    """Give a shard that was tampered with the hash and size of what it is now."""
+    path = toy.line_path(shard)
+    line = json.loads(path.read_text())
+    line |= {
+        "sha256": sha256_of(toy.shard_path(shard)),
+        "bytes": toy.shard_path(shard).stat().st_size,
+    }
+    path.write_text(json.dumps(line))
+    toy.merge()
 
 
 @pytest.fixture

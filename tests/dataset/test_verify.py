@@ -5,7 +5,7 @@ import shutil
 import h5py
 import numpy as np
 import pytest
-from hdf5plugin import Htj2k
+from hdf5plugin import Htj2k, Zstd
 from typer.testing import CliRunner
 
 from tacgen.cli import app
@@ -13,25 +13,12 @@ from tacgen.dataset import Dataset
 from tacgen.dataset.manifest import parse_line
 from tacgen.dataset.verify import verify
 from tacgen.errors import DatasetError, VerificationError
-from tacgen.files import sha256_of
 
-from .conftest import collect_toy
+from .conftest import collect_toy, make_spec, vouch_for
 
 
 def reasons(root) -> str:
     return "\n".join(f"{problem.file}: {problem.reason}" for problem in verify(root).problems)
-
-
-def vouch_for(toy, shard: int) -> None:
-    """Give a shard that was tampered with the hash and size of what it is now."""
-    path = toy.line_path(shard)
-    line = json.loads(path.read_text())
-    line |= {
-        "sha256": sha256_of(toy.shard_path(shard)),
-        "bytes": toy.shard_path(shard).stat().st_size,
-    }
-    path.write_text(json.dumps(line))
-    toy.merge()
 
 
 def test_a_sound_dataset_has_no_problems(toy):
@@ -123,16 +110,43 @@ def test_links_to_other_files_are_refused(toy, tmp_path):
     assert "/object/pose lies in another file" in reasons(toy.root)
 
 
-def test_an_image_that_claims_another_size_is_not_decompressed(toy):
+# Where a Blosc2 frame, its chunk, and a Zstandard frame state their size.
+@pytest.mark.parametrize(
+    ("path", "place", "start"),
+    [
+        ("/tactile/gelsight/rgb", (1, 0), 30),
+        ("/tactile/gelsight/rgb", (1, 0), 97 + 4),
+        ("/tactile/gelsight/depth_mm", (1,), 5),
+        ("/scene/picture", (1,), 5),
+    ],
+)
+def test_an_image_that_claims_another_size_is_not_decompressed(tmp_path, path, place, start):
+    toy = collect_toy(tmp_path, make_spec(n_grasps=4, depth=True))
     with h5py.File(toy.shard_path(0), "r+") as file:
-        images = file["/tactile/gelsight/rgb"]
-        _, raw = images.id.read_direct_chunk((1, 0, 0, 0, 0))
-        huge = raw[:8] + (60_000).to_bytes(4, "big") * 2 + raw[16:]
-        images.id.write_direct_chunk((1, 0, 0, 0, 0), huge)
+        images = file[path]
+        corner = place + (0,) * (images.ndim - len(place))
+        _, raw = images.id.read_direct_chunk(corner)
+        images.id.write_direct_chunk(corner, raw[:start] + b"\x7f\x7f" + raw[start + 2 :])
     vouch_for(toy, 0)
-    assert "the image (1, 0) of /tactile/gelsight/rgb is damaged" in reasons(toy.root)
+    assert f"the image {place} of {path} is damaged" in reasons(toy.root)
     with pytest.raises(DatasetError, match="damaged"):
-        Dataset(toy.root).rgb(1)
+        Dataset(toy.root).read(1)
+
+
+def test_a_chain_of_filters_is_refused(toy):
+    """Twice compressed, a small chunk could unfold into one that unfolds again."""
+    with h5py.File(toy.shard_path(0), "r+") as file:
+        pictures, chunks = file["/scene/picture"][()], file["/scene/picture"].chunks
+        del file["/scene/picture"]
+        creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        creation.set_chunk(chunks)
+        for _ in range(2):
+            creation.set_filter(Zstd().filter_id, 0, (3,))
+        space = h5py.h5s.create_simple(pictures.shape)
+        stored = h5py.h5t.py_create(pictures.dtype)
+        h5py.h5d.create(file["/scene"].id, b"picture", stored, space, creation)
+    vouch_for(toy, 0)
+    assert "/scene/picture is stored by filters [32015, 32015]" in reasons(toy.root)
 
 
 def test_an_image_that_was_never_written_is_missed(toy):
