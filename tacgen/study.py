@@ -113,7 +113,7 @@ def _run_row(
     run = out / "runs" / re.sub(r"[^a-z0-9]+", "_", row.name.lower()).strip("_")
     tell(f"{row.name}: collects into {data}")
     collected = collect(data_recipe, data, workers=workers)
-    trained = train(train_recipe, data, run)
+    trained = train(train_recipe, data, run, workers=workers)
     result: dict[str, Any] = {
         "name": row.name,
         "published": row.published.model_dump(),

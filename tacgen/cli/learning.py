@@ -20,6 +20,9 @@ def train(
     recipe: Annotated[str, typer.Argument(help="A training recipe, such as train_single.")],
     data: Annotated[Path, typer.Option("--data", help="A dataset made by `tacgen collect`.")],
     out: Annotated[Path, typer.Option("--out", help="Where the run goes; it resumes there.")],
+    workers: Annotated[
+        int, typer.Option(min=1, help="Models trained at a time, one an object.")
+    ] = 1,
     json_output: JsonFlag = False,
 ) -> None:
     """Train grasp-stability networks on the training grasps of a dataset."""
@@ -30,7 +33,7 @@ def train(
     require_learning_extra()
     from tacgen.learning.train import train as train_models
 
-    summary = train_models(load_train_recipe(recipe), data, out)
+    summary = train_models(load_train_recipe(recipe), data, out, workers=workers)
     typer.echo(json.dumps(summary) if json_output else "\n".join(training_lines(summary)))
 
 
@@ -72,7 +75,7 @@ def study(
         typer.Option("--contact", help="The real sensor's contact.yaml, for rows that take it."),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="The reduced version.")] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that collect.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that collect and train.")] = 1,
 ) -> None:
     """Collect, train and test every row of a study; writes the table as Markdown and HTML."""
     from tacgen.learning.extra import require_learning_extra

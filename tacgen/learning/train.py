@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tacgen
+from tacgen.errors import LearningError
 from tacgen.files import write_text
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
@@ -21,7 +27,7 @@ from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.progress import tell
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.reports import write_training_report
-from tacgen.learning.run_folder import SCHEMA, RunFolder
+from tacgen.learning.run_folder import SCHEMA, ModelFolder, RunFolder
 from tacgen.learning.scores import score
 from tacgen.learning.splits import ModelPlan, class_weights, plan_models
 
@@ -31,10 +37,15 @@ NO_WEIGHTS_WARNING = (
 )
 
 
-def train(recipe: TrainRecipe, data: Path, out: Path) -> dict[str, Any]:
+def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> dict[str, Any]:
     """Train every model of ``recipe`` on the training grasps of ``data`` into the folder ``out``.
 
     A run that was stopped goes on from its last whole epoch; models that are done stay.
+
+    Parameters
+    ----------
+    workers : int
+        Models trained at a time, each in a process of its own; it changes no bit of them.
 
     Returns
     -------
@@ -56,8 +67,9 @@ def train(recipe: TrainRecipe, data: Path, out: Path) -> dict[str, Any]:
     resumed = run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved())
     if resumed:
         tell(f"{out}: goes on with the run that is there")
-    with exact_torch(recipe.training.threads):
-        results = {plan.name: _train_one(recipe, source, spec, plan, run, device) for plan in plans}
+    job = partial(_train_one, recipe, source, spec, run, device)
+    done = _each(job, plans, workers)
+    results = {plan.name: result for plan, result in zip(plans, done, strict=True)}
     summary = {
         "recipe": recipe.name,
         "kind": recipe.model.kind,
@@ -69,6 +81,31 @@ def train(recipe: TrainRecipe, data: Path, out: Path) -> dict[str, Any]:
     }
     write_text(run.summary_path, json.dumps(summary, indent=1))
     return summary
+
+
+def _each(
+    job: Callable[[ModelPlan], dict[str, Any]], plans: Sequence[ModelPlan], workers: int
+) -> list[dict[str, Any]]:
+    """What ``job`` gives for each plan; several at a time if asked."""
+    processes = min(workers, len(plans))
+    if processes < 2:
+        return [job(plan) for plan in plans]
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        try:
+            return list(pool.map(job, plans))
+        except BaseException as error:
+            # Leaving the block waits for models that nobody will look at.
+            for child in set(multiprocessing.active_children()) - others:
+                child.terminate()
+            if isinstance(error, BrokenProcessPool):
+                msg = (
+                    "a process that trained a model was killed, perhaps for want of memory; start "
+                    "again with fewer --workers: it goes on from the last whole epochs"
+                )
+                raise LearningError(msg) from error
+            raise
 
 
 def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
@@ -117,11 +154,22 @@ def _train_one(
     recipe: TrainRecipe,
     source: SimulatedGrasps,
     spec: InputSpec,
-    plan: ModelPlan,
     run: RunFolder,
     device: Device,
+    plan: ModelPlan,
 ) -> dict[str, Any]:
-    folder = run.model(plan.name)
+    with exact_torch(recipe.training.threads):
+        return _fitted(recipe, source, spec, run.model(plan.name), device, plan)
+
+
+def _fitted(
+    recipe: TrainRecipe,
+    source: SimulatedGrasps,
+    spec: InputSpec,
+    folder: ModelFolder,
+    device: Device,
+    plan: ModelPlan,
+) -> dict[str, Any]:
     labels = source.table.label
     weights = class_weights(labels[plan.fit_rows])
     reference = resized(source.reference()[None], spec.size_px)[0]
