@@ -9,6 +9,7 @@ block. Whatever reads Blosc2 undoes all of that.
 from __future__ import annotations
 
 import struct
+import zlib
 from functools import lru_cache
 
 import numpy as np
@@ -91,7 +92,8 @@ def _block_pixels(height: int, width: int) -> int:
 
 def _encode_block(pixels: NDArray[np.uint8]) -> bytes:
     n = len(pixels)
-    scratch = np.empty((3, n), np.uint8)
+    differences = np.empty((3, n), np.uint8)
     words = np.empty(3 * (n * MAX_CODE_BITS // 32 + HEADER_BYTES // 4) + 16, np.uint32)
-    n_bytes = deflate_differences(pixels, scratch, words)
-    return words.view(np.uint8)[:n_bytes].tobytes()
+    n_bytes = deflate_differences(pixels, differences, words)
+    checksum = zlib.adler32(differences.data).to_bytes(4, "big")
+    return words.view(np.uint8)[:n_bytes].tobytes() + checksum
