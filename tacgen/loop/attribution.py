@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tacgen.loop import scores
 from tacgen.loop.candidates import Candidate
-from tacgen.loop.model import Model
+from tacgen.loop.model import Model, Term
 from tacgen.loop.ranking import (
     ALPHA,
     LIMIT_EXPONENT,
@@ -125,14 +125,17 @@ class Tracer(Ranker):
             if pool[a].name != pool[b].name:
                 by_size.setdefault(len(groups[a]) + len(groups[b]), []).append((a, b))
         ranked: list[tuple[float, tuple[int, int]]] = []
+        least = min(current.loss, 0.0) - scores.IMPOSSIBLE * self.data.noise_loss
         for pairs in by_size.values():
             sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
             ranked += zip(scores.training_losses(total, sets), pairs, strict=True)
+        ranked = [item for item in ranked if item[0] >= least]
         ranked.sort(key=lambda item: item[0])
         short = [pair for _, pair in ranked[:PAIRS_SCORED]]
         losses = scores.losses_of_groups(
             grams, self.folds, base, [[*groups[a], *groups[b]] for a, b in short]
-        ).sum(axis=1)
+        )
+        losses = scores.believable(losses, current.unit_losses, self.data.noise_loss).sum(axis=1)
         gains = current.loss - losses
         seen: set[frozenset[str]] = set()
         result = []
@@ -227,7 +230,7 @@ class Tracer(Ranker):
         bend = min(bends, key=lambda r: r.loss)
         if abs(_lead_in_se(limit, bend)) > TIE_IN_SE:
             return ranked
-        term = power.fit.model.terms[-1]
+        term = _term(power, "stiffening")
         is_limit = term.values["amount"] < 0 and term.values["exponent"] > LIMIT_EXPONENT
         return limit if is_limit else bend
 
@@ -247,7 +250,7 @@ class Tracer(Ranker):
         if not fits:
             return ranked
         early = min(fits, key=lambda r: r.loss)
-        over = early.fit.model.terms[-1].values["trials"] < 0.12 * self.data.history.n_trials
+        over = _term(early, "conditioning").values["trials"] < 0.12 * self.data.history.n_trials
         return early if over and _lead_in_se(ranked, early) < 1.0 else ranked
 
     def _ranking(
@@ -314,6 +317,11 @@ def _best_of_each(
         if gains[index] >= enough:
             by_name.setdefault(pool[index].name, []).append(int(index))
     return [i for members in list(by_name.values())[:SINGLES_FITTED] for i in members[:variants]]
+
+
+def _term(ranked: Ranked, name: str) -> Term:
+    """The fitted term of that name; a set that was fitted before keeps the order it had then."""
+    return next(term for term in ranked.fit.model.terms if term.name == name)
 
 
 def _lead_in_se(best: Ranked, other: Ranked) -> float:

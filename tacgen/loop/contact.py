@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from tacgen.calibration.press_log import read_press_log
 from tacgen.contact.effects import CHANNELS, Channel
@@ -94,13 +95,15 @@ def diagnose(
     """
     said = list(notes)
     channels: dict[str, ChannelDiagnosis] = {}
-    for channel in CHANNELS:
-        usable, words = _usable_columns(columns, channel)
-        if words:
-            said.append(words)
-        if usable is not None:
-            channels[channel] = _diagnose_channel(usable, channel, session_clock)
-            said += channel_notes(channels[channel])
+    # Thousands of products of small matrices: threads would only wait for each other.
+    with threadpool_limits(limits=1):
+        for channel in CHANNELS:
+            usable, words = _usable_columns(columns, channel)
+            if words:
+                said.append(words)
+            if usable is not None:
+                channels[channel] = _diagnose_channel(usable, channel, session_clock)
+                said += channel_notes(channels[channel])
     if "normal" not in channels:
         msg = "the log has too few samples under load to fit V = k_n F_n: press harder or longer"
         raise PressError(msg)

@@ -303,7 +303,8 @@ class _Space:
 def _scale_of(term: Term, name: str) -> tuple[float, bool]:
     parameter = term.effect.parameter(name)
     assert parameter is not None  # free parameters are the effect's own
-    if parameter.low > 0 and parameter.unit in _GEOMETRIC:
+    is_limit = np.isinf(parameter.identity)
+    if parameter.low > 0 and (is_limit or parameter.unit in _GEOMETRIC):
         return 1.0, True
     for probe in term.variant.probes:
         if name in probe:
@@ -320,6 +321,9 @@ def _bounds_of(term: Term, name: str, data: ChannelData) -> tuple[float, float]:
         low, high = max(low, 4.0 * period, 0.02 * duration), min(high, 5.0 * duration)
     if name == "limit_mm3":
         low, high = 0.4 * data.span, 5.0 * data.span
+    if name == "gross_mu":
+        reference = term.values["ratio_reference"]
+        low, high = 0.2 * reference, 4.0 * reference
     if name == "width_n":
         span = term.values["span_n"]
         low, high = 0.01 * span, 1.2 * span

@@ -108,11 +108,12 @@ class Ranker:
             design = np.column_stack([fit.jacobian, fit.residual])
             grams = scores.unit_grams(self.data, design)
             columns = range(fit.jacobian.shape[1])
-            losses = scores.cv_losses(grams, self.folds, [list(columns)])[0]
+            losses = scores.cv_losses(grams, self.folds, [list(columns)])
+            losses = scores.believable(losses, grams[:, -1, -1], self.data.noise_loss)[0]
             if not _is_converged(fit):
                 losses = np.maximum(grams[:, -1, -1], losses)
             self._fits[key] = Ranked(members, fit, losses)
-        return self._fits[key]
+        return replace(self._fits[key], members=members)
 
     def _pool(
         self, current: Ranked, *, new_waves: bool = False
@@ -128,7 +129,8 @@ class Ranker:
                 self._waves = find_waves(self.data, fit, self.shuffled.signs[1:N_WAVE_SHUFFLES])
             pool += cand.nuisance_candidates(self.data, fit, self._waves)
         grams, groups, base = self._grams(fit, pool)
-        return pool, scores.losses_of_groups(grams, self.folds, base, groups)
+        losses = scores.losses_of_groups(grams, self.folds, base, groups)
+        return pool, scores.believable(losses, current.unit_losses, self.data.noise_loss)
 
     def _p_values(self, current: Ranked, pool: Sequence[Candidate]) -> NDArray[np.float64]:
         """Return the p of each candidate, corrected for the number of names looked at."""

@@ -18,8 +18,11 @@ from scipy.stats import chi2
 
 from tacgen.loop.channel import ChannelData
 
-RIDGE = 1e-9
-"""Relative to the diagonal: enough to solve with columns that are equal."""
+RIDGE = 1e-8
+"""Relative to the diagonal: enough to solve with columns that are equal but for noise."""
+IMPOSSIBLE = 0.25
+"""Part of the noise by which a sum of products between the halves may fall below nothing. Chance
+hardly brings it there; columns that only noise tells apart do."""
 
 TRIAL_LEVEL = 0.97
 """Share of a column that must be constant, or follow the response, within trials."""
@@ -86,6 +89,20 @@ def training_losses(total: NDArray[np.float64], sets: Sequence[Sequence[int]]) -
     index = np.asarray(sets, dtype=np.int64)
     weights = _solve(total, index)
     return total[-1, -1] - np.einsum("si,si->s", weights, total[index, -1])
+
+
+def believable(
+    losses: NDArray[np.float64], without: NDArray[np.float64], noise_loss: float
+) -> NDArray[np.float64]:
+    """``losses`` (S, U) of units; a set whose sum cannot be takes the losses ``without`` (U,) it.
+
+    Products between the halves are not positive definite, so that a set of columns that are
+    nearly the same can seem to leave less than nothing.
+    """
+    least = min(float(without.sum()), 0.0) - IMPOSSIBLE * noise_loss
+    impossible: NDArray[np.bool_] = ~(losses.sum(axis=1) >= least)
+    result: NDArray[np.float64] = np.where(impossible[:, None], without, losses)
+    return result
 
 
 def coefficients(total: NDArray[np.float64], columns: Sequence[int]) -> NDArray[np.float64]:

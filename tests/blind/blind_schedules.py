@@ -74,12 +74,31 @@ def cycles(time_s: Floats, peak_n: float, rng: np.random.Generator) -> Floats:
     return peak_n * heights[index] * np.sin(np.pi * time_s / end * n_cycles) ** 2
 
 
+def sinusoid(time_s: Floats, peak_n: float, rng: np.random.Generator) -> Floats:
+    """Up to a mean, an oscillation about it, and off."""
+    end = time_s[-1]
+    turns, depth = int(rng.integers(2, 6)), rng.uniform(0.3, 0.9)
+    on = np.clip(time_s / (0.12 * end), 0, 1) * np.clip((0.97 - time_s / end) / 0.1, 0, 1)
+    wave = 0.5 - 0.5 * np.cos(2 * np.pi * turns * time_s / end)
+    return peak_n * on * (1.0 - depth + depth * wave)
+
+
+def quick_release(time_s: Floats, peak_n: float, rng: np.random.Generator) -> Floats:
+    """A slow ramp, a short hold, and let go."""
+    end = time_s[-1]
+    top = rng.uniform(0.5, 0.7) * end
+    knots_s = np.array([0.0, 0.05 * end, top, 0.85 * end, 0.9 * end, end])
+    return _polyline(knots_s, np.array([0, 0, peak_n, peak_n, 0, 0.0]), time_s)
+
+
 SCHEDULES = {
     "triangle": triangle,
     "trapezoid": trapezoid,
     "staircase": staircase,
     "wandering": wandering,
     "cycles": cycles,
+    "sinusoid": sinusoid,
+    "quick_release": quick_release,
 }
 
 
@@ -102,11 +121,11 @@ def shear_course(
 
 
 def draw_trial(
-    schedule: str, peak_n: float, shear_ratio: float, rng: np.random.Generator
+    schedule: str, peak_n: float, shear_ratio: float, n_samples: float, rng: np.random.Generator
 ) -> TrialLoad:
-    """One press by a schedule; its length and frame rate are drawn too."""
-    duration_s, rate_hz = rng.uniform(3.0, 12.0), rng.choice([10.0, 15.0, 30.0])
-    n_samples = int(np.clip(duration_s * rate_hz, 50, 180))
-    time_s = np.linspace(0.0, duration_s, n_samples)
+    """One press by a schedule, of about ``n_samples`` samples; its length is drawn too."""
+    duration_s = rng.uniform(3.0, 12.0)
+    count = max(int(n_samples * rng.uniform(0.7, 1.3)), 20)
+    time_s = np.linspace(0.0, duration_s, count)
     force = SCHEDULES[schedule](time_s, peak_n, rng)
     return TrialLoad(time_s, force, shear_course(time_s, force, shear_ratio, rng))

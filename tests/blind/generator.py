@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import blind_effects as forms
 import numpy as np
 import pandas as pd
+from blind_forms import ALL_NORMAL, ALL_SHEAR, ALL_UNLISTED
 from blind_schedules import SCHEDULES, draw_trial
 from numpy.typing import NDArray
 
@@ -28,7 +29,8 @@ class Case:
     ``frame`` holds the contract's columns with noise; ``volume_mm3`` (n,) and ``shear_mm`` (n, 2)
     are without noise. ``normal`` and ``shear`` name the effects, ``unexplained`` the covariate
     that a channel follows though no listed effect does ("" where none). ``reached`` are the
-    strengths that were reached, by channel and effect.
+    strengths that were reached, by channel and effect; ``floor_`` is the noise of the response with
+    the gauge's, times k.
     """
 
     frame: pd.DataFrame
@@ -42,6 +44,8 @@ class Case:
     k_s_mm_per_n: float
     noise_mm3: float
     noise_mm: float
+    floor_mm3: float
+    floor_mm: float
     schedules: tuple[str, ...]
     form_names: tuple[str, ...]
 
@@ -77,7 +81,7 @@ def draw_case(
         Effects of each channel: the contract's names, or ``operator``, ``time_s`` and
         ``humidity_percent`` for effects that no list holds.
     n_trials : int, optional
-        12 to 80 when drawn.
+        12 to 80 when drawn, of 20 to 400 samples.
     noise_share, force_noise_share : float, optional
         Noise of the response and of the gauge, as a share of the RMS response (or force).
     with_shear, distractors : bool, optional
@@ -85,7 +89,7 @@ def draw_case(
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     names = {name for name, _ in (*normal, *shear)}
-    n_trials = int(rng.integers(24, 81) if n_trials is None else n_trials)
+    n_trials = int(rng.integers(12, 81) if n_trials is None else n_trials)
     needs_shear = bool(shear) or "shear_coupling" in names
     with_shear = needs_shear or (rng.random() < 0.8 if with_shear is None else with_shear)
     distractors = rng.random() < 0.5 if distractors is None else distractors
@@ -102,6 +106,7 @@ def draw_case(
     )
     frame = _frame(trials, volume, noise_mm3, shear_mm, noise_mm, gauge, rng)
     frame = _add_columns(frame, trials, names, bool(with_shear), bool(distractors), rng)
+    gauge_n, gauge_s = (gauge * _rms(trials, name) for name in ("force_normal_n", "force_shear_n"))
     unlisted = {
         channel: next((name for name, _ in wanted if name in forms.UNLISTED), "")
         for channel, wanted in (("normal", normal), ("shear", shear))
@@ -118,6 +123,8 @@ def draw_case(
         k_s_mm_per_n=k_s,
         noise_mm3=noise_mm3,
         noise_mm=noise_mm,
+        floor_mm3=float(np.hypot(noise_mm3, k_n * gauge_n)),
+        floor_mm=float(np.hypot(noise_mm, k_s * gauge_s)),
         schedules=schedules,
         form_names=tuple(one.form.__name__ for one in (*active, *active_s)),
     )
@@ -127,9 +134,9 @@ def _choose_schedules(names: set[str], rng: np.random.Generator) -> tuple[str, .
     """One or two schedules that an effect can be seen in: creep needs a hold, and so on."""
     pool = sorted(SCHEDULES)
     if "creep" in names or "latency" in names:
-        first = str(rng.choice(["trapezoid", "staircase", "wandering"]))
+        first = str(rng.choice(["trapezoid", "staircase", "wandering", "sinusoid"]))
     elif "hysteresis" in names:
-        first = str(rng.choice(["triangle", "cycles", "staircase"]))
+        first = str(rng.choice(["triangle", "cycles", "staircase", "sinusoid"]))
     else:
         first = str(rng.choice(pool))
     return tuple(dict.fromkeys((first, str(rng.choice(pool)))))
@@ -149,10 +156,12 @@ def _draw_session(
     weather = 3.0 * np.sin(rng.uniform(0, 6.28) + np.arange(n_trials) * rng.uniform(0.15, 0.5))
     warmth = 23.0 + weather + 0.3 * walk / max(1.0, np.abs(walk).max())
     operators = _operators(n_trials, rng)
+    n_samples = float(np.exp(rng.uniform(np.log(20.0), np.log(min(400.0, 12_000 / n_trials)))))
     clock, raw = 0.0, []
     for number in range(n_trials):
         ratio = float(rng.uniform(0.1, 0.5)) * (rng.random() < 0.85) if with_shear else 0.0
-        load = draw_trial(str(rng.choice(schedules)), peak_n * rng.uniform(0.35, 1.0), ratio, rng)
+        force = peak_n * rng.uniform(0.35, 1.0)
+        load = draw_trial(str(rng.choice(schedules)), force, ratio, n_samples, rng)
         radius = float(rng.choice(radii))
         x_mm, y_mm = rng.uniform(-6.0, 6.0), rng.uniform(-4.5, 4.5)
         labels = {
@@ -184,6 +193,11 @@ def _draw_session(
     ]
 
 
+def _rms(trials: list[forms.Trial], name: str) -> float:
+    """RMS of a force of all trials, as the gauge's noise is a share of it."""
+    return float(np.sqrt((np.concatenate([getattr(trial, name) for trial in trials]) ** 2).mean()))
+
+
 def _operators(n_trials: int, rng: np.random.Generator) -> list[str]:
     """Who pressed: in shifts, or anyone at any time."""
     if rng.random() < 0.5:
@@ -201,7 +215,7 @@ def _respond(
     rng: np.random.Generator,
 ) -> tuple[Floats, float, list[_Active], dict[tuple[str, str], float]]:
     """Noise-free response (n, c), the noise, the effects in it and the strengths reached."""
-    catalogue = {**(forms.NORMAL if channel == "normal" else forms.SHEAR), **forms.UNLISTED}
+    catalogue = {**(ALL_NORMAL if channel == "normal" else ALL_SHEAR), **ALL_UNLISTED}
     if channel == "shear":
         peak = max(float(np.hypot(*trial.force_shear_n.T).max()) for trial in trials)
         trials = [replace(t, load=t.force_shear_n, peak_n=max(peak, 1e-6)) for t in trials]
@@ -276,8 +290,8 @@ def _frame(
     counts = [len(trial.time_s) for trial in trials]
     normal = np.concatenate([trial.force_normal_n for trial in trials])
     tangential = np.concatenate([trial.force_shear_n for trial in trials])
-    gauge_n = gauge_share * float(np.sqrt((normal**2).mean()))
-    gauge_s = gauge_share * float(np.sqrt((tangential**2).mean()))
+    gauge_n = gauge_share * _rms(trials, "force_normal_n")
+    gauge_s = gauge_share * _rms(trials, "force_shear_n")
     measured = tangential + gauge_s * rng.standard_normal(tangential.shape)
     moved = shear_mm + _noise(counts, 2, noise_mm, rng)
     return pd.DataFrame(
@@ -320,7 +334,16 @@ def _add_columns(
         added["led_current_ma"] = np.repeat(np.round(lamp, 2), counts)
         added["rig_mode"] = np.repeat(rng.choice(["auto", "manual"], n_trials), counts)
         added["firmware"] = "v2"
+        added["supply"] = np.repeat(
+            10.0 ** rng.uniform(-4, 4) * rng.standard_normal(n_trials), counts
+        )
     frame = frame.assign(**added)
+    for columns, effect in (
+        (["x_mm", "y_mm"], "position"),
+        (["indenter", "radius_mm"], "geometry"),
+    ):
+        if effect not in names and rng.random() < 0.25:
+            frame = frame.drop(columns=columns)
     if not with_shear:
         frame = frame.drop(columns=[name for name in frame.columns if "shear" in name])
     return frame
