@@ -12,12 +12,13 @@ from typing import Any
 
 from tacgen.collect import collect
 from tacgen.dataset.real_grasps import read_real_grasps
-from tacgen.errors import TacgenError
+from tacgen.errors import LearningError, TacgenError
 from tacgen.files import write_text
 from tacgen.friction import friction_json, mu_range, sweep_friction
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.progress import tell
 from tacgen.learning.real_grasps import is_simulated
+from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.train import train
 from tacgen.recipe import Recipe
 from tacgen.study_recipe import Row, Study
@@ -52,11 +53,15 @@ def run_study(
     Raises
     ------
     TacgenError
-        If a row cannot be collected, trained or tested.
+        If a row cannot be collected, or none can be trained and tested; a row that cannot keeps
+        its ``problem`` in the table.
     """
     _check_real(study, real)
     start_s = time.perf_counter()
     rows = [_run_row(study, row, out, real, quick, workers) for row in study.rows]
+    problems = [f"{row['name']}: {row['problem']}" for row in rows if row["problem"]]
+    if len(problems) == len(rows):
+        raise LearningError.from_problems(problems)
     result = {
         "study": study.name,
         "description": study.description,
@@ -113,7 +118,6 @@ def _run_row(
     run = out / "runs" / re.sub(r"[^a-z0-9]+", "_", row.name.lower()).strip("_")
     tell(f"{row.name}: collects into {data}")
     collected = collect(data_recipe, data, workers=workers)
-    trained = train(train_recipe, data, run, workers=workers)
     result: dict[str, Any] = {
         "name": row.name,
         "published": row.published.model_dump(),
@@ -122,19 +126,36 @@ def _run_row(
         "contact_law": data_recipe.contact.law,
         "input_px": list(train_recipe.input.size_px),
         "epochs": train_recipe.training.epochs,
-        "weights": sorted({model["weights"] for model in trained["models"].values()}),
-        "training_grasps": {
-            name: model["grasps_fit"] + model["grasps_validation"]
-            for name, model in trained["models"].items()
-        },
+        "weights": [],
+        "training_grasps": {},
         "not_executed": collected.summary()["not_executed"],
         "contact_file": data_recipe.contact.file,
         "friction": {name: fit["mu"] for name, fit in friction.items()},
+        "problem": "",
+    }
+    try:
+        return result | _learn(train_recipe, data, run, real.test, workers)
+    except LearningError as error:
+        # Such as grasps that all succeed: the other rows are worth having all the same.
+        tell(f"{row.name}: {error}")
+        return result | {"problem": str(error)}
+
+
+def _learn(
+    recipe: TrainRecipe, data: Path, run: Path, real: Path | None, workers: int
+) -> dict[str, Any]:
+    """Train a row's networks, test them, and what the table says of both."""
+    models = train(recipe, data, run, workers=workers)["models"]
+    learnt: dict[str, Any] = {
+        "weights": sorted({model["weights"] for model in models.values()}),
+        "training_grasps": {
+            name: model["grasps_fit"] + model["grasps_validation"] for name, model in models.items()
+        },
         "sim": evaluate(run, data=data),
     }
-    if real.test is not None:
-        result["real"] = evaluate(run, real=real.test)
-    return result
+    if real is not None:
+        learnt["real"] = evaluate(run, real=real)
+    return learnt
 
 
 def _fitted_friction(recipe: Recipe, real: Path, out: Path, workers: int) -> Mapping[str, Any]:

@@ -63,6 +63,7 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
         for row in rows
         if row["friction"]
     ]
+    remarks += [f"{row['name']}: NOT trained. {row['problem']}" for row in rows if row["problem"]]
     remarks += [
         f"{row['name']}: contact law from {row['contact_file']}."
         for row in rows
@@ -120,7 +121,7 @@ def _by_object(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[o
     rows = []
     for row in result["rows"]:
         for source, told in sources.items():
-            parts = row[source]["by_object"]
+            parts = row.get(source, {}).get("by_object", {})
             cells = [_figure(parts[n]["accuracy"]) if n in parts else "–" for n in names]
             rows.append((row["name"], told, *cells))
     return ("variant", "tested on", *names), rows

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tacgen.errors import DatasetError, RecipeError, TacgenError
+from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
 from tacgen.learning.words import evaluation_lines
 from tacgen.recipe import load_recipe
 from tacgen.resources import packaged
@@ -151,6 +151,24 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy
     assert "NOT real" not in text
     assert json.loads((tmp_path / "out" / "table.json").read_text())["quick"] is True
     assert "Accuracy" in (tmp_path / "out" / "table.html").read_text()
+
+
+def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(tmp_path, toy_collect):
+    study = load_study(small_study(tmp_path, ", train: {training: {grasps: 500}}"))
+    result = run_study(study, tmp_path / "out", Reality())
+    assert "training.grasps asks for 500" in result["rows"][0]["problem"]
+    assert result["rows"][1]["sim"]["n"] > 0
+    text = (tmp_path / "out" / "table.md").read_text()
+    assert "| single image | single | – | – | – |" in text
+    assert "single image: NOT trained. " in text
+
+
+def test_a_study_of_which_nothing_can_be_trained_stops_with_every_reason(tmp_path, toy_collect):
+    path = small_study(tmp_path)
+    path.write_text(path.read_text().replace("weights: none", "weights: missing.pth"))
+    with pytest.raises(LearningError) as caught:
+        run_study(load_study(path), tmp_path / "out", Reality())
+    assert str(caught.value).count("'missing.pth' is no file") == 2
 
 
 def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect):
