@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -11,8 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen import __version__
+from tacgen.calibration.folds import in_processes
 from tacgen.calibration.lookup_choice import Choice, choose, fold_of
-from tacgen.calibration.press_fit import FitSettings, JointFit, fit_jointly
+from tacgen.calibration.press_fit import (
+    FitSettings,
+    JointFit,
+    fit_jointly,
+    gather,
+    predicted,
+)
 from tacgen.calibration.press_geometry import press_slope, rest_slope
 from tacgen.calibration.press_images import PressImages
 from tacgen.calibration.press_model import PressModel
@@ -21,9 +28,12 @@ from tacgen.calibration.score import PressScore, TableScore, score_table
 from tacgen.calibration.smooth_model import SmoothModel, position_terms
 from tacgen.calibration.table_background import (
     BackgroundRecipe,
+    bare_changes,
     bare_gel_change,
     make_background,
+    press_drift,
 )
+from tacgen.calibration.table_bins import Bins, bin_sums, polar_slopes, solve_bins
 from tacgen.optics.table import LookupTable
 
 N_SLOPE, N_DIRECTION = 48, 120
@@ -31,6 +41,8 @@ N_SLOPE, N_DIRECTION = 48, 120
 
 FIRST_BACKGROUND = BackgroundRecipe(smooth=0.05, drift=True)
 """What the presses are first placed on; smooth, so that the choice among backgrounds is open."""
+
+IMAGES_FOR_NOISE = 12
 
 BEYOND_STEEPEST = 1.02
 """The table ends a little above the steepest slope that the presses hold."""
@@ -61,40 +73,104 @@ def fit_lookup(presses: PressImages) -> LookupTable:
     return calibrate(presses).table
 
 
-def calibrate(presses: PressImages, *, heldout: bool = False) -> Calibration:
+def calibrate(
+    presses: PressImages, *, heldout: bool = False, processes: int | None = None
+) -> Calibration:
     """Fit a table; with ``heldout`` also repeat everything five times, each without a fifth.
 
     The held-out presses of a fold take no part in the fit, in the choice of settings or in the
-    estimate of the background that they are scored against.
+    estimate of the background that they are scored against. The six fits run in ``processes``
+    processes, by default one a core; the result does not depend on how many.
     """
+    changes = bare_changes(presses)
+    if not heldout:
+        return _fit(presses, changes)
+    folds = fold_of(len(presses))
+    task = _FoldTask(presses, changes, folds)
+    whole, *parts = in_processes(task, [-1, *np.unique(folds).tolist()], processes)
+    scored: list[PressScore | None] = [None] * len(presses)
+    for fold, (_, score) in enumerate(parts):
+        for k, press in zip(np.nonzero(folds == fold)[0], score.presses, strict=True):
+            scored[k] = press
+    total = TableScore(tuple(press for press in scored if press is not None))
+    made: Calibration = whole[0]
+    provenance = {**made.table.provenance, "heldout": _without_images(total)}
+    table = replace(made.table, provenance=MappingProxyType(provenance))
+    return replace(
+        made, table=table, heldout=total, fold_tables=tuple(part.table for part, _ in parts)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _FoldTask:
+    """Calibrates without one fold and scores on it; fold −1 is everything and scores nothing."""
+
+    presses: PressImages
+    changes: NDArray[np.floating]
+    folds: NDArray[np.int64]
+
+    def __call__(self, fold: int) -> tuple[Calibration, TableScore]:
+        kept = self.folds != fold
+        made = _portable(_fit(self.presses.select(kept), self.changes[kept]))
+        if kept.all():
+            return made, TableScore(())
+        return made, score_table(made.table, self.presses.select(~kept))
+
+
+def _portable(made: Calibration) -> Calibration:
+    """The same with plain mappings, which go from process to process."""
+    table = made.table
+    plain = replace(table, effects=dict(table.effects), provenance=dict(table.provenance))
+    return replace(made, table=plain)
+
+
+def _fit(presses: PressImages, changes: NDArray[np.floating]) -> Calibration:
     first = FitSettings()
-    change = bare_gel_change(presses)
-    start = make_background(presses.background, change, FIRST_BACKGROUND)
-    rough = fit_jointly(presses, start, first)
-    choice = choose(presses, rough, first)
-    background = make_background(presses.background, change, choice.background)
+    change = bare_gel_change(presses, changes)
+    start = make_background(presses.background, change, FIRST_BACKGROUND, presses.dots)
+    rough = fit_jointly(presses, start, first, changes=changes)
+    choice = choose(presses, rough, first, changes)
+    background = make_background(presses.background, change, choice.background, presses.dots)
     fit = rough
     if (choice.settings, choice.background) != (first, FIRST_BACKGROUND):
-        fit = fit_jointly(presses, background, choice.settings, start=rough, iterations=3)
-    score, tables = _heldout(presses) if heldout else (None, ())
-    table = tabulate(presses, fit, background, choice, score)
-    return Calibration(table, fit, choice, background, score, tables)
+        fit = fit_jointly(
+            presses, background, choice.settings, start=rough, iterations=3, changes=changes
+        )
+    bins = fit_bins(presses, fit, background, choice, changes)
+    table = tabulate(presses, fit, background, choice, bins)
+    return Calibration(table, fit, choice, background)
 
 
-def _heldout(presses: PressImages) -> tuple[TableScore, tuple[LookupTable, ...]]:
-    """The score of five tables, each on the fifth of the presses that it was made without."""
-    folds = fold_of(len(presses))
-    scored: list[PressScore | None] = [None] * len(presses)
-    tables = []
-    for fold in np.unique(folds):
-        left_out = np.nonzero(folds == fold)[0]
-        table = calibrate(presses.select(folds != fold)).table
-        tables.append(table)
-        for k, press in zip(
-            left_out, score_table(table, presses.select(left_out)).presses, strict=True
-        ):
-            scored[k] = press
-    return TableScore(tuple(press for press in scored if press is not None)), tuple(tables)
+def fit_bins(
+    presses: PressImages,
+    fit: JointFit,
+    background: NDArray[np.float32],
+    choice: Choice,
+    changes: NDArray[np.floating],
+) -> Bins | None:
+    """What the chosen bins add to the smooth model; None where it stands alone."""
+    if not choice.bins.n_slope:
+        return None
+    offsets = fit.drift_share * press_drift(presses, changes)
+    steepest = steepest_slope_rad(presses, fit)
+    parts: list[list[NDArray]] = [[], [], [], []]
+    for k, (sample, place) in enumerate(
+        zip(gather(presses, background, choice.settings), fit.geometry, strict=True)
+    ):
+        inside = sample.pixels.inside
+        polar = polar_slopes(sample, place, fit)[inside]
+        smooth = predicted(sample, place, fit.press_model, fit.model)
+        residual = (sample.change - offsets[k] - smooth)[inside]
+        found = (polar, sample.pixels.position[inside], residual, np.full(len(polar), k))
+        for part, values in zip(parts, found, strict=True):
+            part.append(values)
+    polar, position, residual, press = (np.concatenate(part) for part in parts)
+    sums = bin_sums(polar, position, residual, press, choice.bins, steepest)
+    return solve_bins(sums, choice.bins, steepest)
+
+
+def _without_images(score: TableScore) -> dict[str, Any]:
+    return {name: value for name, value in score.as_dict().items() if name != "images"}
 
 
 def tabulate(
@@ -102,7 +178,7 @@ def tabulate(
     fit: JointFit,
     background: NDArray[np.float32],
     choice: Choice,
-    heldout: TableScore | None,
+    bins: Bins | None = None,
 ) -> LookupTable:
     """The fitted model as a table that renders without any of the fit's code."""
     steepest = steepest_slope_rad(presses, fit)
@@ -115,15 +191,19 @@ def tabulate(
         "left_out": [str(press) for press in presses.doubtful],
         "ball_radius_mm": sorted({float(r) for r in presses.ball_radius_mm}),
         "press_model": fit.press_model.as_dict(),
-        "settings": {**asdict(choice.settings), **asdict(choice.background)},
+        "settings": {
+            **asdict(choice.settings),
+            **asdict(choice.background),
+            "bins": asdict(choice.bins),
+        },
         "drift_share": fit.drift_share,
     }
-    if heldout is not None:
-        provenance["heldout"] = {
-            name: value for name, value in heldout.as_dict().items() if name != "images"
-        }
+    coefficients = fit.model.coefficients(slope, direction)
+    if bins is not None:
+        added = bins.at(*np.meshgrid(slope, direction, indexing="ij"))
+        coefficients = (coefficients + added.swapaxes(-1, -2)).astype(np.float32)
     return LookupTable(
-        coefficients=fit.model.coefficients(slope, direction),
+        coefficients=coefficients,
         background=without_rest(background, fit.model, fit.press_model, presses.mm_per_px),
         mm_per_px=presses.mm_per_px,
         max_slope_rad=float(steepest),
@@ -140,8 +220,8 @@ def camera_noise_grey(presses: PressImages) -> float:
     have √6 σ.
     """
     noises = []
-    for image in presses.images:
-        grey = image.astype(np.float32)
+    for image in presses.images[:: max(1, len(presses) // IMAGES_FOR_NOISE)]:
+        grey = image[::2].astype(np.float32)
         second = grey[:, :-2] - 2 * grey[:, 1:-1] + grey[:, 2:]
         noises.append(1.4826 * float(np.median(np.abs(second))) / math.sqrt(6))
     return float(np.median(noises))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.calibration.circles import Circle, find_circle, outside_share
+from tacgen.calibration.dots import dots_in, printed_dots
 from tacgen.calibration.press_images import DoubtfulPress, PressImages
 from tacgen.errors import PressError
 
@@ -29,19 +30,22 @@ MISMATCH_GREY = 40.0
 def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressImages:
     """The presses that a fit or a score can use, each with a circle; the others are listed.
 
+    Printed dots are found and masked.
+
     Raises
     ------
     PressError
         If the background does not match the presses or fewer than ``least`` are left.
     """
     _check_background(presses)
+    presses = _with_dots_masked(presses)
     center, radius = presses.center_px.copy(), presses.radius_px.copy()
     found = ~presses.labelled
     doubtful: list[DoubtfulPress] = []
     for k in range(len(presses)):
         circle = Circle(center[k], float(radius[k]))
         if found[k]:
-            circle = find_circle(presses.images[k], presses.background)
+            circle = find_circle(presses.images[k], presses.background, presses.hidden_in(k))
             center[k], radius[k] = circle.center_px, circle.radius_px
         reason, mend = circle.problem, "press again, with the ball well in view"
         if not reason:
@@ -58,6 +62,14 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
         raise PressError.from_problems([head, *(str(press) for press in doubtful)])
     marked = replace(presses, center_px=center, radius_px=radius, found=found)
     return replace(marked.select(keep), doubtful=(*presses.doubtful, *doubtful))
+
+
+def _with_dots_masked(presses: PressImages) -> PressImages:
+    at_rest = printed_dots(presses.background)
+    if at_rest is None:
+        return presses
+    hidden = np.stack([dots_in(image, at_rest) for image in presses.images])
+    return replace(presses, dots=at_rest, hidden=hidden)
 
 
 def _check_background(presses: PressImages) -> None:

@@ -112,6 +112,7 @@ def gather(
             presses.mm_per_px,
             reach=REACH if settings.rim_weight > 0 else 1.0,
             limit=PIXELS_PER_PRESS if limit is None else limit,
+            hidden=presses.hidden_in(k),
         )
         samples.append(
             Sample(
@@ -129,12 +130,27 @@ def sample_design(
     sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int
 ) -> FloatArray:
     """Design matrix (n, n_terms · 6) of a press: what its slopes add to the gel at rest."""
+    terms = _added_terms(sample, geometry, press_model, degree)
+    return design(terms, sample.pixels.position)
+
+
+def predicted(
+    sample: Sample, geometry: FloatArray, press_model: PressModel, model: SmoothModel
+) -> FloatArray:
+    """Change of grey level (n, 3) that ``model`` gives at a press's pixels."""
+    terms = _added_terms(sample, geometry, press_model, model.degree)
+    return model.of_terms(terms, sample.pixels.position)
+
+
+def _added_terms(
+    sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int
+) -> FloatArray:
     gx, gy = press_model.slopes(geometry, sample.ball_radius_mm, sample.pixels)
     terms = monomials(*normal_parts(gx, gy), degree)
     if press_model.dome_radius_mm > 0:
         at_rest = rest_slope(sample.pixels.x_mm, sample.pixels.y_mm, press_model.dome_radius_mm)
         terms = terms - monomials(*normal_parts(*at_rest), degree)
-    return design(terms, sample.pixels.position)
+    return terms
 
 
 def fit_model(
@@ -145,9 +161,10 @@ def fit_model(
     gram, moment = np.zeros((size, size)), np.zeros((size, 3))
     for sample, place in zip(samples, geometry, strict=True):
         features = sample_design(sample, place, press_model, settings.degree)
-        weighted = features * sample.weight[:, None]
-        gram += weighted.T @ features
-        moment += weighted.T @ sample.change
+        root = np.sqrt(sample.weight)[:, None]
+        weighted = features * root
+        gram += weighted.T @ weighted
+        moment += weighted.T @ (sample.change * root)
     return solve_ridge(gram, moment, settings.ridge, settings.degree)
 
 
@@ -162,8 +179,8 @@ def drift_share(
     residual = np.zeros_like(drift)
     for k, (sample, place) in enumerate(zip(samples, geometry, strict=True)):
         inside = sample.pixels.inside
-        features = sample_design(sample, place, press_model, model.degree)[inside]
-        residual[k] = (sample.change[inside] - features @ model.weights.reshape(-1, 3)).mean(axis=0)
+        left = sample.change - predicted(sample, place, press_model, model)
+        residual[k] = left[inside].mean(axis=0)
     residual -= residual.mean(axis=0)
     size = float((drift**2).sum()) + len(drift) * DRIFT_NOISE_GREY**2
     return float(np.clip((residual * drift).sum() / size, 0.0, 1.0))
@@ -179,7 +196,6 @@ def refine_press(
 ) -> FloatArray:
     """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected."""
     pixels = sample.pixels
-    weights_here = model.at_positions(pixels.position)
     at_rest: FloatArray = np.zeros((len(pixels), 3))
     if press_model.dome_radius_mm > 0:
         slope = rest_slope(pixels.x_mm, pixels.y_mm, press_model.dome_radius_mm)
@@ -193,9 +209,9 @@ def refine_press(
     nudge = 1e-4 * scale
     for _ in range(steps):
         normal = normal_parts(*press_model.slopes(geometry, sample.ball_radius_mm, pixels))
-        value = np.einsum("nt,ntc->nc", monomials(*normal, model.degree), weights_here)
+        value = model.of_terms(monomials(*normal, model.degree), pixels.position)
         along_x, along_y = (
-            np.einsum("nt,ntc->nc", terms, weights_here)
+            model.of_terms(terms, pixels.position)
             for terms in monomial_derivatives(*normal, model.degree)
         )
         columns = []
@@ -233,8 +249,7 @@ def refine_membrane(
 
         def render(membrane: Membrane, sample: Sample = sample, place: FloatArray = place):  # type: ignore[no-untyped-def]
             changed = replace(press_model, membrane=membrane)
-            features = sample_design(sample, place, changed, model.degree)
-            return features @ model.weights.reshape(-1, 3)
+            return predicted(sample, place, changed, model)
 
         value = render(now)
         jacobian = np.stack([((render(t) - value) / 0.02).ravel() for t in trials], axis=-1)
@@ -257,11 +272,13 @@ def fit_jointly(
     *,
     iterations: int = 8,
     start: JointFit | None = None,
+    changes: FloatArray | None = None,
 ) -> JointFit:
     """Alternate between the smooth model, each press's place, the rim and the label model.
 
     The places are found on a thinned lattice of pixels; the model is then fitted to more of them.
-    ``start`` is an earlier fit of the same presses to go on from.
+    ``start`` is an earlier fit of the same presses to go on from; ``changes`` is what
+    ``bare_changes`` gives, where it is already known.
     """
     thinned = gather(presses, background, settings, limit=PIXELS_FOR_PLACES)
     labels = np.array([sample.label for sample in thinned])
@@ -270,7 +287,7 @@ def fit_jointly(
     press_model = plain_press_model(float(first_radius.mean()), presses.dome_radius_mm)
     geometry = np.column_stack([labels[:, :2], first_radius])
     rough = replace(settings, degree=min(settings.degree, 4))
-    drift = press_drift(presses)
+    drift = press_drift(presses, changes)
     share = 0.0
     if start is not None:
         press_model, geometry, share = start.press_model, start.geometry, start.drift_share

@@ -182,8 +182,7 @@ def _ball_volume(
     """Volume below the contact circle, the ball's cap and the dome's; or 0 and what is wrong."""
     circle_px = float(row.get("contact_radius_px", np.nan))
     if not np.isfinite(circle_px):
-        pair = [_without_dots(each, hidden) for each in (picture, images.background)]
-        circle = find_circle(*pair)
+        circle = find_circle(picture, images.background, hidden)
         if circle.problem:
             return 0.0, circle.problem
         circle_px = circle.radius_px
@@ -192,12 +191,6 @@ def _ball_volume(
     if images.dome_radius_mm > 0:
         volume += float(cap_volume_from_circle_mm3(circle_mm, images.dome_radius_mm))
     return volume, ""
-
-
-def _without_dots(picture: Image, hidden: NDArray[np.bool_] | None) -> Image:
-    if hidden is None:
-        return picture
-    return np.asarray(cv2.inpaint(picture, hidden.astype(np.uint8), 3, cv2.INPAINT_TELEA))
 
 
 def _log_frame(rows: pd.DataFrame, volumes: Floats) -> pd.DataFrame:

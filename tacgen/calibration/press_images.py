@@ -45,6 +45,10 @@ class PressImages:
         Radius of curvature of the gel at rest, 0 for a flat one.
     found : (N,) bool
         Whether centre and radius were found in the image instead of labelled.
+    dots : (H, W) bool, optional
+        Pixels of the background that printed dots cover; None where there are none.
+    hidden : (N, H, W) bool, optional
+        The same for each press: pixels that show a dot and not the gel.
     doubtful : tuple of DoubtfulPress
     warnings : tuple of str
     sha256 : mapping
@@ -61,6 +65,8 @@ class PressImages:
     dome_radius_mm: float = 0.0
     sensor: str = ""
     found: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    dots: NDArray[np.bool_] | None = None
+    hidden: NDArray[np.bool_] | None = None
     doubtful: tuple[DoubtfulPress, ...] = ()
     warnings: tuple[str, ...] = ()
     sha256: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -78,6 +84,10 @@ class PressImages:
         """Which presses come with a centre and a radius (N,)."""
         return np.isfinite(self.center_px).all(axis=1) & np.isfinite(self.radius_px)
 
+    def hidden_in(self, k: int) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) of press ``k`` that show a dot; None where there are no dots."""
+        return None if self.hidden is None else self.hidden[k]
+
     def select(self, which: NDArray) -> PressImages:
         """The presses that an index array or mask picks; what is said about the set stays."""
         found = self.found if len(self.found) else np.zeros(len(self), dtype=bool)
@@ -89,4 +99,5 @@ class PressImages:
             radius_px=self.radius_px[which],
             ball_radius_mm=self.ball_radius_mm[which],
             found=found[which],
+            hidden=None if self.hidden is None else self.hidden[which],
         )

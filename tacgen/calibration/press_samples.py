@@ -73,8 +73,9 @@ def disc_pixels(
     *,
     reach: float = 1.0,
     limit: int | None = None,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> Pixels:
-    """The pixels of ``image`` (H, W, 3) within ``reach`` × the contact circle.
+    """The pixels of ``image`` (H, W, 3) within ``reach`` × the contact circle, not ``hidden``.
 
     Where there are more than ``limit``, an even lattice of them: every k-th row and column, so
     that no part of the circle is favoured.
@@ -90,6 +91,8 @@ def disc_pixels(
     rows, columns = rows.ravel(), np.minimum(columns.ravel(), width - 1)
     distance = np.hypot(columns - center_px[0], rows - center_px[1])
     near = distance < reach_px
+    if hidden is not None:
+        near &= ~hidden[rows, columns]
     rows, columns, distance = rows[near], columns[near], distance[near]
     x_mm, y_mm = place_mm(columns, rows, (height, width), mm_per_px)
     u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5

@@ -182,6 +182,7 @@ def _score_press(
         presses.center_px[k],
         float(presses.radius_px[k]),
         presses.mm_per_px,
+        hidden=presses.hidden_in(k),
     )
     expected = press_model.labels.geometry(label)
     expected[2] = min(expected[2], 0.95 * ball)

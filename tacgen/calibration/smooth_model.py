@@ -76,11 +76,15 @@ def design(terms: FloatArray, position: FloatArray) -> FloatArray:
     return (terms[:, :, None] * position[:, None, :]).reshape(len(terms), -1)
 
 
+def position_costs() -> FloatArray:
+    """How much the ridge charges for each position feature (6,): the constant costs 1."""
+    return np.array([16.0, 16.0, 16.0, 4.0, 4.0, 1.0])
+
+
 def roughness(degree: int) -> FloatArray:
     """Diagonal (n_terms · 6,) of the ridge: higher powers of slope and of position cost more."""
     term_cost = np.array([*(float(i + j) ** 2 for i, j in exponents(degree)), 1.0])
-    position_cost = np.array([16.0, 16.0, 16.0, 4.0, 4.0, 1.0]) / 16.0
-    return (term_cost[:, None] * position_cost[None, :]).ravel()
+    return (term_cost[:, None] * position_costs()[None, :] / 16.0).ravel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +101,17 @@ class SmoothModel:
     weights: FloatArray
     degree: int
 
-    def at_positions(self, position: FloatArray) -> FloatArray:
-        """The weights of the terms at places: (n, n_terms, 3) from ``position`` (n, 6)."""
-        return np.einsum("nf,tfc->ntc", position, self.weights)
+    def of_terms(self, terms: FloatArray, position: FloatArray) -> FloatArray:
+        """Grey levels (n, 3) of the model's terms (n, n_terms) at places (n, 6)."""
+        n_here, n_features, n_channels = self.weights.shape
+        at_features = terms @ self.weights.reshape(n_here, -1)
+        by_feature = at_features.reshape(len(terms), n_features, n_channels)
+        return np.asarray((by_feature * position[:, :, None]).sum(axis=1))
 
     def change(self, gx: FloatArray, gy: FloatArray, position: FloatArray) -> FloatArray:
         """Grey levels (n, 3) that a slope (n,) adds, at ``position`` (n, 6)."""
         terms = monomials(*normal_parts(gx, gy), self.degree)
-        return np.einsum("nt,ntc->nc", terms, self.at_positions(position))
+        return self.of_terms(terms, position)
 
     def coefficients(self, slope_rad: FloatArray, direction_rad: FloatArray) -> NDArray:
         """The table's coefficients (n_slope, n_direction, 3, 6) at nodes of slope and direction."""
