@@ -88,20 +88,21 @@ def _object_figure(
     nearest = float(fit.mu_values[np.argmin(np.abs(fit.mu_values - fit.mu))])
     real_labels = np.array([grasp.label for grasp in grasps])
     simulated = np.array([outcomes[(grasp.grasp_id, nearest)].label for grasp in grasps])
-    _outcome_map(real_map, grasps, real_labels, real_labels, "real")
-    _outcome_map(sim_map, grasps, simulated, real_labels, f"simulated, μ = {nearest:.2f}")
+    outcome_map(real_map, grasps, real_labels, real_labels, "real")
+    outcome_map(sim_map, grasps, simulated, real_labels, f"simulated, μ = {nearest:.2f}")
     sim_map.sharex(real_map)
     sim_map.sharey(real_map)
     return figure
 
 
-def _outcome_map(
+def outcome_map(
     axes: Axes,
     grasps: Sequence[RealGrasp],
     labels: np.ndarray,
     truth: np.ndarray,
     title: str,
 ) -> None:
+    """Outcomes over force and height; rings mark labels that differ from ``truth``."""
     force = np.array([grasp.config.force_n for grasp in grasps])
     height = np.array([grasp.config.z_mm for grasp in grasps])
     for label, marker, color in ((1, "o", GOOD), (0, "X", BAD), (-1, "s", "#8a94a3")):

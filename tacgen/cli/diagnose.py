@@ -112,3 +112,35 @@ def diagnose_optics(
     for line in (*used.warnings, *(str(press) for press in used.doubtful)):
         typer.echo(f"warning: {line}", err=True)
     typer.echo(json.dumps(diagnosis.as_dict()) if json_output else sentence(diagnosis))
+
+
+@diagnose_app.command("grasps")
+def diagnose_grasps_command(
+    real: Annotated[Path, typer.Argument(help="A folder of real grasps: grasps.csv, images/.")],
+    recipe: Annotated[str, typer.Option("--recipe", help="The recipe that declares the world.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of the results; goes on if it is there.")
+    ],
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    json_output: JsonFlag = False,
+) -> None:
+    """Trace grasps that end otherwise than simulated to what the declared world lacks."""
+    from tacgen.dataset.real_grasps import read_real_grasps
+    from tacgen.grasp_diagnosis import diagnose_grasps, record_of
+    from tacgen.grasp_report import write_grasp_report
+    from tacgen.progress import progress_counter
+    from tacgen.recipe import load_recipe
+    from tacgen.resources import object_folders
+
+    loaded = load_recipe(recipe)
+    grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
+    with progress_counter("grasp") as show:
+        findings = diagnose_grasps(loaded, grasps, out, workers=workers, show=lambda what: show)
+    for note in findings.diagnosis.notes:
+        typer.echo(f"note: {note}", err=True)
+    write_grasp_report(out / "report.html", grasps, findings)
+    if json_output:
+        record = record_of(findings, loaded, list(grasps.by_object()))
+        typer.echo(json.dumps(record, ensure_ascii=False))
+    else:
+        typer.echo(findings.diagnosis.sentence)

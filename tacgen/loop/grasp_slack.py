@@ -1,0 +1,97 @@
+"""From simulated outcomes to one continuous number a grasp: how far it is from the other label."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+FARTHEST = 1.5
+"""Slack is a logarithm; beyond a factor of 4.5 it makes no difference how far."""
+NEAR, LEAST = 0.5, 0.05
+TURN_LIMIT_RAD = 0.1
+"""The turn at which a lifted grasp counts as failed (DESIGN §4)."""
+SURE_MODE = 0.9
+_MODE_WIDTH = 0.2
+
+
+def signed_slack(
+    label: NDArray[np.int64],
+    friction_ratio: FloatArray,
+    torsion_ratio: FloatArray,
+    turn_rad: FloatArray,
+) -> FloatArray:
+    """How far each grasp is from ending otherwise: positive holds, negative fails.
+
+    The smaller logarithm of the two ratios limit/demand. These are closed forms for slip about
+    to start, so where the simulated label says otherwise it is right: a grasp that turns a little
+    and then holds is as far from failing as its turn is from the limit.
+
+    Parameters
+    ----------
+    label : (..., ) int
+        1, 0, or −1 where the grasp was not executed, which counts as a clear failure.
+    friction_ratio, torsion_ratio : (...) float
+        Limit over demand, see ``records.SlipMargin``.
+    turn_rad : (...) float
+        How far the lifted object had turned.
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        slip = np.log(np.fmin(friction_ratio, torsion_ratio))
+        turned = 0.5 * np.abs(np.log(np.maximum(turn_rad, 1e-6) / TURN_LIMIT_RAD))
+    slip = np.clip(np.nan_to_num(slip, nan=-FARTHEST), -FARTHEST, FARTHEST)
+    aside = np.clip(np.nan_to_num(turned, nan=LEAST), LEAST, NEAR)
+    sign = np.where(label == 1, 1.0, -1.0)
+    agrees = np.where(label == 1, slip > 0, slip < 0)
+    return np.where(label < 0, -1.0, np.where(agrees, slip, sign * aside))
+
+
+def turning_share(
+    label: NDArray[np.int64],
+    turned: NDArray[np.bool_],
+    friction_ratio: FloatArray,
+    torsion_ratio: FloatArray,
+) -> FloatArray:
+    """Probability that a grasp, if it fails, fails by turning and not by sliding.
+
+    A simulated failure says which it was; of a success, the nearer limit would give way first.
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        lead = np.nan_to_num(np.log(friction_ratio / torsion_ratio), nan=0.0)
+    nearer = 1 / (1 + np.exp(-np.clip(lead / _MODE_WIDTH, -20, 20)))
+    likely = (1 - SURE_MODE) + (2 * SURE_MODE - 1) * nearer
+    known = np.where(turned, SURE_MODE, 1 - SURE_MODE)
+    return np.where(label == 0, known, np.where(label < 0, 0.5, likely))
+
+
+def slack_at_force(log_scale: FloatArray, slack: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Slack (M, N) at other forces, from the slack (K, N) at ``log_scale`` (K,) of the force.
+
+    What holds grows in proportion to the force, so beyond the ends the slope is 1.
+
+    Parameters
+    ----------
+    wanted : (M, N) float
+        Logarithm of the force of each grasp over the declared one.
+    """
+    inside = np.clip(wanted, log_scale[0], log_scale[-1])
+    found = np.stack(
+        [np.interp(inside[:, n], log_scale, slack[:, n]) for n in range(slack.shape[1])], axis=1
+    )
+    return np.clip(found + wanted - inside, -FARTHEST, FARTHEST)
+
+
+def slack_at_torsion(
+    slack: FloatArray, friction_ratio: FloatArray, torsion_ratio: FloatArray, log_factor: FloatArray
+) -> FloatArray:
+    """Slack (M, N) where the pads hold a moment that is larger by ``log_factor`` (M,).
+
+    Only grasps that would give way by turning change, until they would rather slide.
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        slide, turn = np.log(friction_ratio), np.log(torsion_ratio)
+    slide = np.nan_to_num(slide, nan=0.0, posinf=FARTHEST, neginf=-FARTHEST)
+    turn = np.nan_to_num(turn, nan=0.0, posinf=FARTHEST, neginf=-FARTHEST)
+    change = np.minimum(turn + log_factor[:, None], slide) - np.minimum(turn, slide)
+    return np.clip(slack + change, -FARTHEST, FARTHEST)
