@@ -11,14 +11,17 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from tacgen.dataset import DatasetFolder, GraspSample
+from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.card import write_card
-from tacgen.dataset.gallery import write_gallery
+from tacgen.dataset.gallery import Card, CardMaker, write_gallery
 from tacgen.dataset.verify import verify
 from tacgen.grasp_pipeline import GraspPipeline, crashed_sample, dataset_spec
 from tacgen.grid import PlannedGrasp, plan_recipe, shard_ranges
 from tacgen.recipe import Recipe
 from tacgen.workers import Event, Report, run_tasks
+
+CARDS_A_TASK = 5
+CARD_LIMIT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,17 +98,18 @@ def collect(
     found = tuple(shard for shard in share if shard not in redo and folder.is_done(shard))
     pending = [shard for shard in share if shard not in found]
     n_items = sum(len(spec.shard_range(shard)) for shard in pending)
-    make_job = partial(_shard_job, recipe, tuple(planned), folder.root, frozenset(redo))
+    make_job = partial(_shard_job, recipe, tuple(planned), folder.root, spec, frozenset(redo))
     tally = _Tally()
     with _progress_bar(n_items, enabled=progress) as show:
         for event in run_tasks(pending, make_job, workers=workers, item_limit_s=item_limit_s):
             tally.take(event)
             show(event, tally)
-    folder.merge()
-    if len(folder.manifest()) == spec.n_shards:
+    result = tally.collected(found)
+    is_whole = len(folder.merge()) == spec.n_shards
+    if is_whole and (result.made or not folder.gallery_path.is_file()):
         write_card(folder.root)
-        write_gallery(folder.root)
-    return tally.collected(found)
+        write_gallery(folder.root, partial(_make_cards, folder.root, workers))
+    return result
 
 
 def describe(recipe: Recipe, out: Path) -> Plan:
@@ -132,14 +136,17 @@ def shards_to_repair(out: Path) -> list[int]:
 
 @contextlib.contextmanager
 def _shard_job(
-    recipe: Recipe, planned: tuple[PlannedGrasp, ...], root: Path, redo: frozenset[int]
+    recipe: Recipe,
+    planned: tuple[PlannedGrasp, ...],
+    root: Path,
+    spec: DatasetSpec,
+    redo: frozenset[int],
 ) -> Iterator[Callable[[int, Mapping[int, str], Report], bool]]:
     """The work of one process: a simulator kept open, and a shard for each call.
 
     The job returns False where another process has the shard.
     """
     folder = DatasetFolder(root)
-    spec = dataset_spec(recipe, len(planned))
     with GraspPipeline(recipe) as pipeline:
 
         def job(shard: int, crashed: Mapping[int, str], report: Report) -> bool:
@@ -159,6 +166,27 @@ def _shard_job(
                 return mine
 
         yield job
+
+
+def _make_cards(root: Path, workers: int, rows: Sequence[int]) -> list[Card]:
+    """The gallery's cards, made by several processes."""
+    batches = [rows[k : k + CARDS_A_TASK] for k in range(0, len(rows), CARDS_A_TASK)]
+    made: dict[int, list[Card]] = {}
+    make_job = partial(_card_job, root, batches)
+    for event in run_tasks(
+        range(len(batches)), make_job, workers=workers, item_limit_s=CARD_LIMIT_S
+    ):
+        if event.kind == "done":
+            made[event.task] = event.value
+    return [card for batch in sorted(made) for card in made[batch]]
+
+
+@contextlib.contextmanager
+def _card_job(
+    root: Path, batches: Sequence[Sequence[int]]
+) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Card]]]:
+    maker = CardMaker(root)
+    yield lambda batch, _crashed, _report: [maker.card(row) for row in batches[batch]]
 
 
 class _Tally:

@@ -19,10 +19,12 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from tacgen.errors import TacgenError
+from tacgen.processes import start, start_early
 
 MAX_KILLS_PER_TASK = 5
 MAX_CRASHES_IN_A_ROW = 3
@@ -80,10 +82,10 @@ def run_tasks(
         and again.
     """
     progress = _Progress(deque(tasks))
-    context = multiprocessing.get_context("spawn")
+    start_early(_module_of(make_job))
     crew: list[_Worker] = []
     try:
-        crew += [_start(context, make_job) for _ in range(min(workers, len(tasks)))]
+        crew += [_start(make_job) for _ in range(min(workers, len(tasks)))]
         while progress.queue or any(worker.task is not None for worker in crew):
             for worker in crew:
                 if worker.task is None and progress.queue:
@@ -99,16 +101,22 @@ def run_tasks(
                 else:
                     yield from _account_for_death(worker, progress)
                 if worker.task is None and progress.queue and not worker.process.is_alive():
-                    crew[k] = _start(context, make_job)
+                    crew[k] = _start(make_job)
     finally:
         for worker in crew:
             _stop(worker)
 
 
-def _start(context: Any, make_job: JobFactory) -> _Worker:
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs, make_job), daemon=True)
-    process.start()
+def _module_of(make_job: JobFactory) -> str:
+    """Where the job is defined, so that it is imported once for all workers."""
+    while isinstance(make_job, partial):
+        make_job = make_job.func
+    return getattr(make_job, "__module__", __name__)
+
+
+def _start(make_job: JobFactory) -> _Worker:
+    ours, theirs = multiprocessing.Pipe()
+    process = start(_serve, theirs, make_job)
     theirs.close()
     return _Worker(process, ours)
 

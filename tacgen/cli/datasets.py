@@ -114,6 +114,10 @@ def collect(
     json_output: JsonFlag = False,
 ) -> None:
     """Simulate a recipe's grasps and write them as a dataset; goes on where it stopped."""
+    from tacgen.processes import start_early
+
+    if not dry_run:
+        start_early("tacgen.collect")
     from tacgen.collect import collect as run
     from tacgen.collect import describe, shards_to_repair
     from tacgen.recipe import load_recipe

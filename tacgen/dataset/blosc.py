@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +21,9 @@ from tacgen.dataset.huffman import HEADER_BYTES, MAX_CODE_BITS, deflate_differen
 FILTER_OPTIONS = (0, 0, 0, 0, 1, 35, 4)
 """What the array says of itself: level 1, bytedelta, zlib."""
 
+END_BYTES = 160
+"""More than the heads that are looked at take."""
+
 BLOCK_PIXELS = 1 << 16
 """About what a block holds: with its scratch it stays in a processor's second cache."""
 
@@ -27,6 +31,15 @@ _SHUFFLE, _BYTEDELTA, _ZLIB = 1, 35, 4
 _FRAME_BYTES, _CHUNK_BYTES = 97, 32
 _INDEX = struct.pack("<4B3i", 5, 1, 7, 8, 8, 8, 40) + bytes([0, 0, 0, 0, 0, 1]) + bytes(18)
 _TRAILER = bytes.fromhex("9401 93cd0006de0000dc0000 ce00000023 d800") + bytes(16)
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkEnds:
+    """How a compressed chunk of ``size`` bytes starts and ends: ``END_BYTES`` of each, at most."""
+
+    head: bytes
+    tail: bytes
+    size: int
 
 
 def encode_image(rgb: NDArray[np.uint8]) -> bytes:
@@ -70,17 +83,16 @@ def frame_head(height: int, width: int, chunk_bytes: int) -> bytes:
     return frame + chunk + filters
 
 
-def is_image_of(chunk: bytes, height: int, width: int) -> bool:
+def is_image_of(ends: ChunkEnds, height: int, width: int) -> bool:
     """Whether a chunk starts and ends as ``encode_image`` has it for that size.
 
     A frame that says otherwise could have the reader take any amount of memory.
     """
-    if len(chunk) < _FRAME_BYTES + _CHUNK_BYTES + len(_INDEX) + len(_TRAILER):
+    chunk_bytes = ends.size - _FRAME_BYTES - len(_INDEX) - len(_TRAILER)
+    if not _CHUNK_BYTES < chunk_bytes < 1 << 31:
         return False
-    chunk_bytes = len(chunk) - _FRAME_BYTES - len(_INDEX) - len(_TRAILER)
-    return chunk.startswith(frame_head(height, width, chunk_bytes)) and chunk.endswith(
-        _INDEX + _TRAILER
-    )
+    head = frame_head(height, width, chunk_bytes)
+    return ends.head.startswith(head) and ends.tail.endswith(_INDEX + _TRAILER)
 
 
 def _block_pixels(height: int, width: int) -> int:

@@ -7,7 +7,7 @@ evenly, and says so.
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from tacgen.dataset.summary import Summary, summarize
 from tacgen.files import write_text
 
 MAX_PAGE_BYTES = 15_000_000
-MAX_CARDS, MAX_SHARDS, MAX_STRIP = 300, 200, 8
+MAX_CARDS, MAX_SHARDS, MAX_STRIP = 200, 200, 8
 IMAGE_WIDTH_PX, STRIP_WIDTH_PX, JPEG_QUALITY = 280, 110, 82
 OUTCOMES = {
     "success": "success",
@@ -59,8 +59,41 @@ class Card:
         return len(self.picture) + sum(map(len, (*self.images, *self.strips))) + 2000
 
 
-def write_gallery(root: Path | str) -> Path:
+class CardMaker:
+    """The cards of a dataset's gallery, made one at a time, by any process that opens it.
+
+    Attributes
+    ----------
+    points : list of dict
+        What the plots need of each grasp.
+    rows : list of int
+        The places in ``points`` of the grasps that get a card.
+
+    Raises
+    ------
+    DatasetError
+        If there is no finished shard, or one is damaged.
+    """
+
+    def __init__(self, root: Path | str) -> None:
+        self.dataset = Dataset(root, partial=True)
+        shards = _evenly(range(len(self.dataset.lines)), MAX_SHARDS)
+        self._columns = self.dataset.columns(shards, contact=True)
+        self.points = _points(self._columns)
+        self.rows: list[int] = _evenly(range(len(self.points)), MAX_CARDS)
+
+    def card(self, row: int) -> Card:
+        """The card of one grasp: this is where images are decoded and made small."""
+        return _card(self.dataset, self._columns, row, self.points[row]["outcome"])
+
+
+def write_gallery(
+    root: Path | str, make_cards: Callable[[Sequence[int]], list[Card]] | None = None
+) -> Path:
     """Write ``index.html`` of the dataset in ``root``, finished or not.
+
+    ``make_cards`` makes the cards of the given rows, in their order, if several processes are to
+    share the work.
 
     Raises
     ------
@@ -68,18 +101,18 @@ def write_gallery(root: Path | str) -> Path:
         If there is no finished shard, or one is damaged.
     """
     folder = DatasetFolder(root)
-    page = render_gallery(Dataset(folder.root, partial=True), summarize(folder.root), folder)
-    write_text(folder.gallery_path, page)
+    maker = CardMaker(folder.root)
+    cards = make_cards(maker.rows) if make_cards else [maker.card(row) for row in maker.rows]
+    write_text(folder.gallery_path, render_gallery(maker, cards, summarize(folder.root), folder))
     return folder.gallery_path
 
 
-def render_gallery(dataset: Dataset, summary: Summary, folder: DatasetFolder) -> str:
-    """The page as text."""
-    shards = _evenly(range(len(dataset.lines)), MAX_SHARDS)
-    columns = dataset.columns(shards, contact=True)
-    points = _points(columns)
-    rows = _evenly(range(len(points)), MAX_CARDS)
-    cards = _fit([_card(dataset, columns, row, points[row]["outcome"]) for row in rows])
+def render_gallery(
+    maker: CardMaker, cards: Sequence[Card], summary: Summary, folder: DatasetFolder
+) -> str:
+    """The page as text, with as many of the cards as there is room for."""
+    dataset, points = maker.dataset, maker.points
+    cards = _fit(cards)
     environment = Environment(
         loader=PackageLoader("tacgen.dataset"),
         autoescape=True,
@@ -221,7 +254,7 @@ def _encoded(rgb: NDArray[np.uint8]) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
 
 
-def _fit(cards: list[Card]) -> list[Card]:
+def _fit(cards: Sequence[Card]) -> Sequence[Card]:
     """As many cards, taken evenly, as the page has room for."""
     room = MAX_PAGE_BYTES * 0.9
     total = sum(card.n_bytes for card in cards)

@@ -66,34 +66,46 @@ def deflate_differences(
 def code_lengths(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Lengths in bits, at most ``MAX_CODE_BITS``, of a Huffman code; 0 where a count is 0.
 
-    At least two counts must not be 0. Where the best code would be too deep, the counts are
-    evened out until it is not.
+    At least two counts must not be 0. Where the best code is deeper, its deepest leaves are hung
+    beside others further up, as zlib does: what that costs is far below a percent.
     """
-    weights = counts.copy()
-    lengths = np.zeros(counts.shape[0], np.int64)
     used = np.flatnonzero(counts)
-    n_leaves = used.shape[0]
+    order = used[np.argsort(counts[used], kind="mergesort")]
+    n_leaves = order.shape[0]
     n_nodes = 2 * n_leaves - 1
-    while True:
-        order = used[np.argsort(weights[used], kind="mergesort")]
-        weight, parent = np.zeros(n_nodes, np.int64), np.zeros(n_nodes, np.int64)
-        weight[:n_leaves] = weights[order]
-        leaf, inner = 0, n_leaves
-        for node in range(n_leaves, n_nodes):
-            for _ in range(2):
-                if leaf < n_leaves and (inner >= node or weight[leaf] <= weight[inner]):
-                    child, leaf = leaf, leaf + 1
-                else:
-                    child, inner = inner, inner + 1
-                weight[node] += weight[child]
-                parent[child] = node
-        depth = np.zeros(n_nodes, np.int64)
-        for node in range(n_nodes - 2, -1, -1):
-            depth[node] = depth[parent[node]] + 1
-        if depth.max() <= MAX_CODE_BITS:
-            lengths[order] = depth[:n_leaves]
-            return lengths
-        weights[used] = (weights[used] + 1) // 2
+    weight, parent = np.zeros(n_nodes, np.int64), np.zeros(n_nodes, np.int64)
+    weight[:n_leaves] = counts[order]
+    leaf, inner = 0, n_leaves
+    for node in range(n_leaves, n_nodes):
+        for _ in range(2):
+            if leaf < n_leaves and (inner >= node or weight[leaf] <= weight[inner]):
+                child, leaf = leaf, leaf + 1
+            else:
+                child, inner = inner, inner + 1
+            weight[node] += weight[child]
+            parent[child] = node
+    depth = np.zeros(n_nodes, np.int64)
+    for node in range(n_nodes - 2, -1, -1):
+        depth[node] = depth[parent[node]] + 1
+    n_of = np.zeros(MAX_CODE_BITS + 1, np.int64)
+    taken = 0
+    for leaf in range(n_leaves):
+        bits = min(depth[leaf], MAX_CODE_BITS)
+        n_of[bits] += 1
+        taken += 1 << (MAX_CODE_BITS - bits)
+    for _ in range(taken - (1 << MAX_CODE_BITS)):
+        bits = MAX_CODE_BITS - 1
+        while n_of[bits] == 0:
+            bits -= 1
+        n_of[bits] -= 1
+        n_of[bits + 1] += 2
+        n_of[MAX_CODE_BITS] -= 1
+    lengths = np.zeros(counts.shape[0], np.int64)
+    leaf = 0
+    for bits in range(MAX_CODE_BITS, 0, -1):
+        lengths[order[leaf : leaf + n_of[bits]]] = bits
+        leaf += n_of[bits]
+    return lengths
 
 
 @njit(cache=True, nogil=True)

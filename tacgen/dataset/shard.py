@@ -17,7 +17,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 from numpy.typing import NDArray
 
-from tacgen.dataset.compression import ALLOWED_FILTERS, is_sound
+from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
 from tacgen.dataset.schema import FORMAT_VERSION, PADS, ArraySpec, Layout
 from tacgen.errors import DatasetError
 
@@ -97,7 +97,7 @@ def open_shard(path: Path) -> Shard:
 
 
 def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray:
-    """One image of an image array: the one at ``place``, its leading indices.
+    """One image of an image array: the one at ``place``, its leading indices; zeros if unwritten.
 
     What is compressed has a header of its own, with a size of its own: one that lies would have
     the codec take any amount of memory, so it is read first.
@@ -107,30 +107,25 @@ def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray:
     ValueError
         If the header is not that of an image of this size.
     """
-    if has_image(dataset, place):
-        require_sound(dataset, place)
+    is_image_sound(dataset, place)
     return dataset[place]
 
 
-def has_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
-    """Whether the image at ``place`` was written; otherwise it reads as zeros."""
-    corner = place + (0,) * (dataset.id.rank - len(place))
-    return dataset.id.get_chunk_info_by_coord(corner).byte_offset is not None
-
-
-def require_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> None:
-    """Look at the header of the image at ``place`` without decompressing it.
+def is_image_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
+    """Look at the image at ``place`` without decompressing it; False if it was never written.
 
     Raises
     ------
     ValueError
-        If it is not that of an image of this size.
+        If its header is not that of an image of this size.
     """
-    corner = place + (0,) * (dataset.id.rank - len(place))
-    skipped_filters, chunk = dataset.id.read_direct_chunk(corner)
-    if skipped_filters or not is_sound(dataset, chunk):
+    ends = ends_of(dataset, place)
+    if ends is None:
+        return False
+    if not is_sound(dataset, ends):
         msg = f"the image {place} of {dataset.name} is damaged"
         raise ValueError(msg)
+    return True
 
 
 def _checked(path: Path, file: h5py.File) -> tuple[Shard, list[str]]:

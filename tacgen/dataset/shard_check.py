@@ -16,10 +16,9 @@ from tacgen.dataset.schema import SPLITS
 from tacgen.dataset.shard import (
     Shard,
     broken_as_error,
-    has_image,
+    is_image_sound,
     open_shard,
     read_image,
-    require_sound,
 )
 from tacgen.dataset.tally import Tally
 from tacgen.errors import DatasetError
@@ -29,12 +28,8 @@ Decode = Literal["none", "first", "all"]
 _MAX_NAMED = 5
 
 
-def shard_problems(path: Path, line: ShardLine, *, decode: Decode = "none") -> list[str]:
-    """Everything about the file ``path`` that is not as ``line`` of the manifest says.
-
-    ``decode`` says which images are decompressed: none, those of the first executed grasp at the
-    moment of grasp, or all. Every other image is still known to be there, with a header that fits.
-    """
+def byte_problems(path: Path, line: ShardLine) -> list[str]:
+    """Whether the file ``path`` has the bytes that ``line`` of the manifest says."""
     if not path.is_file():
         return ["is missing"]
     size = path.stat().st_size
@@ -42,11 +37,15 @@ def shard_problems(path: Path, line: ShardLine, *, decode: Decode = "none") -> l
         return [f"has {size} bytes, not {line.bytes}"]
     if sha256_of(path) != line.sha256:
         return ["does not have the bytes that were written (its SHA-256 differs)"]
-    return content_problems(path, line, decode=decode)
+    return []
 
 
 def content_problems(path: Path, line: ShardLine, *, decode: Decode) -> list[str]:
-    """The same, without the hash."""
+    """Everything in the file ``path`` that is not as ``line`` says, or cannot be.
+
+    ``decode`` says which images are decompressed: none, those of the first executed grasp at the
+    moment of grasp, or all. Every other image is still known to be there, with a header that fits.
+    """
     try:
         with open_shard(path) as shard, broken_as_error(path):
             return list(_content_problems(shard, line, decode))
@@ -117,15 +116,13 @@ def _image_problems(shard: Shard, columns: dict[str, NDArray], decode: Decode) -
         for row, frame in itertools.product(rows, range(n_frames)):
             place = () if row < 0 else (int(row), frame) if per_frame else (int(row),)
             first = row in (-1, *executed[:1]) and frame == (moments[row] if per_frame else 0)
-            if not has_image(dataset, place):
+            if not is_image_sound(dataset, place):
                 if array.path != "/scene/picture":
                     yield f"{array.path}: the image {place} is missing"
             elif decode == "all" or (decode == "first" and first):
                 image = read_image(dataset, place)
                 if image.dtype.kind == "f" and not np.isfinite(image).all():
                     yield f"{array.path}: the image {place} is not finite"
-            else:
-                require_sound(dataset, place)
 
 
 def _named(path: str, wrong: NDArray[np.bool_], words: str) -> Iterator[str]:

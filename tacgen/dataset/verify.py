@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, part_paths, read_lines, read_part
-from tacgen.dataset.shard_check import shard_problems
+from tacgen.dataset.shard_check import byte_problems, content_problems
 from tacgen.errors import DatasetError
+
+SHARDS_AHEAD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +71,11 @@ def verify(
     if not lines and not problems and not folder.plan_path.is_file():
         msg = f"{folder.root} is not a dataset; give the folder that `tacgen collect --out` made"
         raise DatasetError(msg)
-    for shard, line in lines.items():
-        reasons = shard_problems(folder.shard_path(shard), line, decode="all" if decode else "none")
-        problems += [Problem(line.file, reason, shard) for reason in reasons]
+    for line, wrong_bytes in _with_bytes_checked(folder, lines.values()):
+        reasons = wrong_bytes or content_problems(
+            folder.shard_path(line.shard), line, decode="all" if decode else "none"
+        )
+        problems += [Problem(line.file, reason, line.shard) for reason in reasons]
         progress(line.bytes)
     problems += _whole_problems(folder, lines)
     return Verification(
@@ -78,6 +84,25 @@ def verify(
         n_grasps=sum(line.index_range[1] - line.index_range[0] for line in lines.values()),
         bytes=sum(line.bytes for line in lines.values()),
     )
+
+
+def _with_bytes_checked(
+    folder: DatasetFolder, lines: Iterable[ShardLine]
+) -> Iterator[tuple[ShardLine, list[str]]]:
+    """Each line and what is wrong with the bytes of its shard.
+
+    A thread hashes the next shards while the caller looks into this one: hashing needs no lock.
+    """
+    ahead: deque[tuple[ShardLine, Future[list[str]]]] = deque()
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        for line in lines:
+            path = folder.shard_path(line.shard)
+            ahead.append((line, thread.submit(byte_problems, path, line)))
+            if len(ahead) > SHARDS_AHEAD:
+                first, found = ahead.popleft()
+                yield first, found.result()
+        for line, found in ahead:
+            yield line, found.result()
 
 
 def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Problem]]:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen.dataset import Dataset
-from tacgen.dataset.blosc import encode_image, is_image_of
+from tacgen.dataset.blosc import END_BYTES, ChunkEnds, encode_image, is_image_of
 from tacgen.dataset.compression import storage_of
 from tacgen.dataset.huffman import (
     HEADER_BYTES,
@@ -125,16 +125,20 @@ def test_codes_are_never_deeper_than_the_limit():
     assert np.sum(0.5**lengths) == 1.0
 
 
+def ends(chunk: bytes) -> ChunkEnds:
+    return ChunkEnds(chunk[:END_BYTES], chunk[-END_BYTES:], len(chunk))
+
+
 def test_a_head_that_is_not_the_images_is_seen():
     chunk = encode_image(make_image("noise", 31, 40, 2))
-    assert is_image_of(chunk, 31, 40)
-    assert not is_image_of(chunk, 40, 30)
-    assert not is_image_of(chunk[:-1], 31, 40)
-    assert not is_image_of(b"", 31, 40)
-    for place in range(97 + 32):
-        assert not is_image_of(
-            chunk[:place] + bytes([chunk[place] ^ 1]) + chunk[place + 1 :], 31, 40
-        ), place
+    assert is_image_of(ends(chunk), 31, 40)
+    assert not is_image_of(ends(chunk), 40, 30)
+    assert not is_image_of(ends(chunk[:-1]), 31, 40)
+    assert not is_image_of(ends(b""), 31, 40)
+    for place in (*range(97 + 32), *range(-75, 0)):
+        wrong = bytearray(chunk)
+        wrong[place] ^= 1
+        assert not is_image_of(ends(bytes(wrong)), 31, 40), place
 
 
 def test_images_of_earlier_datasets_are_read(toy):

@@ -1,0 +1,78 @@
+"""How worker processes start: as copies of a process that has imported what they need.
+
+Importing takes longer than a few grasps, so it is done once, in a process of its own (Python's
+fork server), which can be started while its parent still reads recipes. It runs nothing else and
+has no threads, so copying it is safe where copying the parent would not be. Libraries get one
+thread in each worker: a worker is one core's work, and sums must not follow a machine's cores.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    ),
+    "1",
+)
+
+
+def start_early(*modules: str) -> None:
+    """Start the process that workers are copied from; it imports ``modules`` meanwhile.
+
+    Where it runs already, or the system has no such thing, this does nothing.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return
+    from multiprocessing import forkserver
+
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["__main__", *modules])
+    with _threads_pinned():
+        forkserver.ensure_running()
+
+
+def start(target: Callable[..., None], *arguments: object) -> multiprocessing.process.BaseProcess:
+    """Run ``target(*arguments)`` in a new process that ends with this one."""
+    methods = multiprocessing.get_all_start_methods()
+    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    # The process that is copied may have been started under another environment.
+    given = (target, dict(os.environ) | ONE_THREAD, *arguments)
+    process = context.Process(target=_run, args=given, daemon=True)
+    with _threads_pinned():
+        process.start()
+    return process
+
+
+def _run(target: Callable[..., None], environment: Mapping[str, str], *arguments: object) -> None:
+    for name in set(os.environ) - set(environment):
+        del os.environ[name]
+    os.environ.update(environment)
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
+    target(*arguments)
+
+
+@contextlib.contextmanager
+def _threads_pinned() -> Iterator[None]:
+    """Processes started meanwhile inherit ``ONE_THREAD``: libraries look when they are loaded."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
