@@ -60,6 +60,18 @@ def evaluate(
 
 
 @app.command(rich_help_panel="Networks")
+def told(data: DatasetArgument, json_output: JsonFlag = False) -> None:
+    """How well outcomes follow from force and place: what a network can hope for."""
+    from tacgen.learning.extra import require_learning_extra
+    from tacgen.learning.grasps import SimulatedGrasps
+    from tacgen.learning.told import told_lines, told_scores
+
+    require_learning_extra()
+    scores = told_scores(SimulatedGrasps(data).table)
+    typer.echo(json.dumps(scores) if json_output else "\n".join(told_lines(scores)))
+
+
+@app.command(rich_help_panel="Networks")
 def study(
     recipe: Annotated[str, typer.Argument(help="A study, such as paper_table.")],
     out: Annotated[Path, typer.Option("--out", help="Where datasets, runs and the table go.")],

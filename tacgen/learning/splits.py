@@ -106,10 +106,11 @@ def _plan_model(
     kept = np.bincount(table.label[plan.validation_rows], minlength=2)
     if counts.min() < MIN_OF_A_CLASS or kept.min() < 1:
         total = counts + kept
+        pool = ", or set per_object: false" if recipe.per_object else ""
         msg = (
             f"{name}: of its {total.sum()} training grasps {total[1]} succeeded and {total[0]} "
             f"failed, and each class needs {MIN_OF_A_CLASS + 1} or more; collect a wider range "
-            "of forces or positions, or set per_object: false"
+            f"of forces or positions{pool}"
         )
         raise LearningError(msg)
     return plan
