@@ -9,7 +9,6 @@ on the same terms, so that they are not taken for an effect.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -18,20 +17,9 @@ from numpy.typing import NDArray
 
 from tacgen.loop import scores
 from tacgen.loop.candidates import Candidate
-from tacgen.loop.model import Model, Term
-from tacgen.loop.ranking import (
-    ALPHA,
-    LIMIT_EXPONENT,
-    PAIR_POOL,
-    PAIR_SHARE,
-    PAIRS_FITTED,
-    PAIRS_SCORED,
-    SINGLE_SHARE,
-    SINGLES_FITTED,
-    TIE_IN_SE,
-    Ranked,
-    Ranker,
-)
+from tacgen.loop.exchanges import Exchanger, best_of_each, lead_in_se
+from tacgen.loop.model import Model
+from tacgen.loop.ranking import ALPHA, PAIR_POOL, PAIR_SHARE, PAIRS_FITTED, PAIRS_SCORED, Ranked
 
 __all__ = ["ALPHA", "Attribution", "Chosen", "Ranked", "Tracer"]
 
@@ -63,7 +51,7 @@ class Attribution:
     ranking: tuple[tuple[str, float, float], ...] = field(default=())
 
 
-class Tracer(Ranker):
+class Tracer(Exchanger):
     """Selection on one channel's fit trials."""
 
     def run(self) -> Attribution:
@@ -79,7 +67,7 @@ class Tracer(Ranker):
             extended = self._extend(current, pool, p_values, losses)
             if extended is None:
                 break
-            current = self._prune(self._swap(extended))
+            current = self._prune(self._prefer_effects(self._swap(extended)))
             if current.key in visited:
                 break
             visited.add(current.key)
@@ -95,11 +83,17 @@ class Tracer(Ranker):
     ) -> Ranked | None:
         """The best model with one or two members more; None if nothing is significant."""
         order = np.argsort(losses.sum(axis=1))
-        significant = {pool[i].name for i in np.flatnonzero(p_values <= self.alpha)}
         gains = current.loss - losses.sum(axis=1)
+        n_names = len({candidate.name for candidate in pool})
+        significant = {
+            pool[i].name
+            for i, p_value in enumerate(p_values)
+            if p_value <= self.alpha
+            or self._is_clear(current, current.loss - gains[i], p_value / n_names)
+        }
         singles = [
             self.add(current, [pool[i]])
-            for i in _best_of_each(pool, order, 2, gains)
+            for i in best_of_each(pool, order, 2, gains)
             if pool[i].name in significant
         ]
         singles = [s for s in singles if self._is_worth(current, s)]
@@ -170,88 +164,17 @@ class Tracer(Ranker):
         return all(self._is_needed(pair, member, 0.1 * self.alpha) for member in new)
 
     def _prune(self, ranked: Ranked) -> Ranked:
-        """Drop members that are not needed beside the others, the least needed first."""
+        """Drop members that are not needed beside the others: covariates, then the least needed."""
         while ranked.members:
             idle = [
-                (self._less(ranked, m).loss, i)
+                (m.is_effect, self._less(ranked, m).loss, i)
                 for i, m in enumerate(ranked.members)
                 if not self._is_needed(ranked, m)
             ]
             if not idle:
                 break
-            ranked = self._less(ranked, ranked.members[min(idle)[1]])
+            ranked = self._less(ranked, ranked.members[min(idle)[-1]])
         return ranked
-
-    def _swap(self, ranked: Ranked) -> Ranked:
-        """Exchange members, and their variants, as long as held-out trials gain."""
-        for _ in range(4):
-            best = ranked
-            for member in ranked.members:
-                rest = self._less(ranked, member)
-                for other in self._alternatives(rest, ranked):
-                    trial = self.add(rest, [other])
-                    if self._score(trial) < self._score(best) - 1e-3 * self._total(best):
-                        best = trial
-            if best is ranked:
-                return ranked
-            ranked = best
-        return ranked
-
-    def _alternatives(self, rest: Ranked, full: Ranked) -> list[Candidate]:
-        """The few best candidates beside ``rest``, the same name in other variants included."""
-        pool, losses = self._pool(rest)
-        order = np.argsort(losses.sum(axis=1))
-        same = [i for i in order if pool[i].name in full.key]
-        others = [i for i in order if pool[i].name not in full.key]
-        gains = rest.loss - losses.sum(axis=1)
-        picked = _best_of_each(pool, same, 3, gains) + _best_of_each(pool, others, 2, gains)
-        return [pool[i] for i in picked]
-
-    def _bend_or_limit(self, ranked: Ranked) -> Ranked:
-        """Where stiffening and saturation do equally well, decide by where the bend sits.
-
-        A limit bends the curve at its end: as a change of compliance it goes with a higher power
-        of the load than ``LIMIT_EXPONENT``; a softening that is spread over the range does not.
-        """
-        names = {"stiffening", "saturation"}
-        if len(names & ranked.key) != 1:
-            return ranked
-        member = next(m for m in ranked.members if m.name in names)
-        rest = self._less(ranked, member)
-        pool, losses = self._pool(rest)
-        order = [i for i in np.argsort(losses.sum(axis=1)) if pool[i].name in names]
-        fits = [self.add(rest, [pool[i]]) for i in order]
-        powers = [f for f in fits if "exponent" in f.members[-1].fitted]
-        limits = [f for f in fits if f.members[-1].name == "saturation"]
-        if not powers or not limits:
-            return ranked
-        power, limit = (min(f, key=lambda r: r.loss) for f in (powers, limits))
-        bends = [f for f in fits if f.members[-1].name == "stiffening"]
-        bend = min(bends, key=lambda r: r.loss)
-        if abs(_lead_in_se(limit, bend)) > TIE_IN_SE:
-            return ranked
-        term = _term(power, "stiffening")
-        is_limit = term.values["amount"] < 0 and term.values["exponent"] > LIMIT_EXPONENT
-        return limit if is_limit else bend
-
-    def _first_presses(self, ranked: Ranked) -> Ranked:
-        """Where a bent drift does no better than a change of the first presses, take the latter.
-
-        A drift of one sign needs no second or third power; conditioning that fits as well and is
-        over early in the session explains the bend.
-        """
-        drift = next((m for m in ranked.members if m.name == "drift"), None)
-        if drift is None or len(drift.fitted) < 2 or "conditioning" in ranked.key:
-            return ranked
-        rest = self._less(ranked, drift)
-        pool, losses = self._pool(rest)
-        order = [i for i in np.argsort(losses.sum(axis=1)) if pool[i].name == "conditioning"]
-        fits = [self.add(rest, [pool[i]]) for i in order]
-        if not fits:
-            return ranked
-        early = min(fits, key=lambda r: r.loss)
-        over = _term(early, "conditioning").values["trials"] < 0.12 * self.data.history.n_trials
-        return early if over and _lead_in_se(ranked, early) < 1.0 else ranked
 
     def _ranking(
         self,
@@ -282,7 +205,7 @@ class Tracer(Ranker):
             ]
             rivals.sort(key=lambda r: r.loss)
             runner = rivals[0] if rivals else None
-            close = [r.members[-1].name for r in rivals if _lead_in_se(final, r) < 2.0]
+            close = [r.members[-1].name for r in rivals if lead_in_se(final, r) < 2.0]
             confusable = tuple(dict.fromkeys(close))
             described.append(
                 Chosen(
@@ -295,37 +218,8 @@ class Tracer(Ranker):
                         if runner
                         else np.inf
                     ),
-                    margin_in_se=_lead_in_se(final, runner) if runner else np.inf,
+                    margin_in_se=lead_in_se(final, runner) if runner else np.inf,
                     confusable=confusable,
                 )
             )
         return tuple(described)
-
-
-def _best_of_each(
-    pool: Sequence[Candidate],
-    order: Sequence[int] | NDArray[np.int64],
-    variants: int,
-    gains: NDArray[np.float64],
-) -> list[int]:
-    """The best ``variants`` of each of the ``SINGLES_FITTED`` best names; ``order`` best first."""
-    if not len(order):
-        return []
-    enough = SINGLE_SHARE * gains[order[0]]
-    by_name: dict[str, list[int]] = {}
-    for index in order:
-        if gains[index] >= enough:
-            by_name.setdefault(pool[index].name, []).append(int(index))
-    return [i for members in list(by_name.values())[:SINGLES_FITTED] for i in members[:variants]]
-
-
-def _term(ranked: Ranked, name: str) -> Term:
-    """The fitted term of that name; a set that was fitted before keeps the order it had then."""
-    return next(term for term in ranked.fit.model.terms if term.name == name)
-
-
-def _lead_in_se(best: Ranked, other: Ranked) -> float:
-    """By how many standard errors over units ``best`` predicts better than ``other``."""
-    difference = other.unit_losses - best.unit_losses
-    error = float(difference.std() * np.sqrt(difference.size)) + 1e-300
-    return float(difference.sum()) / error

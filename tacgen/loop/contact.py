@@ -32,7 +32,7 @@ from tacgen.loop.diagnosis import (
 from tacgen.loop.heldout import Errors
 from tacgen.loop.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.loop.notes import channel_notes, log_notes
-from tacgen.loop.residuals import Dependence, dependences
+from tacgen.loop.residuals import Dependence, dependences, noise_floor
 from tacgen.loop.yardstick import gp_rmse
 from tacgen.records import Estimate
 
@@ -136,6 +136,8 @@ def _diagnose_channel(columns: Columns, channel: Channel, session_clock: bool) -
     data = channel_data(columns, channel, rows_per_trial=FULL_FIT_ROWS)
     base = _final_fit(data, Model(attribution.base.fit.model.compliance))
     final = _final_fit(data, attribution.final.fit.model)
+    every = channel_data(columns, channel, rows_per_trial=WHOLE)
+    floor = noise_floor(every.target - final.model.response(every), every.history.starts)
     skip = () if session_clock else ("time_s",)
     before_structure = dependences(data, base, rng, skip)
     after_structure = dependences(data, final, rng, skip)
@@ -149,6 +151,7 @@ def _diagnose_channel(columns: Columns, channel: Channel, session_clock: bool) -
         before=before,
         after=after,
         gain_interval=heldout.gain_interval(before, after, rng),
+        floor=floor,
         gp_rmse=gp,
         n_fit=n_fit,
         n_test=n_test,

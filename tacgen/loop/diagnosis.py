@@ -24,7 +24,7 @@ class ChannelDiagnosis:
 
     ``base`` and ``final`` are fits to all trials, whose parameters the law gets; ``before`` and
     ``after`` are errors on trials that had no part in fitting or choosing. ``how`` says how the
-    trials were held out.
+    trials were held out; ``floor`` is the standard deviation of one sample's noise.
     """
 
     data: ChannelData
@@ -36,6 +36,7 @@ class ChannelDiagnosis:
     before: Errors
     after: Errors
     gain_interval: tuple[float, float]
+    floor: float
     gp_rmse: float
     n_fit: int
     n_test: int
@@ -56,11 +57,19 @@ class ChannelDiagnosis:
         """Effects of the list, in the order in which they were added."""
         return tuple(c.candidate.name for c in self.attribution.chosen if c.candidate.is_effect)
 
+    def p_value(self, p_value: float) -> float | None:
+        """``p_value``, but no less than the trials allow, however many samples they have.
+
+        Under the null each trial's sign is a coin's; n trials have 2^(n − 1) different outcomes.
+        """
+        n_seen = self.n_fit if self.n_test > 1 else self.data.history.n_trials
+        return _number(max(p_value, 0.5 ** (n_seen - 1)))
+
     @property
     def sentence(self) -> str:
         """The verdict in one plain sentence."""
         unit, what = UNITS[self.data.channel], _LAW_WORDS[self.data.channel]
-        before, after, floor = self.before.rmse, self.after.rmse, self.data.noise
+        before, after, floor = self.before.rmse, self.after.rmse, self.floor
         held = "held-out trials" if self.n_test else "the fitted trials"
         names = " and ".join(name.replace("_", " ") for name in self.effect_names)
         error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
@@ -131,7 +140,7 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
                 "runner_up_margin_in_se": _number(chosen.margin_in_se),
                 "confusable_with": list(chosen.confusable),
                 "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
-                "p_value": _number(chosen.p_value),
+                "p_value": found.p_value(chosen.p_value),
                 "form": chosen.candidate.label,
             }
         )
@@ -140,14 +149,18 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "sentence": found.sentence,
         "effects": effects,
         "unexplained": [
-            {"covariate": d.covariate, "p_value": _number(d.p_value), "share": _number(d.share)}
+            {
+                "covariate": d.covariate,
+                "p_value": found.p_value(d.p_value),
+                "share": _number(d.share),
+            }
             for d in found.unexplained
         ],
         "error_before": _error(found.before, unit),
         "error_after": _error(found.after, unit),
         "noise_floor": {
-            "rmse": _number(found.data.noise),
-            "how": "second differences along each trial of volume (or motion) less k·force",
+            "rmse": _number(found.floor),
+            "how": "second differences, over 1 to 8 samples of a trial, of what the law leaves",
         },
         "gain_interval_95": [_number(v) for v in found.gain_interval],
         "gp_yardstick": {"rmse": _number(found.gp_rmse), "unit": unit},
@@ -158,11 +171,11 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
             "after": _estimate(found.final.model.compliance, found.final_errors.compliance, unit),
         },
         "ranking": [
-            {"candidate": label, "heldout_gain": _number(gain), "p_value": _number(p)}
+            {"candidate": label, "heldout_gain": _number(gain), "p_value": found.p_value(p)}
             for label, gain, p in found.attribution.ranking[:12]
         ],
-        "residual_before": _dependences(found.dependences_before),
-        "residual_after": _dependences(found.dependences_after),
+        "residual_before": _dependences(found, found.dependences_before),
+        "residual_after": _dependences(found, found.dependences_after),
     }
 
 
@@ -210,10 +223,12 @@ def advice(name: str, other: str) -> str:
     return f"{name} or {other}: {words}"
 
 
-def _dependences(found: tuple[Dependence, ...]) -> list[dict[str, Any]]:
+def _dependences(
+    found: ChannelDiagnosis, dependences: tuple[Dependence, ...]
+) -> list[dict[str, Any]]:
     return [
-        {"covariate": d.covariate, "p_value": _number(d.p_value), "share": _number(d.share)}
-        for d in found
+        {"covariate": d.covariate, "p_value": found.p_value(d.p_value), "share": _number(d.share)}
+        for d in dependences
     ]
 
 

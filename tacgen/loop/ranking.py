@@ -34,8 +34,16 @@ PAIRS_FITTED = 8
 FORM_SHARE = 0.04
 """An effect worth less than this share of another of the same kind, a fifth in amplitude, is not
 told from that other one's true form being a little different."""
-WAVE_SHARE = 0.08
-"""The same for an oscillation beside any effect: one frequency of a thousand follows anything."""
+COVARIATE_SHARE = 0.08
+"""The same where an oscillation, or what no effect explains, is one of the two: one frequency of a
+thousand follows anything, and no smooth function of a covariate is its true form."""
+EFFECT_SLACK = 0.06
+"""Part of what a covariate takes that an effect in its place may leave: another formula's share."""
+CLEAR_SHARE, CLEAR_GAIN, CLEAR_ALPHA = 0.5, 0.2, 0.02
+"""What takes half of the structure that is left, and a fifth of the held-out sum of squares, is
+believed at a p of 0.02 before correction: shuffles of a dozen trials cannot say less."""
+COEFFICIENTS_PER_TRIAL = 1 / 3
+"""Most coefficients of a candidate that has one number a trial, for each trial."""
 BETWEEN_TRIALS = frozenset(
     {"drift", "conditioning", "temperature", "position", "geometry", "time_s"}
 )
@@ -128,9 +136,23 @@ class Ranker:
             if new_waves or not self._waves:
                 self._waves = find_waves(self.data, fit, self.shuffled.signs[1:N_WAVE_SHUFFLES])
             pool += cand.nuisance_candidates(self.data, fit, self._waves)
+        pool = [candidate for candidate in pool if self._is_determined(candidate)]
         grams, groups, base = self._grams(fit, pool)
         losses = scores.losses_of_groups(grams, self.folds, base, groups)
         return pool, scores.believable(losses, current.unit_losses, self.data.noise_loss)
+
+    def _is_determined(self, candidate: Candidate) -> bool:
+        """Whether there are trials enough for a candidate that has one number a trial."""
+        if candidate.is_effect and candidate.name not in BETWEEN_TRIALS:
+            return True
+        most = max(1.0, COEFFICIENTS_PER_TRIAL * self.data.history.n_trials)
+        return candidate.columns.shape[1] <= most or candidate.name == "time_s"
+
+    def _is_clear(self, without: Ranked, loss: float, p_value: float) -> bool:
+        """Whether ``loss`` is so much less than ``without`` it that a weak p will do."""
+        gain = without.loss - loss
+        least = max(CLEAR_SHARE * without.loss, CLEAR_GAIN * self._total(without))
+        return not self.few and p_value <= CLEAR_ALPHA and gain > least
 
     def _p_values(self, current: Ranked, pool: Sequence[Candidate]) -> NDArray[np.float64]:
         """Return the p of each candidate, corrected for the number of names looked at."""
@@ -200,20 +222,20 @@ class Ranker:
         return max(self.data.noise_loss + ranked.loss, 0.5 * self.data.noise_loss)
 
     def _is_needed(self, full: Ranked, member: Candidate, alpha: float | None = None) -> bool:
+        """Whether ``member`` is missed: by held-out trials, by shuffles, and beside its rivals."""
         less = self._less(full, member)
-        if not self._is_worth(less, full) or self._p_value(full, member) > (
-            0.1 * self.alpha if member.name == "time_s" else alpha or self.alpha
-        ):
+        if not self._is_worth(less, full):
+            return False
+        alpha = 0.1 * self.alpha if member.name == "time_s" else alpha or self.alpha
+        p_value = self._p_value(full, member)
+        if p_value > alpha and not self._is_clear(less, full.loss, p_value):
             return False
         worth = less.loss - full.loss
-        kind = _kind_of(member.name)
-        is_wave = member.name == "time_s"
         rivals = [m for m in full.members if m.label != member.label]
-        share = WAVE_SHARE if is_wave else FORM_SHARE
         return all(
             worth >= share * (self._less(full, rival).loss - full.loss)
             for rival in rivals
-            if is_wave or _kind_of(rival.name) == kind
+            if (share := _least_share(member, rival))
         )
 
     def _less(self, full: Ranked, member: Candidate) -> Ranked:
@@ -260,6 +282,13 @@ def _is_converged(fit: Fit) -> bool:
 def _kind_of(name: str) -> str:
     """Whether an effect tells trials apart or acts within each of them."""
     return "between trials" if name in BETWEEN_TRIALS else "within trials"
+
+
+def _least_share(member: Candidate, rival: Candidate) -> float:
+    """Share of what ``rival`` is worth that ``member`` must be; 0 where they are unlike."""
+    if member.name == "time_s" or not rival.is_effect:
+        return COVARIATE_SHARE
+    return FORM_SHARE if _kind_of(member.name) == _kind_of(rival.name) else 0.0
 
 
 def _model_without(model: Model, member: Candidate) -> Model:

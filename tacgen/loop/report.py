@@ -70,7 +70,7 @@ def _error_table(heading: str, found: ChannelDiagnosis) -> Section:
     rows: list[list[object]] = [
         ["error before", f"{found.before.rmse:.4g} {unit}", f"{100 * found.before.nrmse:.2f} %"],
         ["error after", f"{found.after.rmse:.4g} {unit}", f"{100 * found.after.nrmse:.2f} %"],
-        ["noise floor", f"{found.data.noise:.4g} {unit}", ""],
+        ["noise floor", f"{found.floor:.4g} {unit}", ""],
         ["Gaussian process (yardstick)", f"{found.gp_rmse:.4g} {unit}", ""],
         ["gain, 95 % interval", f"{100 * low:.1f} to {100 * high:.1f} %", ""],
         [
@@ -163,7 +163,7 @@ def _residual_figure(found: ChannelDiagnosis) -> Figure:
         for axis, fit, label in zip(
             row, (found.base, found.final), ("before", "after"), strict=True
         ):
-            _draw(axis, covariates[name], _residual(found, fit), found.data.noise)
+            _draw(axis, covariates[name], _residual(found, fit), found.floor)
             axis.set_title(f"{label}", fontsize=9)
             axis.set_xlabel(name)
         row[0].set_ylabel(f"residual, {UNITS[found.data.channel]}")

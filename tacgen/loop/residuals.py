@@ -11,13 +11,55 @@ from numpy.typing import NDArray
 
 from tacgen.loop import scores
 from tacgen.loop.candidates import CONTRACT_COLUMNS, follows_load
-from tacgen.loop.channel import TARGETS, ChannelData
+from tacgen.loop.channel import OUTLIER_SIGMAS, TARGETS, ChannelData
 from tacgen.loop.model import Fit
 
 DEGREE = 3
 MAX_LEVELS = 12
 N_SHUFFLES = 1999
 N_FOLDS = 10
+
+
+FLOOR_LAGS = (1, 2, 4, 8)
+ROWS_PER_LAG = 10
+MAX_RISE = 1.1
+"""From one lag to twice it: noise that goes on for some samples rises less, and levels out; what
+a law leaves of a load's course goes on rising."""
+
+
+def noise_floor(residual: NDArray[np.float64], starts: NDArray[np.int64]) -> float:
+    """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
+
+    Second differences along each trial: what varies slowly is not seen. Noise that goes on from
+    one sample to the next is seen whole by differences over 2, 4 and 8 samples, which are taken
+    as long as they rise little. Single samples that stick out do not count.
+    """
+    floor = _difference_noise(residual, starts, 1)
+    if not np.isfinite(floor):
+        return float(residual.std())
+    shortest = float(np.median(np.diff(starts)))
+    for lag in FLOOR_LAGS[1:]:
+        wider = _difference_noise(residual, starts, lag)
+        if shortest < ROWS_PER_LAG * lag or not wider <= MAX_RISE * floor:
+            break
+        floor = max(wider, floor)
+    return floor
+
+
+def _difference_noise(residual: NDArray[np.float64], starts: NDArray[np.int64], lag: int) -> float:
+    """Noise by second differences over ``lag`` samples; NaN where no trial is long enough."""
+    parts = [
+        residual[first : stop - 2 * lag]
+        - 2.0 * residual[first + lag : stop - lag]
+        + residual[first + 2 * lag : stop]
+        for first, stop in pairwise(starts)
+        if stop - first > 2 * lag
+    ]
+    if not parts:
+        return float("nan")
+    square = (np.concatenate(parts) ** 2).mean(axis=1) / 6.0
+    typical = float(np.median(square)) / 0.455
+    return float(np.sqrt(square[square <= OUTLIER_SIGMAS**2 * typical].mean()))
 
 
 @dataclass(frozen=True)

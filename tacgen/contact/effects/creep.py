@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,12 +24,14 @@ from tacgen.contact.effects.registry import (
 TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
 
 
-def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
+def _apply(
+    load: NDArray[np.float64], history: LoadHistory, p: Parameters, channel: Channel
+) -> NDArray[np.float64]:
     """Load plus one or two Prony terms.
 
     A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew;
-    with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial began, which is gone
-    with the load; in between, a share of each.
+    with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial's contact began,
+    which is gone with the load; in between, a share of each.
 
     Source
     ------
@@ -44,7 +48,7 @@ def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> ND
                 slow = kernels.low_pass(values, history.time_s, history.starts, tau, True)
                 result[:, axis] += p["recovery"] * p[amount_name] * slow
         if p["recovery"] < 1.0:
-            grown = -np.expm1(-history.time_in_trial_s / tau)
+            grown = -np.expm1(-history.time_since_contact_s(channel) / tau)
             result += (1.0 - p["recovery"]) * p[amount_name] * load * grown[:, None]
     return result
 
@@ -73,7 +77,10 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
         for kind, recovery in (("recovering", 1.0), ("with the load", 0.0))
     ]
     fitted = [Variant(v.label, v.probes, ("amount", "tau_s"), v.shapes) for v in single]
-    return (*fitted, *(Variant(v.label, v.probes, (*v.free, "tau_s"), v.shapes) for v in double))
+    return (
+        *fitted,
+        *(Variant(v.label, v.probes, (*v.free, "tau_s", "tau_2_s"), v.shapes) for v in double),
+    )
 
 
 def _effect(channel: Channel) -> Effect:
@@ -89,7 +96,7 @@ def _effect(channel: Channel) -> Effect:
             shape("tau_2_s", 1e-3, 1e5, 10.0, "s"),
             shape("recovery", 0.0, 1.0, 1.0),
         ),
-        apply=_apply,
+        apply=partial(_apply, channel=channel),
         references=no_references,
         variants=_variants,
     )

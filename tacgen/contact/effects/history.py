@@ -146,6 +146,27 @@ class LoadHistory:
     def _reversal_shear(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         return kernels.reversal(self.shear_size_n, self.starts, 0.05 * self.shear_span_n)
 
+    def time_since_contact_s(self, channel: str) -> NDArray[np.float64]:
+        """Time since the load first stood above a twentieth of the log's span, trial by trial (N,).
+
+        0 before, and in trials where it never did.
+        """
+        return self._since_contact_shear if channel == "shear" else self._since_contact_normal
+
+    @cached_property
+    def _since_contact_normal(self) -> NDArray[np.float64]:
+        return self._since(self.normal_smooth_n > 0.05 * self.normal_span_n)
+
+    @cached_property
+    def _since_contact_shear(self) -> NDArray[np.float64]:
+        return self._since(self.shear_size_n > 0.05 * self.shear_span_n)
+
+    def _since(self, loaded: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Time since the first of the rows of its trial in which ``loaded`` holds."""
+        start = np.full(self.n_trials, np.inf)
+        np.minimum.at(start, self.trial_index[loaded], self.time_s[loaded])
+        return np.maximum(self.time_s - start[self.trial_index], 0.0)
+
     @cached_property
     def sample_period_s(self) -> float:
         """Median time between samples of a trial; 1 where no trial has two."""
