@@ -6,7 +6,7 @@ import json
 import re
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -159,13 +159,22 @@ def _learn(
 
 
 def _fitted_friction(recipe: Recipe, real: Path, out: Path, workers: int) -> Mapping[str, Any]:
-    """μ of each object, as ``tacgen friction`` finds it."""
+    """μ of each object of the recipe, as ``tacgen friction`` finds it."""
     folder = out / "friction" / recipe.sha256()[:12]
-    grasps = read_real_grasps(real)
+    found = read_real_grasps(real)
+    wanted = {entry.name for entry in recipe.objects}
+    missing = wanted - set(found.by_object())
+    if missing:
+        msg = (
+            f"{real}: has no grasps of {', '.join(sorted(missing))}, whose friction is to be "
+            "calibrated; add some, or take the objects out of the study"
+        )
+        raise TacgenError(msg)
+    grasps = replace(found, grasps=tuple(g for g in found.grasps if g.config.object in wanted))
     fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), folder, workers=workers)
-    found = friction_json(fits)
-    write_text(folder / "friction.json", json.dumps(found, indent=1))
-    return found
+    fitted = friction_json(fits)
+    write_text(folder / "friction.json", json.dumps(fitted, indent=1))
+    return fitted
 
 
 def _with_friction(recipe: Recipe, friction: Mapping[str, Any]) -> Recipe:

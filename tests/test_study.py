@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
@@ -196,6 +197,26 @@ def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, t
     with pytest.raises(TacgenError, match=r"share grasps, such as g00; calibrate on other"):
         run_study(study, tmp_path / "out", Reality(test=real, calibration=real))
     assert not toy_collect
+
+
+def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_collect, monkeypatch):
+    study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
+    asked: list[list[str]] = []
+
+    def fake(recipe, grasps, *_, **__):
+        asked.append(sorted(grasps.by_object()))
+        return {}, {}
+
+    monkeypatch.setattr("tacgen.study.sweep_friction", fake)
+    real = write_real(tmp_path / "labels")
+    table = pd.read_csv(real / "grasps.csv")
+    table.loc[0, "object"] = "a_thing_of_no_study"
+    table.to_csv(real / "grasps.csv", index=False)
+    run_study(study, tmp_path / "out", Reality(calibration=real))
+    assert asked == [["can", "cup"]]
+    table[table.object == "can"].to_csv(real / "grasps.csv", index=False)
+    with pytest.raises(TacgenError, match="has no grasps of cup, whose friction"):
+        run_study(study, tmp_path / "out", Reality(calibration=real))
 
 
 def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
