@@ -52,11 +52,17 @@ SECOND_CONTACT = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """A contact circle in pixels of the image; ``problem`` says why it cannot be used."""
+    """A contact circle in pixels of the image; ``problem`` says why it cannot be used.
+
+    ``radius_px`` is that of the rim, where the gel leaves the ball; ``edge_px`` is where the change
+    has fallen to half: about where the ball meets the level of the gel at rest, below which the
+    gel around the contact sinks.
+    """
 
     center_px: FloatArray
     radius_px: float
     problem: str = ""
+    edge_px: float = float("nan")
 
 
 def find_circle(
@@ -85,9 +91,9 @@ def find_circle(
         return _with(nothing, "shows no contact")
     strength = np.maximum(strength - middle, 0.0)
     patch, others = _largest_patch(strength > max(PATCH_SHARE * top, 4.0 * scatter))
-    center, radius, problem = _circle_around(patch, strength, 4.0 * scatter)
+    center, radius, edge, problem = _circle_around(patch, strength, 4.0 * scatter)
     problem = problem or _problem(patch, others, center, radius)
-    return Circle((center + 0.5) / scale - 0.5, radius / scale, problem)
+    return Circle((center + 0.5) / scale - 0.5, radius / scale, problem, edge / scale)
 
 
 def _with(circle: Circle, problem: str) -> Circle:
@@ -116,22 +122,22 @@ def _largest_patch(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[
 
 def _circle_around(
     patch: NDArray[np.bool_], strength: FloatArray, least: float
-) -> tuple[FloatArray, float, str]:
-    """Centre (x, y) and radius of the circle through the edges seen from the patch's middle."""
+) -> tuple[FloatArray, float, float, str]:
+    """Centre (x, y) and radii of rim and edge, seen from the patch's middle; what is wrong."""
     rows, columns = np.nonzero(patch)
     radius = max(float(np.sqrt(len(rows) / np.pi)), 1.0)
     center = np.array([columns.mean(), rows.mean()]) if len(rows) else np.full(2, np.nan)
     if not len(rows):
-        return center, radius, "shows no contact"
+        return center, radius, radius, "shows no contact"
     for _ in range(3):
         points = _edge_points(strength, center, radius, least)
         if len(points) < MIN_EDGE_DIRECTIONS * N_DIRECTIONS:
-            return center, radius, "what changed is not round"
+            return center, radius, radius, "what changed is not round"
         fitted, off = _fit_circle(points, np.array([*center, radius]))
         center, radius = fitted[:2], float(abs(fitted[2]))
     if off > MAX_OUT_OF_ROUND * radius:
-        return center, radius, "what changed is not round"
-    return center, _rim_radius(strength, center, radius, least), ""
+        return center, radius, radius, "what changed is not round"
+    return center, _rim_radius(strength, center, radius, least), radius, ""
 
 
 def _profiles(

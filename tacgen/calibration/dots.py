@@ -47,6 +47,16 @@ def printed_dots(background: Image) -> Mask | None:
     return _grown(usable[labels])
 
 
+def dot_centers(background: Image) -> NDArray[np.float64]:
+    """Column and row (n, 2), px, of the dots that are wholly in view."""
+    _, _, areas, places = _spots(background)
+    usable = (areas >= 4) & (areas <= MAX_AREA_SHARE * background[..., 0].size)
+    usable[0] = False
+    median = float(np.median(areas[usable]))
+    alike = usable & (areas > SAME_AREA[0] * median) & (areas < SAME_AREA[1] * median)
+    return np.asarray(places[alike])
+
+
 def dots_in(image: Image, at_rest: Mask) -> Mask:
     """Pixels (H, W) that dots cover in a press: where they are now, and where they were."""
     _, labels, areas, _ = _spots(image)

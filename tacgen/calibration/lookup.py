@@ -24,6 +24,7 @@ from tacgen.calibration.press_geometry import press_slope, rest_slope
 from tacgen.calibration.press_images import PressImages
 from tacgen.calibration.press_model import PressModel
 from tacgen.calibration.press_samples import place_mm
+from tacgen.calibration.scale import ScaleEvidence, scale_evidence
 from tacgen.calibration.score import PressScore, TableScore, score_table
 from tacgen.calibration.smooth_model import SmoothModel, position_terms
 from tacgen.calibration.table_background import (
@@ -44,6 +45,9 @@ FIRST_BACKGROUND = BackgroundRecipe(smooth=0.05, drift=True)
 
 IMAGES_FOR_NOISE = 12
 
+WHOLE = -1
+"""In place of the number of a fold: none is left out."""
+
 BEYOND_STEEPEST = 1.02
 """The table ends a little above the steepest slope that the presses hold."""
 
@@ -61,6 +65,7 @@ class Calibration:
     choice: Choice
     background: NDArray[np.float32]
     heldout: TableScore | None = None
+    scale: ScaleEvidence | None = None
     fold_tables: tuple[LookupTable, ...] = ()
 
 
@@ -87,7 +92,7 @@ def calibrate(
         return _fit(presses, changes)
     folds = fold_of(len(presses))
     task = _FoldTask(presses, changes, folds)
-    whole, *parts = in_processes(task, [-1, *np.unique(folds).tolist()], processes)
+    whole, *parts = in_processes(task, [WHOLE, *np.unique(folds).tolist()], processes)
     scored: list[PressScore | None] = [None] * len(presses)
     for fold, (_, score) in enumerate(parts):
         for k, press in zip(np.nonzero(folds == fold)[0], score.presses, strict=True):
@@ -95,6 +100,8 @@ def calibrate(
     total = TableScore(tuple(press for press in scored if press is not None))
     made: Calibration = whole[0]
     provenance = {**made.table.provenance, "heldout": _without_images(total)}
+    if made.scale is not None:
+        provenance["scale"] = made.scale.as_dict()
     table = replace(made.table, provenance=MappingProxyType(provenance))
     return replace(
         made, table=table, heldout=total, fold_tables=tuple(part.table for part, _ in parts)
@@ -103,7 +110,10 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True)
 class _FoldTask:
-    """Calibrates without one fold and scores on it; fold −1 is everything and scores nothing."""
+    """Calibrates without one fold and scores on it.
+
+    ``WHOLE`` leaves nothing out and scores nothing; it also looks at the scale.
+    """
 
     presses: PressImages
     changes: NDArray[np.floating]
@@ -112,8 +122,9 @@ class _FoldTask:
     def __call__(self, fold: int) -> tuple[Calibration, TableScore]:
         kept = self.folds != fold
         made = _portable(_fit(self.presses.select(kept), self.changes[kept]))
-        if kept.all():
-            return made, TableScore(())
+        if fold == WHOLE:
+            scale = scale_evidence(self.presses, made.fit, self.changes)
+            return replace(made, scale=scale), TableScore(())
         return made, score_table(made.table, self.presses.select(~kept))
 
 

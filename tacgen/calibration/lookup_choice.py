@@ -58,7 +58,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sums:
+class PressSums:
     """Normal equations of one press inside its circle, and weighted all over.
 
     Moments hold the three channels of one background after those of another.
@@ -71,7 +71,7 @@ class _Sums:
     square_inside: FloatArray
     count: int
 
-    def of_terms(self, index: NDArray[np.int64]) -> _Sums:
+    def of_terms(self, index: NDArray[np.int64]) -> PressSums:
         """The same for a model of fewer terms."""
         both = np.ix_(index, index)
         return replace(
@@ -113,13 +113,13 @@ def choose(
         _targets(sample, backgrounds, offset)
         for sample, offset in zip(samples, offsets, strict=True)
     ]
-    sums = [_sums(*each) for each in zip(samples, designs, targets, strict=True)]
+    sums = [press_sums(*each) for each in zip(samples, designs, targets, strict=True)]
     counts = np.array([entry.count for entry in sums], dtype=float)
     squares: dict[tuple[int, float], FloatArray] = {}
     for degree in DEGREES:
         fewer = [entry.of_terms(_features_of(degree)) for entry in sums]
         for ridge in RIDGES:
-            squares[degree, ridge] = _left_out(fewer, folds, ridge, degree)
+            squares[degree, ridge] = left_out_squares(fewer, folds, ridge, degree)
     errors = {
         f"degree {degree}, ridge {ridge:g}, {_words(recipe)}": float(
             np.sqrt(square[:, k].sum() / counts.sum() / 3)
@@ -177,11 +177,12 @@ def _targets(sample: Sample, backgrounds: Sequence[FloatArray], offset: FloatArr
     return np.hstack([sample.change - under[rows, columns] - offset for under in backgrounds])
 
 
-def _sums(sample: Sample, features: FloatArray, target: FloatArray) -> _Sums:
+def press_sums(sample: Sample, features: FloatArray, target: FloatArray) -> PressSums:
+    """Normal equations of one press: features (n, k) and targets (n, 3 · n_backgrounds)."""
     inside = sample.pixels.inside
     root = np.sqrt(sample.weight)[:, None]
     weighted, within = features * root, features[inside]
-    return _Sums(
+    return PressSums(
         gram_inside=within.T @ within,
         gram=weighted.T @ weighted,
         moment_inside=within.T @ target[inside],
@@ -192,7 +193,7 @@ def _sums(sample: Sample, features: FloatArray, target: FloatArray) -> _Sums:
 
 
 def _weights(
-    sums: Sequence[_Sums], which: NDArray[np.bool_], ridge: float, degree: int
+    sums: Sequence[PressSums], which: NDArray[np.bool_], ridge: float, degree: int
 ) -> FloatArray:
     """Weights (k, 3 · n_backgrounds) of the model of the chosen presses."""
     train = np.nonzero(which)[0].tolist()
@@ -201,8 +202,8 @@ def _weights(
     return solve_ridge(gram, moment, ridge, degree).weights.reshape(len(gram), -1)
 
 
-def _left_out(
-    sums: Sequence[_Sums], folds: NDArray[np.int64], ridge: float, degree: int
+def left_out_squares(
+    sums: Sequence[PressSums], folds: NDArray[np.int64], ridge: float, degree: int
 ) -> FloatArray:
     """Squared error of each press (N, n_backgrounds) by models that did not see its fold."""
     squares = np.zeros((len(sums), sums[0].moment.shape[1]))

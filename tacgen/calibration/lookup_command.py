@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+from tacgen.calibration.dots import filled_in
 from tacgen.calibration.lookup import Calibration, calibrate
 from tacgen.calibration.press_doubts import usable_presses
 from tacgen.calibration.press_folder import read_presses
 from tacgen.calibration.press_images import PressImages
+from tacgen.calibration.scale import ScaleEvidence
 from tacgen.calibration.score import TableScore, score_table
 from tacgen.optics.table import LookupTable, load_table, save_table
 
@@ -21,12 +24,20 @@ def calibrate_lookup(
     *,
     mm_per_px: float | None = None,
     ball_radius_mm: float | None = None,
+    without_dots: bool = False,
 ) -> tuple[Calibration, PressImages]:
-    """Fit a table to the presses at ``presses_path`` and write it to ``out``."""
+    """Fit a table to the presses at ``presses_path`` and write it to ``out``.
+
+    ``without_dots`` takes printed dots out of the table's background, for simulations that draw
+    moving ones.
+    """
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
     presses = usable_presses(raw)
     calibration = calibrate(presses, heldout=True)
-    save_table(calibration.table, out)
+    table = calibration.table
+    if without_dots and presses.dots is not None:
+        table = replace(table, background=filled_in(table.background, presses.dots))
+    save_table(table, out)
     if report is not None:
         from tacgen.calibration.table_report import write_table_report
 
@@ -60,10 +71,25 @@ def _ball_of(table: LookupTable) -> float | None:
     return float(balls[0]) if len(balls) == 1 else None
 
 
-def said_about(presses: PressImages) -> Iterator[str]:
+def said_about(presses: PressImages, scale: ScaleEvidence | None = None) -> Iterator[str]:
     """Warnings and presses left out, a line each."""
     yield from presses.warnings
+    if scale is not None:
+        yield from (*scale.warnings, *scale.notes)
     yield from (str(press) for press in presses.doubtful)
+
+
+def lookup_text(made: Calibration, presses: PressImages, *, json_output: bool = False) -> str:
+    """What ``tacgen calibrate lookup`` prints: held-out score, scale, what was left out."""
+    if not json_output:
+        return score_text(made.heldout)
+    found = {} if made.heldout is None else made.heldout.as_dict()
+    if made.scale is not None:
+        found["scale"] = made.scale.as_dict()
+    found["left_out"] = [
+        {"file": press.file, "row": press.row, "reason": press.reason} for press in presses.doubtful
+    ]
+    return json.dumps(found)
 
 
 def score_text(score: TableScore | None, *, json_output: bool = False) -> str:

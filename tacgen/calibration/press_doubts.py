@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,11 @@ MAX_SATURATED = 0.25
 MAX_LABEL_SHARE = 1.5
 """A labelled radius may exceed the ball's own by this factor: people circle the gel's rim too."""
 
+MAX_LABEL_OFF = 0.75
+"""A label farther than this from the circle that is seen, in radii, is of something else."""
+
 MISMATCH_GREY = 40.0
-"""A background this far from the median of the presses is not of the same gel and light."""
+"""A background this far (RMS) from the median of the presses is not of the same gel and light."""
 
 
 def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressImages:
@@ -41,15 +45,25 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
     presses = _with_dots_masked(presses)
     center, radius = presses.center_px.copy(), presses.radius_px.copy()
     found = ~presses.labelled
+    copy_of = _first_alike(presses.images)
+    seen_px = np.full((len(presses), 3), np.nan)
     doubtful: list[DoubtfulPress] = []
     for k in range(len(presses)):
+        seen = find_circle(presses.images[k], presses.background, presses.hidden_in(k))
+        if not seen.problem:
+            seen_px[k] = [*seen.center_px, seen.radius_px]
         circle = Circle(center[k], float(radius[k]))
         if found[k]:
-            circle = find_circle(presses.images[k], presses.background, presses.hidden_in(k))
+            circle = seen
             center[k], radius[k] = circle.center_px, circle.radius_px
         reason, mend = circle.problem, "press again, with the ball well in view"
+        if copy_of[k] != k:
+            reason = f"is the same picture as {presses.names[copy_of[k]]}"
+            mend = "list each press once"
         if not reason:
             reason, mend = _doubt(presses, k, circle, labelled=not found[k])
+        if not reason and not found[k]:
+            reason, mend = _label_doubt(circle, seen)
         if reason:
             doubtful.append(DoubtfulPress(presses.names[k], k + 2, reason, mend))
     bad = {press.row - 2 for press in doubtful}
@@ -60,8 +74,21 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
             "whole gel"
         )
         raise PressError.from_problems([head, *(str(press) for press in doubtful)])
-    marked = replace(presses, center_px=center, radius_px=radius, found=found)
-    return replace(marked.select(keep), doubtful=(*presses.doubtful, *doubtful))
+    marked = replace(presses, center_px=center, radius_px=radius, found=found, seen_px=seen_px)
+    return replace(
+        marked.select(keep),
+        doubtful=(*presses.doubtful, *doubtful),
+        warnings=(*presses.warnings, *_grey_warning(presses)),
+    )
+
+
+def _grey_warning(presses: PressImages) -> tuple[str, ...]:
+    if np.ptp(presses.background, axis=2).any():
+        return ()
+    return (
+        "the pictures are grey: slopes that are alike in brightness cannot be told apart; save "
+        "them in colour",
+    )
 
 
 def _with_dots_masked(presses: PressImages) -> PressImages:
@@ -74,10 +101,10 @@ def _with_dots_masked(presses: PressImages) -> PressImages:
 
 def _check_background(presses: PressImages) -> None:
     median = np.median(presses.images[:: max(1, len(presses) // 15)], axis=0)
-    apart = float(np.median(np.abs(median - presses.background)))
+    apart = float(np.sqrt(np.mean((median - presses.background) ** 2)))
     if apart > MISMATCH_GREY:
         msg = (
-            f"the background is {apart:.0f} grey levels away from the presses in the median: it "
+            f"the background is {apart:.0f} grey levels away from the median of the presses: it "
             "is not of the same gel and light; take it anew, just before the presses"
         )
         raise PressError(msg)
@@ -104,6 +131,24 @@ def _doubt(presses: PressImages, k: int, circle: Circle, *, labelled: bool) -> t
     if labelled and _change_in(presses, k, circle) < 2.0:
         return "its labelled circle shows no contact", "correct the label or press again"
     return "", ""
+
+
+def _label_doubt(label: Circle, seen: Circle) -> tuple[str, str]:
+    """What speaks against a labelled circle where another is clearly seen; empty if nothing."""
+    apart = float(np.hypot(*(label.center_px - seen.center_px)))
+    if seen.problem or apart <= MAX_LABEL_OFF * max(seen.radius_px, label.radius_px):
+        return "", ""
+    x, y = seen.center_px
+    return (
+        f"its labelled centre is {apart:.0f} px from the contact seen at ({x:.0f}, {y:.0f})",
+        "correct center_x_px and center_y_px, or leave them empty",
+    )
+
+
+def _first_alike(images: NDArray[np.uint8]) -> list[int]:
+    """For each picture the first one with the same bytes."""
+    first: dict[bytes, int] = {}
+    return [first.setdefault(sha256(image.tobytes()).digest(), k) for k, image in enumerate(images)]
 
 
 def _disc(circle: Circle, shape_px: tuple[int, int]) -> NDArray[np.bool_]:

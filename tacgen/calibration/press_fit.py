@@ -15,7 +15,7 @@ from tacgen.calibration.press_model import (
     learn_labels,
     plain_press_model,
 )
-from tacgen.calibration.press_samples import Pixels, disc_pixels
+from tacgen.calibration.press_samples import Pixels, disc_pixels, place_mm
 from tacgen.calibration.smooth_model import (
     SmoothModel,
     design,
@@ -48,9 +48,15 @@ CORRELATED_PIXELS = 20.0
 DRIFT_NOISE_GREY = 0.5
 """How well the drift of a whole picture can be told from its bare gel."""
 
+SEEN_PRIOR_RADII = 0.07
+"""Standard deviation, in radii, of the centre of a circle that is seen in the picture: what is left
+of its distance from 37 real labels (1.6 px of 17) beside the labels' own scatter of 1 px."""
+
 CENTER_PRIOR_RADII = 0.15
 RADIUS_PRIOR_RADII = 0.10
 """Standard deviations of a label's scatter, in label radii, that hold an estimate near it."""
+
+LABEL_SCATTER = np.array([CENTER_PRIOR_RADII, CENTER_PRIOR_RADII, RADIUS_PRIOR_RADII])
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,16 +199,20 @@ def refine_press(
     expected: FloatArray,
     *,
     steps: int = 5,
+    scatter: FloatArray | None = None,
 ) -> FloatArray:
-    """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected."""
+    """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected.
+
+    ``scatter`` (3,) are the standard deviations that hold it there, in label radii; a label's,
+    where left out.
+    """
     pixels = sample.pixels
     at_rest: FloatArray = np.zeros((len(pixels), 3))
     if press_model.dome_radius_mm > 0:
         slope = rest_slope(pixels.x_mm, pixels.y_mm, press_model.dome_radius_mm)
         at_rest = model.change(*slope, pixels.position)
     scale = sample.label[2]
-    scatter = np.array([CENTER_PRIOR_RADII, CENTER_PRIOR_RADII, RADIUS_PRIOR_RADII])
-    prior = 1.0 / (scatter * scale) ** 2
+    prior = 1.0 / ((LABEL_SCATTER if scatter is None else scatter) * scale) ** 2
     precision = np.repeat(sample.weight, 3) / (NOISE_GREY**2 * CORRELATED_PIXELS)
     geometry = np.array(expected, dtype=np.float64)
     largest = MAX_RADIUS_SHARE * sample.ball_radius_mm
@@ -294,12 +304,11 @@ def fit_jointly(
     for _ in range(iterations):
         samples = _without(thinned, share * drift)
         model = fit_model(samples, geometry, press_model, rough)
-        expected = press_model.labels.geometry(labels)
-        expected[:, 2] = np.minimum(expected[:, 2], 0.95 * balls)
+        expected, scatter = _expected(presses, press_model.labels.geometry(labels))
         geometry = np.array(
             [
-                refine_press(sample, model, press_model, place)
-                for sample, place in zip(samples, expected, strict=True)
+                refine_press(sample, model, press_model, place, scatter=held)
+                for sample, place, held in zip(samples, expected, scatter, strict=True)
             ]
         )
         membrane = refine_membrane(samples, geometry, model, press_model)
@@ -308,6 +317,25 @@ def fit_jointly(
     dense = _without(gather(presses, background, settings), share * drift)
     model = fit_model(dense, geometry, press_model, settings)
     return JointFit(model, press_model, geometry, share)
+
+
+def _expected(presses: PressImages, by_label: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Expected geometry (N, 3), mm, and its scatter (N, 3), label radii.
+
+    A circle that is seen in the picture says more about the centre than a label does, and keeps a
+    shift that all labels share from going into the table.
+    """
+    expected = np.array(by_label)
+    expected[:, 2] = np.minimum(expected[:, 2], 0.95 * presses.ball_radius_mm)
+    scatter = np.tile(LABEL_SCATTER, (len(presses), 1))
+    if presses.seen_px is not None:
+        known = np.isfinite(presses.seen_px).all(axis=1)
+        x, y = presses.seen_px[:, 0], presses.seen_px[:, 1]
+        seen = np.column_stack(place_mm(x, y, presses.shape_px, presses.mm_per_px))
+        share = CENTER_PRIOR_RADII**2 / (CENTER_PRIOR_RADII**2 + SEEN_PRIOR_RADII**2)
+        expected[known, :2] += share * (seen - expected[:, :2])[known]
+        scatter[known, :2] = SEEN_PRIOR_RADII * np.sqrt(share)
+    return expected, scatter
 
 
 def _without(samples: list[Sample], offsets: FloatArray) -> list[Sample]:

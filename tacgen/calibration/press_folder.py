@@ -17,6 +17,9 @@ from tacgen.files import sha256_of
 from tacgen.yaml_source import read_yaml
 
 COORDINATES = ("center_x_px", "center_y_px", "contact_radius_px")
+STAGE = ("x_mm", "y_mm")
+"""Where a stage says a press was: a ruler for the scale."""
+
 COLUMNS = ("file", "radius_mm", *COORDINATES)
 
 TAXIM_FULL_MM_PER_PX, TAXIM_FULL_WIDTH_PX = 0.0295, 640
@@ -24,6 +27,10 @@ TAXIM_FULL_MM_PER_PX, TAXIM_FULL_WIDTH_PX = 0.0295, 640
 
 TAXIM_BALL_RADIUS_MM = 2.0
 """Source: Taxim, branch data-collection: a ball of 4 mm diameter."""
+
+BALLS_MM = (0.1, 200.0)
+WIDTHS_MM = (1.0, 150.0)
+"""What ball radii and widths of a picture can be; others are in another unit."""
 
 _DATAPACK = ("f0", "imgs", "touch_center", "touch_radius")
 
@@ -157,9 +164,11 @@ def _read_folder(path: Path, mm_per_px: float | None, ball_radius_mm: float | No
                 )
             images.append(image)
             rows.append(row)
+    if background is not None and sensor is not None:
+        problems += _scale_problems(path / "sensor.yaml", sensor[0], background.shape[1])
     if problems or table is None or background is None or sensor is None:
         raise PressError.from_problems(problems)
-    scale, dome, name = sensor
+    scale, dome, name, pitch = sensor
     kept = table.loc[rows]
     files = [path / str(file) for file in kept["file"]]
     return PressImages(
@@ -172,6 +181,8 @@ def _read_folder(path: Path, mm_per_px: float | None, ball_radius_mm: float | No
         mm_per_px=scale,
         dome_radius_mm=dome,
         sensor=name,
+        stage_mm=kept[list(STAGE)].to_numpy(np.float64),
+        dot_pitch_mm=pitch,
         found=np.zeros(len(kept), dtype=bool),
         sha256={
             file.name: sha256_of(file)
@@ -180,13 +191,23 @@ def _read_folder(path: Path, mm_per_px: float | None, ball_radius_mm: float | No
     )
 
 
+def _scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
+    wide = mm_per_px * width_px
+    if WIDTHS_MM[0] <= wide <= WIDTHS_MM[1]:
+        return []
+    return [
+        f"{path}: mm_per_px = {mm_per_px:g} makes the picture {wide:.3g} mm wide; a tactile sensor "
+        f"sees {WIDTHS_MM[0]:g} to {WIDTHS_MM[1]:g} mm: give the size of one pixel in mm"
+    ]
+
+
 def _read_sensor(
     path: Path, mm_per_px: float | None, problems: list[str]
-) -> tuple[float, float, str] | None:
-    """Scale, dome radius and name of the sensor."""
+) -> tuple[float, float, str, float] | None:
+    """Scale, dome radius, name and pitch of the printed dots (0 where there are none)."""
     if not path.is_file():
         if mm_per_px is not None:
-            return mm_per_px, 0.0, ""
+            return mm_per_px, 0.0, "", 0.0
         problems.append(f"{path}: missing; write `mm_per_px: <size of a pixel>` into it")
         return None
     data = read_yaml(path).data
@@ -197,7 +218,10 @@ def _read_sensor(
         if not number or not np.isfinite(value) or value < least:
             problems.append(f"{path}: {name} = {value!r} must be a positive number of mm")
             return None
-    return float(scale), float(dome), str(data.get("name", ""))
+    markers = data.get("markers")
+    pitch: Any = markers.get("pitch_mm") if isinstance(markers, dict) else None
+    known = isinstance(pitch, (int, float)) and np.isfinite(pitch) and pitch > 0
+    return float(scale), float(dome), str(data.get("name", "")), float(pitch) if known else 0.0
 
 
 def _read_list(
@@ -226,10 +250,10 @@ def _read_list(
     if len(table) == 0:
         problems.append(f"{path}: lists no presses")
         return None
-    for name in COORDINATES:
+    for name in (*COORDINATES, *STAGE):
         if name not in table:
             table[name] = np.nan
-    for name in ("radius_mm", *COORDINATES):
+    for name in ("radius_mm", *COORDINATES, *STAGE):
         numbers = pd.to_numeric(table[name], errors="coerce")
         wrong = table.index[numbers.isna() & table[name].notna()]
         problems += [
@@ -241,6 +265,11 @@ def _read_list(
         f"{path}: row {row}: radius_mm is {'empty' if np.isnan(balls[row]) else balls[row]}; give "
         "the ball's radius in mm"
         for row in table.index[~(balls > 0)]
+    ]
+    problems += [
+        f"{path}: row {row}: radius_mm = {balls[row]:g} is no ball that a gel can feel; give the "
+        f"radius in mm, {BALLS_MM[0]:g} to {BALLS_MM[1]:g}"
+        for row in table.index[(balls > 0) & ~balls.between(*BALLS_MM)]
     ]
     empty = table.index[table["file"].isna()]
     problems += [f"{path}: row {row}: file is empty" for row in empty]

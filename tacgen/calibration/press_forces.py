@@ -185,7 +185,7 @@ def _ball_volume(
         circle = find_circle(picture, images.background, hidden)
         if circle.problem:
             return 0.0, circle.problem
-        circle_px = circle.radius_px
+        circle_px = circle.edge_px
     circle_mm = circle_px * images.mm_per_px
     volume = float(cap_volume_from_circle_mm3(circle_mm, row["radius_mm"]))
     if images.dome_radius_mm > 0:

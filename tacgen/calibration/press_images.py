@@ -43,6 +43,13 @@ class PressImages:
     mm_per_px : float
     dome_radius_mm : float
         Radius of curvature of the gel at rest, 0 for a flat one.
+    seen_px : (N, 3) float, optional
+        Column, row and radius of the circle that is seen in each picture, labelled or not; NaN
+        where none is.
+    stage_mm : (N, 2) float, optional
+        Where a stage says that each press was, mm; NaN where it does not.
+    dot_pitch_mm : float
+        Pitch of the printed dots, 0 where it is not known.
     found : (N,) bool
         Whether centre and radius were found in the image instead of labelled.
     dots : (H, W) bool, optional
@@ -64,6 +71,9 @@ class PressImages:
     mm_per_px: float
     dome_radius_mm: float = 0.0
     sensor: str = ""
+    seen_px: NDArray[np.float64] | None = None
+    stage_mm: NDArray[np.float64] | None = None
+    dot_pitch_mm: float = 0.0
     found: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     dots: NDArray[np.bool_] | None = None
     hidden: NDArray[np.bool_] | None = None
@@ -99,5 +109,7 @@ class PressImages:
             radius_px=self.radius_px[which],
             ball_radius_mm=self.ball_radius_mm[which],
             found=found[which],
+            seen_px=None if self.seen_px is None else self.seen_px[which],
+            stage_mm=None if self.stage_mm is None else self.stage_mm[which],
             hidden=None if self.hidden is None else self.hidden[which],
         )

@@ -38,6 +38,11 @@ CONTACT_SHARE = 0.02
 """Depths below this share of the deepest are not contact."""
 
 
+FIRM_LAYERS = (0.25, 0.55)
+"""Shares of the deepest point's depth between which the gel keeps to the object: less deep it
+bends freely, deeper a few noisy pixels are left."""
+
+
 @dataclass(frozen=True, slots=True)
 class Shape:
     """What was reconstructed: depth below the gel at rest (h, w), and the pixels' size."""
@@ -47,13 +52,25 @@ class Shape:
 
     @property
     def volume_mm3(self) -> float:
-        """Volume below the gel at rest, over the connected patch around the deepest point."""
-        if not self.depth_mm.max() > 0:
+        """Volume that the object takes below the gel at rest, around the deepest point.
+
+        The gel around a contact sinks with it and is no part of it. So the lower layers alone are
+        summed as they are; the object's cross-section, which for a ball grows by the same area
+        with every layer, is continued from them up to the level of the gel at rest.
+        """
+        deepest_mm = float(self.depth_mm.max())
+        if not deepest_mm > 0:
             return 0.0
-        patches, _ = label(self.depth_mm > CONTACT_SHARE * self.depth_mm.max())
+        patches, _ = label(self.depth_mm > CONTACT_SHARE * deepest_mm)
         deepest = np.unravel_index(np.argmax(self.depth_mm), self.depth_mm.shape)
-        inside = patches == patches[deepest]
-        return float(self.depth_mm[inside].sum() * self.mm_per_px**2)
+        depth = self.depth_mm[patches == patches[deepest]]
+        low, high = (share * deepest_mm for share in FIRM_LAYERS)
+        below = float(np.maximum(depth - low, 0.0).sum())
+        layers = np.linspace(low, high, 16)
+        pixels = (depth[:, None] > layers).sum(axis=0)
+        growth, at_low = np.polyfit(layers - low, pixels, 1)
+        above = low * at_low - 0.5 * min(float(growth), 0.0) * low**2
+        return float((below + above) * self.mm_per_px**2)
 
 
 class Reconstructor:

@@ -12,6 +12,7 @@ from tacgen.calibration.lookup import Calibration
 from tacgen.calibration.press_fit import gather, sample_design
 from tacgen.calibration.press_images import PressImages
 from tacgen.calibration.press_model import label_mm
+from tacgen.calibration.scale import evidence_lines
 from tacgen.calibration.score import PressRenderer
 from tacgen.report import (
     Section,
@@ -31,7 +32,9 @@ def write_table_report(folder: Path, presses: PressImages, calibration: Calibrat
     """Write ``folder/report.html``: errors, pictures, coverage, what to press next."""
     sections = [
         _summary(presses, calibration),
+        *_scale(calibration),
         _settings(calibration),
+        _bins(calibration),
         _errors(calibration),
         _label_figure(presses, calibration),
         _residual_figure(presses, calibration),
@@ -65,10 +68,10 @@ def _summary(presses: PressImages, calibration: Calibration) -> Section:
         *presses.warnings,
         *(str(press) for press in presses.doubtful),
     ]
-    if len(set(presses.ball_radius_mm)) == 1:
+    if presses.dots is not None:
         lines.append(
-            "One ball only: whether the scale or the ball's radius is off cannot be told; a "
-            "second ball of another size would tell."
+            "The gel has printed dots; their pixels are left out of the fit and of the score, and "
+            "they stay in the table's background."
         )
     ball_px = float(np.median(presses.ball_radius_mm)) / presses.mm_per_px
     beyond = int((presses.radius_px > ball_px).sum())
@@ -82,6 +85,12 @@ def _summary(presses: PressImages, calibration: Calibration) -> Section:
     return text_section("The presses", *lines)
 
 
+def _scale(calibration: Calibration) -> list[Section]:
+    if calibration.scale is None:
+        return []
+    return [text_section("Scale and balls", *evidence_lines(calibration.scale))]
+
+
 def _settings(calibration: Calibration) -> Section:
     ranked = sorted(calibration.choice.errors.items(), key=lambda item: item[1])
     return table_section(
@@ -90,6 +99,19 @@ def _settings(calibration: Calibration) -> Section:
         ranked[:10],
         note="The ten best of all; a background other than the photographed one is only taken "
         "where it is better by more than one standard error.",
+    )
+
+
+def _bins(calibration: Calibration) -> Section:
+    choice = calibration.choice
+    ranked = sorted((choice.bin_errors or {}).items(), key=lambda item: item[1])
+    return table_section(
+        "Smooth model against bins, by the same cross-validation",
+        ("candidate", "RMSE, grey levels"),
+        ranked,
+        note=f"Taken: {choice.bins}. In each bin of slope and direction six coefficients are "
+        "fitted to what the smooth model leaves over and held back by as many presses; bins are "
+        "only taken where they are better by more than one standard error over the presses.",
     )
 
 

@@ -48,17 +48,22 @@ def calibrate_lookup(
     report: Annotated[Path | None, typer.Option(help="Folder for an HTML report.")] = None,
     mm_per_px: ScaleOption = None,
     ball_radius_mm: BallOption = None,
+    without_dots: Annotated[
+        bool,
+        typer.Option(help="Take printed dots out of the background: for optics.markers: true."),
+    ] = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Fit the lookup table to images of ball presses, with its error on presses left out."""
     from tacgen.calibration import lookup_command as command
 
     made, used = command.calibrate_lookup(
-        presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
-    )
-    for line in command.said_about(used):
+        presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
+        without_dots=without_dots,
+    )  # fmt: skip
+    for line in command.said_about(used, made.scale):
         typer.echo(f"warning: {line}", err=True)
-    typer.echo(command.score_text(made.heldout, json_output=json_output))
+    typer.echo(command.lookup_text(made, used, json_output=json_output))
 
 
 @calibrate_app.command("score")
