@@ -9,8 +9,10 @@ thread in each worker: a worker is one core's work, and sums must not follow a m
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -25,6 +27,8 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
+
+_PR_SET_PDEATHSIG = 1
 
 
 def start_early(*modules: str) -> None:
@@ -60,7 +64,17 @@ def _run(target: Callable[..., None], environment: Mapping[str, str], *arguments
     os.environ.update(environment)
     if "cv2" in sys.modules:
         sys.modules["cv2"].setNumThreads(1)
+    _end_with_the_process_copied()
     target(*arguments)
+
+
+def _end_with_the_process_copied() -> None:
+    """Die with the fork server: once it is gone, the supervisor takes its copies for dead too.
+
+    One that worked on would hold the lock of a shard that nobody waits for.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 @contextlib.contextmanager

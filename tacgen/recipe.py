@@ -253,14 +253,25 @@ def with_cluster(recipe: Recipe, **settings: str | float | None) -> Recipe:
     RecipeError
         Names every setting that cannot be.
     """
+    cluster = cluster_section(recipe.cluster, **settings)
+    return recipe.model_copy(update={"cluster": cluster})
+
+
+def cluster_section(before: Cluster | None = None, **settings: object) -> Cluster:
+    """The section ``cluster`` with these settings; None leaves one as it is.
+
+    Raises
+    ------
+    RecipeError
+        Names every setting that cannot be.
+    """
     given = {name: value for name, value in settings.items() if value is not None}
     try:
-        cluster = Cluster.model_validate(recipe.cluster.model_dump() | given)
+        return Cluster.model_validate((before or Cluster()).model_dump() | given)
     except ValidationError as error:
         raise RecipeError.from_problems(
             [f"cluster.{d['loc'][0]} = {d['input']!r}: {d['msg']}" for d in error.errors()]
         ) from None
-    return recipe.model_copy(update={"cluster": cluster})
 
 
 def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:

@@ -57,11 +57,57 @@ def submit(
             raise typer.Exit(1)
 
 
+@app.command(rich_help_panel="Networks")
+def batch(
+    command: Annotated[
+        list[str], typer.Argument(help="friction … or train …, as after `tacgen`, behind `--`.")
+    ],
+    executor: Annotated[str, typer.Option(help="local or slurm.")] = "slurm",
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stay until it ends; exit 1 if not done.")
+    ] = False,
+    time_min: Annotated[int, typer.Option(min=1, help="Minutes until it is put back.")] = 480,
+    mem_gb: Annotated[float, typer.Option(min=0.1, help="Memory.")] = 16.0,
+    cpus_per_task: Annotated[int, typer.Option(min=1, help="Processors.")] = 4,
+    gpus: Annotated[int, typer.Option(min=0, help="GPUs.")] = 0,
+    partition: Annotated[str | None, typer.Option(help="Slurm partition.")] = None,
+    account: Annotated[str | None, typer.Option(help="Slurm account.")] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Hand a long command to a scheduler: `tacgen batch --gpus 1 -- train RECIPE --data … `."""
+    from tacgen import cluster
+    from tacgen.recipe import cluster_section
+
+    asked = cluster_section(
+        time_min=time_min,
+        mem_gb=mem_gb,
+        cpus_per_task=cpus_per_task,
+        partition=partition,
+        account=account,
+        sbatch={"gpus": gpus} if gpus else None,
+    )
+    submitted = cluster.submit_command(command, executor, asked)
+    print_record(
+        {"folder": submitted.folder, "executor": executor, "job": submitted.jobs[0]}, json_output
+    )
+    if wait:
+        out = Path(submitted.folder).parents[1]
+        jobs = cluster.wait_for_command(out)
+        typer.echo(cluster.jobs_text(out, jobs), err=True)
+        if jobs[-1].state != "done":
+            raise typer.Exit(1)
+
+
 @app.command(rich_help_panel="Datasets")
 def status(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
-    """Show how far a dataset is: shards done, running, failed and why, rate, time left."""
+    """Show how far a dataset is, or submitted jobs: done, running, failed and why, time left."""
     from tacgen import cluster
 
+    jobs = () if (folder / "dataset.json").exists() else cluster.job_states(folder)
+    if jobs:
+        record = {"root": str(folder), "jobs": [asdict(job) for job in jobs]}
+        typer.echo(json.dumps(record) if json_output else cluster.jobs_text(folder, jobs))
+        return
     found = cluster.status(folder)
     if json_output:
         typer.echo(json.dumps(found.as_dict(), indent=2))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -116,6 +116,33 @@ def status(root: Path) -> Status:
     )
 
 
+def job_states(root: Path) -> tuple[TaskState, ...]:
+    """The jobs of ``root``, where commands rather than shards were submitted.
+
+    Raises
+    ------
+    ClusterError
+        If the record of a submission cannot be read, or the scheduler does not answer.
+    """
+    submissions = JobsFolder(root).submissions()
+    live = live_jobs(submissions.values())
+    return tuple(
+        _task_state(path, task, live, {})
+        for path, submission in submissions.items()
+        for task in submission.tasks
+    )
+
+
+def jobs_text(root: Path, tasks: Sequence[TaskState]) -> str:
+    """What a person reads of submitted commands."""
+    lines = [f"{root}: {len(tasks)} job{'' if len(tasks) == 1 else 's'}"]
+    for task in tasks:
+        attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
+        reason = f": {task.reason}" if task.reason else ""
+        lines += [f"  job {task.job_id} {task.state}{attempt}{reason}", f"    log: {task.log}"]
+    return "\n".join(lines)
+
+
 def status_text(found: Status) -> str:
     """What a person reads: the counts, the rate, and every job that needs attention."""
     lines = [
@@ -146,7 +173,8 @@ def _task_state(
 ) -> TaskState:
     note = read_note(note_path(folder, task.number))
     done = sum(shard in lines for shard in task.shards)
-    state, reason = _verdict(task, note, live, whole=done == len(task.shards))
+    whole = done == len(task.shards) > 0
+    state, reason = _verdict(task, note, live, whole=whole)
     return TaskState(
         submission=folder.name,
         task=task.number,
@@ -171,7 +199,7 @@ def _verdict(
     if note is not None and note.state == "failed":
         return "failed", note.reason
     if note is not None and note.state == "done":
-        return "done", "left shards to other processes"
+        return "done", "left shards to other processes" if task.shards else ""
     if live is None:
         return "unknown", "ask on the machine that it was submitted from"
     if note is None:

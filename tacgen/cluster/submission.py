@@ -24,7 +24,7 @@ from tacgen.cluster.ledger import (
 )
 from tacgen.cluster.queue import site_array_limit
 from tacgen.cluster.states import Status, status
-from tacgen.cluster.task import CollectTask
+from tacgen.cluster.task import CollectTask, CommandTask
 from tacgen.dataset import DatasetFolder
 from tacgen.errors import ClusterError
 from tacgen.grasp_pipeline import dataset_spec
@@ -43,6 +43,16 @@ class Request:
 
     executor: str
     failed_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where jobs go and under which name; ``limit`` is the most of one array."""
+
+    executor: str
+    cluster: Cluster
+    name: str
+    limit: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +77,7 @@ def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
     DatasetError
         If the folder cannot be written to or holds another dataset.
     """
-    _require(request.executor)
+    require_executor(request.executor)
     planned = plan_recipe(recipe)
     DatasetFolder(out).prepare(dataset_spec(recipe, len(planned)))
     found = status(out)
@@ -82,7 +92,8 @@ def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
         CollectTask(recipe, out.resolve(), share, cluster.cpus_per_task, note_path(folder, number))
         for number, share in enumerate(shares)
     ]
-    jobs = _hand_over(tasks, folder, request.executor, recipe, limit)
+    target = Target(request.executor, cluster, recipe.name, limit)
+    jobs = hand_over(tasks, folder, target)
     return Submitted(str(folder), request.executor, len(shards), jobs, -(-len(jobs) // limit))
 
 
@@ -95,7 +106,8 @@ def wait_for(root: Path, show: Callable[[Status], None] = lambda _: None) -> Sta
     return found
 
 
-def _require(executor: str) -> None:
+def require_executor(executor: str) -> None:
+    """Raise a ``ClusterError`` unless jobs can be handed to this executor from here."""
     problems = []
     if executor not in EXECUTORS:
         problems.append(f"--executor {executor}: give {' or '.join(EXECUTORS)}")
@@ -147,46 +159,51 @@ def _array_limit(executor: str, cluster: Cluster) -> int:
     return cluster.max_array or site_array_limit()
 
 
-def _hand_over(
-    tasks: Sequence[CollectTask], folder: Path, executor: str, recipe: Recipe, limit: int
+def hand_over(
+    tasks: Sequence[CollectTask | CommandTask], folder: Path, target: Target
 ) -> tuple[str, ...]:
     """Submit the tasks, an array at a time, and record each array as soon as it is accepted."""
     recorded: list[Task] = []
     with _background():
-        engine = _engine(executor, folder, recipe)
-        for start in range(0, len(tasks), limit):
-            batch = tasks[start : start + limit]
-            jobs = _submit_array(engine, batch, executor)
+        engine = _engine(folder, target)
+        for start in range(0, len(tasks), target.limit):
+            batch = tasks[start : start + target.limit]
+            jobs = _submit_array(engine, batch, target.executor)
             recorded += [
                 Task(start + k, job.job_id, task.shards)
                 for k, (job, task) in enumerate(zip(jobs, batch, strict=True))
             ]
-            submission = Submission(executor, socket.gethostname(), tuple(recorded))
+            submission = Submission(target.executor, socket.gethostname(), tuple(recorded))
             write_submission(folder, submission)
     return tuple(task.job_id for task in recorded)
 
 
-def _submit_array(engine: Any, batch: Sequence[CollectTask], executor: str) -> list[Any]:
+def _submit_array(
+    engine: Any, batch: Sequence[CollectTask | CommandTask], executor: str
+) -> list[Any]:
     from submitit.core.utils import FailedJobError, FailedSubmissionError
 
     try:
         with engine.batch():
             return [engine.submit(task) for task in batch]
     except (FailedJobError, FailedSubmissionError, OSError) as error:
-        msg = f"{executor} refused the jobs: {error}; see the section `cluster` of the recipe"
+        msg = (
+            f"{executor} refused the jobs: {error}; see the section `cluster` of the recipe, "
+            "or the flags"
+        )
         raise ClusterError(msg) from error
 
 
-def _engine(executor: str, folder: Path, recipe: Recipe) -> Any:
+def _engine(folder: Path, target: Target) -> Any:
     import submitit
 
-    cluster = recipe.cluster
-    if executor == "local":
+    cluster = target.cluster
+    if target.executor == "local":
         here = submitit.LocalExecutor(folder)
         here.update_parameters(timeout_min=_A_WEEK_MIN, setup=list(cluster.setup))
         return here
     slurm = submitit.SlurmExecutor(folder, max_num_timeout=cluster.max_timeouts)
-    slurm.update_parameters(**slurm_parameters(cluster, recipe.name))
+    slurm.update_parameters(**slurm_parameters(cluster, target.name))
     return slurm
 
 

@@ -1,9 +1,11 @@
-"""What runs inside a batch job: some shards of a recipe, and a note of how it went."""
+"""What runs inside a batch job: shards of a recipe or a command, and a note of how it went."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,34 +28,63 @@ class CollectTask:
 
     def __call__(self) -> dict[str, int]:
         """Collect, and keep a note of the state for ``tacgen status``."""
-        before = read_note(self.note)
-        attempt = before.attempt + 1 if before else 1
-        self._say("running", attempt)
-        try:
-            result = collect(
-                self.recipe,
-                self.out,
-                workers=self.workers,
-                shards=self.shards,
-                progress=False,
-            )
-        except TacgenError as error:
-            self._say("failed", attempt, str(error))
-            raise
-        except Exception as error:
-            self._say("failed", attempt, f"{type(error).__name__}: {error}")
-            raise
-        except BaseException:
-            self._say("interrupted", attempt, "preempted, out of time or cancelled")
-            raise
-        self._say("done", attempt)
-        return result.summary()
+        with _noted(self.note):
+            return collect(
+                self.recipe, self.out, workers=self.workers, shards=self.shards, progress=False
+            ).summary()
 
     def checkpoint(self) -> Any:
         """What submitit queues instead of this task when it is preempted: the same again."""
-        from submitit.helpers import DelayedSubmission
+        return _again(self)
 
-        return DelayedSubmission(self)
 
-    def _say(self, state: str, attempt: int, reason: str = "") -> None:
-        write_note(self.note, Note(state, attempt, socket.gethostname(), os.getpid(), reason))
+@dataclass(frozen=True, slots=True)
+class CommandTask:
+    """Runs a command of tacgen that goes on where it stopped, as ``train`` and ``friction`` do."""
+
+    command: tuple[str, ...]
+    folder: Path
+    note: Path
+    shards: tuple[int, ...] = ()
+
+    def __call__(self) -> None:
+        """Run the command as if typed in ``folder``; what it prints goes to the job's log."""
+        from tacgen.cli import app
+
+        os.chdir(self.folder)
+        with _noted(self.note):
+            app(list(self.command), standalone_mode=False)
+
+    def checkpoint(self) -> Any:
+        """What submitit queues instead of this task when it is preempted: the same again."""
+        return _again(self)
+
+
+def _again(task: Any) -> Any:
+    from submitit.helpers import DelayedSubmission
+
+    return DelayedSubmission(task)
+
+
+@contextlib.contextmanager
+def _noted(path: Path) -> Iterator[None]:
+    """Keep a note of how the block goes: running, then done, failed or interrupted."""
+    before = read_note(path)
+    attempt = before.attempt + 1 if before else 1
+
+    def say(state: str, reason: str = "") -> None:
+        write_note(path, Note(state, attempt, socket.gethostname(), os.getpid(), reason))
+
+    say("running")
+    try:
+        yield
+    except TacgenError as error:
+        say("failed", str(error))
+        raise
+    except Exception as error:
+        say("failed", f"{type(error).__name__}: {error}")
+        raise
+    except BaseException:
+        say("interrupted", "preempted, out of time or cancelled")
+        raise
+    say("done")

@@ -67,7 +67,7 @@ def code_lengths(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Lengths in bits, at most ``MAX_CODE_BITS``, of a Huffman code; 0 where a count is 0.
 
     At least two counts must not be 0. Where the best code is deeper, its deepest leaves are hung
-    beside others further up, as zlib does: what that costs is far below a percent.
+    beside others further up, as zlib does; for noise that costs far below a percent.
     """
     used = np.flatnonzero(counts)
     order = used[np.argsort(counts[used], kind="mergesort")]

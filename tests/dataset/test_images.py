@@ -113,7 +113,8 @@ def test_code_lengths_are_those_of_the_best_code(counts):
     cost = int(np.dot(lengths, counts))
     if lengths.max() < MAX_CODE_BITS:
         assert cost == best
-    assert best <= cost <= 1.02 * best + MAX_CODE_BITS * len(counts)
+    # What the limit costs where counts fall off very steeply.
+    assert best <= cost <= 1.05 * best + MAX_CODE_BITS * len(counts)
 
 
 def test_codes_are_never_deeper_than_the_limit():

@@ -17,6 +17,7 @@ from tacgen.collect import collect
 from tacgen.errors import ClusterError
 from tacgen.recipe import load_recipe, with_cluster
 from tacgen.resources import packaged
+from tests.cluster.friction_case import BOX, MU, write_friction_case
 from tests.small_world import write_world
 
 SCRIPT = Path(__file__).with_name("slurm.sh")
@@ -147,6 +148,23 @@ def test_the_shipped_script_collects_as_an_array(world, tmp_path):
     assert cluster.status(out).done == 6
     collect(load_recipe(world), tmp_path / "local", progress=False)
     assert hashes(out) == hashes(tmp_path / "local")
+
+
+@pytest.mark.slow
+def test_a_command_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path):
+    """``tacgen friction`` as one job: what it simulated before the signal is not done again."""
+    command = write_friction_case(tmp_path)
+    options = ["--mem-gb", "0.7", "--cpus-per-task", "1", "--time-min", "5", "--json"]
+    handed = json.loads(said(sys.executable, "-m", "tacgen", "batch", *options, "--", *command))
+    outcomes, note = tmp_path / "fit/outcomes.jsonl", tmp_path / "fit/jobs/000/task-00000.json"
+    wait_until(lambda: outcomes.is_file() and outcomes.read_text().count("\n") >= 1, "no outcome")
+    said("scancel", "--signal=USR2", handed["job"])
+    wait_until(lambda: "interrupted" in note.read_text() or "done" in note.read_text(), "?")
+    before = outcomes.read_text()
+    (job,) = cluster.wait_for_command(tmp_path / "fit")
+    assert (job.state, job.attempt) == ("done", 2), job
+    assert outcomes.read_text().startswith(before)
+    assert json.loads((tmp_path / "fit/friction.json").read_text())[BOX]["mu"] == pytest.approx(MU)
 
 
 @pytest.mark.slow

@@ -1,0 +1,71 @@
+"""Commands that are one long job, handed to a scheduler: ``train`` and ``friction``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tacgen.cluster.ledger import JobsFolder, note_path
+from tacgen.cluster.states import TaskState, job_states
+from tacgen.cluster.submission import Submitted, Target, hand_over, require_executor
+from tacgen.cluster.task import CommandTask
+from tacgen.errors import ClusterError
+from tacgen.recipe import Cluster
+
+COMMANDS = ("friction", "train")
+"""Those that write into ``--out`` and, run again, go on where they stopped."""
+
+_ALIVE = ("queued", "running", "unknown")
+_POLL_S = 1.0
+
+
+def submit_command(command: Sequence[str], executor: str, cluster: Cluster) -> Submitted:
+    """Submit a command, as typed after ``tacgen``, as one job that is requeued and resumed.
+
+    Its record and logs go to ``jobs/`` in the folder that the command's ``--out`` names.
+
+    Raises
+    ------
+    ClusterError
+        If the command is none that resumes, a job of its folder still lives, or the scheduler is
+        missing or refuses.
+    """
+    out = _out_of(command)
+    require_executor(executor)
+    alive = [task.job_id for task in job_states(out) if task.state in _ALIVE]
+    if alive:
+        msg = f"{out}: job {', '.join(alive)} still lives; wait for it (`tacgen status {out}`)"
+        raise ClusterError(msg)
+    folder = JobsFolder(out.resolve()).create()
+    task = CommandTask(tuple(command), Path.cwd(), note_path(folder, 0))
+    jobs = hand_over([task], folder, Target(executor, cluster, command[0], 1))
+    return Submitted(str(folder), executor, 0, jobs, 1)
+
+
+def wait_for_command(out: Path) -> tuple[TaskState, ...]:
+    """Wait until no job of ``out`` lives, and say what became of them."""
+    tasks = job_states(out)
+    while any(task.state in _ALIVE for task in tasks):
+        time.sleep(_POLL_S)
+        tasks = job_states(out)
+    return tasks
+
+
+def _out_of(command: Sequence[str]) -> Path:
+    """The folder that the command writes to, once all of its options are known to be right."""
+    import typer
+
+    from tacgen.cli.app import app
+
+    if not command or command[0] not in COMMANDS:
+        msg = (
+            f"`{' '.join(command)}`: give {' or '.join(COMMANDS)} and its options after `--`; "
+            "a dataset's recipe goes to `tacgen submit`"
+        )
+        raise ClusterError(msg)
+    group: Any = typer.main.get_command(app)
+    # Wrong options end here, as they do when the command itself is called.
+    context = group.commands[command[0]].make_context(command[0], list(command[1:]))
+    return Path(context.params["out"])

@@ -1,0 +1,80 @@
+"""``friction`` and ``train`` as one batch job each, through submitit's local executor."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from tacgen import cluster
+from tacgen.cli import app
+from tacgen.cluster.ledger import JobsFolder, Note, Submission, Task, write_note, write_submission
+from tacgen.errors import ClusterError
+from tacgen.recipe import Cluster
+
+from .friction_case import BOX, MU, write_friction_case
+
+PATIENCE_S = 180
+
+
+def batch(folder, *words):
+    """The command as a user types it."""
+    command = [sys.executable, "-m", "tacgen", "batch", "--executor", "local", "--wait", *words]
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+
+
+@pytest.mark.slow
+def test_friction_as_a_job_finds_what_it_finds_by_itself(tmp_path):
+    run = batch(tmp_path, "--json", "--", *write_friction_case(tmp_path))
+    assert run.returncode == 0, run.stderr
+    assert "done" in run.stderr
+    found = json.loads((tmp_path / "fit/friction.json").read_text())[BOX]
+    assert found["mu"] == pytest.approx(MU)
+    told = CliRunner().invoke(app, ["status", str(tmp_path / "fit"), "--json"])
+    (job,) = json.loads(told.stdout)["jobs"]
+    assert (job["state"], job["job_id"]) == ("done", json.loads(run.stdout)["job"])
+
+
+@pytest.mark.slow
+def test_what_ended_a_job_is_told_with_its_log(tmp_path):
+    run = batch(tmp_path, "--", "friction", "quickstart", "--real", "none", "--out", "fit")
+    assert run.returncode == 1
+    assert "failed: none/grasps.csv: no such file" in run.stderr
+    assert "log: " in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["collect", "quickstart", "--out", "x"], "give friction or train"),
+        ([], "Missing argument"),
+        (["train", "train_single", "--out", "x"], "Missing option '--data'"),
+        (["friction", "x", "--real", "r", "--out", "y", "--moo", "1"], "No such option: --moo"),
+    ],
+)
+def test_what_could_not_run_is_refused_at_once(tmp_path, words, said):
+    run = batch(tmp_path, "--", *words)
+    assert run.returncode == 2
+    assert said in run.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_second_job_for_the_same_folder_is_refused_while_the_first_lives(tmp_path, monkeypatch):
+    command = ["train", "train_single", "--data", "d", "--out", str(tmp_path)]
+    folder = JobsFolder(tmp_path).create()
+    write_submission(folder, Submission("slurm", "here", (Task(0, "77", ()),)))
+    live = {"77": ("queued", "Priority")}
+    monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: live)
+    with pytest.raises(ClusterError, match=r"job 77 still lives.*tacgen status"):
+        cluster.submit_command(command, "local", Cluster())
+    text = cluster.jobs_text(tmp_path, cluster.job_states(tmp_path))
+    assert "1 job\n" in text
+    assert "job 77 queued: Priority" in text
+    live.clear()
+    write_note(folder / "task-00000.json", Note("running", 3, "n1", 5))
+    (job,) = cluster.job_states(tmp_path)
+    assert (job.state, job.attempt) == ("failed", 3)
+    assert "killed, or out of memory" in job.reason
