@@ -112,6 +112,27 @@ def load_study(name: str | Path) -> Study:
     return study
 
 
+def with_rows(study: Study, names: Sequence[str]) -> Study:
+    """The study with these rows alone; all of them where none is named.
+
+    Raises
+    ------
+    RecipeError
+        Lists the names that no row has, and those there are.
+    """
+    known = [row.name for row in study.rows]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        msg = (
+            f"{study.name}: has no row {', '.join(map(repr, unknown))}; "
+            f"its rows are {', '.join(map(repr, known))}"
+        )
+        raise RecipeError(msg)
+    if not names:
+        return study
+    return study.model_copy(update={"rows": tuple(row for row in study.rows if row.name in names)})
+
+
 def merged_mapping(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """``above`` laid over ``below``: mappings key by key, anything else as a whole."""
     merged = dict(below)

@@ -12,7 +12,7 @@ from tacgen.recipe import load_recipe
 from tacgen.resources import packaged
 from tacgen.stand_in import write_stand_in
 from tacgen.study import Reality, run_study
-from tacgen.study_recipe import load_study, merged_mapping
+from tacgen.study_recipe import load_study, merged_mapping, with_rows
 from tacgen.study_table import markdown_table
 from tests.learning.conftest import collect, make_sample, make_spec, write_real
 
@@ -95,6 +95,14 @@ def test_every_mistake_of_a_study_is_told(tmp_path):
     assert "s.yaml:3: data.objects belongs to the study or its row" in text
     assert "rows[0] cannot be used" in text
     assert "'one' is given twice" in text
+
+
+def test_rows_are_chosen_by_name():
+    study = load_study("paper_table")
+    assert [row.name for row in with_rows(study, ["sequence"]).rows] == ["sequence"]
+    assert with_rows(study, []) == study
+    with pytest.raises(RecipeError, match="has no row 'sequences'; its rows are .*'sequence'"):
+        with_rows(study, ["sequences"])
 
 
 def test_a_table_in_markdown_escapes_bars():

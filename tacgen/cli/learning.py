@@ -86,18 +86,23 @@ def study(
         Path | None,
         typer.Option("--contact", help="The real sensor's contact.yaml, for rows that take it."),
     ] = None,
+    row: Annotated[
+        list[str] | None,
+        typer.Option("--row", help="Only the row of this name; may be given several times."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="The reduced version.")] = False,
     workers: Annotated[int, typer.Option(min=1, help="Processes that collect and train.")] = 1,
 ) -> None:
     """Collect, train and test every row of a study; writes the table as Markdown and HTML."""
     from tacgen.learning.extra import require_learning_extra
-    from tacgen.study_recipe import load_study
+    from tacgen.study_recipe import load_study, with_rows
 
     require_learning_extra()
     from tacgen.study import Reality, run_study
 
     reality = Reality(real, calibrate_on, contact)
-    run_study(load_study(recipe), out, reality, quick=quick, workers=workers)
+    chosen = with_rows(load_study(recipe), row or ())
+    run_study(chosen, out, reality, quick=quick, workers=workers)
     typer.echo((out / "table.md").read_text(encoding="utf-8"))
 
 
