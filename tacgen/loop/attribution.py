@@ -116,7 +116,8 @@ class Tracer(Exchanger):
         usable = self._pair_pool(pool, order)
         by_size: dict[int, list[tuple[int, int]]] = {}
         for a, b in combinations(usable, 2):
-            if pool[a].name != pool[b].name:
+            both = (pool[a], pool[b], *current.members)
+            if pool[a].name != pool[b].name and self._is_determined(*both):
                 by_size.setdefault(len(groups[a]) + len(groups[b]), []).append((a, b))
         ranked: list[tuple[float, tuple[int, int]]] = []
         least = min(current.loss, 0.0) - scores.IMPOSSIBLE * self.data.noise_loss

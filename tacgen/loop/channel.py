@@ -30,6 +30,7 @@ MIN_ROWS = 1200
 MIN_UNITS = 36
 """With few trials, parts of trials are the units that tests resample: about so many."""
 MIN_TRIALS_AS_UNITS = 12
+MIN_TRIALS_AS_FOLDS = 4
 OUTLIER_SIGMAS = 7.0
 
 Columns = Mapping[str, NDArray[Any]]
@@ -76,6 +77,15 @@ class ChannelData:
     def n_units(self) -> int:
         """Number of units."""
         return int(self.pair_unit.max()) + 1
+
+    def folds(self, count: int) -> NDArray[np.int64]:
+        """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
+        unit_trial = np.zeros(self.n_units, dtype=np.int64)
+        unit_trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
+        n_trials = self.history.n_trials
+        if n_trials < MIN_TRIALS_AS_FOLDS:
+            return np.arange(self.n_units) % min(count, self.n_units)
+        return unit_trial % min(count, n_trials)
 
     @property
     def span(self) -> float:

@@ -10,6 +10,7 @@ from tacgen.calibration.press_log import PressLog
 from tacgen.loop.candidates import CONTRACT_COLUMNS, follows_load
 from tacgen.loop.channel import ChannelData
 from tacgen.loop.diagnosis import ChannelDiagnosis
+from tacgen.loop.nuisance import MAX_LEVELS_IF_FEW
 
 
 def log_notes(log: PressLog) -> list[str]:
@@ -35,7 +36,7 @@ def _column_notes(found: ChannelDiagnosis) -> list[str]:
             notes.append(f"column {column!r} is constant: nothing can be said of it")
         elif not np.issubdtype(array.dtype, np.number):
             per_trial = np.unique(data.history.text(column)[data.history.starts[:-1]])
-            if levels.size > max(2, data.history.n_trials // 3):
+            if levels.size > max(MAX_LEVELS_IF_FEW, data.history.n_trials // 3):
                 notes.append(
                     f"column {column!r} has {levels.size} values for {data.history.n_trials} "
                     f"trials ({per_trial.size} at their starts): too many to compare"

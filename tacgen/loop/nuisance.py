@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from tacgen.loop.channel import ChannelData
 
+MAX_LEVELS_IF_FEW = 4
+"""Levels of a text column that may be compared however few trials there are."""
+
 How = Literal["gain", "added"]
 HOWS: tuple[How, ...] = ("gain", "added")
 
@@ -81,7 +84,7 @@ def text_nuisances(covariate: str, data: ChannelData) -> list[Nuisance]:
     text = data.history.text(covariate)
     per_trial = text[data.history.starts[:-1]]
     levels, counts = np.unique(per_trial, return_counts=True)
-    if levels.size < 2 or levels.size > max(2, data.history.n_trials // 3):
+    if levels.size < 2 or levels.size > max(MAX_LEVELS_IF_FEW, data.history.n_trials // 3):
         return []
     used = tuple(str(level) for level, count in zip(levels, counts, strict=True) if count >= 2)
     if not used:

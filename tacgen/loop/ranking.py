@@ -19,8 +19,8 @@ from tacgen.loop.waves import find_waves
 
 ALPHA = 0.01
 """Chance of a first false effect, over all candidates together."""
-MIN_GAIN = 0.01
-"""Least share of the held-out sum of squares that an effect must take: one of a tenth of the
+MIN_GAIN = 0.02
+"""Least share of the held-out sum of squares that an effect must take: one of a seventh of the
 noise is not worth a parameter, and below it the noise of the force is no longer negligible."""
 FEW_ALPHA, FEW_MIN_GAIN = 0.05, 0.2
 """With too few trials to shuffle: parts of trials are not independent, so that p-values say
@@ -29,11 +29,12 @@ N_SHUFFLES = 1999
 N_WAVE_SHUFFLES = 40
 N_FOLDS = 10
 MAX_MEMBERS = 5
+TRIALS_PER_MEMBER_IF_FEW = 4
 SINGLES_FITTED = 6
 PAIRS_FITTED = 8
-FORM_SHARE = 0.04
-"""An effect worth less than this share of another of the same kind, a fifth in amplitude, is not
-told from that other one's true form being a little different."""
+FORM_SHARE, OTHER_SHARE = 0.06, 0.02
+"""An effect worth less than this share of another of the same kind, a quarter in amplitude, is not
+told from that other one's true form being a little different; less for one of another kind."""
 COVARIATE_SHARE = 0.08
 """The same where an oscillation, or what no effect explains, is one of the two: one frequency of a
 thousand follows anything, and no smooth function of a covariate is its true form."""
@@ -93,10 +94,11 @@ class Ranker:
         self.nuisances: list[Nuisance] = cand.covariate_nuisances(data, skip)
         self.session_clock = session_clock
         self.few = data.history.n_trials < MIN_TRIALS_AS_UNITS
-        self.max_members = min(MAX_MEMBERS, data.history.n_trials)
+        most = data.history.n_trials // TRIALS_PER_MEMBER_IF_FEW
+        self.max_members = max(1, most) if self.few else MAX_MEMBERS
         self.alpha = FEW_ALPHA if self.few else ALPHA
         self.min_gain = FEW_MIN_GAIN if self.few else MIN_GAIN
-        self.folds = scores.fold_of_units(data.n_units, N_FOLDS)
+        self.folds = data.folds(N_FOLDS)
         self.shuffled = scores.shuffles(data.n_units, N_SHUFFLES, rng)
         self._fits: dict[tuple[str, ...], Ranked] = {}
         self._waves: list[Nuisance] = []
@@ -136,17 +138,20 @@ class Ranker:
             if new_waves or not self._waves:
                 self._waves = find_waves(self.data, fit, self.shuffled.signs[1:N_WAVE_SHUFFLES])
             pool += cand.nuisance_candidates(self.data, fit, self._waves)
-        pool = [candidate for candidate in pool if self._is_determined(candidate)]
+        pool = [c for c in pool if _is_within(c) or self._is_determined(c, *current.members)]
         grams, groups, base = self._grams(fit, pool)
         losses = scores.losses_of_groups(grams, self.folds, base, groups)
         return pool, scores.believable(losses, current.unit_losses, self.data.noise_loss)
 
-    def _is_determined(self, candidate: Candidate) -> bool:
-        """Whether there are trials enough for a candidate that has one number a trial."""
-        if candidate.is_effect and candidate.name not in BETWEEN_TRIALS:
-            return True
-        most = max(1.0, COEFFICIENTS_PER_TRIAL * self.data.history.n_trials)
-        return candidate.columns.shape[1] <= most or candidate.name == "time_s"
+    def _is_determined(self, *members: Candidate) -> bool:
+        """Whether there are trials enough for the members that have one number a trial."""
+        widths = [
+            0 if _is_within(member) else member.columns.shape[1]
+            for member in members
+            if member.name != "time_s"
+        ]
+        most = COEFFICIENTS_PER_TRIAL * self.data.history.n_trials
+        return sum(widths) <= max(1.0, most)
 
     def _is_clear(self, without: Ranked, loss: float, p_value: float) -> bool:
         """Whether ``loss`` is so much less than ``without`` it that a weak p will do."""
@@ -233,9 +238,8 @@ class Ranker:
         worth = less.loss - full.loss
         rivals = [m for m in full.members if m.label != member.label]
         return all(
-            worth >= share * (self._less(full, rival).loss - full.loss)
+            worth >= _least_share(member, rival) * (self._less(full, rival).loss - full.loss)
             for rival in rivals
-            if (share := _least_share(member, rival))
         )
 
     def _less(self, full: Ranked, member: Candidate) -> Ranked:
@@ -279,16 +283,21 @@ def _is_converged(fit: Fit) -> bool:
     return float(predicted @ predicted) < 0.01 * fit.loss
 
 
+def _is_within(member: Candidate) -> bool:
+    """Whether it is an effect that acts within each trial."""
+    return member.is_effect and member.name not in BETWEEN_TRIALS
+
+
 def _kind_of(name: str) -> str:
     """Whether an effect tells trials apart or acts within each of them."""
     return "between trials" if name in BETWEEN_TRIALS else "within trials"
 
 
 def _least_share(member: Candidate, rival: Candidate) -> float:
-    """Share of what ``rival`` is worth that ``member`` must be; 0 where they are unlike."""
+    """Share of what ``rival`` is worth that ``member`` must be."""
     if member.name == "time_s" or not rival.is_effect:
         return COVARIATE_SHARE
-    return FORM_SHARE if _kind_of(member.name) == _kind_of(rival.name) else 0.0
+    return FORM_SHARE if _kind_of(member.name) == _kind_of(rival.name) else OTHER_SHARE
 
 
 def _model_without(model: Model, member: Candidate) -> Model:

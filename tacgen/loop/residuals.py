@@ -144,7 +144,7 @@ def dependences(
     shuffled = scores.shuffles(data.n_units, N_SHUFFLES, rng)
     statistics = scores.shuffle_statistics(grams, base, groups, shuffled, position)
     p_values = np.minimum(scores.shuffle_p_values(statistics) * len(groups), 1.0)
-    folds = scores.fold_of_units(data.n_units, N_FOLDS)
+    folds = data.folds(N_FOLDS)
     without = scores.cv_losses(grams, folds, [base]).sum()
     losses = scores.losses_of_groups(grams, folds, base, groups).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)

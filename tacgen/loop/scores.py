@@ -41,11 +41,6 @@ def unit_grams(data: ChannelData, columns: NDArray[np.float64]) -> GramArray:
     return 0.5 * (grams + grams.transpose(0, 2, 1))
 
 
-def fold_of_units(n_units: int, n_folds: int) -> NDArray[np.int64]:
-    """Fold of each unit, neighbours in different folds."""
-    return np.arange(n_units) % min(n_folds, n_units)
-
-
 def cv_losses(
     grams: GramArray, folds: NDArray[np.int64], sets: Sequence[Sequence[int]]
 ) -> NDArray[np.float64]:

@@ -34,6 +34,7 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
     return (
         variant("lead or delay", [{"delay_s": period}]),
         variant("first-order lag", [{"lag_s": period}]),
+        variant("delay and lag", [{"delay_s": period}, {"lag_s": period}]),
     )
 
 
