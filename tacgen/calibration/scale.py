@@ -35,6 +35,10 @@ CLEAR_SIGMAS = 3.0
 CLEAR_SHARE = 0.02
 """A disagreement is said where it is this many standard errors and this share."""
 
+UNEVEN_LIGHT = 0.005
+"""Light that changes across the picture moves the centres that are found in it, by up to this
+share of their distances."""
+
 RIM_EXCESS = 1.05
 """The rim that is seen in a picture lies outside the contact by up to this factor."""
 
@@ -146,8 +150,9 @@ def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
             best = (left, abs(px_per_mm))
     if best is None or best[1] <= 0:
         return None
-    error = np.sqrt(best[0] / (2 * len(place) - 4) / power)
-    return Ruler("the stage's places", 1 / best[1], float(error / best[1] ** 2), len(place))
+    scatter = np.sqrt(best[0] / (2 * len(place) - 4) / power) / best[1]
+    error = np.hypot(scatter, UNEVEN_LIGHT) / best[1]
+    return Ruler("the stage's places", 1 / best[1], float(error), len(place))
 
 
 def by_dots(presses: PressImages) -> Ruler | None:

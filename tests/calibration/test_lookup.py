@@ -65,6 +65,21 @@ def test_fit_does_not_depend_on_a_press_order_or_on_the_run():
     assert np.array_equal(first.background, again.background)
 
 
+def test_the_result_does_not_depend_on_the_number_of_processes():
+    presses = virtual_presses(13, count=10)
+    one, two = (calibrate(presses, heldout=True, processes=n) for n in (1, 2))
+    assert np.array_equal(one.table.coefficients, two.table.coefficients)
+    assert one.heldout.rmse("refined") == two.heldout.rmse("refined")
+
+
+def test_bins_are_taken_only_where_they_help_and_are_shown():
+    choice = calibrate(virtual_presses(14, count=12)).choice
+    errors = choice.bin_errors
+    assert "smooth model alone" in errors
+    assert str(choice.bins) in errors
+    assert errors[str(choice.bins)] <= errors["smooth model alone"]
+
+
 def test_a_table_survives_its_file(tmp_path):
     presses = virtual_presses(10, count=12)
     table = fit_lookup(presses)

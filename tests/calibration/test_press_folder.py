@@ -129,6 +129,43 @@ def test_saturated_out_of_view_and_impossible_presses_are_left_out(presses):
     assert len(used) == 3
 
 
+def test_copies_and_labels_of_something_else_are_left_out(presses):
+    from dataclasses import replace
+
+    images, center = presses.images.copy(), presses.center_px.copy()
+    images[5], center[5] = images[0], center[0]
+    # Labelled half way off the contact: its rim still changes there.
+    center[3] += [0.9 * presses.radius_px[3], 0.0]
+    used = usable_presses(replace(presses, images=images, center_px=center))
+    reasons = "\n".join(str(press) for press in used.doubtful)
+    assert "5.png (row 7): is the same picture as 0.png; left out: list each press once" in reasons
+    assert "3.png (row 5): its labelled centre is " in reasons
+    assert len(used) == 4
+
+
+def test_radius_and_scale_in_another_unit(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses)
+    text = (folder / "presses.csv").read_text().replace(",2.0", ",2000")
+    (folder / "presses.csv").write_text(text)
+    (folder / "sensor.yaml").write_text("mm_per_px: 140.0\n")
+    with pytest.raises(PressError) as error:
+        read_presses(folder)
+    assert "row 2: radius_mm = 2000 is no ball that a gel can feel; give the" in str(error.value)
+    assert "mm_per_px = 140 makes the picture 1.79e+04 mm wide" in str(error.value)
+
+
+def test_grey_pictures_are_said(presses):
+    from dataclasses import replace
+
+    def grey(image):
+        return np.repeat(image[..., :1], 3, axis=-1)
+
+    used = usable_presses(
+        replace(presses, images=grey(presses.images), background=grey(presses.background))
+    )
+    assert "the pictures are grey" in "\n".join(used.warnings)
+
+
 def test_another_gels_background(presses):
     from dataclasses import replace
 

@@ -66,9 +66,11 @@ def test_slopes_integrate_to_the_surface_they_came_from():
     np.testing.assert_allclose(found, surface - surface.mean(), atol=2e-3)
 
 
-@pytest.mark.parametrize(("volume_mm3", "share"), [(2.0, 0.06), (8.0, 0.06), (20.0, 0.06)])
+@pytest.mark.parametrize(("volume_mm3", "share"), [(2.0, 0.04), (8.0, 0.02), (20.0, 0.07)])
 def test_a_reconstructed_ball_has_its_volume(recipe, sensor, table, volume_mm3, share):
-    """Within 6 %: the gel around the contact sinks too and counts, by 2 to 6 %."""
+    """The gel around the contact, 2 to 6 % of it all, is left out; the steep walls of the deepest
+    press look flatter than they are.
+    """
     camera = Camera(recipe.model_copy(update={"images": recipe.images.model_copy(
         update={"markers": False})}), sensor)  # fmt: skip
     rng = np.random.default_rng(0)
@@ -116,11 +118,13 @@ def test_a_lost_marker_moves_with_its_neighbours(recipe, sensor):
 
 
 def test_volumes_by_the_circle_of_a_known_ball(folder):
-    """A circle is found to about 2 %, a volume goes with its fourth power: 10 % a press."""
+    """Where the change has fallen to half is 2 or 3 % outside of where the ball meets the gel's
+    level, and a volume goes with the fourth power: up to 12 % too much, and little scatter.
+    """
     frame = measure_presses(read_force_images(folder / "presses")).frame
     ratio = frame["volume_mm3"] / frame["force_normal_n"]
-    assert np.median(ratio) == pytest.approx(K_N, rel=0.1)
-    assert np.std(ratio) < 0.15 * K_N
+    assert np.median(ratio) == pytest.approx(K_N, rel=0.12)
+    assert np.std(ratio) < 0.08 * K_N
 
 
 def test_the_log_has_the_contract_columns_and_the_true_compliances(by_table):
@@ -130,7 +134,7 @@ def test_the_log_has_the_contract_columns_and_the_true_compliances(by_table):
     )
     assert len(frame) == 12
     ratio = frame["volume_mm3"] / frame["force_normal_n"]
-    assert np.median(ratio) == pytest.approx(K_N, rel=0.08)
+    assert np.median(ratio) == pytest.approx(K_N, rel=0.02)
     force = frame[["force_shear_x_n", "force_shear_y_n"]].to_numpy()
     motion = frame[["shear_x_mm", "shear_y_mm"]].to_numpy()
     assert (force * motion).sum() / (force**2).sum() == pytest.approx(K_S, rel=0.05)
