@@ -43,6 +43,8 @@ MIN_SHARE_LEFT = 0.04
 """Part of the held-out sum of squares, noise included, below which what is left is not named."""
 FORM_SHARE_LEFT = 0.06
 """Part of what the effects explain that may be left by their formula being a little different."""
+UNFIT, UNFIT_FORM = 1.0, 0.2
+"""Structure as large as the noise, and a fifth of what there was before, is no law that fits."""
 FULL_FIT_ROWS = 250
 
 
@@ -236,7 +238,17 @@ def _unexplained(
     left = [d for d in structure if d.p_value <= ALPHA and d.share > least]
     if not found and left:
         found.append(max(left, key=lambda d: d.share))
+    if not found and structure and _is_far_from_noise(attribution, data):
+        found.append(max(structure, key=lambda d: d.share))
     return tuple(found)
+
+
+def _is_far_from_noise(attribution: Attribution, data: ChannelData) -> bool:
+    """Whether held-out trials keep so much structure that no law that fits was found."""
+    left, start = attribution.final.unit_losses, attribution.base.loss
+    least = max(UNFIT * data.noise_loss * left.size / data.n_units, UNFIT_FORM * start)
+    error = float(left.std() * np.sqrt(left.size))
+    return float(left.sum()) > least and float(left.sum()) > 2.0 * error
 
 
 def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:

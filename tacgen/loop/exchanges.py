@@ -96,7 +96,8 @@ class Exchanger(Ranker):
         """Where a bent drift does no better than a change of the first presses, take the latter.
 
         A drift of one sign needs no second or third power; conditioning that fits as well and is
-        over early in the session explains the bend.
+        over early in the session, or beside a drift that would have to turn back, explains the
+        bend.
         """
         drift = next((m for m in ranked.members if m.name == "drift"), None)
         if drift is None or len(drift.fitted) < 2 or "conditioning" in ranked.key:
@@ -109,7 +110,9 @@ class Exchanger(Ranker):
             return ranked
         early = min(fits, key=lambda r: r.loss)
         over = _term(early, "conditioning").values["trials"] < 0.12 * self.data.history.n_trials
-        return early if over and lead_in_se(ranked, early) < 1.0 else ranked
+        turns = _turns_back(_term(ranked, "drift"))
+        lead = lead_in_se(ranked, early)
+        return early if (over and lead < 1.0) or (turns and lead < TIE_IN_SE) else ranked
 
 
 def best_of_each(
@@ -132,6 +135,16 @@ def best_of_each(
 def _term(ranked: Ranked, name: str) -> Term:
     """The fitted term of that name; a set that was fitted before keeps the order it had then."""
     return next(term for term in ranked.fit.model.terms if term.name == name)
+
+
+def _turns_back(drift: Term) -> bool:
+    """Whether a drift takes back more than a tenth of its way within the session."""
+    tau = np.linspace(-0.5, 0.5, 41)
+    gain = tau * (
+        drift.values["linear"] + tau * (drift.values["quadratic"] + tau * drift.values["cubic"])
+    )
+    back = np.abs(np.diff(gain)).sum() - abs(gain[-1] - gain[0])
+    return bool(back > 0.2 * np.ptp(gain))
 
 
 def lead_in_se(best: Ranked, other: Ranked) -> float:

@@ -328,7 +328,7 @@ def _bounds_of(term: Term, name: str, data: ChannelData) -> tuple[float, float]:
         span = term.values["span_n"]
         low, high = 0.01 * span, 1.2 * span
     if name == "trials":
-        high = min(high, max(3.0, 0.17 * data.history.n_trials))
+        high = min(high, max(5.0, 0.22 * data.history.n_trials))
     if name in ("delay_s", "lag_s"):
         reach = max(0.2 * trial_duration_s(data), 4 * data.history.sample_period_s)
         low, high = max(low, -reach), min(high, reach)

@@ -35,6 +35,10 @@ PAIRS_FITTED = 8
 FORM_SHARE, OTHER_SHARE = 0.06, 0.02
 """An effect worth less than this share of another of the same kind, a quarter in amplitude, is not
 told from that other one's true form being a little different; less for one of another kind."""
+MEMORY = frozenset({"creep", "hysteresis", "latency"})
+THIRD_MEMORY_SHARE = 0.15
+"""The same for one of these beside both others: what follows the course of the load in three ways
+at once is, more often, two whose true forms are others."""
 COVARIATE_SHARE = 0.08
 """The same where an oscillation, or what no effect explains, is one of the two: one frequency of a
 thousand follows anything, and no smooth function of a covariate is its true form."""
@@ -215,6 +219,8 @@ class Ranker:
         gain = float(difference.sum())
         if self.few and any(_is_at_bound(term) for term in larger.fit.model.terms):
             return False
+        if self.few and gain < CLEAR_SHARE * smaller.loss:
+            return False
         return gain > self.min_gain * self._total(larger) and gain > error
 
     def _score(self, ranked: Ranked) -> float:
@@ -237,8 +243,9 @@ class Ranker:
             return False
         worth = less.loss - full.loss
         rivals = [m for m in full.members if m.label != member.label]
+        third = member.name in MEMORY and full.key >= MEMORY
         return all(
-            worth >= _least_share(member, rival) * (self._less(full, rival).loss - full.loss)
+            worth >= _least_share(member, rival, third) * (self._less(full, rival).loss - full.loss)
             for rival in rivals
         )
 
@@ -293,8 +300,10 @@ def _kind_of(name: str) -> str:
     return "between trials" if name in BETWEEN_TRIALS else "within trials"
 
 
-def _least_share(member: Candidate, rival: Candidate) -> float:
-    """Share of what ``rival`` is worth that ``member`` must be."""
+def _least_share(member: Candidate, rival: Candidate, third: bool) -> float:
+    """Share of what ``rival`` is worth that ``member`` must be, ``third`` of one kind of memory."""
+    if third and rival.name in MEMORY:
+        return THIRD_MEMORY_SHARE
     if member.name == "time_s" or not rival.is_effect:
         return COVARIATE_SHARE
     return FORM_SHARE if _kind_of(member.name) == _kind_of(rival.name) else OTHER_SHARE

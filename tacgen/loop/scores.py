@@ -20,6 +20,8 @@ from tacgen.loop.channel import ChannelData
 
 RIDGE = 1e-8
 """Relative to the diagonal: enough to solve with columns that are equal but for noise."""
+LEAST_SEEN = 0.02
+"""Part of a column's sum of squares that must be in the units that are fitted."""
 IMPOSSIBLE = 0.25
 """Part of the noise by which a sum of products between the halves may fall below nothing. Chance
 hardly brings it there; columns that only noise tells apart do."""
@@ -55,7 +57,7 @@ def cv_losses(
     for fold in range(int(folds.max()) + 1):
         out = folds == fold
         kept = total - grams[out].sum(axis=0)
-        weights = _solve(kept, index)
+        weights = _solve(kept, index, total)
         held = grams[out]
         cross = held[:, index, -1]
         block = held[:, index[:, :, None], index[:, None, :]]
@@ -105,12 +107,21 @@ def coefficients(total: NDArray[np.float64], columns: Sequence[int]) -> NDArray[
     return _solve(total, np.asarray([columns], dtype=np.int64))[0]
 
 
-def _solve(gram: NDArray[np.float64], index: NDArray[np.int64]) -> NDArray[np.float64]:
+def _solve(
+    gram: NDArray[np.float64], index: NDArray[np.int64], whole: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Coefficients (S, P) by the normal equations; 0 for what ``gram`` has hardly any of.
+
+    ``whole`` is of all units: a column that acts in few of them says nothing without those.
+    """
     block = gram[index[:, :, None], index[:, None, :]]
     own = np.abs(np.diagonal(block, axis1=1, axis2=2))
     size = np.sqrt(np.maximum(own, 1e-12 * own.max(axis=1, keepdims=True)) + 1e-290)
     scaled = block / (size[:, :, None] * size[:, None, :])
     scaled = scaled + RIDGE * np.eye(index.shape[1])
+    if whole is not None:
+        lacking = np.diag(gram)[index] < LEAST_SEEN * np.diag(whole)[index]
+        scaled = scaled + 1e12 * lacking[:, :, None] * np.eye(index.shape[1])
     right = gram[index, -1] / size
     return np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / size
 
