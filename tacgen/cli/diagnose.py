@@ -95,6 +95,12 @@ def diagnose_optics(
         Path, typer.Argument(help="A folder of press images, or Taxim's dataPack.npz.")
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder of diagnosis.json, table.npz, page.")],
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table", help="A table from before; without one the presses make their own."
+        ),
+    ] = None,
     mm_per_px: Annotated[
         float | None, typer.Option("--mm-per-px", help="Size of a pixel, if not in a file.")
     ] = None,
@@ -107,7 +113,7 @@ def diagnose_optics(
     from tacgen.loop.optics_report import sentence, write_optics_diagnosis
 
     diagnosis, used = write_optics_diagnosis(
-        presses, out, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
+        presses, out, table_path=table, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
     for line in (*used.warnings, *(str(press) for press in used.doubtful)):
         typer.echo(f"warning: {line}", err=True)

@@ -3,44 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from tacgen.calibration.lookup import camera_noise_grey
-from tacgen.calibration.lookup_choice import fold_of
 from tacgen.calibration.press_images import PressImages
 from tacgen.errors import PressError
-from tacgen.loop.optics_model import OpticsFit, fit_optics, heldout_squares
+from tacgen.loop.optics_contest import Contest, Entry, on_others
+from tacgen.loop.optics_fit import Problem
+from tacgen.loop.optics_left import Dependence, left_over
+from tacgen.loop.optics_model import GivenTable, PlainTable
+from tacgen.loop.optics_pixels import gather_pixels
+from tacgen.loop.optics_selection import Selection, select
+from tacgen.loop.optics_surface import Profiles
+from tacgen.loop.optics_table import first_state, reference_of
+from tacgen.optics.table import LookupTable
 
 FloatArray = NDArray[np.floating]
-
-CANDIDATES = (
-    "press_center",
-    "scale",
-    "background_gain",
-    "shadow",
-    "saturation",
-)
-"""Effects that presses can tell apart from the table itself."""
-
-IN_THE_TABLE = {
-    "illumination": "a quadratic in image position for every slope is part of every table",
-    "vignetting": "the same quadratic holds a loss of light towards the corners",
-    "blur": "the shape of the gel's rim is fitted with every table",
-    "cross_talk": "a table has its own coefficients for each channel, which hold any mixing of "
-    "the channels' changes",
-}
-"""Effects that a table takes up by its nature, so that nothing is left of them to find."""
-
-FALSE_ALARM = 0.01
-"""Chance, over all candidates, of taking an effect on presses that have none."""
-
-LEAST_GAIN = 0.03
-"""And an effect must lower the error by this share, or it is not worth having."""
 
 TEST_EVERY = 4
 """Every fourth press is kept from fitting and choosing."""
@@ -53,92 +36,119 @@ class FoundEffect:
     """An effect that was added, what it is worth and what came second."""
 
     name: str
+    label: str
     parameters: dict[str, dict[str, Any]]
     cv_gain: float
     heldout_gain: float
     p_value: float
     runner_up: str
     runner_up_gain: float
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """Cross-validated RMSE, grey levels, of every candidate at one step."""
-
-    before: float
-    rmse: dict[str, float]
-    p_value: dict[str, float]
+    equals: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class OpticsDiagnosis:
-    """The outcome, with everything that the report shows."""
+    """The outcome, with everything that the report shows.
+
+    Attributes
+    ----------
+    before_squares, after_squares : (n_test,) float
+        Mean squared error of each test press, all that is within 1.6 contact radii.
+    inside_before, inside_after : float
+        RMSE within the labelled circles alone.
+    """
 
     effects: tuple[FoundEffect, ...]
-    steps: tuple[Step, ...]
-    rmse_before: float
-    rmse_after: float
-    gain_interval: tuple[float, float]
+    unexplained: tuple[Dependence, ...]
+    cannot_tell: tuple[str, ...]
+    selection: Selection
+    reference: NDArray[np.float32]
+    given: LookupTable | None
+    before_squares: FloatArray
+    after_squares: FloatArray
+    inside_before: float
+    inside_after: float
     noise_floor: float
-    worth_in_table: dict[str, float]
     n_fit: int
     n_test: int
     mean_grey: float
-    before: OpticsFit
-    after: OpticsFit
-    unexplained: tuple[dict[str, Any], ...] = field(default=())
+    test_names: tuple[str, ...]
 
     @property
     def verdict(self) -> str:
-        """``sufficient``, ``effect_found`` or ``unexplained``."""
+        """``unexplained`` if structure is left, whatever was found."""
         if self.unexplained:
             return "unexplained"
         return "effect_found" if self.effects else "sufficient"
+
+    @property
+    def rmse_before(self) -> float:
+        """On test presses, grey levels."""
+        return float(np.sqrt(self.before_squares.mean()))
+
+    @property
+    def rmse_after(self) -> float:
+        """On test presses, grey levels."""
+        return float(np.sqrt(self.after_squares.mean()))
+
+    @property
+    def gain_interval(self) -> tuple[float, float]:
+        """95 % interval of the gain in RMSE, by bootstrap over the test presses."""
+        before, after = self.before_squares, self.after_squares
+        rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(len(before),)))
+        drawn = rng.integers(0, len(before), (2000, len(before)))
+        gains = np.sqrt(before[drawn].mean(axis=1)) - np.sqrt(after[drawn].mean(axis=1))
+        low, high = np.quantile(gains, [0.025, 0.975])
+        return float(low), float(high)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``."""
         effects = [
             {
                 "name": effect.name,
+                "how": effect.label,
                 "parameters": effect.parameters,
                 "heldout_gain": effect.heldout_gain,
                 "cv_gain": effect.cv_gain,
                 "p_value": effect.p_value,
                 "runner_up": effect.runner_up,
                 "runner_up_gain": effect.runner_up_gain,
+                "as_good": list(effect.equals),
             }
             for effect in self.effects
         ]
         channel = {
             "verdict": self.verdict,
             "effects": effects,
-            "unexplained": list(self.unexplained),
-            "error_before": self._error(self.rmse_before),
-            "error_after": self._error(self.rmse_after),
+            "unexplained": [dependence.as_dict() for dependence in self.unexplained],
+            "cannot_tell": list(self.cannot_tell),
+            "error_before": self._error(self.rmse_before, self.inside_before),
+            "error_after": self._error(self.rmse_after, self.inside_after),
             "gain_interval_95": list(self.gain_interval),
             "noise_floor": {
                 "rmse": self.noise_floor,
                 "how": "second differences of neighbouring pixels: the camera's noise alone",
             },
-            "in_the_table": {
-                name: {"why": why, "worth_grey": self.worth_in_table.get(name)}
-                for name, why in IN_THE_TABLE.items()
-            },
             "trials": {"fit": self.n_fit, "test": self.n_test},
         }
         return {"schema": 1, "channels": {"rgb": channel}}
 
-    def _error(self, rmse: float) -> dict[str, Any]:
-        return {"rmse": rmse, "nrmse": rmse / self.mean_grey, "unit": "grey"}
+    def _error(self, rmse: float, inside: float) -> dict[str, Any]:
+        return {
+            "rmse": rmse, "nrmse": rmse / self.mean_grey, "unit": "grey", "inside_circle": inside
+        }  # fmt: skip
 
 
-def diagnose_optics(presses: PressImages) -> OpticsDiagnosis:
+def diagnose_optics(presses: PressImages, table: LookupTable | None = None) -> OpticsDiagnosis:
     """Trace what a table leaves over on ball presses to optical effects.
+
+    Without ``table`` a plain one, which gives a slope the same colour wherever it is, is fitted to
+    the presses themselves, each scored by a fit that it had no part in.
 
     Raises
     ------
     PressError
-        If there are too few presses to hold any out.
+        If there are too few presses to hold any out, or the table is of another resolution.
     """
     if len(presses) < MIN_PRESSES:
         msg = (
@@ -146,129 +156,132 @@ def diagnose_optics(presses: PressImages) -> OpticsDiagnosis:
             f"{MIN_PRESSES}, better 30, spread over the gel"
         )
         raise PressError(msg)
+    reference = reference_of(presses, table)
+    pixels = gather_pixels(presses, reference)
+    start, labels = first_state(table, pixels.labels)
+    pixels = replace(pixels, labels=labels)
     testing = np.arange(len(presses)) % TEST_EVERY == TEST_EVERY - 1
-    fitting, tests = presses.select(~testing), presses.select(testing)
-    chosen: frozenset[str] = frozenset()
-    current = left_out_squares(fitting, chosen)
-    start = current
-    steps, taken = [], []
-    while len(chosen) < len(CANDIDATES):
-        squares = {
-            name: left_out_squares(fitting, chosen | {name})
-            for name in CANDIDATES
-            if name not in chosen
-        }
-        step = _step(current, squares)
-        steps.append(step)
-        ranked = sorted(squares, key=lambda name: step.rmse[name])
-        best, second = ranked[0], ranked[1] if len(ranked) > 1 else ""
-        gain = step.before - step.rmse[best]
-        if step.p_value[best] > FALSE_ALARM / len(CANDIDATES) or gain < LEAST_GAIN * step.before:
-            break
-        runner_gain = step.before - step.rmse[second] if second else 0.0
-        taken.append((best, gain, step.p_value[best], second, runner_gain))
-        chosen, current = chosen | {best}, squares[best]
-    before, after = fit_optics(fitting, frozenset()), fit_optics(fitting, chosen)
-    first, counts = heldout_squares(before, tests)
-    last, _ = heldout_squares(after, tests)
-    effects = tuple(
-        FoundEffect(name, _parameters(name, after), gain, worth, p, second, runner)
-        for (name, gain, p, second, runner), worth in zip(
-            taken, _worth_on_tests([entry[0] for entry in taken], fitting, tests), strict=True
-        )
+    problem = Problem(
+        pixels.of_presses(~testing),
+        PlainTable() if table is None else GivenTable(table),
+        Profiles(pixels.labels[:, 2], pixels.dome_radius_mm),
     )
-    base = float(np.sqrt(start.mean()))
-    worth_in_table = {
-        name: float(np.sqrt(left_out_squares(fitting, frozenset({f"no_{name}"})).mean())) - base
-        for name in ("illumination", "blur")
-    }
+    order = np.nonzero(~testing)[0].astype(float)
+    selection = select(problem, start, order)
+    tests = pixels.of_presses(testing)
+    errors = [on_others(entry, tests) for entry in selection.path]
+    squares = [tests.mean_by_press((error**2).mean(axis=1)) for error in errors]
+    contest = Contest.on(problem)
+    unexplained = left_over(selection.chosen, contest.folds, order)
     return OpticsDiagnosis(
-        effects=effects,
-        steps=tuple(steps),
-        rmse_before=_rmse(first, counts),
-        rmse_after=_rmse(last, counts),
-        gain_interval=_gain_interval(first, last),
+        effects=_effects(selection, squares),
+        unexplained=tuple(unexplained),
+        cannot_tell=_cannot_tell(presses, table is not None, selection),
+        selection=selection,
+        reference=reference,
+        given=table,
+        before_squares=squares[0],
+        after_squares=squares[-1],
+        inside_before=_rmse(errors[0][tests.inside]),
+        inside_after=_rmse(errors[-1][tests.inside]),
         noise_floor=camera_noise_grey(presses),
-        worth_in_table=worth_in_table,
         n_fit=int((~testing).sum()),
         n_test=int(testing.sum()),
         mean_grey=float(presses.images.mean()),
-        before=before,
-        after=after,
+        test_names=tuple(np.array(presses.names, dtype=object)[testing]),
     )
 
 
-def left_out_squares(presses: PressImages, effects: frozenset[str]) -> FloatArray:
-    """Mean squared error (N,) of each press by a fit to the other folds' presses."""
-    folds = fold_of(len(presses), 4)
-    squares = np.zeros(len(presses))
-    for fold in np.unique(folds):
-        fit = fit_optics(presses.select(folds != fold), effects)
-        squares[folds == fold], _ = heldout_squares(fit, presses.select(folds == fold))
-    return squares
+def _rmse(errors: FloatArray) -> float:
+    return float(np.sqrt((errors**2).mean()))
 
 
-def _step(current: FloatArray, squares: dict[str, FloatArray]) -> Step:
-    """Error and one-sided paired t-test over the presses for every candidate.
-
-    The test looks at logarithms, so that one press with a large error does not decide.
-    """
-    p_value = {}
-    for name, square in squares.items():
-        gain = np.log(current) - np.log(square)
-        error = gain.std(ddof=1) / math.sqrt(len(gain)) + 1e-12
-        p_value[name] = float(student.sf(gain.mean() / error, len(gain) - 1))
-    rmse = {name: float(np.sqrt(square.mean())) for name, square in squares.items()}
-    return Step(float(np.sqrt(current.mean())), rmse, p_value)
-
-
-def _worth_on_tests(names: list[str], fitting: PressImages, tests: PressImages) -> list[float]:
-    """What each effect, added in this order, lowers the error on the test presses by."""
-    worth, chosen = [], frozenset[str]()
-    before = _rmse(*heldout_squares(fit_optics(fitting, chosen), tests))
-    for name in names:
-        chosen = chosen | {name}
-        after = _rmse(*heldout_squares(fit_optics(fitting, chosen), tests))
-        worth.append(before - after)
-        before = after
-    return worth
+def _effects(selection: Selection, squares: Sequence[FloatArray]) -> tuple[FoundEffect, ...]:
+    rmse = [float(np.sqrt(square.mean())) for square in squares]
+    found = []
+    for k, candidate in enumerate(selection.chosen.taken):
+        step = selection.step_of(candidate.name)
+        found.append(
+            FoundEffect(
+                name=candidate.name,
+                label=candidate.label,
+                parameters=_parameters(selection.chosen, candidate.name),
+                cv_gain=selection.path[k].rmse - selection.path[k + 1].rmse,
+                heldout_gain=rmse[k] - rmse[k + 1],
+                p_value=step.p_value[candidate.name],
+                runner_up=step.runner_up,
+                runner_up_gain=step.before - step.rmse.get(step.runner_up, step.before),
+                equals=step.equals,
+            )
+        )
+    return tuple(found)
 
 
-def _rmse(squares: FloatArray, counts: FloatArray) -> float:
-    return float(np.sqrt((squares * counts).sum() / counts.sum()))
-
-
-def _gain_interval(before: FloatArray, after: FloatArray) -> tuple[float, float]:
-    """95 % interval of the gain in RMSE, by bootstrap over the test presses."""
-    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(len(before),)))
-    drawn = rng.integers(0, len(before), (2000, len(before)))
-    gains = np.sqrt(before[drawn].mean(axis=1)) - np.sqrt(after[drawn].mean(axis=1))
-    low, high = np.quantile(gains, [0.025, 0.975])
-    return float(low), float(high)
-
-
-def _parameters(name: str, fit: OpticsFit) -> dict[str, dict[str, Any]]:
-    """The fitted parameters of an effect, with standard errors over the presses where known."""
-    apart = fit.geometry - fit.labels
-    count = math.sqrt(len(apart))
-
-    def entry(value: float, stderr: float, unit: str) -> dict[str, Any]:
-        return {"value": float(value), "stderr": float(stderr), "unit": unit}
-
-    if name == "press_center":
-        return {
-            "shift_x_mm": entry(apart[:, 0].mean(), apart[:, 0].std(ddof=1) / count, "mm"),
-            "shift_y_mm": entry(apart[:, 1].mean(), apart[:, 1].std(ddof=1) / count, "mm"),
-            "scatter_mm": entry(apart[:, :2].std(), apart[:, :2].std() / (2 * count), "mm"),
+def _parameters(entry: Entry, name: str) -> dict[str, dict[str, Any]]:
+    """The fitted parameters of an effect, with standard errors over the presses."""
+    candidate = next(c for c in entry.taken if c.name == name)
+    state, shared = entry.state, entry.shared
+    errors = entry.system.stderr()[3 * entry.problem.table.n_columns :]
+    stderr = {(k.key, k.index): float(e) for k, e in zip(shared, errors, strict=True)}
+    found = {
+        knob.name: {
+            "value": float(getattr(state, knob.key).reshape(-1)[knob.index]),
+            "stderr": stderr[knob.key, knob.index],
+            "unit": knob.unit,
         }
-    if name == "scale":
-        ratio = fit.geometry[:, 2] / fit.labels[:, 2]
-        return {"contact_per_label": entry(ratio.mean(), ratio.std(ddof=1) / count, "1")}
-    unknown = float("nan")
-    return {
-        "background_gain": {"drift_share": entry(fit.drift_share, unknown, "1")},
-        "saturation": {"level_grey": entry(fit.level_grey, unknown, "grey")},
-        "shadow": {
-            "darkest_grey": entry(0.0 if fit.shadow is None else fit.shadow.min(), unknown, "grey")
-        },
-    }[name]
+        for knob in candidate.shared
+    }
+    count = entry.problem.pixels.n_presses
+    for knob in candidate.own:
+        values = getattr(state, knob.key)[:, knob.index]
+        spread = float(values.std(ddof=1))
+        found[f"{knob.name}_mean"] = {
+            "value": float(values.mean()), "stderr": spread / math.sqrt(count), "unit": knob.unit
+        }  # fmt: skip
+        found[f"{knob.name}_scatter"] = {
+            "value": spread, "stderr": spread / math.sqrt(2 * count - 2), "unit": knob.unit
+        }  # fmt: skip
+    if name == "shadow":
+        length = float(state.shadow_length_mm)
+        found["length_mm"] = {"value": length, "stderr": 0.5 * length, "unit": "mm"}
+    if candidate.near:
+        found["change_over_image"] = {
+            "value": light_by_place(entry), "stderr": float("nan"), "unit": "1"
+        }  # fmt: skip
+    return found
+
+
+def light_by_place(entry: Entry) -> float:
+    """RMS over the gel of what the place changes a slope's colour by, as a share of that colour."""
+    state, table = entry.state, entry.problem.table
+    if not isinstance(table, PlainTable) or not table.near:
+        return 0.0
+    weights = table.position_weights(state.weights)[table.moving()]
+    side = np.linspace(-0.5, 0.5, 9)
+    u, v = (grid.ravel() for grid in np.meshgrid(side, side))
+    place = np.stack([u * u, v * v, u * v, u, v], axis=-1)
+    moved = np.einsum("pf,tfc->ptc", place, weights[:, :5])
+    return float(np.sqrt((moved**2).mean() / (weights[:, 5] ** 2).mean()))
+
+
+def _cannot_tell(presses: PressImages, is_given: bool, selection: Selection) -> tuple[str, ...]:
+    """What these presses cannot tell apart, and what measurement would."""
+    lines = []
+    if not is_given:
+        lines.append(
+            "cross_talk: a table fitted to the same presses has its own colours, which hold any "
+            "mixing of the channels; give the table from before (--table), or photograph the gel "
+            "with one lamp on at a time."
+        )
+    if len(np.unique(presses.ball_radius_mm)) == 1:
+        lines.append(
+            "scale: with one ball a wrong size of a pixel or of the ball stretches the table's "
+            "slopes and leaves little; press a second ball of another size."
+        )
+    for step in selection.steps:
+        if step.taken and step.equals:
+            lines.append(
+                f"{step.taken} was taken; the presses hardly tell it from "
+                f"{', '.join(step.equals)}: more presses, over the whole gel, would."
+            )
+    return tuple(lines)

@@ -1,331 +1,292 @@
-"""A table with any set of optical effects, fitted to presses and scored on others.
+"""The picture of a ball press as a chain of small physical steps, each switched off at first.
 
-The baseline is the table as it is usually made: a quadratic in image position for every slope, a
-background as photographed, labels of centre and radius at their word up to one factor, and one
-shape of rim for all presses. Each effect frees what its name says.
+A slope has one colour wherever it is (the plain table, or a table that was calibrated before); the
+background is as photographed; the gel follows the ball. Every effect frees what its name says:
+
+    labels → centre, contact radius → slope of the gel (blurred) → colour change by the table
+    → cast shadow → illumination → cross-talk → gain and offset → vignetting → the camera clips
+
+The order is the renderer's (``tacgen.optics``), so that what is found can be rendered.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.calibration.press_fit import (
-    CORRELATED_PIXELS,
-    NOISE_GREY,
-    FitSettings,
-    Sample,
-    drift_share,
-    gather,
-    refine_membrane,
-    refine_press,
-    sample_design,
-)
-from tacgen.calibration.press_geometry import Membrane
-from tacgen.calibration.press_images import PressImages
-from tacgen.calibration.press_model import LabelModel, PressModel, learn_labels, plain_press_model
-from tacgen.calibration.smooth_model import SmoothModel, solve_ridge
-from tacgen.calibration.table_background import (
-    BackgroundRecipe,
-    bare_gel_change,
-    make_background,
-    press_drift,
-)
-from tacgen.loop.optics_terms import clip_level, shadow_terms, unclipped
+from tacgen.calibration.press_geometry import MAX_RADIUS_SHARE, rest_slope
+from tacgen.calibration.smooth_model import exponents, monomials, n_terms, normal_parts
+from tacgen.loop.optics_pixels import PressPixels
+from tacgen.loop.optics_surface import Profiles, Skin
+from tacgen.optics.table import LookupTable
 
 FloatArray = NDArray[np.floating]
 
-SETTINGS = FitSettings(degree=4, ridge=1e-3, rim_weight=0.05)
-PIXELS = 400
-ITERATIONS = 5
+DEGREE = 6
+"""Of the plain table's polynomial in the surface normal."""
 
-SMOOTH = 0.03
-"""Width, as a share of the image's, that the background is always smoothed with: its noise is no
-effect to find."""
-
-OFFSET_GREY = 3.0
-"""Standard deviation, between pictures, of what lamps and camera drift by."""
-
-SHARP = 20.0
-"""Sharpness of the rim of a gel that does not bridge."""
-
-FLAT_POSITION = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+NEAR_DEGREE = 2
+"""Terms up to this degree may change with the place: lamps close by turn and dim their light."""
 
 
 @dataclass(frozen=True, slots=True)
-class OpticsFit:
-    """A table with effects: which, and what was fitted.
+class Optics:
+    """Every quantity of the chain; the defaults switch each effect off.
 
     Attributes
     ----------
-    effects : frozenset of str
-    model : SmoothModel
-    press_model : PressModel
-    background : (H, W, 3) float32
-    geometry : (N, 3) float
-        Of the presses it was fitted to, mm.
-    labels : (N, 3) float
-    drift_share : float
-        Share of the bare gel's drift that shows in the contact.
-    vignetting : float
-        Loss at the corners.
-    level_grey : float
-        Where the camera clips.
-    shadow : (10, 3) float
-        Grey levels of the shadow terms.
+    form, sharpness : see ``Skin``
+    decay, contact_factor, ball_factor, sigma_mm : (1,) float
+        Length of the skirt over the mean contact radius; contact radius over the labelled one;
+        ball radius over the stated one; width of the membrane's Gaussian.
+    weights : (n_columns, 3) float
+        Of a table that is fitted; none of a given one.
+    light : (3, 5) float
+        What light of each channel gains with u², v², uv, u, v.
+    dimming, dimming_all : (1,) float
+        Loss of light at the corners, of the change alone or of the background too.
+    mixing : (6,) float
+        rg, rb, gr, gb, br, bg, as in ``tacgen.optics.effects.cross_talk``.
+    shadow : (1,) float
+        Share of a light that its shadow takes away.
+    shadow_length_mm : float
+        Length of the shadow of 1 mm of relief.
+    hidden, unlit : (n, 3) and (3,) float
+        Share of each channel's light that each pixel misses; colour change where none arrives.
+    gain, offset : (3,) float
+        What the picture differs from the background's exposure by: share, and grey levels.
+    level, knee : (1,) float
+        Where the camera clips, and over how much it bends towards that, grey levels.
+    shift, growth : (N, 2) and (N, 1) float
+        Error of each press's centre, and of its radius, in labelled radii.
+    press_gain, press_offset : (N, 3) float
     """
 
-    effects: frozenset[str]
-    model: SmoothModel
-    press_model: PressModel
-    background: FloatArray
-    geometry: FloatArray
-    labels: FloatArray
-    drift_share: float = 0.0
-    vignetting: float = 0.0
-    level_grey: float = 255.0
-    shadow: FloatArray | None = None
+    form: str = "skirt"
+    sharpness: float = 20.0
+    decay: FloatArray = field(default_factory=partial(np.full, 1, 0.4))
+    contact_factor: FloatArray = field(default_factory=partial(np.ones, 1))
+    ball_factor: FloatArray = field(default_factory=partial(np.ones, 1))
+    sigma_mm: FloatArray = field(default_factory=partial(np.zeros, 1))
+    weights: FloatArray = field(default_factory=partial(np.zeros, (0, 3)))
+    light: FloatArray = field(default_factory=partial(np.zeros, (3, 5)))
+    dimming: FloatArray = field(default_factory=partial(np.zeros, 1))
+    dimming_all: FloatArray = field(default_factory=partial(np.zeros, 1))
+    mixing: FloatArray = field(default_factory=partial(np.zeros, 6))
+    shadow: FloatArray = field(default_factory=partial(np.zeros, 1))
+    shadow_length_mm: float = 0.0
+    hidden: FloatArray | None = None
+    unlit: FloatArray = field(default_factory=partial(np.zeros, 3))
+    gain: FloatArray = field(default_factory=partial(np.zeros, 3))
+    offset: FloatArray = field(default_factory=partial(np.zeros, 3))
+    level: FloatArray = field(default_factory=partial(np.full, 1, np.inf))
+    knee: FloatArray = field(default_factory=partial(np.zeros, 1))
+    shift: FloatArray = field(default_factory=partial(np.zeros, (0, 2)))
+    growth: FloatArray = field(default_factory=partial(np.zeros, (0, 1)))
+    press_gain: FloatArray = field(default_factory=partial(np.zeros, (0, 3)))
+    press_offset: FloatArray = field(default_factory=partial(np.zeros, (0, 3)))
 
-
-def fit_optics(presses: PressImages, effects: frozenset[str]) -> OpticsFit:
-    """Fit a table with ``effects`` to presses."""
-    recipe = BackgroundRecipe(smooth=SMOOTH, drift="background_gain" in effects)
-    change = bare_gel_change(presses) if recipe.drift else None
-    background = make_background(presses.background, change, recipe)
-    samples = gather(presses, background, SETTINGS, limit=PIXELS)
-    labels = np.array([sample.label for sample in samples])
-    press_model = _first_model(labels, presses)
-    geometry = _expected(press_model, labels, presses.ball_radius_mm)
-    drift = press_drift(presses)
-    share, vignetting, level = 0.0, 0.0, 255.0
-    if "saturation" in effects:
-        level = clip_level(presses)
-    shadow: FloatArray | None = None
-    for _ in range(ITERATIONS):
-        used = [
-            replace(sample, change=sample.change - share * offset)
-            for sample, offset in zip(samples, drift, strict=True)
-        ]
-        model, shadow = _solve(used, geometry, press_model, effects, vignetting, background, level)
-        fit = OpticsFit(
-            effects, model, press_model, background, geometry, labels, share, vignetting, level,
-            shadow,
-        )  # fmt: skip
-        if "vignetting" in effects:
-            vignetting = _refine_vignetting(used, fit)
-        expected = _expected(press_model, labels, presses.ball_radius_mm)
-        found = np.array(
-            [
-                refine_press(sample, model, press_model, place, steps=3)
-                for sample, place in zip(used, expected, strict=True)
-            ]
+    def for_presses(self, n_presses: int, hidden: FloatArray | None = None) -> Optics:
+        """The same for other presses, of which nothing is known yet."""
+        return replace(
+            self,
+            shift=np.zeros((n_presses, 2)),
+            growth=np.zeros((n_presses, 1)),
+            press_gain=np.zeros((n_presses, 3)),
+            press_offset=np.zeros((n_presses, 3)),
+            hidden=hidden,
         )
-        learnt = _held(labels, found, press_model, effects)
-        press_model = replace(press_model, labels=learnt)
-        expected = _expected(press_model, labels, presses.ball_radius_mm)
-        geometry = np.where(_free(effects), found, expected)
-        if "no_blur" not in effects:
-            membrane = refine_membrane(used, geometry, model, press_model)
-            press_model = replace(press_model, membrane=membrane)
-        if "background_gain" in effects:
-            share = drift_share(samples, geometry, press_model, model, drift)
-    return fit
 
 
-def _first_model(labels: FloatArray, presses: PressImages) -> PressModel:
-    model = plain_press_model(float(labels[:, 2].mean()), presses.dome_radius_mm)
-    sharp = Membrane(decay_mm=0.35 * float(labels[:, 2].mean()), sharpness=SHARP)
-    return replace(model, membrane=sharp)
+@dataclass(frozen=True, slots=True)
+class PlainTable:
+    """A polynomial in the surface normal, fitted to the presses.
 
-
-def _expected(model: PressModel, labels: FloatArray, balls: FloatArray) -> FloatArray:
-    expected = model.labels.geometry(labels)
-    expected[:, 2] = np.minimum(expected[:, 2], 0.95 * balls)
-    return expected
-
-
-def _held(
-    labels: FloatArray, found: FloatArray, before: PressModel, effects: frozenset[str]
-) -> LabelModel:
-    """What the presses say about the labels, only of what is free; one factor of radius always."""
-    learnt = learn_labels(labels, found)
-    factor = float(found[:, 2].mean() / labels[:, 2].mean())
-    held = replace(
-        before.labels,
-        contact_radius_mm=factor * float(labels[:, 2].mean()),
-        reference_radius_mm=float(labels[:, 2].mean()),
-        radius_slope=factor,
-    )
-    if "press_center" in effects:
-        held = replace(held, shift_mm=learnt.shift_mm)
-    if "scale" in effects:
-        held = replace(held, radius_slope=learnt.radius_slope)
-    return held
-
-
-def _free(effects: frozenset[str]) -> NDArray[np.bool_]:
-    """Which of centre x, centre y and radius may differ from press to press."""
-    return np.array(["press_center" in effects] * 2 + ["scale" in effects])
-
-
-def _place(sample: Sample, fit: OpticsFit, expected: FloatArray, *, steps: int = 4) -> FloatArray:
-    """A press's geometry with only the free quantities moved."""
-    found = refine_press(sample, fit.model, fit.press_model, expected, steps=steps)
-    return np.where(_free(fit.effects), found, expected)
-
-
-def features_of(
-    sample: Sample,
-    geometry: FloatArray,
-    press_model: PressModel,
-    effects: frozenset[str],
-    vignetting: float,
-) -> FloatArray:
-    """Design matrix of a press, dimmed towards the corners where the lens vignettes."""
-    features = sample_design(sample, geometry, press_model, SETTINGS.degree)
-    if "no_illumination" in effects:
-        features = (features.reshape(len(features), -1, 6) * FLAT_POSITION).reshape(
-            len(features), -1
-        )
-    if vignetting:
-        features = features * (1 - 2 * vignetting * _corner(sample))[:, None]
-    return features
-
-
-def _corner(sample: Sample) -> FloatArray:
-    """Half the square of the distance from the image's centre, ½ at the corners."""
-    return np.asarray(sample.pixels.position[:, 0] + sample.pixels.position[:, 1])
-
-
-def _solve(
-    samples: list[Sample],
-    geometry: FloatArray,
-    press_model: PressModel,
-    effects: frozenset[str],
-    vignetting: float,
-    background: FloatArray,
-    level: float,
-) -> tuple[SmoothModel, FloatArray | None]:
-    gram: FloatArray | None = None
-    moment: FloatArray | None = None
-    cast = "shadow" in effects
-    stacked: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    for sample, place in zip(samples, geometry, strict=True):
-        features = features_of(sample, place, press_model, effects, vignetting)
-        weight = unclipped(sample, background, level)
-        stacked.append((features, sample.change, weight))
-        weighted = features * weight[:, None]
-        gram = weighted.T @ features if gram is None else gram + weighted.T @ features
-        here = weighted.T @ sample.change
-        moment = here if moment is None else moment + here
-    if gram is None or moment is None:
-        msg = "no presses to fit"
-        raise ValueError(msg)
-    if not cast:
-        return solve_ridge(gram, moment, SETTINGS.ridge, SETTINGS.degree), None
-    return _solve_with_shadow(samples, geometry, stacked)
-
-
-def _solve_with_shadow(
-    samples: list[Sample],
-    geometry: FloatArray,
-    stacked: list[tuple[FloatArray, FloatArray, FloatArray]],
-) -> tuple[SmoothModel, FloatArray]:
-    """The table and the shadow terms together: a few rounds of one after the other."""
-    terms = [shadow_terms(s, place) for s, place in zip(samples, geometry, strict=True)]
-    shadow: FloatArray = np.zeros((terms[0].shape[1], 3))
-    gram = np.sum([(f * w[:, None]).T @ f for f, _, w in stacked], axis=0)
-    shade_gram = np.sum(
-        [(t * w[:, None]).T @ t for t, (_, _, w) in zip(terms, stacked, strict=True)], axis=0
-    )
-    shade_gram = shade_gram + 1e-3 * np.trace(shade_gram) / len(shade_gram) * np.eye(
-        len(shade_gram)
-    )
-    for _ in range(4):
-        moment = np.sum(
-            [
-                (f * w[:, None]).T @ (y - t @ shadow)
-                for t, (f, y, w) in zip(terms, stacked, strict=True)
-            ],
-            axis=0,
-        )
-        model = solve_ridge(gram, moment, SETTINGS.ridge, SETTINGS.degree)
-        weights = model.weights.reshape(-1, 3)
-        rest = np.sum(
-            [
-                (t * w[:, None]).T @ (y - f @ weights)
-                for t, (f, y, w) in zip(terms, stacked, strict=True)
-            ],
-            axis=0,
-        )
-        shadow = np.linalg.solve(shade_gram, rest)
-    return model, shadow
-
-
-def _refine_vignetting(samples: list[Sample], fit: OpticsFit) -> float:
-    """One Gauss–Newton step for the loss at the corners."""
-    weights = fit.model.weights.reshape(-1, 3)
-    top, bottom = 0.0, 1e-9
-    for sample, place in zip(samples, fit.geometry, strict=True):
-        plain = features_of(sample, place, fit.press_model, fit.effects, 0.0) @ weights
-        corner = 2 * _corner(sample)[:, None]
-        residual = sample.change - plain * (1 - fit.vignetting * corner)
-        slope = -corner * plain
-        top += float((sample.weight[:, None] * slope * residual).sum())
-        bottom += float((sample.weight[:, None] * slope**2).sum())
-    return float(np.clip(fit.vignetting + np.clip(top / bottom, -0.1, 0.1), -0.5, 0.9))
-
-
-def predict(fit: OpticsFit, sample: Sample, place: FloatArray) -> FloatArray:
-    """Change of grey level (n, 3) against the fit's background at a sample's pixels."""
-    features = features_of(sample, place, fit.press_model, fit.effects, fit.vignetting)
-    change = features @ fit.model.weights.reshape(-1, 3)
-    if fit.shadow is not None:
-        change = change + shadow_terms(sample, place) @ fit.shadow
-    if fit.level_grey < 255:
-        under = fit.background[sample.pixels.rows, sample.pixels.columns]
-        change = np.minimum(under + change, fit.level_grey) - under
-    return change
-
-
-def heldout_squares(fit: OpticsFit, presses: PressImages) -> tuple[FloatArray, FloatArray]:
-    """Mean squared error (N,) inside each contact circle, and how many pixels (N,).
-
-    What an effect frees for every press (its centre, radius, offset) is estimated on one half of
-    a chess board of blocks and scored on the other, in both ways.
+    Attributes
+    ----------
+    near : bool
+        Let the terms of low degree change with the place in the image.
     """
-    samples = gather(presses, fit.background, SETTINGS, limit=4 * PIXELS)
-    squares, counts = np.zeros(len(samples)), np.zeros(len(samples))
-    for k, sample in enumerate(samples):
-        inside = sample.pixels.inside
-        expected = _expected(fit.press_model, sample.label[None], np.array([sample.ball_radius_mm]))
-        total, count = 0.0, 0
-        for odd in (False, True):
-            first = _part(sample, inside & (sample.pixels.odd_block == odd))
-            second = _part(sample, inside & (sample.pixels.odd_block != odd))
-            if not len(first.pixels) or not len(second.pixels):
-                continue
-            place = expected[0]
-            if fit.effects & {"press_center", "scale"}:
-                place = _place(first, fit, place, steps=8)
-            offset = np.zeros(3)
-            if "background_gain" in fit.effects:
-                known = len(first.pixels) / CORRELATED_PIXELS
-                share = known / (known + (NOISE_GREY / OFFSET_GREY) ** 2)
-                offset = share * (first.change - predict(fit, first, place)).mean(axis=0)
-            error = second.change - predict(fit, second, place) - offset
-            total += float((error**2).sum() / 3)
-            count += len(second.pixels)
-        squares[k], counts[k] = total / max(count, 1), count
-    return squares, counts
+
+    near: bool = False
+
+    @property
+    def n_columns(self) -> int:
+        """How many weights a channel has."""
+        return n_terms(DEGREE) + (5 * len(self.moving()) if self.near else 0)
+
+    @staticmethod
+    def moving() -> list[int]:
+        """Which terms may change with the place."""
+        low = [t for t, (i, j) in enumerate(exponents(DEGREE)) if i + j <= NEAR_DEGREE]
+        return [*low, n_terms(DEGREE) - 1]
+
+    def roughness(self) -> NDArray[np.float64]:
+        """What the ridge charges for each column: more for steep terms and for wide change."""
+        cost = np.array([*(float(i + j) ** 2 for i, j in exponents(DEGREE)), 1.0]) / 16.0
+        if not self.near:
+            return cost
+        place = np.array([16.0, 16.0, 16.0, 4.0, 4.0])
+        return np.concatenate([cost, (cost[self.moving()][:, None] * place).ravel()])
+
+    def columns(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
+        """Terms, and those of low degree times every feature of position."""
+        terms = monomials(*normal_parts(gx, gy), DEGREE)
+        if pixels.dome_radius_mm > 0:
+            rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
+            terms = terms - monomials(*normal_parts(*rest), DEGREE)
+        if not self.near:
+            return terms
+        moving = terms[:, self.moving(), None] * pixels.position[:, None, :5]
+        return np.hstack([terms, moving.reshape(len(terms), -1)])
+
+    def change(
+        self,
+        gx: FloatArray,
+        gy: FloatArray,
+        pixels: PressPixels,
+        columns: FloatArray,
+        w: FloatArray,
+    ) -> FloatArray:
+        """The weighted sum of the columns."""
+        return np.asarray(columns @ w)
+
+    def position_weights(self, weights: FloatArray) -> NDArray[np.float64]:
+        """The weights as a smooth model has them: (n_terms, 6, 3)."""
+        full = np.zeros((n_terms(DEGREE), 6, 3))
+        full[:, 5] = weights[: len(full)]
+        if self.near:
+            full[self.moving(), :5] = weights[len(full) :].reshape(-1, 5, 3)
+        return full
 
 
-def _part(sample: Sample, mask: NDArray[np.bool_]) -> Sample:
-    return replace(
-        sample,
-        pixels=sample.pixels.select(mask),
-        change=sample.change[mask],
-        weight=sample.weight[mask],
-    )
+@dataclass(frozen=True, slots=True)
+class GivenTable:
+    """A table that was calibrated before: nothing of it is fitted."""
+
+    table: LookupTable
+    n_columns: int = 0
+
+    def columns(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
+        """None."""
+        return np.zeros((len(gx), 0))
+
+    def change(
+        self,
+        gx: FloatArray,
+        gy: FloatArray,
+        pixels: PressPixels,
+        columns: FloatArray,
+        w: FloatArray,
+    ) -> FloatArray:
+        """What the renderer looks up, less what it looks up for the gel at rest."""
+        change = self._look_up(gx, gy, pixels)
+        if pixels.dome_radius_mm > 0:
+            rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
+            change = change - self._look_up(*rest, pixels)
+        return change
+
+    def _look_up(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
+        nodes = self.table.coefficients
+        n_slope, n_direction = nodes.shape[:2]
+        slope = np.minimum(np.arctan(np.hypot(gx, gy)) / self.table.max_slope_rad, 1.0)
+        at = np.minimum(slope * (n_slope - 1), n_slope - 1 - 1e-6)
+        turn = (np.arctan2(gy, gx) + np.pi) / (2 * np.pi) * n_direction
+        i, j = at.astype(int), turn.astype(int) % n_direction
+        up, on = at - i, turn - np.floor(turn)
+        if self.table.interpolation == "floor":
+            up, on = np.zeros_like(up), np.zeros_like(on)
+        after = (j + 1) % n_direction
+        change = np.zeros((len(gx), 3))
+        corners = (
+            (i, j, (1 - up) * (1 - on)),
+            (i + 1, j, up * (1 - on)),
+            (i, after, (1 - up) * on),
+            (i + 1, after, up * on),
+        )
+        for row, column, share in corners:
+            here = np.einsum("ncf,nf->nc", nodes[row, column], pixels.position)
+            change += share[:, None] * here
+        return change
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """Grey levels (n, 3), the columns behind them, and what a unit of change adds (n, 3)."""
+
+    grey: FloatArray
+    columns: FloatArray
+    per_change: FloatArray
+
+
+def geometry_of(state: Optics, pixels: PressPixels) -> NDArray[np.float64]:
+    """Centre and contact radius (N, 3) of every press, mm."""
+    labels = pixels.labels
+    center = labels[:, :2] + state.shift * labels[:, 2:]
+    radius = labels[:, 2] * state.contact_factor[0] * (1 + state.growth[:, 0])
+    limit = MAX_RADIUS_SHARE * pixels.ball_mm * state.ball_factor[0]
+    return np.column_stack([center, np.clip(radius, 0.1 * labels[:, 2], limit)])
+
+
+def skin_of(state: Optics, pixels: PressPixels) -> Skin:
+    """The surface's form, in mm."""
+    length = float(state.decay[0] * pixels.labels[:, 2].mean())
+    return Skin(state.form, length, state.sharpness, float(state.sigma_mm[0]))
+
+
+def surface_slopes(
+    state: Optics, pixels: PressPixels, profiles: Profiles
+) -> tuple[FloatArray, FloatArray]:
+    """Slope of the gel (n,) along x and along y."""
+    place = geometry_of(state, pixels)[pixels.press]
+    dx, dy = pixels.x_mm - place[:, 0], pixels.y_mm - place[:, 1]
+    r = np.hypot(dx, dy)
+    balls = pixels.ball_mm * state.ball_factor[0]
+    slope = profiles.slopes(skin_of(state, pixels), r, place[:, 2], balls[pixels.press])
+    per_mm = slope / np.maximum(r, 1e-9)
+    rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
+    return per_mm * dx + rest[0], per_mm * dy + rest[1]
+
+
+def render(
+    state: Optics, pixels: PressPixels, table: PlainTable | GivenTable, profiles: Profiles
+) -> Picture:
+    """The grey levels that ``state`` gives every pixel."""
+    gx, gy = surface_slopes(state, pixels, profiles)
+    columns = table.columns(gx, gy, pixels)
+    change = table.change(gx, gy, pixels, columns, state.weights)
+    per_change: FloatArray = np.ones_like(change)
+    if state.hidden is not None and state.shadow[0] != 0:
+        lost = state.shadow[0] * state.hidden * (change > state.unlit)
+        change, per_change = change - lost * (change - state.unlit), 1 - lost
+    brighter = 1 + pixels.position[:, :5] @ state.light.T
+    change, per_change = change * brighter, per_change * brighter
+    if state.mixing.any():
+        change = change + change @ mixing_matrix(state.mixing)
+    square = 2 * (pixels.position[:, 0] + pixels.position[:, 1])[:, None]
+    dim, dim_all = 1 - state.dimming[0] * square, 1 - state.dimming_all[0] * square
+    gain = 1 + state.gain + state.press_gain[pixels.press]
+    offset = state.offset + state.press_offset[pixels.press]
+    grey = ((pixels.background + change * dim) * gain + offset) * dim_all
+    per_change = per_change * dim * gain * dim_all
+    if np.isfinite(state.level[0]):
+        grey, passed = clipped(grey, float(state.level[0]), float(state.knee[0]))
+        per_change = per_change * passed
+    return Picture(grey, columns, per_change)
+
+
+def clipped(grey: FloatArray, level: float, knee: float) -> tuple[FloatArray, FloatArray]:
+    """Grey levels below ``level``, bent over ``knee``, and what a grey level more adds to them."""
+    if knee < 0.05:
+        return np.minimum(grey, level), (grey < level).astype(np.float64)
+    under = (level - grey) / knee
+    return level - knee * np.logaddexp(0.0, under), 1 / (1 + np.exp(-np.clip(under, -50, 50)))
+
+
+def mixing_matrix(mixing: FloatArray) -> NDArray[np.float64]:
+    """(3, 3): row is the channel that leaks, column the one it shows in."""
+    rg, rb, gr, gb, br, bg = mixing
+    return np.array([[0.0, gr, br], [rg, 0.0, bg], [rb, gb, 0.0]])

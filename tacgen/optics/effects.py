@@ -76,6 +76,20 @@ def blur(height_mm: Image, patch: Patch, *, sigma_mm: float) -> Image:
     return np.ascontiguousarray(padded[reach:-reach, reach:-reach])
 
 
+def illumination(image: Image, patch: Patch, **shares: float) -> Image:
+    """Light that differs with the place: what a contact changes is brighter or dimmer there.
+
+    ``r_u`` is what red gains along u, ``r_uu`` what it gains with u², and so on.
+    """
+    u, v = patch.u[None, :], patch.v[:, None]
+    place = {"uu": u * u, "vv": v * v, "uv": u * v, "u": u, "v": v}
+    brighter = np.ones(image.shape, dtype=np.float32)
+    for name, share in shares.items():
+        channel, along = name.split("_")
+        brighter[..., "rgb".index(channel)] += np.float32(share) * place[along]
+    return patch.background + (image - patch.background) * brighter
+
+
 def background_gain(
     image: Image,
     patch: Patch,
@@ -88,16 +102,23 @@ def background_gain(
     offset_b: float = 0.0,
 ) -> Image:
     """Lights or exposure that changed since the background was taken: gain and offset a channel."""
-    gain = np.array([gain_r, gain_g, gain_b], dtype=np.float32) - 1
+    gain = np.array([gain_r, gain_g, gain_b], dtype=np.float32)
     offset = np.array([offset_r, offset_g, offset_b], dtype=np.float32)
-    return image + (patch.background * gain + offset)
+    return image * gain + offset
 
 
-def vignetting(image: Image, patch: Patch, *, strength: float) -> Image:
-    """The lens darkens towards the corners: 1 − strength · r², r = 1 at the corners."""
-    square = (patch.u**2)[None, :] + (patch.v**2)[:, None]
-    gain = 1 - np.float32(2 * strength) * square
-    return image * gain[..., None].astype(np.float32)
+def vignetting(
+    image: Image, patch: Patch, *, strength: float = 0.0, change_strength: float = 0.0
+) -> Image:
+    """The lens darkens towards the corners: 1 − strength · r², r = 1 at the corners.
+
+    ``change_strength`` is for a background that was photographed through the same lens: only what
+    a contact changes is dimmed.
+    """
+    square = ((patch.u**2)[None, :] + (patch.v**2)[:, None])[..., None]
+    gain = (1 - np.float32(2 * strength) * square).astype(np.float32)
+    dimmed = (image - patch.background) * (np.float32(2 * change_strength) * square)
+    return (image - dimmed.astype(np.float32)) * gain
 
 
 def cross_talk(
@@ -125,11 +146,19 @@ def cross_talk(
     return image + mixed
 
 
-def saturation(image: Image, patch: Patch, *, level_grey: float) -> Image:
-    """The camera clips: nothing is brighter than the level."""
-    return np.minimum(image, np.float32(level_grey))
+def saturation(image: Image, patch: Patch, *, level_grey: float, knee_grey: float = 0.0) -> Image:
+    """The camera clips: nothing is brighter than the level, towards which it bends over a knee."""
+    level, knee = np.float32(level_grey), np.float32(knee_grey)
+    if knee < SHARP_KNEE_GREY:
+        return np.minimum(image, level)
+    return level - knee * np.logaddexp(np.float32(0), (level - image) / knee)
 
 
+SHARP_KNEE_GREY = 0.05
+"""A knee below this is none."""
+
+_LIGHT = Bounds(0.0, -4.0, 4.0)
+_PLACES = ("uu", "vv", "uv", "u", "v")
 _UNIT = Bounds(1.0, 0.5, 2.0)
 _GREY = Bounds(0.0, -60.0, 60.0, "grey")
 _SHARE = Bounds(0.0, -0.5, 0.5)
@@ -138,7 +167,13 @@ EFFECTS: Mapping[str, OpticalEffect] = MappingProxyType(
     {
         effect.name: effect
         for effect in (
-            OpticalEffect("blur", "surface", blur, {"sigma_mm": Bounds(0.0, 0.0, 0.6, "mm")}),
+            OpticalEffect("blur", "surface", blur, {"sigma_mm": Bounds(0.0, 0.0, 2.0, "mm")}),
+            OpticalEffect(
+                "illumination",
+                "image",
+                illumination,
+                {f"{channel}_{place}": _LIGHT for channel in "rgb" for place in _PLACES},
+            ),
             OpticalEffect(
                 "cross_talk",
                 "image",
@@ -154,20 +189,29 @@ EFFECTS: Mapping[str, OpticalEffect] = MappingProxyType(
                     **dict.fromkeys(("offset_r", "offset_g", "offset_b"), _GREY),
                 },
             ),
-            OpticalEffect("vignetting", "image", vignetting, {"strength": Bounds(0.0, -0.5, 0.9)}),
+            OpticalEffect(
+                "vignetting",
+                "image",
+                vignetting,
+                dict.fromkeys(("strength", "change_strength"), Bounds(0.0, -0.6, 0.95)),
+            ),
             OpticalEffect(
                 "saturation",
                 "image",
                 saturation,
-                {"level_grey": Bounds(255.0, 60.0, 255.0, "grey")},
+                {
+                    "level_grey": Bounds(255.0, 60.0, 255.0, "grey"),
+                    "knee_grey": Bounds(0.0, 0.0, 25.0, "grey"),
+                },
             ),
         )
     }
 )
 
-ELSEWHERE = ("shadow", "illumination", "press_center", "scale")
+ELSEWHERE = ("shadow", "press_center", "scale")
 """Names that a table may carry and that are no function here: shadows are cast by ``shadow.py``
-from ``strength`` and ``length_mm``; the others are already in the table's coefficients."""
+from ``strength`` and ``length_mm``; the others are of the presses, and the table is free of them.
+"""
 
 
 def check_effects(effects: Mapping[str, Mapping[str, float]]) -> None:

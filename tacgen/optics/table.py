@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tacgen.errors import TableError
 from tacgen.files import atomic_path
+from tacgen.untrusted import check_archive
 
 N_FEATURES = 6
 """x², y², xy, x, y, 1 in image position, Taxim's order."""
@@ -110,6 +111,7 @@ def load_table(path: Path | str) -> LookupTable:
     """
     path = Path(path)
     try:
+        check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("coefficients", "background", "meta")}
     except FileNotFoundError:

@@ -119,9 +119,7 @@ def test_effects_do_what_they_say():
     here = patch()
     image = here.background + np.float32(20)
     gained = EFFECTS["background_gain"].apply(image, here, gain_r=1.1, offset_g=4.0)
-    np.testing.assert_allclose(
-        gained[..., 0] - image[..., 0], 0.1 * here.background[..., 0], rtol=1e-4
-    )
+    np.testing.assert_allclose(gained[..., 0], 1.1 * image[..., 0], rtol=1e-5)
     np.testing.assert_allclose(gained[..., 1] - image[..., 1], 4.0, atol=1e-4)
     mixed = EFFECTS["cross_talk"].apply(image, here, rg=0.1)
     np.testing.assert_allclose(mixed[..., 0] - image[..., 0], 2.0, atol=1e-4)
@@ -129,7 +127,17 @@ def test_effects_do_what_they_say():
     darker = EFFECTS["vignetting"].apply(image, here, strength=0.4)
     corner = 1 - 0.4 * 2 * (here.u[0] ** 2 + here.v[0] ** 2)
     np.testing.assert_allclose(darker[0, 0], image[0, 0] * corner, rtol=1e-5)
+    same_lens = EFFECTS["vignetting"].apply(image, here, change_strength=0.4)
+    np.testing.assert_allclose(same_lens[0, 0], here.background[0, 0] + 20 * corner, rtol=1e-5)
+    brighter = EFFECTS["illumination"].apply(image, here, g_u=0.5)
+    np.testing.assert_allclose(
+        brighter[..., 1] - image[..., 1], np.tile(10 * here.u, (len(here.v), 1)), atol=1e-4
+    )
+    np.testing.assert_allclose(brighter[..., [0, 2]], image[..., [0, 2]], atol=1e-4)
     assert EFFECTS["saturation"].apply(image, here, level_grey=110.0).max() == 110
+    bent = EFFECTS["saturation"].apply(image, here, level_grey=110.0, knee_grey=5.0)
+    assert bent.max() < 110
+    np.testing.assert_array_less(bent, image)
     slope = np.tile(0.3 * here.u, (40, 1)).astype(np.float32)
     np.testing.assert_allclose(EFFECTS["blur"].apply(slope, here, sigma_mm=0.3), slope, atol=1e-6)
 
