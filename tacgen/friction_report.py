@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 GOOD, BAD, INK = "#2a7d4f", "#b3402e", "#0b6e99"
+SPREAD = 0.07
 
 
 def write_friction_report(
@@ -105,6 +106,9 @@ def outcome_map(
     """Outcomes over force and height; rings mark labels that differ from ``truth``."""
     force = np.array([grasp.config.force_n for grasp in grasps])
     height = np.array([grasp.config.z_mm for grasp in grasps])
+    side = np.array([grasp.config.y_mm for grasp in grasps])
+    # Grasps that differ in y alone are drawn beside each other.
+    height = height + SPREAD * np.ptp(height) * side / max(float(np.abs(side).max()), 1e-9)
     for label, marker, color in ((1, "o", GOOD), (0, "X", BAD), (-1, "s", "#8a94a3")):
         chosen = labels == label
         axes.scatter(force[chosen], height[chosen], marker=marker, color=color, s=42, alpha=0.85)

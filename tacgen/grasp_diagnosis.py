@@ -17,8 +17,8 @@ from tacgen.extended_recipe import extended_recipe, write_extended_recipe
 from tacgen.files import write_text
 from tacgen.grasp_images import force_from_images
 from tacgen.grasp_pipeline import recipe_object
-from tacgen.grasp_worlds import DECLARED, GraspWorlds, combined_world, declared_object
-from tacgen.loop.grasp_contest import Contest, Labels, Standing
+from tacgen.grasp_worlds import GraspWorlds, combined_world, declared_object
+from tacgen.loop.grasp_contest import Choice, Contest, Labels, Standing, choose, confirmed
 from tacgen.loop.grasp_diagnosis import FEW, GraspDiagnosis, diagnose_labels, diagnosis_record
 from tacgen.loop.grasp_hypothesis import FAILED, NO_READING, SLID, SUCCESS, TURNED
 from tacgen.next_grasps import Proposal, propose_grasps, rivals_of
@@ -66,18 +66,20 @@ def diagnose_grasps(
     labels = labels_of(real.grasps)
     labels = Labels(labels.known, labels.modes, reading)
     contest = refine(worlds, contest, labels)
-    simulated = np.array([outcome.label for outcome in worlds.outcomes(DECLARED)])
+    rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(0x67,)))
+    steps, simulated = choose_confirmed(worlds, contest, labels, rng)
     diagnosis = diagnose_labels(
         contest,
         labels,
-        simulated,
+        steps,
+        simulated[0],
         _covariates(real.grasps),
-        _notes(recipe, real, simulated),
-        np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(0x67,))),
+        _notes(recipe, real, simulated[0]),
+        rng,
         reading=about,
     )
     objects = list(real.by_object())
-    after = worlds.labels({name: combined_world(diagnosis.found, name) for name in objects})
+    after = simulated[len(diagnosis.found)]
     rivals = rivals_of(diagnosis.steps[0].standings, bool(diagnosis.found))
     findings = GraspFindings(
         diagnosis,
@@ -93,6 +95,22 @@ def refine(worlds: GraspWorlds, contest: Contest, labels: Labels) -> Contest:
     """Simulate the leading candidates about their own values."""
     leading = _leading(contest.standings(labels))
     return worlds.refined(contest, leading) if leading else contest
+
+
+def choose_confirmed(
+    worlds: GraspWorlds, contest: Contest, labels: Labels, rng: np.random.Generator
+) -> tuple[list[Choice], list[NDArray[np.int64]]]:
+    """The choice, and labels (N,) simulated with none, one, two … of what it took."""
+    steps = choose(contest, labels, rng)
+    taken = [step.standings[0] for step in steps if step.taken]
+    names = {config.object for config in worlds.configs}
+    simulated = [
+        worlds.labels({name: combined_world(taken[:count], name) for name in names})
+        for count in range(len(taken) + 1)
+    ]
+    real = labels.success.astype(np.int64)
+    mislabels = [int((one != real).sum()) for one in simulated]
+    return confirmed(steps, mislabels), simulated
 
 
 def labels_of(grasps: Sequence[RealGrasp]) -> Labels:

@@ -20,6 +20,7 @@ from tacgen.grasp_worlds import declared_object
 from tacgen.grid import PlannedGrasp
 from tacgen.loop.grasp_hypothesis import NO_READING, ForceReading
 from tacgen.recipe import Randomize, Recipe
+from tacgen.untrusted import read_bgr
 
 FORCES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Simulated delivered forces over the declared one."""
@@ -154,5 +155,5 @@ def _read(path: Path) -> Image | None:
     """An RGB image, or None where there is none that can be read."""
     if not path.is_file() or path.stat().st_size > MAX_IMAGE_BYTES:
         return None
-    found = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    found = read_bgr(path)
     return None if found is None else np.ascontiguousarray(found[..., ::-1]).astype(np.uint8)

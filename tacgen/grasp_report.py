@@ -32,9 +32,9 @@ def write_grasp_report(path: Path, real: RealGrasps, findings: GraspFindings) ->
             figure_section(
                 name,
                 _outcome_figure(real, findings, chosen),
-                "Outcome over gripping force and height. Green dots succeed, red crosses fail, "
-                "grey squares could not be executed; rings mark simulated grasps that end "
-                "otherwise than the real ones.",
+                "Outcome over gripping force and height, grasps at larger y drawn a little higher. "
+                "Green dots succeed, red crosses fail, grey squares could not be executed; rings "
+                "mark simulated grasps that end otherwise than the real ones.",
             )
         )
     sections += [_ranking(step, number) for number, step in enumerate(diagnosis.steps)]

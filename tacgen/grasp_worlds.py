@@ -240,7 +240,12 @@ def _around(standing: Standing) -> NDArray[np.float64]:
     steps = standing.coordinate + max(standing.deviation, 0.02) * np.array([-1.0, 0.0, 1.0])
     candidate = standing.hypothesis.candidate
     value = candidate.parameter.value if candidate is not None else float
-    return np.array([round(value(float(v)), 4) for v in np.clip(steps, axis[0], axis[-1])])
+    return np.unique([_rounded(value(float(v))) for v in np.clip(steps, axis[0], axis[-1])])
+
+
+def _rounded(value: float) -> float:
+    """Two digits are enough to simulate about, and repeat from one run to the next."""
+    return float(f"{value:.2g}")
 
 
 def world_of(candidate: Candidate, value: float) -> Alteration:

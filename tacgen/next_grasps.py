@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
@@ -14,11 +14,12 @@ from tacgen.grid import plan_recipe
 from tacgen.loop.grasp_contest import Standing
 from tacgen.records import GraspConfig
 
-N_CONSIDERED, N_PROPOSED, MAX_RIVALS = 30, 5, 3
+N_CONSIDERED, N_PROPOSED, MAX_RIVALS = 24, 5, 3
 WITHIN = np.log(100)
 """Explanations whose evidence is further behind are no rivals."""
 BORDER = 0.1
 LEAST_DISAGREEMENT = 0.2
+_SIGN_OF_RATIO = {"force_scale": 1, "friction_factor": 1, "mass_factor": -1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +41,27 @@ def rivals_of(standings: Sequence[Standing], found: bool) -> dict[str, tuple[Sta
     rivals: dict[str, tuple[Standing, ...]] = {} if found else {"as declared": ()}
     for standing in standings:
         if len(rivals) < MAX_RIVALS and standing.gain > best.gain - WITHIN:
-            rivals[standing.name] = (standing,)
+            rivals[standing.name] = (_at_the_same_ratio(standing, best),)
     if len(rivals) < 2:
         rivals["as declared"] = ()
     return rivals
+
+
+def _at_the_same_ratio(standing: Standing, best: Standing) -> Standing:
+    """``standing`` at the value that changes force over weight as ``best`` does.
+
+    Force, mass and friction act through one ratio. Only what is left where it is the same can
+    tell them apart; their own estimates differ by what the prior holds usual.
+    """
+    candidate, leader = standing.hypothesis.candidate, best.hypothesis.candidate
+    if candidate is None or leader is None:
+        return standing
+    signs = [_SIGN_OF_RATIO.get(one.parameter.key, 0) for one in (candidate, leader)]
+    if 0 in signs:
+        return standing
+    axis = standing.hypothesis.coordinate
+    same = np.clip(best.coordinate * signs[0] * signs[1], axis[0], axis[-1])
+    return replace(standing, coordinate=float(same))
 
 
 def propose_grasps(

@@ -132,8 +132,8 @@ def candidates_for(objects: Sequence[str]) -> tuple[Candidate, ...]:
     """Every candidate for grasps of these objects.
 
     What belongs to the gripper or the table acts on all of them. What belongs to an object is
-    tried for each object alone; a factor also for all of them together, since a wrong habit of
-    weighing or a coated gel touches all.
+    tried for each object alone and for all of them together, since a worn gel, a wrong habit of
+    weighing or of placing touches all.
     """
     found = []
     for parameter in PARAMETERS:
@@ -142,8 +142,7 @@ def candidates_for(objects: Sequence[str]) -> tuple[Candidate, ...]:
             sets = [tuple(objects)]
         else:
             sets = [(name,) for name in objects]
-            if parameter.is_factor:
-                sets.append(tuple(objects))
+            sets.append(tuple(objects))
         part = _SHARES.get(parameter.key, 1 / of_name)
         weight = NAME_WEIGHTS[parameter.name] * part / len(sets)
         found += [Candidate(parameter, chosen, weight) for chosen in sets]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ FALSE_ALARM = 0.03
 """Promised share of clean data in which anything at all is named."""
 N_DRAWS = 500
 MAX_EFFECTS = 3
+LEAST_MENDED = 2
 EQUAL_FIT = 1.0
 """Log-likelihoods nearer than this are equal: the labels do not tell the two apart."""
 
@@ -132,9 +133,7 @@ class Contest:
             ]
             best = own[int(np.argmax(scores))]
             weights = best.posterior(known, log_scale, stderr).sum(axis=1)
-            axis = best.hypothesis.coordinate
-            mean = float(weights @ axis)
-            deviation = float(np.sqrt(weights @ (axis - mean) ** 2))
+            mean, deviation = _mean_of_best_mode(best.hypothesis.coordinate, weights)
             fit = max(e.best_fit(known, log_scale, stderr) for e in own) - base_fit
             found.append(Standing(name, float(gain), fit, best.hypothesis, mean, deviation))
         return sorted(found, key=lambda standing: -standing.gain)
@@ -168,7 +167,10 @@ def success_of(standing: Standing, labels: Labels, used: BoolArray | None = None
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One step of the choice: the standings, the p-value of the first, and whether it was taken."""
+    """One step of the choice: the standings, the p-value of the first, and whether it was taken.
+
+    What was taken on top of another must also be confirmed by simulating both together.
+    """
 
     standings: list[Standing]
     p_value: float
@@ -190,6 +192,25 @@ def choose(contest: Contest, labels: Labels, rng: np.random.Generator) -> list[C
             break
         contest = contest.after(standings[0])
     return steps
+
+
+def confirmed(steps: Sequence[Choice], mislabels: Sequence[int]) -> list[Choice]:
+    """The steps, ended before the first addition that simulation does not confirm.
+
+    Parameters
+    ----------
+    mislabels : (K + 1,) int
+        Of the worlds simulated with none, one, two … of the K choices that were taken. An
+        addition to an effect must mend at least two.
+    """
+    kept: list[Choice] = []
+    for number, step in enumerate(steps):
+        added = step.taken and number > 0
+        if added and mislabels[number] - mislabels[number + 1] < LEAST_MENDED:
+            kept.append(replace(step, taken=False))
+            break
+        kept.append(step)
+    return kept
 
 
 def heldout_success(
@@ -221,6 +242,21 @@ def confusable(standings: Sequence[Standing]) -> tuple[str, ...]:
         for other in standings[1:]
         if other.fit > first.fit - EQUAL_FIT and other.gain > first.gain - np.log(100)
     )
+
+
+def _mean_of_best_mode(axis: FloatArray, weights: FloatArray) -> tuple[float, float]:
+    """Mean and deviation about the posterior's highest mode, out to where it is all but over.
+
+    A centre of mass that is off to either side may explain the same labels; the mean of both
+    would explain none.
+    """
+    top = int(np.argmax(weights))
+    low = weights < 0.02 * weights[top]
+    left = int(np.flatnonzero(low[:top])[-1]) + 1 if low[:top].any() else 0
+    right = top + int(np.flatnonzero(low[top:])[0]) if low[top:].any() else len(axis)
+    own, part = axis[left:right], weights[left:right] / weights[left:right].sum()
+    mean = float(part @ own)
+    return mean, float(np.sqrt(part @ (own - mean) ** 2))
 
 
 def _arguments(labels: Labels, used: BoolArray | None) -> tuple[FloatArray, FloatArray, float]:

@@ -19,7 +19,6 @@ from tacgen.loop.grasp_contest import (
     Contest,
     Labels,
     Standing,
-    choose,
     confusable,
     heldout_success,
 )
@@ -116,14 +115,14 @@ class GraspDiagnosis:
             )
         names = " and ".join(describe(standing) for standing in self.found)
         text = (
-            f"The simulated world lacks {names}: with it {after} instead of {before} of {n} "
-            "grasps end otherwise, each predicted without its own part of the data."
+            f"The simulated world lacks {names}: as declared, {before} of {n} grasps end "
+            f"otherwise than the real ones; predicted from the other grasps, {after} do."
         )
         unsure = confusable(self.steps[0].standings)
         if unsure:
             text += (
-                f" These labels alone cannot tell {self.found[0].name} from {', '.join(unsure)}; "
-                "the sizes that are usual decided."
+                f" These labels cannot tell {self.found[0].name} from {', '.join(unsure)}; which "
+                "error is more usual decided."
             )
         if self.too_many_left:
             text += (
@@ -151,6 +150,7 @@ def describe(standing: Standing) -> str:
 def diagnose_labels(
     contest: Contest,
     labels: Labels,
+    steps: Sequence[Choice],
     simulated: NDArray[np.int64],
     covariates: Mapping[str, NDArray[np.float64]],
     notes: Sequence[str],
@@ -158,17 +158,18 @@ def diagnose_labels(
     *,
     reading: str = "",
 ) -> GraspDiagnosis:
-    """Choose, hold out, and look at what is left.
+    """Hold out, and look at what is left.
 
     Parameters
     ----------
+    steps : sequence of Choice
+        What was chosen from all labels.
     simulated : (N,) int
         Labels of the declared world.
     covariates : mapping of str to (N,) float
         What leftover mislabels may follow.
     """
     real = labels.success.astype(np.int64)
-    steps = choose(contest, labels, rng)
     folds = _folds(real, rng)
     heldout = heldout_success(contest, labels, [step for step in steps if step.taken], folds)
     final = contest

@@ -37,7 +37,7 @@ def signed_slack(
     turn_rad : (...) float
         How far the lifted object had turned.
     """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         slip = np.log(np.fmin(friction_ratio, torsion_ratio))
         turned = 0.5 * np.abs(np.log(np.maximum(turn_rad, 1e-6) / TURN_LIMIT_RAD))
     slip = np.clip(np.nan_to_num(slip, nan=-FARTHEST), -FARTHEST, FARTHEST)
@@ -57,9 +57,10 @@ def turning_share(
 
     A simulated failure says which it was; of a success, the nearer limit would give way first.
     """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        lead = np.nan_to_num(np.log(friction_ratio / torsion_ratio), nan=0.0)
-    nearer = 1 / (1 + np.exp(-np.clip(lead / _MODE_WIDTH, -20, 20)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lead = np.log(friction_ratio) - np.log(torsion_ratio)
+    lead = np.clip(np.nan_to_num(lead, nan=0.0), -FARTHEST, FARTHEST)
+    nearer = 1 / (1 + np.exp(-lead / _MODE_WIDTH))
     likely = (1 - SURE_MODE) + (2 * SURE_MODE - 1) * nearer
     known = np.where(turned, SURE_MODE, 1 - SURE_MODE)
     return np.where(label == 0, known, np.where(label < 0, 0.5, likely))
@@ -89,7 +90,7 @@ def slack_at_torsion(
 
     Only grasps that would give way by turning change, until they would rather slide.
     """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         slide, turn = np.log(friction_ratio), np.log(torsion_ratio)
     slide = np.nan_to_num(slide, nan=0.0, posinf=FARTHEST, neginf=-FARTHEST)
     turn = np.nan_to_num(turn, nan=0.0, posinf=FARTHEST, neginf=-FARTHEST)

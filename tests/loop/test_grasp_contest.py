@@ -3,6 +3,8 @@
 No simulator: what the hypotheses predict is written down here.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from tacgen.loop.grasp_contest import (
     Contest,
     Labels,
     choose,
+    confirmed,
     confusable,
     heldout_success,
 )
@@ -158,9 +161,11 @@ def test_labels_that_follow_something_unlisted_are_unexplained():
     order = np.arange(60.0)
     success = (world.slack() > 0) & (order < 35)
     covariates = {"order": order, "force_n": np.exp(world.force)}
+    contest, labels = world.contest(("center_of_mass_y_mm",)), labels_of(success)
     found = diagnose_labels(
-        world.contest(("center_of_mass_y_mm",)),
-        labels_of(success),
+        contest,
+        labels,
+        choose(contest, labels, np.random.default_rng(0)),
         (world.slack() > 0).astype(int),
         covariates,
         [],
@@ -175,8 +180,10 @@ def test_the_record_has_the_contracts_keys():
     world = World(7)
     labels = world.labels("center_of_mass_y_mm", 20.0)
     simulated = (world.slack() > 0).astype(int)
+    contest = world.contest()
+    steps = choose(contest, labels, np.random.default_rng(0))
     found = diagnose_labels(
-        world.contest(), labels, simulated, {}, ["a note"], np.random.default_rng(0)
+        contest, labels, steps, simulated, {}, ["a note"], np.random.default_rng(0)
     )
     record = diagnosis_record(found, ABSOLUTE)
     channel = record["channels"]["grasp"]
@@ -232,3 +239,25 @@ def test_priors_are_normalised_and_nodes_hold_the_declared_value():
         table = np.zeros((len(nodes), 3))
         made = interpolated(Candidate(parameter, ("block",), 1.0), nodes, table, table + 0.5)
         assert np.exp(made.log_prior).sum() == pytest.approx(1.0)
+
+
+def test_a_centre_of_mass_off_to_either_side_is_not_called_centred():
+    """Grasps through the old centre cannot tell left from right; the middle would be wrong."""
+    world = World(8)
+    world.lever_mm[:] = 0.0
+    steps = choose(
+        world.contest(), world.labels("center_of_mass_y_mm", 20.0), np.random.default_rng(0)
+    )
+    first = steps[0].standings[0]
+    assert first.name == "center_of_mass"
+    assert abs(abs(first.value) - 20.0) < 6.0
+
+
+def test_an_addition_that_simulation_does_not_confirm_is_dropped():
+    world = World(9)
+    labels = world.labels("center_of_mass_y_mm", 20.0)
+    steps = choose(world.contest(), labels, np.random.default_rng(0))
+    twice = [steps[0], replace(steps[0], taken=True)]
+    assert [step.taken for step in confirmed(twice, [16, 4, 1])] == [True, True]
+    assert [step.taken for step in confirmed(twice, [16, 4, 3])] == [True, False]
+    assert [step.taken for step in confirmed(steps[:1], [16, 16])] == [True]
