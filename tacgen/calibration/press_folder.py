@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
-import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tacgen.calibration.press_images import PressImages
 from tacgen.errors import PressError
 from tacgen.files import sha256_of
+from tacgen.untrusted import MAX_SIDE_PX, check_archive, read_bgr
 from tacgen.yaml_source import read_yaml
 
 COORDINATES = ("center_x_px", "center_y_px", "contact_radius_px")
@@ -68,6 +69,7 @@ def _read_datapack(
     path: Path, mm_per_px: float | None, ball_radius_mm: float | None
 ) -> PressImages:
     try:
+        check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             missing = [name for name in _DATAPACK if name not in archive.files]
             if missing:
@@ -165,7 +167,7 @@ def _read_folder(path: Path, mm_per_px: float | None, ball_radius_mm: float | No
             images.append(image)
             rows.append(row)
     if background is not None and sensor is not None:
-        problems += _scale_problems(path / "sensor.yaml", sensor[0], background.shape[1])
+        problems += scale_problems(path / "sensor.yaml", sensor[0], background.shape[1])
     if problems or table is None or background is None or sensor is None:
         raise PressError.from_problems(problems)
     scale, dome, name, pitch = sensor
@@ -191,7 +193,8 @@ def _read_folder(path: Path, mm_per_px: float | None, ball_radius_mm: float | No
     )
 
 
-def _scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
+def scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
+    """What is wrong with a scale that makes the picture wider or narrower than a sensor sees."""
     wide = mm_per_px * width_px
     if WIDTHS_MM[0] <= wide <= WIDTHS_MM[1]:
         return []
@@ -283,11 +286,13 @@ def _read_list(
 
 def _read_image(path: Path, what: str, problems: list[str]) -> NDArray[np.uint8] | None:
     """An image as RGB (H, W, 3) uint8."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         problems.append(f"{path}: missing ({what})")
         return None
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = read_bgr(path)
     if image is None:
-        problems.append(f"{path}: cannot be read as an image ({what})")
+        problems.append(
+            f"{path}: cannot be read as an image of at most {MAX_SIDE_PX} pixels a side ({what})"
+        )
         return None
     return np.ascontiguousarray(image[..., ::-1])

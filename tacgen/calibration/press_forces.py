@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 import yaml
@@ -19,10 +18,12 @@ from numpy.typing import NDArray
 from tacgen.calibration.ball import cap_volume_from_circle_mm3
 from tacgen.calibration.circles import find_circle
 from tacgen.calibration.markers import MIN_DOTS, dot_mask, dot_places_px, dots_at_rest, follow
+from tacgen.calibration.press_folder import BALLS_MM, scale_problems
 from tacgen.calibration.press_log import SHEAR_FORCES, numeric_columns, read_table
 from tacgen.calibration.reconstruct import Reconstructor
 from tacgen.errors import PressError
 from tacgen.optics.table import LookupTable
+from tacgen.untrusted import read_bgr
 
 Image = NDArray[np.uint8]
 Floats = NDArray[Any]
@@ -105,16 +106,42 @@ def read_force_images(folder: Path) -> ForceImages:
     except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
         problems.append(f"{sensor_file}: no usable mm_per_px ({error}); write mm_per_px: 0.0295")
         raise PressError.from_problems([*problems, *cells]) from error
-    if problems or cells:
-        raise PressError.from_problems([*problems, *cells])
+    background = _read_rgb(folder / "background.png")
+    problems += scale_problems(sensor_file, mm_per_px, background.shape[1])
+    problems += [*cells, *_row_problems(frame.assign(**numbers), listing)]
+    if problems:
+        raise PressError.from_problems(problems)
     return ForceImages(
         folder=folder,
-        background=_read_rgb(folder / "background.png"),
+        background=background,
         table=frame.assign(**numbers),
         mm_per_px=mm_per_px,
         dome_radius_mm=float(sensor.get("dome_radius_mm") or 0.0),
         marker_pitch_mm=float((sensor.get("markers") or {}).get("pitch_mm", np.nan)),
     )
+
+
+def _row_problems(frame: pd.DataFrame, listing: Path) -> list[str]:
+    """Pictures that are not there or listed twice, and radii that no ball has."""
+    problems = []
+    if "file" in frame:
+        for index, name in enumerate(frame["file"]):
+            if not (listing.parent / str(name)).is_file():
+                problems.append(f"{listing}: row {index + 2}: {name} is not in the folder")
+        problems += [
+            f"{listing}: row {index + 2}: {frame['file'].iloc[index]} is listed twice; list each "
+            "picture once"
+            for index in np.nonzero(frame["file"].duplicated())[0]
+        ]
+    if "radius_mm" in frame:
+        wrong = frame["radius_mm"].notna() & ~frame["radius_mm"].between(*BALLS_MM)
+        problems += [
+            f"{listing}: row {index + 2}: radius_mm = {radius:g} is no ball that a gel can feel; "
+            f"give the radius in mm, {BALLS_MM[0]:g} to {BALLS_MM[1]:g}"
+            for index, radius in enumerate(frame["radius_mm"])
+            if wrong.iloc[index]
+        ]
+    return problems
 
 
 def measure_presses(images: ForceImages, table: LookupTable | None = None) -> MeasuredLog:
@@ -221,7 +248,7 @@ def _marker_sums(images: ForceImages, rows: pd.DataFrame) -> Floats:
 
 
 def _read_rgb(path: Path) -> Image:
-    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    bgr = read_bgr(path)
     if bgr is None:
         msg = f"{path}: cannot be read as an image; save it as PNG"
         raise PressError(msg)

@@ -212,7 +212,7 @@ def column_problems(frame: pd.DataFrame, path: Path, required: tuple[str, ...]) 
     for name in required:
         if name not in frame.columns:
             others = [str(other) for other in frame.columns if other not in CONTRACT]
-            near = get_close_matches(name, others, n=1, cutoff=0.4)
+            near = get_close_matches(name, others, n=1, cutoff=0.55)
             hint = f"rename {near[0]!r} if it is that" if near else f"add it ({_MEANINGS[name]})"
             problems.append(f"{path}: column {name!r} is missing; {hint}")
     return problems

@@ -73,22 +73,19 @@ def _summary(presses: PressImages, calibration: Calibration) -> Section:
             "The gel has printed dots; their pixels are left out of the fit and of the score, and "
             "they stay in the table's background."
         )
-    ball_px = float(np.median(presses.ball_radius_mm)) / presses.mm_per_px
-    beyond = int((presses.radius_px > ball_px).sum())
-    if beyond:
-        lines.append(
-            f"{beyond} of {len(presses)} labelled radii exceed the ball's own radius of "
-            f"{ball_px:.1f} px: the labels follow the gel's dark rim. The contact radius was "
-            f"estimated instead, {calibration.fit.press_model.labels.contact_radius_mm:.2f} mm on "
-            "average."
-        )
+    radius_mm = calibration.fit.press_model.labels.contact_radius_mm
+    lines.append(
+        f"Estimated contact radius: {radius_mm:.2f} mm, {radius_mm / presses.mm_per_px:.1f} px on "
+        f"average; labelled or found: {presses.radius_px.mean():.1f} px."
+    )
     return text_section("The presses", *lines)
 
 
 def _scale(calibration: Calibration) -> list[Section]:
     if calibration.scale is None:
         return []
-    return [text_section("Scale and balls", *evidence_lines(calibration.scale))]
+    lines = [line[0].upper() + line[1:] for line in evidence_lines(calibration.scale)]
+    return [text_section("Scale and balls", *lines)]
 
 
 def _settings(calibration: Calibration) -> Section:
@@ -96,7 +93,7 @@ def _settings(calibration: Calibration) -> Section:
     return table_section(
         "Settings, by cross-validation over whole presses",
         ("candidate", "RMSE, grey levels"),
-        ranked[:10],
+        [(name, f"{error:.3f}") for name, error in ranked[:10]],
         note="The ten best of all; a background other than the photographed one is only taken "
         "where it is better by more than one standard error.",
     )
@@ -108,7 +105,7 @@ def _bins(calibration: Calibration) -> Section:
     return table_section(
         "Smooth model against bins, by the same cross-validation",
         ("candidate", "RMSE, grey levels"),
-        ranked,
+        [(name, f"{error:.3f}") for name, error in ranked],
         note=f"Taken: {choice.bins}. In each bin of slope and direction six coefficients are "
         "fitted to what the smooth model leaves over and held back by as many presses; bins are "
         "only taken where they are better by more than one standard error over the presses.",
@@ -119,7 +116,7 @@ def _errors(calibration: Calibration) -> Section:
     if calibration.heldout is None:
         return text_section("Held-out error", "No presses were held out.")
     rows = [
-        (press.name, press.rmse_labels, press.rmse_refined, press.n_pixels)
+        (press.name, f"{press.rmse_labels:.2f}", f"{press.rmse_refined:.2f}", press.n_pixels)
         for press in calibration.heldout.presses
     ]
     return table_section(

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import MappingProxyType
 from zipfile import BadZipFile
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +20,7 @@ from tacgen import __version__
 from tacgen.errors import TableError
 from tacgen.files import sha256_of
 from tacgen.optics.table import N_FEATURES, LookupTable
+from tacgen.untrusted import check_archive, read_bgr
 
 CHANNELS_RGB = ("grad_b", "grad_g", "grad_r")
 """Which of its arrays holds which channel: Taxim names OpenCV's first channel r."""
@@ -111,6 +111,7 @@ def pixel_features_from_position(shape_px: tuple[int, int]) -> NDArray[np.float6
 
 def _read_polycalib(path: Path) -> dict[str, NDArray[np.float64]]:
     try:
+        check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             missing = [name for name in CHANNELS_RGB if name not in archive.files]
             if missing:
@@ -151,7 +152,7 @@ def _read_background(path: Path) -> NDArray[np.float64]:
         msg = f"{path}: cannot be read as an array: {error}"
         raise TableError(msg) from None
     if image is None:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        image = read_bgr(path)
     if image is None or image.ndim != 3 or image.shape[2] != 3:
         msg = f"{path}: is not an image of shape (H, W, 3)"
         raise TableError(msg)

@@ -207,3 +207,17 @@ def test_neither_table_nor_ball(broken):
     (broken / "presses.csv").write_text("file,force_normal_n\na.png,2.0\n")
     with pytest.raises(PressError, match="give the ball's radius or the sensor's table"):
         measure_presses(read_force_images(broken))
+
+
+def test_rows_that_cannot_be_are_all_named(broken):
+    (broken / "presses.csv").write_text(
+        "file,radius_mm,force_normal_n\na.png,-4.0,2.0\nb.png,4.0,2.0\na.png,4.0,3.0\n"
+    )
+    (broken / "sensor.yaml").write_text("mm_per_px: 30\n")
+    with pytest.raises(PressError) as error:
+        read_force_images(broken)
+    text = str(error.value)
+    assert "mm_per_px = 30 makes the picture 2.4e+03 mm wide" in text
+    assert "row 2: radius_mm = -4 is no ball that a gel can feel" in text
+    assert "row 3: b.png is not in the folder" in text
+    assert "row 4: a.png is listed twice" in text
