@@ -70,3 +70,23 @@ def test_a_grasp_that_was_not_executed_matches_no_label():
     simulated = np.array([[-1, 0], [1, 0]])
     fit = fit_friction(np.array([0.1, 0.2]), simulated, np.array([1, 0]), np.random.default_rng(0))
     assert fit.mislabels.tolist() == [1, 0]
+
+
+def spanning(mu_star, rng, span, count=20):
+    """Forces from 1/span to span times the threshold, evenly by ratio with a random jitter."""
+    places = (np.arange(count) + rng.uniform(size=count)) / count
+    return WEIGHT_N / (2 * mu_star) * span ** (2 * places - 1)
+
+
+@pytest.mark.parametrize(("span", "flipped"), [(2.0, 0), (1.4, 1)])
+def test_forces_at_any_spacing_find_the_friction_in_19_of_20_draws(span, flipped):
+    found = 0
+    for draw in range(100):
+        rng = np.random.default_rng([draw, 7])
+        mu_star = rng.uniform(0.15, 0.9)
+        forces = spanning(mu_star, rng, span)
+        real = holds(mu_star, forces)
+        real[rng.choice(len(real), flipped, replace=False)] ^= 1
+        fit = fit_friction(MU, holds(MU, forces), real, rng)
+        found += abs(fit.mu - mu_star) <= 0.05
+    assert found >= 95
