@@ -126,13 +126,20 @@ def _rescaled(problem: Problem, state: Optics) -> Optics:
 
 
 MIN_CLIPPED = 0.01
-"""Share of the pixels that must stand at the brightest level for a camera to be one that clips."""
+"""Share of a channel's values that must stand at the brightest level for a camera to clip."""
+
+PILE = 1.5
+"""And there must be so many times more there than a little below: a tail only falls."""
+
+BELOW_GREY = 8.0
 
 
 def seems_clipped(problem: Problem) -> bool:
-    """Whether the presses' brightest pixels pile up."""
-    apart = np.abs(problem.pixels.grey - clip_level(problem))
-    return bool((apart < 2.5).any(axis=1).mean() >= MIN_CLIPPED)
+    """Whether the presses' brightest values pile up."""
+    apart = problem.pixels.grey - clip_level(problem)
+    piled = (np.abs(apart) < 2.5).mean(axis=0)
+    below = (np.abs(apart + BELOW_GREY) < 2.5).mean(axis=0)
+    return bool(((piled >= MIN_CLIPPED) & (piled >= PILE * below)).any())
 
 
 def clip_level(problem: Problem) -> float:

@@ -21,6 +21,9 @@ FALSE_ALARM = 0.01
 LEAST_GAIN = 0.05
 """And an effect must lower the error by this share, or it is not worth having."""
 
+LEAST_GAIN_PILED = 0.01
+"""Where the brightest values pile up the camera clips, whatever a table can hide of that."""
+
 MOST_EFFECTS = 5
 
 OUTSIDE = ("place_on_gel", "image_number")
@@ -117,8 +120,9 @@ def _rebuilt(contest: Contest, plain: Entry, chosen: Entry) -> list[Entry]:
 
 def _judge(current: Entry, tried: list[Entry]) -> tuple[Step, Entry]:
     """Of the entries that the presses cannot tell from the best one, the simplest."""
-    leader = min(tried, key=lambda entry: entry.rmse)
-    equals = [entry for entry in tried if is_as_good(entry, leader, current)]
+    worth = [entry for entry in tried if _is_worth(current, entry, len(tried))] or tried
+    leader = min(worth, key=lambda entry: entry.rmse)
+    equals = [entry for entry in worth if is_as_good(entry, leader, current)]
     best = min(equals, key=lambda entry: (entry.complexity(), entry.rmse))
     name = best.names[-1]
     by_name: dict[str, Entry] = {}
@@ -139,4 +143,6 @@ def _judge(current: Entry, tried: list[Entry]) -> tuple[Step, Entry]:
 def _is_worth(shorter: Entry, longer: Entry, n_tried: int) -> bool:
     """Whether the longer model's gain is both sure and large enough."""
     sure = gain_p_value(shorter.squares, longer.squares) <= FALSE_ALARM / n_tried
-    return sure and longer.rmse <= (1 - LEAST_GAIN) * shorter.rmse
+    more = set(longer.names) - set(shorter.names)
+    least = LEAST_GAIN_PILED if more == {"saturation"} else LEAST_GAIN
+    return sure and longer.rmse <= (1 - least) * shorter.rmse

@@ -28,16 +28,14 @@ OUTSIDE = {"scratch": "place_on_gel", "ageing": "image_number"}
 
 
 def cases():
-    """(kind, effect, strength, seed): nominal strength first."""
-    for seed in range(8):
+    """(kind, effect, strength, seed): each effect once, then nothing, then other strengths."""
+    for kind in SENSORS:
+        yield from ((kind, effect, 1.0, 0) for effect in (*EFFECTS, *OUTSIDE))
+    for seed in range(6):
+        yield from ((kind, "none", 0.0, seed) for kind in SENSORS)
+    for strength, seed in ((2.0, 0), (0.5, 0), (1.0, 1)):
         for kind in SENSORS:
-            if seed < 2:
-                yield from ((kind, effect, 1.0, seed) for effect in EFFECTS)
-            if seed < 1:
-                yield from ((kind, effect, s, seed) for s in (2.0, 0.5) for effect in EFFECTS)
-            if seed < 2:
-                yield from ((kind, effect, 1.0, seed) for effect in OUTSIDE)
-            yield (kind, "none", 0.0, seed)
+            yield from ((kind, effect, strength, seed) for effect in EFFECTS)
 
 
 def run(kind, effect, strength, seed):
@@ -66,21 +64,23 @@ def run(kind, effect, strength, seed):
     }
 
 
-def collect(kept: Path) -> list[dict]:
-    """Every case, run where it is not kept already."""
+def kept_in(file: Path) -> dict[str, dict]:
+    """The cases that are done."""
+    lines = file.read_text().splitlines() if file.exists() else []
+    return {json.dumps(json.loads(line)["case"]): json.loads(line) for line in lines}
+
+
+def collect(kept: Path, *, backwards: bool = False) -> list[dict]:
+    """Every case, run where it is not kept already; two runs may meet from both ends."""
     kept.mkdir(parents=True, exist_ok=True)
     file = kept / "optics.jsonl"
-    lines = file.read_text().splitlines() if file.exists() else []
-    known = {json.dumps(json.loads(line)["case"]): json.loads(line) for line in lines}
-    records = []
-    for case in cases():
-        key = json.dumps(list(case))
-        if key not in known:
-            known[key] = run(*case)
+    for case in [*cases()][:: -1 if backwards else 1]:
+        if json.dumps(list(case)) not in kept_in(file):
+            record = run(*case)
             with file.open("a") as sink:
-                sink.write(json.dumps(known[key]) + "\n")
-        records.append(known[key])
-    return records
+                sink.write(json.dumps(record) + "\n")
+    known = kept_in(file)
+    return [known[json.dumps(list(case))] for case in cases()]
 
 
 def page(records: list[dict]) -> str:
@@ -140,5 +140,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--kept", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--backwards", action="store_true")
     given = parser.parse_args()
-    given.out.write_text(page(collect(given.kept)))
+    given.out.write_text(page(collect(given.kept, backwards=given.backwards)))
