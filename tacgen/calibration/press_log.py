@@ -177,7 +177,8 @@ def read_table(path: Path) -> pd.DataFrame:
             frame = pd.read_csv(path, dtype=str, encoding="utf-8-sig", header=None,
                                 keep_default_na=False, skip_blank_lines=False)  # fmt: skip
             frame = frame.iloc[1:].set_axis(frame.iloc[0].tolist(), axis=1).reset_index(drop=True)
-    except (OSError, ValueError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+    except (OSError, ValueError, LookupError, TypeError, pd.errors.EmptyDataError) as error:
+        # pandas and pyarrow raise the latter for metadata that is not what they write themselves.
         msg = f"{path}: cannot be read as a table ({error}); save it as comma-separated UTF-8 text"
         raise PressError(msg) from error
     frame.columns = [str(name).strip() for name in frame.columns]

@@ -11,6 +11,7 @@ from tacgen.calibration.lookup import fit_lookup
 from tacgen.calibration.lookup_command import calibrate_lookup
 from tacgen.calibration.press_doubts import usable_presses
 from tacgen.calibration.press_folder import read_presses
+from tacgen.calibration.reconstruct import Reconstructor
 from tacgen.calibration.score import score_table
 from tacgen.optics import load_table, render_rgb
 from tests.blind.press_images import digit, draw_presses, gelsight_mini, write_folder
@@ -76,6 +77,22 @@ def _contact(press):
     rows, columns = np.indices(press.surface_mm.shape)
     away = np.hypot(columns - press.center_px[0], rows - press.center_px[1])
     return away < press.contact_px
+
+
+def test_volume_by_shape_leaves_out_the_gel_that_sinks_around_the_contact(tmp_path):
+    """A tensed skin sinks by a fifth of the volume beside the ball, which is none of the ball's."""
+    sensor = SENSORS["Mini, no dots"]
+    table = fit_lookup(read(draw_presses(sensor, 47, balls_mm=(2.0, 4.0)), tmp_path / "a"))
+    held = draw_presses(sensor, 48, count=10, balls_mm=(2.0, 4.0))
+    reconstructor = Reconstructor(table, held.background)
+    ratios, sunk = [], []
+    for press in held.presses:
+        depth = -float(press.surface_mm.min())
+        volume = np.pi * depth**2 * (press.ball_mm - depth / 3)
+        ratios.append(reconstructor.shape_of(press.image).volume_mm3 / volume)
+        sunk.append(-press.surface_mm.sum() * sensor.mm_per_px**2 / volume)
+    assert np.median(sunk) > 1.1
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.06)
 
 
 def test_dots_stay_in_the_background_unless_they_are_to_be_drawn(tmp_path):
