@@ -31,7 +31,13 @@ def _axis_values(given: Any) -> Any:
     if not (isinstance(arguments, list) and len(arguments) == 3):
         msg = f"{kind} takes three numbers, got {arguments!r}"
         raise ValueError(msg)
+    if not all(isinstance(value, (int, float)) for value in arguments):
+        msg = f"{kind} takes three numbers, got {arguments!r}"
+        raise ValueError(msg)
     start, stop, third = (float(argument) for argument in arguments)
+    if not np.isfinite([start, stop, third]).all():
+        msg = f"{kind} takes finite numbers, got {arguments!r}"
+        raise ValueError(msg)
     if kind == "linspace":
         count = int(third)
         if count < 1 or count != third:

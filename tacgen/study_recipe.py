@@ -163,4 +163,4 @@ def _misplaced(study: Study, source: YamlSource) -> list[str]:
 
 def object_names(objects: Sequence[Any]) -> list[str]:
     """The names of a study's object entries, which are names or mappings with one."""
-    return [entry["name"] if isinstance(entry, Mapping) else str(entry) for entry in objects]
+    return [str(entry.get("name") if isinstance(entry, Mapping) else entry) for entry in objects]

@@ -71,7 +71,11 @@ def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
     own = _parse(path)
     bases = own.data.pop("extends", [])
     merged = YamlSource(path, {}, {})
-    for name in [bases] if isinstance(bases, str) else bases:
+    bases = [bases] if isinstance(bases, str) else bases
+    if not isinstance(bases, list):
+        msg = f"{path}: extends = {bases!r} is no name of a recipe and no list of names"
+        raise RecipeError(msg)
+    for name in bases:
         from tacgen.resources import find_recipe
 
         base = _read(find_recipe(str(name), beside=path.parent), (*extended_by, path.resolve()))
@@ -91,6 +95,9 @@ def _parse(path: Path) -> YamlSource:
         raise RecipeError(msg) from None
     except (OSError, UnicodeDecodeError) as error:
         msg = f"{path}: cannot be read: {error}"
+        raise RecipeError(msg) from None
+    except RecursionError:
+        msg = f"{path}: nested too deeply; this is not a recipe"
         raise RecipeError(msg) from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)

@@ -229,7 +229,7 @@ def load_law(path: Path | str) -> ContactLaw:
     except FileNotFoundError:
         msg = f"{path}: no such contact law; `tacgen calibrate contact` makes one"
         raise ContactError(msg) from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         msg = f"{path}: cannot be read as a contact law: {error}"
         raise ContactError(msg) from None
     problems = _content_problems(content)
@@ -281,10 +281,17 @@ def _content_problems(content: Any) -> list[str]:
         for key in content
         if key not in _KEYS
     ]
-    problems += [f"{key} is missing" for key in ("law", "k_n_mm3_per_n") if key not in content]
+    problems += [
+        f"{key} is missing" for key in ("law", "k_n_mm3_per_n") if content.get(key) is None
+    ]
     for key in _ESTIMATES:
         if content.get(key) is not None:
             problems += _estimate_problems(key, content[key])
+    pitch = content.get("marker_pitch_mm")
+    if pitch is not None and not _is_number(pitch):
+        problems.append(f"marker_pitch_mm = {pitch!r} is not a number")
+    if not isinstance(content.get("provenance") or {}, Mapping):
+        problems.append("provenance is not a mapping")
     entries = content.get("effects") or []
     if not isinstance(entries, list):
         return [*problems, "effects is not a list"]
@@ -301,10 +308,18 @@ def _content_problems(content: Any) -> list[str]:
 
 
 def _estimate_problems(where: str, value: Any) -> list[str]:
-    number = value.get("value") if isinstance(value, Mapping) else value
-    if isinstance(number, bool) or not isinstance(number, (int, float)):
+    numbers = [value.get("value") if isinstance(value, Mapping) else value]
+    if isinstance(value, Mapping) and value.get("stderr") is not None:
+        numbers.append(value["stderr"])
+    if not all(_is_number(number) for number in numbers):
         return [f"{where} = {value!r} is not a number nor {{value, stderr}}"]
     return []
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number that a float can be; YAML has integers without end."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and (isinstance(value, float) or abs(value) < 1 << 1000)
 
 
 def _plain(value: Any) -> Any:

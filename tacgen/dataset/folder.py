@@ -233,7 +233,7 @@ def _read_plan(path: Path) -> dict[str, Any]:
         numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
         if all(isinstance(number, int) and number > 0 for number in numbers):
             return plan
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         pass
     msg = (
         f"{path.parent} is not a dataset: {path.name} is missing or broken; "

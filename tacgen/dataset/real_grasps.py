@@ -166,7 +166,10 @@ def _images(folder: Path, grasp_id: str) -> tuple[Path, ...]:
     """``images/<grasp_id>/<k>.png`` in time order; a name cannot lead out of the folder."""
     if Path(grasp_id).name != grasp_id:
         return ()
-    found = (folder / "images" / grasp_id).glob("*.png")
+    try:
+        found = list((folder / "images" / grasp_id).glob("*.png"))
+    except (OSError, ValueError):  # no name that a folder can have
+        return ()
     return tuple(sorted((p for p in found if p.stem.isdecimal()), key=lambda p: int(p.stem)))
 
 

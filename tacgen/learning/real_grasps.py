@@ -6,13 +6,13 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.dataset.real_grasps import RealGrasp, read_real_grasps
 from tacgen.errors import LearningError
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspTable
+from tacgen.untrusted import read_bgr
 
 BACKGROUND = "background.png"
 ABOUT = "about.json"
@@ -120,7 +120,7 @@ def _read_image(path: Path) -> NDArray[np.uint8]:
     if path.stat().st_size > MAX_IMAGE_BYTES:
         msg = f"{path}: larger than {MAX_IMAGE_BYTES >> 20} MB; save a smaller image"
         raise LearningError(msg)
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = read_bgr(path)
     if image is None or max(image.shape) > MAX_SIDE_PX:
         msg = f"{path}: cannot be read as an image; save it again as 8-bit PNG"
         raise LearningError(msg)

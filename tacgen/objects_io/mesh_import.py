@@ -55,8 +55,10 @@ def import_surface(path: Path, *, scale: float = 1.0, up: str = "z") -> Imported
     loaded = _read(path)
     vertices, faces = np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
     _check_numbers(path, vertices, faces)
-    vertices = _standing(vertices, up) * scale
-    _check_size(path, vertices[np.unique(faces)], scale)
+    # What no triangle uses may lie anywhere, beyond any number that can be worked with too.
+    used, corners = np.unique(faces, return_inverse=True)
+    vertices, faces = _standing(vertices[used], up) * scale, corners.reshape(faces.shape)
+    _check_size(path, vertices, scale)
     mesh, notes = _closed(path, vertices, faces)
     low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
     footprint = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
@@ -103,6 +105,9 @@ def _read(path: Path) -> trimesh.Trimesh:
 
 
 def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray) -> None:
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        msg = f"{path}: its corners are not points in space; export it as a triangle mesh"
+        raise ObjectError(msg)
     problems = []
     bad = int((~np.isfinite(vertices).all(axis=1)).sum())
     if bad:
@@ -148,9 +153,13 @@ def _closed(path: Path, vertices_mm: NDArray[np.float64], faces: NDArray) -> tup
     notes = []
     surface = trimesh.Trimesh(vertices_mm, faces, process=False)
     surface.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=5)
-    surface.update_faces(surface.nondegenerate_faces())
-    surface.update_faces(surface.unique_faces())
-    surface.remove_unreferenced_vertices()
+    if len(surface.faces):
+        surface.update_faces(surface.nondegenerate_faces())
+        surface.update_faces(surface.unique_faces())
+        surface.remove_unreferenced_vertices()
+    if len(surface.faces) == 0:
+        msg = f"{path}: holds no triangle that is more than a line; export it anew"
+        raise ObjectError(msg)
     if not surface.is_watertight:
         filled = _fill_small_holes(surface)
         if filled:

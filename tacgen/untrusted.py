@@ -1,0 +1,97 @@
+"""Files of strangers: what they say of their own size is looked at before it is believed."""
+
+from __future__ import annotations
+
+import tokenize
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO
+
+import cv2
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+MAX_SIDE_PX = 8192
+MAX_ARCHIVE_BYTES = 4 << 30
+"""What the arrays of an archive may take together."""
+
+# What zipfile and numpy's reader of headers raise on files that are not what they write.
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    tokenize.TokenError,
+    SyntaxError,
+    EOFError,
+    LookupError,
+    TypeError,
+    ArithmeticError,
+    RuntimeError,
+    NotImplementedError,
+    MemoryError,
+)
+
+
+def read_bgr(path: Path) -> NDArray[np.uint8] | None:
+    """An image file as (H, W, 3), blue first; None where it is none, or larger than allowed.
+
+    The header is read first: a small file can unfold into gigabytes.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path) as image:
+                sides = image.size
+    except (OSError, ValueError, SyntaxError, UnidentifiedImageError, Image.DecompressionBombError):
+        return None
+    if max(sides) > MAX_SIDE_PX:
+        return None
+    found = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    return None if found is None else np.asarray(found, np.uint8)
+
+
+def check_archive(path: Path) -> None:
+    """See that every array of a .npz is as large as it says, and all of them not too large.
+
+    Raises
+    ------
+    ValueError
+        If it is not so; ``OSError`` if there is no such file.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            total = 0
+            for member in archive.infolist():
+                with archive.open(member) as file:
+                    total += _array_bytes(file, member)
+                    _read_to_the_end(file)
+                if total > MAX_ARCHIVE_BYTES:
+                    msg = f"its arrays take more than {MAX_ARCHIVE_BYTES >> 30} GiB"
+                    raise ValueError(msg)
+    except _DAMAGED as error:
+        msg = f"it is damaged: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
+        raise ValueError(msg) from None
+
+
+def _read_to_the_end(file: IO[bytes]) -> None:
+    """The checksum is that of the whole, and reading may fail anywhere."""
+    while file.read(1 << 20):
+        pass
+
+
+def _array_bytes(file: IO[bytes], member: zipfile.ZipInfo) -> int:
+    version = npy.read_magic(file)
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, dtype = read(file)
+    n_bytes = dtype.itemsize
+    for length in shape:
+        n_bytes *= int(length)
+    # Objects are pickled and refused by whoever reads them; they have no size of their own.
+    if not dtype.hasobject and n_bytes != member.file_size - file.tell():
+        msg = f"{member.filename} says {shape} of {dtype}, which is not what is there"
+        raise ValueError(msg)
+    return member.file_size if dtype.hasobject else n_bytes

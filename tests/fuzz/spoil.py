@@ -1,0 +1,126 @@
+"""Reads files spoiled at random: ``python -m tests.fuzz.spoil READER FOLDER SEED SECONDS``.
+
+Prints, as JSON, how many were read, how many refused, the memory taken on top, and the first
+failure: an exception that is no ``TacgenError``, or an input that took too long.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import resource
+import signal
+import sys
+import time
+import traceback
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.errors import TacgenError
+from tests.fuzz.readers import READERS
+
+PATIENCE_S = 20
+MEMORY_BYTES = 2 << 30
+TOKENS = [
+    *(b"nan", b"inf", b"-1", b"0", b"1e309", b"99999999999999999999", b"2000000000", b"1e-320"),
+    *(b"null", b"[]", b"{}", b'""', b"true", b"!!python/object/apply:os.system [x]", b"*a"),
+    *(b"&a", b"a: " * 9, b"../../x", b"/etc/passwd", b"\xff\xfe", b"\x00", b"[" * 3000),
+    *(b"\xf0\x9f\xa4\x96", b"\n", b",", b": ", b"  - ", b'"', b"2024-01-01", b"0x10", b"1:30"),
+]
+
+
+def spoiled(sound: bytes, rng: np.random.Generator) -> bytes:
+    """``sound`` with one to four pieces cut, changed, doubled or replaced."""
+    if sound[:2] == b"PK" and rng.random() < 0.7:
+        return _spoiled_archive(sound, rng)
+    data = bytearray(sound)
+    for _ in range(rng.integers(1, 5)):
+        start = int(rng.integers(len(data) + 1))
+        length = int(rng.integers(1, 40))
+        piece = TOKENS[rng.integers(len(TOKENS))]
+        match rng.integers(6):
+            case 0:
+                del data[start:]
+            case 1:
+                data[start : start + length] = rng.bytes(length)
+            case 2:
+                data[start : start + length] = b""
+            case 3:
+                data[start:start] = data[start : start + length]
+            case 4:
+                data[start : start + int(rng.integers(6))] = piece
+            case _:
+                data[start:start] = piece
+    return bytes(data)
+
+
+def _spoiled_archive(sound: bytes, rng: np.random.Generator) -> bytes:
+    """One member of a .zip spoiled, its checksum made right again."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(sound)) as old, zipfile.ZipFile(out, "w") as new:
+        names = old.namelist()
+        victim = names[rng.integers(len(names))]
+        for name in names:
+            content = old.read(name)
+            if name == victim:
+                head = min(len(content), 128)
+                content = _spoiled_head(content[:head], rng) + content[head:]
+            new.writestr(name, content)
+    return out.getvalue()
+
+
+def _spoiled_head(head: bytes, rng: np.random.Generator) -> bytes:
+    """The shape and type that an array file states, changed; or anything else of it."""
+    if rng.random() < 0.5:
+        digits = [k for k, byte in enumerate(head) if 48 <= byte < 58]
+        if digits:
+            place = digits[rng.integers(len(digits))]
+            return head[:place] + b"%d" % rng.integers(0, 10**9) + head[place + 1 :]
+    return spoiled(head, rng)
+
+
+def _too_long(_signal: int, _frame: object) -> None:
+    msg = f"not through after {PATIENCE_S} s"
+    raise TimeoutError(msg)
+
+
+def _status_kb(name: str) -> int:
+    text = Path("/proc/self/status").read_text()
+    return int(text.split(f"{name}:")[1].split()[0])
+
+
+def main(name: str, folder: Path, seed: int, seconds: float) -> dict[str, object]:
+    """Spoil and read until the time is up or something fails."""
+    reader = READERS[name]
+    path = reader.make(folder)
+    sound = path.read_bytes()
+    if reader.sound:
+        reader.read(path)
+    size = _status_kb("VmSize") * 1024 + MEMORY_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (size, size))
+    signal.signal(signal.SIGALRM, _too_long)
+    rng = np.random.default_rng(seed)
+    peak_before_kb = _status_kb("VmHWM")
+    told: dict[str, object] = {"read": 0, "refused": 0, "failure": ""}
+    end_s = time.process_time() + seconds
+    while time.process_time() < end_s and not told["failure"]:
+        path.write_bytes(spoiled(sound, rng))
+        signal.alarm(PATIENCE_S)
+        try:
+            reader.read(path)
+            told["read"] += 1  # type: ignore[operator]
+        except TacgenError:
+            told["refused"] += 1  # type: ignore[operator]
+        except BaseException:
+            told["failure"] = traceback.format_exc()
+            (folder / "failure.bin").write_bytes(path.read_bytes())
+        signal.alarm(0)
+    told["extra_mb"] = (_status_kb("VmHWM") - peak_before_kb) / 1024
+    return told
+
+
+if __name__ == "__main__":
+    found = main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]))
+    sys.stdout.write(json.dumps(found) + "\n")
