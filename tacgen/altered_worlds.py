@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen.dataset.real_grasps import RealGrasps
+from tacgen.errors import DatasetError
 from tacgen.grasp_pipeline import recipe_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.randomize import with_friction, with_mass, with_scale
@@ -131,6 +133,25 @@ def altered_settings(settings: PhysicsSettings, alteration: Alteration) -> Physi
         height_offset_mm=settings.height_offset_mm + alteration.height_offset_mm,
         pad_stiffness_n_mm=1 / compliance if compliance > 0 else 0.0,
     )
+
+
+def check_forces(recipe: Recipe, real: RealGrasps) -> None:
+    """Refuse real grasps that the recipe's gripper could not be asked for.
+
+    Raises
+    ------
+    DatasetError
+        Listing each with its mend.
+    """
+    limit = recipe.robot.max_force_n
+    problems = [
+        f"{real.folder / 'grasps.csv'}: grasp {grasp.grasp_id!r} asks for {grasp.config.force_n:g} "
+        f"N, more than robot.max_force_n = {limit:g} of recipe {recipe.name!r}; raise it there"
+        for grasp in real.grasps
+        if grasp.config.force_n > limit
+    ]
+    if problems:
+        raise DatasetError.from_problems(problems)
 
 
 def simulate_altered(

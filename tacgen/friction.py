@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from tacgen.altered_worlds import Alteration, Outcome, place_of, simulate_altered
+from tacgen.altered_worlds import Alteration, Outcome, check_forces, place_of, simulate_altered
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.errors import RecipeError
 from tacgen.files import write_text
@@ -37,7 +37,13 @@ def sweep_friction(
     Returns
     -------
     The fit of every object by name, and every simulated outcome.
+
+    Raises
+    ------
+    DatasetError
+        If a real grasp asks for a force that the recipe's gripper cannot give.
     """
+    check_forces(recipe, real)
     outcomes = simulate_outcomes(recipe, real.grasps, mu_values, out, workers=workers, show=show)
     fits: dict[str, FrictionFit] = {}
     for number, (name, grasps) in enumerate(real.by_object().items()):
@@ -47,6 +53,25 @@ def sweep_friction(
         fits[name] = fit_friction(np.asarray(mu_values), labels, truth, rng)
     write_text(out / "friction.json", json.dumps(friction_json(fits), indent=2) + "\n")
     return fits, outcomes
+
+
+def doubts_about(
+    real: RealGrasps, outcomes: Mapping[Key, Outcome], mu_values: Sequence[float]
+) -> list[str]:
+    """What is doubtful about the data, grasps that cannot be simulated among it."""
+    never = [
+        grasp.grasp_id
+        for grasp in real.grasps
+        if all(outcomes[(grasp.grasp_id, mu)].label < 0 for mu in mu_values)
+    ]
+    doubts = list(real.warnings)
+    if never:
+        shown = ", ".join(repr(name) for name in never[:5]) + (", …" if len(never) > 5 else "")
+        doubts.append(
+            f"{len(never)} of {len(real.grasps)} grasps ({shown}) cannot be executed in the "
+            "simulated world and count as mislabels at every μ; mend their place or take them out"
+        )
+    return doubts
 
 
 def mu_range(text: str) -> tuple[float, ...]:

@@ -27,11 +27,12 @@ def write_friction_report(
     real: RealGrasps,
     outcomes: Mapping[Key, Outcome],
     fits: Mapping[str, FrictionFit],
+    doubts: Sequence[str] = (),
 ) -> None:
     """Write the HTML page: one section of pictures for each object."""
     sections: list[Section] = [_summary_table(fits)]
-    if real.warnings:
-        sections.append(text_section("Doubts about the data", *real.warnings))
+    if doubts:
+        sections.append(text_section("Doubts about the data", *doubts))
     for name, grasps in real.by_object().items():
         sections.append(
             figure_section(

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tacgen.altered_worlds import check_forces
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
-from tacgen.errors import DatasetError
 from tacgen.extended_recipe import extended_recipe, write_extended_recipe
 from tacgen.files import write_text
 from tacgen.grasp_images import force_from_images
@@ -58,7 +58,7 @@ def diagnose_grasps(
     DatasetError
         If a real grasp asks for a force that the recipe's gripper cannot give.
     """
-    _check_forces(recipe, real)
+    check_forces(recipe, real)
     configs = tuple(grasp.config for grasp in real.grasps)
     worlds = GraspWorlds(recipe, configs, out, workers, show)
     contest = worlds.contest()
@@ -183,18 +183,6 @@ def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, NDArray[np.float64]]:
     names = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
     found = {name: np.array([getattr(g.config, name) for g in grasps], float) for name in names}
     return found | {"order": np.arange(len(grasps), dtype=float)}
-
-
-def _check_forces(recipe: Recipe, real: RealGrasps) -> None:
-    limit = recipe.robot.max_force_n
-    problems = [
-        f"{real.folder / 'grasps.csv'}: grasp {grasp.grasp_id!r} asks for {grasp.config.force_n:g} "
-        f"N, more than robot.max_force_n = {limit:g} of recipe {recipe.name!r}; raise it there"
-        for grasp in real.grasps
-        if grasp.config.force_n > limit
-    ]
-    if problems:
-        raise DatasetError.from_problems(problems)
 
 
 def _notes(recipe: Recipe, real: RealGrasps, simulated: NDArray[np.int64]) -> list[str]:

@@ -19,7 +19,7 @@ from tacgen.altered_worlds import Alteration
 from tacgen.files import write_text
 from tacgen.grasp_diagnosis import choose_confirmed, refine
 from tacgen.grasp_worlds import DECLARED, GraspWorlds
-from tacgen.loop.grasp_contest import Labels, confusable
+from tacgen.loop.grasp_contest import Labels, choose, confusable
 from tacgen.loop.grasp_diagnosis import GraspDiagnosis, diagnose_labels
 from tacgen.loop.grasp_hypothesis import FAILED, NO_READING, SUCCESS
 from tacgen.objects_io import load_object
@@ -34,6 +34,7 @@ SETS: tuple[tuple[tuple[str, ...], int, int], ...] = (
     (("cup",), 40, 1),
     (("wood_block", "potted_meat_can"), 40, 1),
     (("rubiks_cube",), 24, 2),
+    (("sugar_box",), 24, 2),
 )
 """Objects, number of grasps and seed of each set of configurations."""
 WORLDS: dict[str, Alteration] = {
@@ -94,9 +95,12 @@ def planned_grasps(objects: Sequence[str], count: int, seed: int) -> tuple[Grasp
 
 
 def run_set(
-    objects: Sequence[str], count: int, seed: int, out: Path, workers: int
+    objects: Sequence[str], count: int, seed: int, out: Path, workers: int, *, quick: bool
 ) -> Iterator[Trial]:
-    """Every world on one set of configurations; simulations in ``out`` are kept."""
+    """Every world on one set of configurations; simulations in ``out`` are kept.
+
+    ``quick`` stops at the first name and does not simulate about its value.
+    """
     recipe = Recipe.model_validate({"name": "trust", "objects": list(objects)})
     configs = planned_grasps(objects, count, seed)
     folder = out / f"{'-'.join(objects)}_{count}_{seed}"
@@ -112,9 +116,12 @@ def run_set(
             success[rng.choice(count, round(flips * count), replace=False)] ^= True
             known = np.where(success, SUCCESS, FAILED)
             labels = Labels(known, np.zeros(count, bool), NO_READING)
-            current = refine(worlds, contest, labels)
-            steps, simulated = choose_confirmed(worlds, current, labels, rng)
-            found = diagnose_labels(current, labels, steps, simulated[0], {}, (), rng)
+            if quick:
+                current, steps = contest, choose(contest, labels, rng)[:1]
+            else:
+                current = refine(worlds, contest, labels)
+                steps, _ = choose_confirmed(worlds, current, labels, rng)
+            found = diagnose_labels(current, labels, steps, declared.astype(int), {}, (), rng)
             changed = int((truth != declared).sum())
             yield _trial(objects, name, flips, changed, found, float((success != truth).mean()))
 
@@ -172,10 +179,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Diagnoses of worlds altered on purpose.")
     parser.add_argument("--out", type=Path, default=Path("out/grasp_trust"))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--quick", action="store_true", help="Stop at the first name.")
+    parser.add_argument("--sets", type=int, default=len(SETS), help="Only the first so many.")
     arguments = parser.parse_args()
     trials: list[Trial] = []
-    for objects, count, seed in SETS:
-        for trial in run_set(objects, count, seed, arguments.out, arguments.workers):
+    for objects, count, seed in SETS[: arguments.sets]:
+        for trial in run_set(
+            objects, count, seed, arguments.out, arguments.workers, quick=arguments.quick
+        ):
             trials.append(trial)
             said = ", ".join(trial.named) or "sufficient"
             sys.stderr.write(f"{trial.objects} {trial.world} {trial.flips:g}: {said}\n")

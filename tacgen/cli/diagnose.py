@@ -30,22 +30,29 @@ def friction(
 ) -> None:
     """Find each object's friction: the μ whose simulated grasps end as the real ones did."""
     from tacgen.dataset.real_grasps import read_real_grasps
-    from tacgen.friction import friction_json, mu_range, sweep_friction, write_object_copies
+    from tacgen.friction import (
+        doubts_about,
+        friction_json,
+        mu_range,
+        sweep_friction,
+        write_object_copies,
+    )
     from tacgen.friction_report import verdict_of, write_friction_report
     from tacgen.recipe import load_recipe
     from tacgen.resources import object_folders
 
     loaded = load_recipe(recipe)
     grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
-    for warning in grasps.warnings:
-        typer.echo(f"warning: {warning}", err=True)
     from tacgen.progress import progress_counter
 
     with progress_counter("grasp") as show:
         fits, outcomes = sweep_friction(
             loaded, grasps, mu_range(mu), out, workers=workers, show=show
         )
-    write_friction_report(out / "report.html", grasps, outcomes, fits)
+    doubts = doubts_about(grasps, outcomes, mu_range(mu))
+    for doubt in doubts:
+        typer.echo(f"warning: {doubt}", err=True)
+    write_friction_report(out / "report.html", grasps, outcomes, fits, doubts)
     if write_objects:
         write_object_copies(fits, out / "objects")
     if json_output:
