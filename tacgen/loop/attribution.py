@@ -42,13 +42,16 @@ class Attribution:
     """What a channel's residual was traced to.
 
     ``base`` and ``final`` are fits to the trials that were given; ``chosen`` is in the order in
-    which the members were added; ``ranking`` lists the single candidates at the start.
+    which the members were added; ``ranking`` lists the single candidates at the start;
+    ``best_covariate`` is what no effect explains that would take most of what is left, and its
+    share of the held-out sum of squares, whether or not it stands out.
     """
 
     base: Ranked
     final: Ranked
     chosen: tuple[Chosen, ...]
     ranking: tuple[tuple[str, float, float], ...] = field(default=())
+    best_covariate: tuple[str, float] = ("", 0.0)
 
 
 class Tracer(Exchanger):
@@ -57,11 +60,12 @@ class Tracer(Exchanger):
     def run(self) -> Attribution:
         """Select forward by singles and pairs, then drop, swap and name the runners-up."""
         base = self.rank((), Model(self._rough_compliance()))
-        current, ranking = base, None
+        current, ranking, left = base, None, ("", 0.0)
         visited = {base.key}
         while len(current.members) < self.max_members:
             pool, losses = self._pool(current, new_waves=True)
             p_values = self._p_values(current, pool)
+            left = self._best_covariate(current, pool, losses)
             if ranking is None:
                 ranking = self._ranking(current, pool, p_values, losses)
             extended = self._extend(current, pool, p_values, losses)
@@ -72,7 +76,7 @@ class Tracer(Exchanger):
                 break
             visited.add(current.key)
         current = self._first_presses(self._bend_or_limit(self._prune(current)))
-        return Attribution(base, current, self._describe(current), ranking or ())
+        return Attribution(base, current, self._describe(current), ranking or (), left)
 
     def _extend(
         self,
@@ -85,17 +89,13 @@ class Tracer(Exchanger):
         order = np.argsort(losses.sum(axis=1))
         gains = current.loss - losses.sum(axis=1)
         n_names = len({candidate.name for candidate in pool})
-        significant = {
-            pool[i].name
-            for i, p_value in enumerate(p_values)
-            if p_value <= self.alpha
-            or self._is_clear(current, current.loss - gains[i], p_value / n_names)
-        }
-        singles = [
-            self.add(current, [pool[i]])
-            for i in best_of_each(pool, order, 2, gains)
-            if pool[i].name in significant
+        significant = [
+            i
+            for i in order
+            if p_values[i] <= self.alpha
+            or self._is_clear(current, current.loss - gains[i], p_values[i] / n_names)
         ]
+        singles = [self.add(current, [pool[i]]) for i in best_of_each(pool, significant, 2, gains)]
         singles = [s for s in singles if self._is_worth(current, s)]
         best_single = min(singles, key=self._score, default=None)
         if len(current.members) + 2 > self.max_members:
@@ -176,6 +176,15 @@ class Tracer(Exchanger):
                 break
             ranked = self._less(ranked, ranked.members[min(idle)[-1]])
         return ranked
+
+    def _best_covariate(
+        self, current: Ranked, pool: list[Candidate], losses: NDArray[np.float64]
+    ) -> tuple[str, float]:
+        """Name and share of the best candidate that is no effect."""
+        gains = (current.loss - losses.sum(axis=1)) / self._total(current)
+        found = [(float(g), c.name) for g, c in zip(gains, pool, strict=True) if not c.is_effect]
+        gain, name = max(found, default=(0.0, ""))
+        return name, gain
 
     def _ranking(
         self,

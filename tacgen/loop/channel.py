@@ -32,6 +32,8 @@ MIN_UNITS = 36
 MIN_TRIALS_AS_UNITS = 12
 MIN_TRIALS_AS_FOLDS = 4
 OUTLIER_SIGMAS = 7.0
+MAX_SPIKES = 0.12
+"""Share of samples that stick out of their neighbours beyond which it is the signal that jumps."""
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -224,7 +226,7 @@ def _spikes(
         windows = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
         distance = np.abs(part - np.median(windows, axis=-1)).max(axis=1)
         sticks[first:stop] = distance > OUTLIER_SIGMAS * noise[first:stop]
-    if sticks.mean() > 0.05:
+    if sticks.mean() > MAX_SPIKES:
         return np.zeros_like(sticks)
     return sticks
 

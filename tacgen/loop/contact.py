@@ -43,8 +43,8 @@ MIN_SHARE_LEFT = 0.04
 """Part of the held-out sum of squares, noise included, below which what is left is not named."""
 FORM_SHARE_LEFT = 0.06
 """Part of what the effects explain that may be left by their formula being a little different."""
-UNFIT, UNFIT_FORM = 1.0, 0.2
-"""Structure as large as the noise, and a fifth of what there was before, is no law that fits."""
+UNFIT, UNFIT_FORM = 1.0, 0.5
+"""Structure as large as the noise, and half of what there was before, is no law that fits."""
 FULL_FIT_ROWS = 250
 
 
@@ -107,9 +107,8 @@ def diagnose(
                 channels[channel] = _diagnose_channel(usable, channel, session_clock)
                 said += channel_notes(channels[channel])
     if "normal" not in channels:
-        msg = "the log has too few samples under load to fit V = k_n F_n: press harder or longer"
-        raise PressError(msg)
-    return Diagnosis(MappingProxyType(channels), _law_of(channels), tuple(said))
+        raise PressError.from_problems(said)
+    return Diagnosis(MappingProxyType(channels), _law_of(channels), tuple(dict.fromkeys(said)))
 
 
 def _diagnose_channel(columns: Columns, channel: Channel, session_clock: bool) -> ChannelDiagnosis:
@@ -154,6 +153,7 @@ def _diagnose_channel(columns: Columns, channel: Channel, session_clock: bool) -
         after=after,
         gain_interval=heldout.gain_interval(before, after, rng),
         floor=floor,
+        n_spikes=int((every.weight == 0).sum()),
         gp_rmse=gp,
         n_fit=n_fit,
         n_test=n_test,
@@ -180,14 +180,15 @@ def _test_errors(
     fits: tuple[Fit, Fit],
     scale: float,
 ) -> tuple[Errors, Errors]:
-    """Errors of the law alone on whole test trials, before and after."""
+    """Errors of the law alone on whole test trials, before and after; spikes do not count."""
     data = channel_data(fit_columns, channel)
     test = channel_data(test_columns, channel, rows_per_trial=WHOLE)
     found = []
     for fit in fits:
         model = without_noise_bias(data, fit).model
         residual = test.target - model.law_response(test)
-        found.append(heldout.errors(residual, test.history.trial, scale))
+        kept = test.weight > 0
+        found.append(heldout.errors(residual[kept], test.history.trial[kept], scale))
     return found[0], found[1]
 
 
@@ -240,6 +241,9 @@ def _unexplained(
         found.append(max(left, key=lambda d: d.share))
     if not found and structure and _is_far_from_noise(attribution, data):
         found.append(max(structure, key=lambda d: d.share))
+        name, share = attribution.best_covariate
+        if share > found[0].share:
+            found[0] = next((d for d in structure if d.covariate == name), found[0])
     return tuple(found)
 
 
@@ -303,9 +307,20 @@ def _usable_columns(
     load = kept["force_normal_n"] if channel == "normal" else kept["force_shear_x_n"]
     if load.size < 12 or not np.any(load != 0):
         return None, f"{channel} channel: not diagnosed, fewer than 12 samples under load"
+    if _response(kept, channel) <= 0:
+        signs = "volume_mm3" if channel == "normal" else "shear_x_mm, shear_y_mm"
+        words = f"{signs} falls as the force grows; check the signs of both"
+        return None, f"{channel} channel: not diagnosed, {words}"
     dropped = int((~known).sum())
     words = f"{channel} channel: {dropped} rows without a finite value left out" if dropped else ""
     return kept, words
+
+
+def _response(columns: Columns, channel: Channel) -> float:
+    """Sum of products of load and response: its sign is the compliance's."""
+    forces = ("force_normal_n",) if channel == "normal" else ("force_shear_x_n", "force_shear_y_n")
+    pairs = zip(forces, TARGETS[channel], strict=True)
+    return float(sum(np.nansum(columns[force] * columns[name]) for force, name in pairs))
 
 
 def _scale(columns: Columns, channel: Channel) -> float:

@@ -37,6 +37,7 @@ class ChannelDiagnosis:
     after: Errors
     gain_interval: tuple[float, float]
     floor: float
+    n_spikes: int
     gp_rmse: float
     n_fit: int
     n_test: int

@@ -21,7 +21,7 @@ def log_notes(log: PressLog) -> list[str]:
 def channel_notes(found: ChannelDiagnosis) -> list[str]:
     """What can not be said of a channel, and why."""
     name = found.data.channel
-    return [*_column_notes(found), *_few_trials_notes(found, name)]
+    return [*_column_notes(found), *_few_trials_notes(found, name), *_spike_notes(found, name)]
 
 
 def _column_notes(found: ChannelDiagnosis) -> list[str]:
@@ -47,6 +47,15 @@ def _column_notes(found: ChannelDiagnosis) -> list[str]:
                 "another reading of the press, not for a condition that may change the law"
             )
     return notes + _equal_columns(data)
+
+
+def _spike_notes(found: ChannelDiagnosis, name: str) -> list[str]:
+    if not found.n_spikes:
+        return []
+    return [
+        f"{name} channel: {found.n_spikes} samples stick out of their neighbours by more than "
+        "seven times the noise; neither the fit nor the errors count them"
+    ]
 
 
 def _equal_columns(data: ChannelData) -> list[str]:

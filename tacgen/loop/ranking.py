@@ -25,6 +25,8 @@ noise is not worth a parameter, and below it the noise of the force is no longer
 FEW_ALPHA, FEW_MIN_GAIN = 0.05, 0.2
 """With too few trials to shuffle: parts of trials are not independent, so that p-values say
 little, and only what takes a fifth of the sum of squares from parts left out is believed."""
+PARAMETER_PRICE = 0.002
+"""Share of the held-out sum of squares by which a form with one parameter more must be better."""
 N_SHUFFLES = 1999
 N_WAVE_SHUFFLES = 40
 N_FOLDS = 10
@@ -224,9 +226,11 @@ class Ranker:
         return gain > self.min_gain * self._total(larger) and gain > error
 
     def _score(self, ranked: Ranked) -> float:
-        """Loss for comparing rivals: a covariate must beat an effect by what is worth one."""
+        """Loss for comparing rivals: a covariate, and a further parameter, must pay for itself."""
         n_covariates = sum(not member.is_effect for member in ranked.members)
-        return ranked.loss + MIN_GAIN * n_covariates * self._total(ranked)
+        n_parameters = sum(member.n_parameters for member in ranked.members)
+        price = MIN_GAIN * n_covariates + PARAMETER_PRICE * n_parameters
+        return ranked.loss + price * self._total(ranked)
 
     def _total(self, ranked: Ranked) -> float:
         """Held-out sum of squares, the noise included."""

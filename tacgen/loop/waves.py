@@ -51,17 +51,18 @@ def search_clock(data: ChannelData) -> _Clock:
     few = data.history.n_trials < MIN_TRIALS_AS_UNITS
     slowest = trial_duration_s(data) if few else session
     first = int(np.ceil(MIN_CYCLES * n_points * tick / slowest))
-    stop = max(n_points // POINTS_PER_PERIOD, first + 1)
-    return _Clock(ticks, tick, n_points, first, stop)
+    return _Clock(ticks, tick, n_points, first, n_points // POINTS_PER_PERIOD)
 
 
 def find_waves(data: ChannelData, fit: Fit, signs: NDArray[np.float64]) -> list[Nuisance]:
     """The best frequency for an oscillation of the compliance, and for an added one.
 
     ``signs`` (F, n_units) flip the residual of whole units; how high the highest of all peaks
-    then is says by how much the best one must stand out.
+    then is says by how much the best one must stand out. None where the clock is too coarse.
     """
     clock = search_clock(data)
+    if clock.first >= clock.stop:
+        return []
     time = data.history.time_s
     start = float(time.min())
     response = fit.model.law_response(data)
