@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -78,6 +79,11 @@ def batch(
     from tacgen import cluster
     from tacgen.recipe import cluster_section
 
+    cluster.require_command(command)
+    commands: Any = typer.main.get_command(app)
+    # Wrong options end here, as they do when the command itself is called.
+    context = commands.commands[command[0]].make_context(command[0], list(command[1:]))
+    out = Path(context.params["out"])
     asked = cluster_section(
         time_min=time_min,
         mem_gb=mem_gb,
@@ -86,16 +92,20 @@ def batch(
         account=account,
         sbatch={"gpus": gpus} if gpus else None,
     )
-    submitted = cluster.submit_command(command, executor, asked)
+    submitted = cluster.submit_command(command, out, _run_command, executor, asked)
     print_record(
         {"folder": submitted.folder, "executor": executor, "job": submitted.jobs[0]}, json_output
     )
     if wait:
-        out = Path(submitted.folder).parents[1]
         jobs = cluster.wait_for_command(out)
         typer.echo(cluster.jobs_text(out, jobs), err=True)
         if jobs[-1].state != "done":
             raise typer.Exit(1)
+
+
+def _run_command(words: Sequence[str]) -> None:
+    """What a job does: the command, its errors left to the job's record."""
+    app(list(words), standalone_mode=False)
 
 
 @app.command(rich_help_panel="Datasets")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from tacgen.cluster.ledger import JobsFolder, note_path
 from tacgen.cluster.states import TaskState, job_states
@@ -21,10 +20,17 @@ _ALIVE = ("queued", "running", "unknown")
 _POLL_S = 1.0
 
 
-def submit_command(command: Sequence[str], executor: str, cluster: Cluster) -> Submitted:
+def submit_command(
+    command: Sequence[str],
+    out: Path,
+    run: Callable[[Sequence[str]], None],
+    executor: str,
+    cluster: Cluster,
+) -> Submitted:
     """Submit a command, as typed after ``tacgen``, as one job that is requeued and resumed.
 
-    Its record and logs go to ``jobs/`` in the folder that the command's ``--out`` names.
+    ``out`` is the folder that it writes to, where the job's record and logs go too, in ``jobs/``;
+    ``run`` runs the command.
 
     Raises
     ------
@@ -32,14 +38,14 @@ def submit_command(command: Sequence[str], executor: str, cluster: Cluster) -> S
         If the command is none that resumes, a job of its folder still lives, or the scheduler is
         missing or refuses.
     """
-    out = _out_of(command)
+    require_command(command)
     require_executor(executor)
     alive = [task.job_id for task in job_states(out) if task.state in _ALIVE]
     if alive:
         msg = f"{out}: job {', '.join(alive)} still lives; wait for it (`tacgen status {out}`)"
         raise ClusterError(msg)
     folder = JobsFolder(out.resolve()).create()
-    task = CommandTask(tuple(command), Path.cwd(), note_path(folder, 0))
+    task = CommandTask(tuple(command), run, Path.cwd(), note_path(folder, 0))
     jobs = hand_over([task], folder, Target(executor, cluster, command[0], 1))
     return Submitted(str(folder), executor, 0, jobs, 1)
 
@@ -53,19 +59,11 @@ def wait_for_command(out: Path) -> tuple[TaskState, ...]:
     return tasks
 
 
-def _out_of(command: Sequence[str]) -> Path:
-    """The folder that the command writes to, once all of its options are known to be right."""
-    import typer
-
-    from tacgen.cli.app import app
-
+def require_command(command: Sequence[str]) -> None:
+    """Raise a ``ClusterError`` unless this command can be one job."""
     if not command or command[0] not in COMMANDS:
         msg = (
             f"`{' '.join(command)}`: give {' or '.join(COMMANDS)} and its options after `--`; "
             "a dataset's recipe goes to `tacgen submit`"
         )
         raise ClusterError(msg)
-    group: Any = typer.main.get_command(app)
-    # Wrong options end here, as they do when the command itself is called.
-    context = group.commands[command[0]].make_context(command[0], list(command[1:]))
-    return Path(context.params["out"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,20 +40,22 @@ class CollectTask:
 
 @dataclass(frozen=True, slots=True)
 class CommandTask:
-    """Runs a command of tacgen that goes on where it stopped, as ``train`` and ``friction`` do."""
+    """Runs a command of tacgen that goes on where it stopped, as ``train`` and ``friction`` do.
+
+    ``run`` is what takes the words of a command, as typed after ``tacgen``, and runs it.
+    """
 
     command: tuple[str, ...]
+    run: Callable[[Sequence[str]], None]
     folder: Path
     note: Path
     shards: tuple[int, ...] = ()
 
     def __call__(self) -> None:
         """Run the command as if typed in ``folder``; what it prints goes to the job's log."""
-        from tacgen.cli import app
-
         os.chdir(self.folder)
         with _noted(self.note):
-            app(list(self.command), standalone_mode=False)
+            self.run(self.command)
 
     def checkpoint(self) -> Any:
         """What submitit queues instead of this task when it is preempted: the same again."""

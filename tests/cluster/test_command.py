@@ -69,7 +69,7 @@ def test_a_second_job_for_the_same_folder_is_refused_while_the_first_lives(tmp_p
     live = {"77": ("queued", "Priority")}
     monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: live)
     with pytest.raises(ClusterError, match=r"job 77 still lives.*tacgen status"):
-        cluster.submit_command(command, "local", Cluster())
+        cluster.submit_command(command, tmp_path, print, "local", Cluster())
     text = cluster.jobs_text(tmp_path, cluster.job_states(tmp_path))
     assert "1 job\n" in text
     assert "job 77 queued: Priority" in text
