@@ -24,11 +24,14 @@ from tacgen.calibration.press_log import read_press_log
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.errors import PressError
 from tacgen.files import atomic_path, sha256_of
-from tacgen.optics.table import load_table
+from tacgen.optics.table import LookupTable, load_table
 from tacgen.records import Estimate
 
 if TYPE_CHECKING:
     from tacgen.calibration.press_forces import MeasuredLog
+
+MIN_FOR_OWN_TABLE = 10
+"""Pictures that a table has to be fitted to before volumes by it are better than by the circle."""
 
 CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
 
@@ -107,10 +110,28 @@ def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, 
                 f"{images.background.shape[0]}; use the table of this sensor and camera setting"
             )
             raise PressError(msg)
-    found = measure_presses(images, lookup)
+    own = _table_of(folder) if lookup is None else None
+    found = measure_presses(images, lookup or own)
+    if own is not None:
+        said = (
+            f"{folder}: no --table given; volumes are by one fitted to these same pictures of balls"
+        )
+        found = replace(found, method="own table", warnings=(said, *found.warnings))
     with atomic_path(log) as partial:
         found.frame.to_csv(partial, index=False)
     return log, found
+
+
+def _table_of(folder: Path) -> LookupTable | None:
+    """A table fitted to the pictures of balls of known radius; None where they are too few."""
+    from tacgen.calibration.lookup import fit_lookup
+    from tacgen.calibration.press_doubts import usable_presses
+    from tacgen.calibration.press_folder import read_presses
+
+    try:
+        return fit_lookup(usable_presses(read_presses(folder), least=MIN_FOR_OWN_TABLE))
+    except PressError:
+        return None
 
 
 def result_text(result: ContactCalibration, *, json_output: bool) -> str:

@@ -146,9 +146,9 @@ def test_the_command_takes_a_folder(folder):
         app, ["calibrate", "contact", str(folder / "presses"), "--out", str(out)]
     )
     assert result.exit_code == 0, result.output
-    assert "volumes are from contact circles" in result.stderr
+    assert "by one fitted to these same pictures" in result.stderr
     law = load_law(out)
-    assert law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.15), "six presses, 10 % each"
+    assert law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.05), "two balls, twelve pictures"
     assert law.k_s_mm_per_n.value == pytest.approx(K_S, rel=0.05)
     assert law.marker_pitch_mm == 2.0
     assert len(pd.read_csv(out.with_suffix(".csv"))) == 12
