@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli import app
 from tacgen.contact.law import load_law
+from tacgen.errors import PressError
 from tacgen.loop.contact import diagnose
 from tacgen.loop.diagnosis import diagnosis_record
 from tacgen.loop.trust_cases import blank_log, make_case
@@ -142,3 +143,36 @@ def test_rows_without_shear_do_not_stop_the_shear_channel():
     diagnosis = diagnose(columns)
     assert diagnosis.channels["shear"].data.history.n_trials == 38
     assert any("rows without a finite value" in note for note in diagnosis.notes)
+
+
+def test_forces_of_the_wrong_sign_are_said_and_not_fitted():
+    columns, _ = case([], n_trials=10, n_samples=40)
+    turned = few_columns(columns) | {"volume_mm3": -columns["volume_mm3"]}
+    with pytest.raises(PressError, match="falls as the force grows; check the signs"):
+        diagnose(turned)
+    against = columns | {f"shear_{axis}_mm": -columns[f"shear_{axis}_mm"] for axis in "xy"}
+    diagnosis = diagnose(against)
+    assert list(diagnosis.channels) == ["normal"]
+    assert any("shear channel: not diagnosed" in note for note in diagnosis.notes)
+
+
+def test_a_p_value_is_no_less_than_so_few_trials_allow():
+    columns, _ = case([("normal", "latency", 0)], strength=3.0)
+    four = {name: values[columns["trial"] < 4] for name, values in few_columns(columns).items()}
+    found = diagnosis_record(diagnose(four))["channels"]["normal"]
+    values = [entry["p_value"] for entry in (*found["effects"], *found["ranking"])]
+    assert values
+    assert min(values) >= 0.5**3
+
+
+def test_samples_that_stick_out_spoil_neither_the_fit_nor_the_errors():
+    columns, noise = case([])
+    log = few_columns(columns)
+    struck = np.random.default_rng(5).choice(log["trial"].size, 60, replace=False)
+    log["volume_mm3"] = log["volume_mm3"].copy()
+    log["volume_mm3"][struck] += 40.0 * noise["normal"]
+    diagnosis = diagnose(log)
+    found = diagnosis.channels["normal"]
+    assert found.verdict == "sufficient"
+    assert found.after.rmse < 1.1 * noise["normal"]
+    assert any("stick out" in note for note in diagnosis.notes)

@@ -5,6 +5,7 @@ import pytest
 
 from tacgen.loop import scores
 from tacgen.loop.channel import channel_data
+from tacgen.loop.residuals import noise_floor
 
 N_TRIALS, N_SAMPLES = 40, 40
 
@@ -89,3 +90,36 @@ def test_groups_of_different_size_are_scored_as_they_are_alone():
     both = scores.losses_of_groups(grams, folds, [0], [[1], [1, 2]])
     np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]])[0])
     np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]])[0])
+
+
+def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
+    without = np.array([3.0, 2.0, 1.0])
+    losses = np.array([[1.0, 0.5, -0.2], [-60.0, -50.0, 3.0], [np.nan, 1.0, 1.0]])
+    kept = scores.believable(losses, without, 10.0)
+    np.testing.assert_array_equal(kept, [losses[0], without, without])
+
+
+def test_a_column_that_acts_in_one_unit_says_nothing_without_it():
+    _, grams, _ = grams_of(log(np.random.default_rng(6)))
+    alone = grams.copy()
+    alone[1:, 1, :], alone[1:, :, 1] = 1e-9 * grams[1:, 1, :], 1e-9 * grams[1:, :, 1]
+    folds = np.arange(N_TRIALS) % 5
+    with_it = scores.cv_losses(alone, folds, [[0, 1]])[0]
+    without = scores.cv_losses(alone, folds, [[0]])[0]
+    assert with_it[0] == pytest.approx(without[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.4, 0.6])
+def test_the_noise_floor_sees_noise_that_goes_on_and_not_what_a_law_leaves(memory):
+    rng = np.random.default_rng(8)
+    parts = []
+    for _ in range(40):
+        white, slow = rng.standard_normal((2, 120))
+        for i in range(1, 120):
+            slow[i] = memory * slow[i - 1] + np.sqrt(1 - memory**2) * slow[i]
+        parts.append(np.sqrt(0.6) * white + np.sqrt(0.4) * slow)
+    noise = np.concatenate(parts)[:, None]
+    starts = np.arange(0, 4801, 120)
+    assert noise_floor(noise, starts) == pytest.approx(1.0, rel=0.06)
+    left = noise + 6.0 * np.sin(2 * np.pi * np.arange(4800) / 60)[:, None]
+    assert noise_floor(left, starts) < 1.25
