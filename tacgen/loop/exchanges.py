@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.loop.candidates import Candidate
-from tacgen.loop.model import Term
+from tacgen.loop.model import Term, session_trials
 from tacgen.loop.ranking import (
     EFFECT_SLACK,
     LIMIT_EXPONENT,
@@ -109,7 +109,7 @@ class Exchanger(Ranker):
         if not fits:
             return ranked
         early = min(fits, key=lambda r: r.loss)
-        over = _term(early, "conditioning").values["trials"] < 0.12 * self.data.history.n_trials
+        over = _term(early, "conditioning").values["trials"] < 0.12 * session_trials(self.data)
         turns = _turns_back(_term(ranked, "drift"))
         lead = lead_in_se(ranked, early)
         return early if (over and lead < 1.0) or (turns and lead < TIE_IN_SE) else ranked

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -328,7 +327,7 @@ def _bounds_of(term: Term, name: str, data: ChannelData) -> tuple[float, float]:
         span = term.values["span_n"]
         low, high = 0.01 * span, 1.2 * span
     if name == "trials":
-        high = min(high, max(5.0, 0.22 * data.history.n_trials))
+        high = min(high, max(5.0, 0.22 * session_trials(data)))
     if name in ("delay_s", "lag_s"):
         reach = max(0.2 * trial_duration_s(data), 4 * data.history.sample_period_s)
         low, high = max(low, -reach), min(high, reach)
@@ -341,6 +340,6 @@ def trial_duration_s(data: ChannelData) -> float:
     return max(float(np.median(ends)), data.history.sample_period_s)
 
 
-def values_of(model: Model) -> dict[str, dict[str, Any]]:
-    """Effect → its free parameters' values, to show."""
-    return {t.name: {name: t.values[name] for name in t.variant.free} for t in model.terms}
+def session_trials(data: ChannelData) -> float:
+    """Trials of the session by their numbers, those that are held out included."""
+    return float(np.ptp(data.history.trial)) + 1.0
