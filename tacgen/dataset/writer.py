@@ -25,6 +25,8 @@ from tacgen.files import sha256_of
 LIBRARY_VERSION = ("v110", "v110")
 LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "pybullet", "h5py", "hdf5plugin")
 
+HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 32015, Zstandard)."
+
 
 def library_versions() -> dict[str, str]:
     """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
@@ -174,6 +176,7 @@ def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> Non
         "recipe_sha256": spec.recipe_sha256,
         "sensor": spec.sensor.name,
         "pads": ",".join(spec.pads),
+        "how_to_read": HOW_TO_READ,
     }
     for name, text in texts.items():
         file.attrs[name] = np.bytes_(text.encode())
