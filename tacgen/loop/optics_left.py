@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.loop.optics_contest import Entry, gain_p_value
+from tacgen.loop.optics_contest import Entry, gain_p_value, typical_rmse
 from tacgen.loop.optics_model import geometry_of, render
 from tacgen.loop.optics_pixels import PressPixels
 
@@ -74,7 +74,7 @@ def left_over(
         rest = entry.errors - predict()
         squares = pixels.mean_by_press((rest**2).mean(axis=1))
         p_value = gain_p_value(entry.squares, squares)
-        gain = entry.rmse - float(np.sqrt(squares.mean()))
+        gain = entry.rmse - typical_rmse(squares)
         if p_value <= FALSE_ALARM / len(tests) and gain >= LEAST_GAIN * entry.rmse:
             found.append(Dependence(name, p_value, gain))
     return sorted(found, key=lambda dependence: -dependence.gain_grey)
