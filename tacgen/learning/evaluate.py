@@ -169,11 +169,15 @@ def _batches(
         if spec.kind == "single":
             several = sum(source.frame_count(int(row)) > 1 for row in rows)
             if several:
+                which = (
+                    "first one at 95 % of the largest change from the gel at rest"
+                    if spec.grasp_fraction is None
+                    else f"one {spec.grasp_fraction:.0%} through, as in the training data,"
+                )
                 _note(
                     notes,
-                    f"{source.folder}: of grasps with several images the one "
-                    f"{spec.grasp_fraction:.0%} through is taken as the moment of grasp, as in the "
-                    "training data",
+                    f"{source.folder}: of grasps with several images the {which} is taken as the "
+                    "moment of grasp",
                 )
     inputs = DecodedInputs(source, rows, spec, recipe.input.cache_mb)
     labels = source.table.label[rows]

@@ -32,8 +32,9 @@ class InputSpec:
         Whether the image of the undeformed gel is taken off.
     source_shape_px : (height, width)
         Size of the sensor's images; others are refused.
-    grasp_fraction : float
-        Moment of grasp as a part of the sequence, for grasps that do not say it.
+    grasp_fraction : float or None
+        Moment of grasp as a part of the sequence, for grasps that do not say it; None where the
+        training data has single images and so cannot tell it.
     mean, std : (3,) floats, grey levels
         Of the training images, by channel; the input is (image − mean) / std.
     """
@@ -43,7 +44,7 @@ class InputSpec:
     n_frames: int
     image: Literal["difference", "raw"]
     source_shape_px: tuple[int, int]
-    grasp_fraction: float = 0.0
+    grasp_fraction: float | None = 0.0
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
@@ -52,7 +53,7 @@ def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[i
     """Which of a grasp's images are looked at; ``grasp_frame`` may be unknown."""
     if spec.kind == "single":
         if grasp_frame == FRAME_UNKNOWN:
-            grasp_frame = round(spec.grasp_fraction * (n_available - 1))
+            grasp_frame = round((spec.grasp_fraction or 0.0) * (n_available - 1))
         return [min(grasp_frame, n_available - 1)]
     count = min(spec.n_frames, n_available)
     return [int(frame) for frame in np.round(np.linspace(0, n_available - 1, count))]
@@ -96,8 +97,28 @@ def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.u
 
 def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
     """The frames of one grasp at the network's size, (T, h, w, 3)."""
-    frames = chosen_frames(spec, source.frame_count(row), int(source.table.grasp_frame[row]))
-    return resized(source.frames(row, frames), spec.size_px)
+    count, grasp_frame = source.frame_count(row), int(source.table.grasp_frame[row])
+    if must_find_moment(spec, count, grasp_frame):
+        frames = resized(source.frames(row, range(count)), spec.size_px)
+        reference = source.reference()
+        rest = frames[0] if reference is None else resized(reference[None], spec.size_px)[0]
+        return frames[[pressed_frame(frames, rest)]]
+    return resized(source.frames(row, chosen_frames(spec, count, grasp_frame)), spec.size_px)
+
+
+def must_find_moment(spec: InputSpec, n_available: int, grasp_frame: int) -> bool:
+    """Whether only a sequence's images can tell which one is the moment of grasp."""
+    unknown = grasp_frame == FRAME_UNKNOWN and spec.grasp_fraction is None
+    return spec.kind == "single" and n_available > 1 and unknown
+
+
+def pressed_frame(frames: NDArray[np.uint8], rest: NDArray[np.uint8]) -> int:
+    """The first of the frames (T, h, w, 3) that differs from ``rest`` by 95 % of the most.
+
+    The simulation takes the first frame at 95 % of the largest force for the moment of grasp.
+    """
+    change = np.abs(frames.astype(np.float32) - rest.astype(np.float32)).mean(axis=(1, 2, 3))
+    return int(np.argmax(change >= 0.95 * change.max()))
 
 
 def to_network(

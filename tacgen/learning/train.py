@@ -119,7 +119,7 @@ def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
         n_frames=min(wanted, source.n_frames) if sequence else 1,
         image=recipe.input.image,
         source_shape_px=source.shape_px,
-        grasp_fraction=float(np.median(table.grasp_frame)) / last,
+        grasp_fraction=float(np.median(table.grasp_frame)) / last if source.n_frames > 1 else None,
     )
 
 

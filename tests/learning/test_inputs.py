@@ -12,13 +12,16 @@ from tacgen.learning.inputs import (
     InputSpec,
     augmented,
     chosen_frames,
+    pressed_frame,
+    read_input,
     resized,
     to_network,
     with_normalisation,
 )
 from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.real_grasps import RealGraspImages
 from tacgen.learning.recipe import Augmentation
-from tests.learning.conftest import REFERENCE, SENSOR
+from tests.learning.conftest import REFERENCE, SENSOR, write_real
 
 SINGLE = InputSpec("single", (24, 32), 1, "difference", SENSOR.shape_px)
 SEQUENCE = replace(SINGLE, kind="sequence", n_frames=3)
@@ -28,6 +31,22 @@ def test_a_single_image_is_that_of_the_moment_of_grasp():
     assert chosen_frames(SINGLE, 24, 7) == [7]
     assert chosen_frames(replace(SINGLE, grasp_fraction=0.5), 25, -1) == [12]
     assert chosen_frames(replace(SINGLE, grasp_fraction=0.5), 1, -1) == [0]
+
+
+def test_a_sequence_shows_by_itself_when_it_is_grasped():
+    """Rest, closing, grasped, then a slip that changes a little more, then let go."""
+    rest = np.full((6, 8, 3), 100, np.uint8)
+    frames = np.stack([np.full_like(rest, level) for level in (100, 104, 120, 121, 100)])
+    assert pressed_frame(frames, rest) == 2
+    assert pressed_frame(frames[:1], rest) == 0
+
+
+@pytest.mark.parametrize("background", [True, False])
+def test_networks_of_single_images_find_the_moment_in_sequences(tmp_path, background):
+    """The training data has no sequence that could tell it."""
+    real = RealGraspImages(write_real(tmp_path / "real", n_frames=3, background=background))
+    found = read_input(real, 1, replace(SINGLE, grasp_fraction=None, size_px=SENSOR.shape_px))
+    assert (found == real.frames(1, [2])).all()
 
 
 def test_a_sequence_is_spread_over_all_frames_from_first_to_last():
