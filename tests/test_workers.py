@@ -6,6 +6,8 @@ import signal
 import time
 from pathlib import Path
 
+import cv2
+import numba
 import pytest
 
 from tacgen import workers
@@ -141,3 +143,26 @@ def test_leaving_early_ends_every_process(tmp_path):
     events.close()
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+
+
+class Surroundings:
+    """A job that tells what its process was given."""
+
+    @contextlib.contextmanager
+    def __call__(self):
+        yield lambda _task, _crashed, _report: (
+            os.environ["OMP_NUM_THREADS"],
+            os.environ.get("TACGEN_TOLD"),
+            cv2.getNumThreads(),
+            numba.get_num_threads(),
+        )
+
+
+def test_a_worker_has_todays_environment_and_one_thread_a_library(tmp_path, monkeypatch):
+    """Though the process that it is a copy of started earlier, and this one may use four."""
+    results(tmp_path, {})
+    monkeypatch.setenv("OMP_NUM_THREADS", "4")
+    monkeypatch.setenv("TACGEN_TOLD", "now")
+    events = list(run_tasks(range(1), Surroundings(), workers=1, item_limit_s=20.0))
+    assert [event.value for event in events] == [("1", "now", 1, 1)]
+    assert os.environ["OMP_NUM_THREADS"] == "4"

@@ -116,7 +116,7 @@ def collect(
     """Simulate a recipe's grasps and write them as a dataset; goes on where it stopped."""
     from tacgen.processes import start_early
 
-    if not dry_run:
+    if not (dry_run or _looks_whole(out)):
         start_early("tacgen.collect")
     from tacgen.collect import collect as run
     from tacgen.collect import describe, shards_to_repair
@@ -143,3 +143,12 @@ def collect(
         progress=not json_output,
     )
     print_record(result.summary(), json_output)
+
+
+def _looks_whole(out: Path) -> bool:
+    """Whether it seems that no worker will be needed; a guess that only saves time."""
+    try:
+        plan = json.loads((out / "dataset.json").read_text(encoding="utf-8"))
+        return len(list(out.glob("shards/shard-*.json"))) >= plan["n_shards"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return False
