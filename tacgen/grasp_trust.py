@@ -33,7 +33,7 @@ SETS: tuple[tuple[tuple[str, ...], int, int], ...] = (
     (("tomato_soup_can",), 40, 1),
     (("cup",), 40, 1),
     (("wood_block", "potted_meat_can"), 40, 1),
-    (("rubiks_cube",), 24, 2),
+    (("rubiks_cube",), 40, 1),
     (("sugar_box",), 24, 2),
 )
 """Objects, number of grasps and seed of each set of configurations."""
