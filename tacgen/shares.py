@@ -29,6 +29,9 @@ def parse_share(text: str, environment: Mapping[str, str]) -> tuple[int, int, st
         msg = f"--shard {text}: give I/N with I from 0 to N − 1, or auto"
         raise DatasetError(msg)
     part, parts = int(part_text), int(parts_text)
+    if parts == 0:
+        msg = f"--shard {text}: there is at least one part; give I/N with I from 0 to N − 1"
+        raise DatasetError(msg)
     if part >= parts:
         msg = f"--shard {text}: I counts from 0, so it is at most {parts - 1} here"
         raise DatasetError(msg)
@@ -37,28 +40,46 @@ def parse_share(text: str, environment: Mapping[str, str]) -> tuple[int, int, st
 
 def _share_of_the_job(environment: Mapping[str, str]) -> tuple[int, int, str]:
     if "SLURM_ARRAY_TASK_ID" in environment:
-        first = int(environment.get("SLURM_ARRAY_TASK_MIN", "0"))
-        step = max(1, int(environment.get("SLURM_ARRAY_TASK_STEP", "1")))
-        part = (int(environment["SLURM_ARRAY_TASK_ID"]) - first) // step
-        parts = int(environment["SLURM_ARRAY_TASK_COUNT"])
-        if part >= parts:
+        task = _number(environment, "SLURM_ARRAY_TASK_ID")
+        first = _number(environment, "SLURM_ARRAY_TASK_MIN", 0)
+        step = max(1, _number(environment, "SLURM_ARRAY_TASK_STEP", 1))
+        parts = _number(environment, "SLURM_ARRAY_TASK_COUNT")
+        part = (task - first) // step
+        if not 0 <= part < parts:
             msg = (
-                f"--shard auto: task {environment['SLURM_ARRAY_TASK_ID']} of a Slurm array with "
-                "gaps has no place by itself; give --shard I/N, or submit the array without gaps"
+                f"--shard auto: task {task} of a Slurm array with gaps has no place by itself "
+                f"among {parts} from {first} on; give --shard I/N, or submit the array without gaps"
             )
             raise DatasetError(msg)
         return part, parts, "SLURM_ARRAY_TASK_ID"
     if "JOB_COMPLETION_INDEX" in environment:
-        completions = environment.get("JOB_COMPLETIONS")
-        if completions is None:
+        if "JOB_COMPLETIONS" not in environment:
             msg = (
                 "--shard auto: JOB_COMPLETION_INDEX is set, but not how many there are; "
                 "set JOB_COMPLETIONS to the job's `completions`"
             )
             raise DatasetError(msg)
-        return int(environment["JOB_COMPLETION_INDEX"]), int(completions), "JOB_COMPLETION_INDEX"
+        part = _number(environment, "JOB_COMPLETION_INDEX")
+        parts = _number(environment, "JOB_COMPLETIONS")
+        if not 0 <= part < parts:
+            msg = (
+                f"--shard auto: JOB_COMPLETION_INDEX is {part}, but JOB_COMPLETIONS {parts}; "
+                "set JOB_COMPLETIONS to the job's `completions`"
+            )
+            raise DatasetError(msg)
+        return part, parts, "JOB_COMPLETION_INDEX"
     msg = (
         "--shard auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is set; "
         "give --shard I/N"
     )
     raise DatasetError(msg)
+
+
+def _number(environment: Mapping[str, str], name: str, default: int | None = None) -> int:
+    text = environment.get(name)
+    if text is None and default is not None:
+        return default
+    if text is None or not (text.isascii() and text.strip().isdecimal()):
+        msg = f"--shard auto: {name} is {text!r}, not a whole number; give --shard I/N"
+        raise DatasetError(msg)
+    return int(text)

@@ -60,3 +60,18 @@ def test_a_kubernetes_indexed_job_needs_its_completions():
 def test_auto_outside_a_job_says_what_to_give():
     with pytest.raises(DatasetError, match="give --shard I/N"):
         parse_share("auto", {})
+
+
+@pytest.mark.parametrize(
+    ("environment", "words"),
+    [
+        ({"SLURM_ARRAY_TASK_ID": "x"}, "SLURM_ARRAY_TASK_ID is 'x', not a whole number"),
+        ({"SLURM_ARRAY_TASK_ID": "1"}, "SLURM_ARRAY_TASK_COUNT is None"),
+        (slurm(1, 2, 5), "task 1 of a Slurm array with gaps"),
+        ({"JOB_COMPLETION_INDEX": "4", "JOB_COMPLETIONS": "4"}, "is 4, but JOB_COMPLETIONS 4"),
+        ({"JOB_COMPLETION_INDEX": "1", "JOB_COMPLETIONS": ""}, "JOB_COMPLETIONS is ''"),
+    ],
+)
+def test_a_place_that_cannot_be_is_refused_and_never_taken_for_another(environment, words):
+    with pytest.raises(DatasetError, match=words):
+        parse_share("auto", environment)
