@@ -151,8 +151,23 @@ def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
     if best is None or best[1] <= 0:
         return None
     scatter = np.sqrt(best[0] / (2 * len(place) - 4) / power) / best[1]
-    error = np.hypot(scatter, UNEVEN_LIGHT) / best[1]
-    return Ruler("the stage's places", 1 / best[1], float(error), len(place))
+    middle, either = _of_contact_or_ball(presses)
+    value = middle / best[1]
+    error = value * float(np.sqrt(scatter**2 + UNEVEN_LIGHT**2 + either**2))
+    return Ruler("the stage's places", value, error, len(place))
+
+
+def _of_contact_or_ball(presses: PressImages) -> tuple[float, float]:
+    """Factor from a stage's distances to those of the contacts, and how far it is open.
+
+    On a flat gel 1. On a dome a ball touches beside its own centre, nearer to the dome's middle by
+    the share R/(R + dome); whether the stage's places are the ball's or the contact's is not known.
+    """
+    if presses.dome_radius_mm <= 0:
+        return 1.0, 0.0
+    ball = float(presses.ball_radius_mm.mean())
+    nearer = presses.dome_radius_mm / (presses.dome_radius_mm + ball)
+    return (1 + nearer) / 2, (1 - nearer) / 2
 
 
 def by_dots(presses: PressImages) -> Ruler | None:
@@ -254,7 +269,7 @@ def _warnings(presses: PressImages, found: ScaleEvidence) -> list[str]:
         apart = ruler.mm_per_px / stated - 1
         if abs(apart) > max(CLEAR_SHARE, CLEAR_SIGMAS * ruler.stderr / stated):
             said.append(
-                f"mm_per_px is stated as {stated:.4f}, but {ruler.name} say {ruler.mm_per_px:.4f} "
+                f"the stated mm_per_px is {stated:.4f}, but {ruler.name} say {ruler.mm_per_px:.4f} "
                 f"± {ruler.stderr:.4f} ({apart:+.0%}): check both; --mm-per-px "
                 f"{ruler.mm_per_px:.4f} sets the scale"
             )

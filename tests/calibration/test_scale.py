@@ -66,6 +66,17 @@ def test_a_stated_scale_that_is_off_is_said(folder):
     assert "--mm-per-px 0.1" in said
 
 
+def test_on_a_dome_a_ball_touches_beside_its_centre(folder):
+    """Places of a ball's centre are farther apart than its contacts: no reason for a warning."""
+    presses = read(folder, dot_pitch_mm=0.0)
+    nearer = 30.0 / (30.0 + presses.ball_radius_mm[:, None])
+    middle = presses.stage_mm.mean(axis=0)
+    balls = middle + (presses.stage_mm - middle) / nearer
+    found = evidence(replace(presses, dome_radius_mm=30.0, stage_mm=balls))
+    assert found.rulers[0].stderr > 0.03 * MM_PER_PX
+    assert not [line for line in found.warnings if "the stage's places" in line]
+
+
 def test_a_ball_that_is_not_what_it_is_said_to_be(folder):
     """The ball of 4 mm, stated 8 % too small, is 1.08 times larger than said."""
     honest = evidence(read(folder)).ratios[0]
