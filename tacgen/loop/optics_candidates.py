@@ -174,7 +174,7 @@ def candidates(problem: Problem) -> list[Candidate]:
     listed = [
         Candidate("press_center", "each press's centre", own=CENTER),
         Candidate("press_center", "each press's centre and radius", own=(*CENTER, RADIUS)),
-        Candidate("scale", "millimetres of a pixel over the stated", (ball,)),
+        Candidate("scale", "ball over the stated, or pixel under it", (ball,)),
         Candidate("illumination", "light of each channel by place", FIELD),
         Candidate("shadow", "cast by the dent", (SHADOW,), prepare=_shaded),
         Candidate("background_gain", "exposure and offset since the background", (*GAIN, *OFFSET)),

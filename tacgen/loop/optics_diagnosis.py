@@ -246,7 +246,7 @@ def _parameters(entry: Entry, name: str) -> dict[str, dict[str, Any]]:
         found["length_mm"] = {"value": length, "stderr": 0.5 * length, "unit": "mm"}
     if candidate.near:
         found["change_over_image"] = {
-            "value": light_by_place(entry), "stderr": float("nan"), "unit": "1"
+            "value": light_by_place(entry), "stderr": None, "unit": "1"
         }  # fmt: skip
     return found
 

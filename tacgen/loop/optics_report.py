@@ -101,7 +101,7 @@ def _sections(
             "What was found, in numbers",
             ("effect", "quantity", "value", "standard error", "unit"),
             [
-                (effect.name, name, f"{p['value']:.4g}", f"{p['stderr']:.2g}", p["unit"])
+                (effect.name, name, f"{p['value']:.4g}", _stderr(p["stderr"]), p["unit"])
                 for effect in diagnosis.effects
                 for name, p in effect.parameters.items()
             ],
@@ -148,6 +148,10 @@ def _effects(diagnosis: OpticsDiagnosis) -> Section:
         rows,
         note="Grey levels of RMSE within 1.6 contact radii.",
     )
+
+
+def _stderr(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2g}"
 
 
 def _pictures(presses: PressImages, diagnosis: OpticsDiagnosis) -> list[Section]:

@@ -79,8 +79,14 @@ def collect(kept: Path, *, backwards: bool = False) -> list[dict]:
             record = run(*case)
             with file.open("a") as sink:
                 sink.write(json.dumps(record) + "\n")
+    return finished(file)
+
+
+def finished(file: Path) -> list[dict]:
+    """The records that are there, in the order of the cases."""
     known = kept_in(file)
-    return [known[json.dumps(list(case))] for case in cases()]
+    keys = [json.dumps(list(case)) for case in cases()]
+    return [known[key] for key in keys if key in known]
 
 
 def page(records: list[dict]) -> str:
@@ -141,5 +147,9 @@ if __name__ == "__main__":
     parser.add_argument("--kept", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--backwards", action="store_true")
+    parser.add_argument("--only-page", action="store_true", help="of what is kept, run nothing")
     given = parser.parse_args()
+    if given.only_page:
+        given.out.write_text(page(finished(given.kept / "optics.jsonl")))
+        sys.exit()
     given.out.write_text(page(collect(given.kept, backwards=given.backwards)))
