@@ -245,13 +245,27 @@ class Ranker:
         p_value = self._p_value(full, member)
         if p_value > alpha and not self._is_clear(less, full.loss, p_value):
             return False
-        worth = less.loss - full.loss
+        worth = self._worth(full, member)
         rivals = [m for m in full.members if m.label != member.label]
         third = member.name in MEMORY and full.key >= MEMORY
         return all(
-            worth >= _least_share(member, rival, third) * (self._less(full, rival).loss - full.loss)
+            worth >= _least_share(member, rival, third) * self._worth_of_rival(full, rival)
             for rival in rivals
         )
+
+    def _worth(self, full: Ranked, member: Candidate) -> float:
+        """What ``full`` gains by ``member`` over the others in whatever forms were fitted."""
+        less = self._less(full, member)
+        return min(less.loss, self._least_loss(less.key)) - full.loss
+
+    def _worth_of_rival(self, full: Ranked, rival: Candidate) -> float:
+        """What ``rival`` is worth in ``full``, or alone where others can imitate it."""
+        alone = self._least_loss(frozenset()) - self._least_loss(frozenset({rival.name}))
+        return max(self._worth(full, rival), alone)
+
+    def _least_loss(self, names: frozenset[str]) -> float:
+        """Least loss of the sets of these names that were fitted; infinite if there are none."""
+        return min((r.loss for r in self._fits.values() if r.key == names), default=np.inf)
 
     def _less(self, full: Ranked, member: Candidate) -> Ranked:
         """``full`` without ``member``, refitted."""
