@@ -22,6 +22,7 @@ from tacgen.loop.grasp_candidates import WHOLE_WORLD, Candidate, candidates_for
 from tacgen.loop.grasp_contest import Contest, Standing
 from tacgen.loop.grasp_hypothesis import Hypothesis, declared_world, interpolated
 from tacgen.loop.grasp_slack import (
+    at_force,
     signed_slack,
     slack_at_force,
     slack_at_torsion,
@@ -187,17 +188,19 @@ class GraspWorlds:
                 np.log(nodes),
             )
         elif key in PREDICTED:
-            scales, by_force = self._by_force()
-            found = slack_at_force(scales, by_force, self._log_force(candidate, nodes))
+            by_force, wanted = self._by_force(), self._log_force(candidate, nodes)
+            found = slack_at_force(by_force.coordinate, by_force.slack, wanted)
+            turning = np.where(
+                acts, at_force(by_force.coordinate, by_force.turning, wanted), turning
+            )
         else:
             found = slack
         return np.where(acts, np.clip(found, -1.5, 1.5), slack), turning
 
-    def _by_force(self) -> tuple[FloatArray, FloatArray]:
-        """Logarithms (K,) of the forces that were simulated, and the slack (K, N) there."""
-        parameter = next(c for c in self._candidates() if c.parameter.key == "force_scale")
-        hypothesis = self._hypothesis(parameter)
-        return hypothesis.coordinate, hypothesis.slack
+    def _by_force(self) -> Hypothesis:
+        """What grasps do at other forces; its coordinate is the logarithm of the force."""
+        scaled = next(c for c in self._candidates() if c.parameter.key == "force_scale")
+        return self._hypothesis(scaled)
 
     def _log_force(self, candidate: Candidate, nodes: NDArray[np.float64]) -> FloatArray:
         """Log (K, N) of the force over the declared one that each value amounts to."""

@@ -8,6 +8,7 @@ import pytest
 from tacgen.altered_worlds import Alteration, altered_object, place_of, simulate_altered
 from tacgen.extended_recipe import extended_recipe, write_extended_recipe
 from tacgen.grasp_pipeline import recipe_object
+from tacgen.grasp_worlds import GraspWorlds
 from tacgen.loop.grasp_candidates import PARAMETERS, Candidate
 from tacgen.loop.grasp_contest import Standing
 from tacgen.loop.grasp_hypothesis import interpolated
@@ -140,3 +141,18 @@ def test_figures_of_an_entry_that_came_later_leave_older_hashes_alone():
     scaled = Recipe.model_validate({"name": "worlds", "objects": [{"name": BOX, "scale": 1.1}]})
     assert scaled.resolved()["objects"][0]["scale"] == 1.1
     assert scaled.sha256() != RECIPE.sha256()
+
+
+def test_a_mass_predicts_what_the_force_does_upside_down_failure_modes_included(tmp_path):
+    """Else given failure modes would speak for whichever of the two was simulated."""
+    configs = (config(6.0), config(7.0, 8.0), config(14.0, 6.0))
+    worlds = GraspWorlds(RECIPE, configs, tmp_path, 1)
+    contest = worlds.contest()
+    by_key = {
+        evidence.hypothesis.candidate.parameter.key: evidence.hypothesis
+        for evidence in contest.others
+    }
+    force, mass = by_key["force_scale"], by_key["mass_factor"]
+    assert mass.coordinate == pytest.approx(-force.coordinate[::-1])
+    assert mass.slack == pytest.approx(force.slack[::-1])
+    assert mass.turning == pytest.approx(force.turning[::-1])

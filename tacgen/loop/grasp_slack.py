@@ -76,11 +76,14 @@ def slack_at_force(log_scale: FloatArray, slack: FloatArray, wanted: FloatArray)
     wanted : (M, N) float
         Logarithm of the force of each grasp over the declared one.
     """
-    inside = np.clip(wanted, log_scale[0], log_scale[-1])
-    found = np.stack(
-        [np.interp(inside[:, n], log_scale, slack[:, n]) for n in range(slack.shape[1])], axis=1
-    )
-    return np.clip(found + wanted - inside, -FARTHEST, FARTHEST)
+    beyond = wanted - np.clip(wanted, log_scale[0], log_scale[-1])
+    return np.clip(at_force(log_scale, slack, wanted) + beyond, -FARTHEST, FARTHEST)
+
+
+def at_force(log_scale: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Anything (M, N) of each grasp at its own ``wanted`` force, from (K, N) at ``log_scale``."""
+    columns = range(values.shape[1])
+    return np.stack([np.interp(wanted[:, n], log_scale, values[:, n]) for n in columns], axis=1)
 
 
 def slack_at_torsion(
