@@ -39,6 +39,11 @@ SURE_SLACK = 0.5
 """Grasps that are further than this from their threshold are not simulated at that force."""
 BY_FORCE = ("mass_factor", "force_offset_n")
 """Parameters that amount to another force exactly."""
+AS_FORCE: dict[str, Callable[[float], float]] = {
+    "force_scale": lambda scale: scale,
+    "mass_factor": lambda factor: 1 / factor,
+}
+"""The force that a factor amounts to; the other way round it is the same."""
 PREDICTED = (*BY_FORCE, "friction_factor", "spinning_friction_factor")
 
 
@@ -52,6 +57,7 @@ class GraspWorlds:
     workers: int
     show: Callable[[str], Show] = lambda what: lambda done, total: None
     known: dict[Key, Outcome] = field(default_factory=dict)
+    further_forces: set[float] = field(default_factory=set)
 
     def simulate(self, what: str, wanted: Iterable[tuple[GraspConfig, Alteration]]) -> None:
         """Make the outcomes of these grasps known."""
@@ -82,14 +88,25 @@ class GraspWorlds:
         places: dict[int, NDArray[np.float64]] = {}
         for standing in standings:
             candidate, axis = standing.hypothesis.candidate, standing.hypothesis.coordinate
-            if candidate is None or candidate.parameter.key in BY_FORCE:
+            if candidate is None or candidate.parameter.key == "force_offset_n":
                 continue
-            places[id(candidate)] = _around(standing)
-            for value in places[id(candidate)]:
+            values = _around(standing)
+            if candidate.parameter.key in AS_FORCE:
+                if set(candidate.objects) != {config.object for config in self.configs}:
+                    continue
+                worlds = [
+                    Alteration(force_scale=_rounded(AS_FORCE[candidate.parameter.key](v)))
+                    for v in values
+                ]
+                self.further_forces |= {world.force_scale for world in worlds}
+            else:
+                places[id(candidate)] = values
+                worlds = [world_of(candidate, value) for value in values]
+            for value, world in zip(values, worlds, strict=True):
                 at = np.argmin(np.abs(axis - candidate.parameter.coordinate(value)))
                 near = np.abs(standing.hypothesis.slack[at]) < SURE_SLACK
                 wanted += [
-                    (config, world_of(candidate, value))
+                    (config, world)
                     for config, unsure in zip(self.configs, near, strict=True)
                     if unsure and config.object in candidate.objects
                 ]
@@ -153,6 +170,9 @@ class GraspWorlds:
     ) -> Hypothesis:
         """A candidate's hypothesis from what is known; ``further`` values were simulated too."""
         nodes = np.array(candidate.parameter.nodes)
+        if candidate.parameter.key in AS_FORCE:
+            as_force = AS_FORCE[candidate.parameter.key]
+            further = np.array([as_force(force) for force in sorted(self.further_forces)])
         if further is not None:
             nodes = np.unique(np.concatenate([nodes, further]))
         slack, turning = self._predicted(candidate, nodes)
