@@ -77,7 +77,7 @@ def _few_trials_notes(found: ChannelDiagnosis, name: str) -> list[str]:
     if found.n_test == 1:
         return [
             f"{name} channel: {found.n_fit + 1} trials are too few to set some aside; each was "
-            "left out in turn, and parts of trials stood in for trials in the tests, which "
-            "makes p-values optimistic. Press at least twelve times"
+            "left out in turn, and parts of trials stood in for trials in the tests, whose "
+            "p-values say little. Press at least twelve times"
         ]
     return []

@@ -25,8 +25,9 @@ noise is not worth a parameter, and below it the noise of the force is no longer
 FEW_ALPHA, FEW_MIN_GAIN = 0.05, 0.2
 """With too few trials to shuffle: parts of trials are not independent, so that p-values say
 little, and only what takes a fifth of the sum of squares from parts left out is believed."""
-PARAMETER_PRICE = 0.002
-"""Share of the held-out sum of squares by which a form with one parameter more must be better."""
+PARAMETER_PRICE, FEW_PARAMETER_PRICE = 0.002, 0.02
+"""Share of the held-out sum of squares by which a form with one parameter more must be better,
+where trials are many and where they are few."""
 N_SHUFFLES = 1999
 N_WAVE_SHUFFLES = 40
 N_FOLDS = 10
@@ -229,7 +230,8 @@ class Ranker:
         """Loss for comparing rivals: a covariate, and a further parameter, must pay for itself."""
         n_covariates = sum(not member.is_effect for member in ranked.members)
         n_parameters = sum(member.n_parameters for member in ranked.members)
-        price = MIN_GAIN * n_covariates + PARAMETER_PRICE * n_parameters
+        each = FEW_PARAMETER_PRICE if self.few else PARAMETER_PRICE
+        price = MIN_GAIN * n_covariates + each * n_parameters
         return ranked.loss + price * self._total(ranked)
 
     def _total(self, ranked: Ranked) -> float:

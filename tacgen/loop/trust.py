@@ -181,10 +181,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/trust.md"))
     parser.add_argument("--store", type=Path, default=Path("out/trust/outcomes.jsonl"))
     parser.add_argument("--kept-only", action="store_true", help="trace nothing that is not kept")
+    parser.add_argument("--note", default="", help="a sentence for the page, under its table")
     arguments = parser.parse_args()
     with threadpool_limits(limits=1):
         outcomes = run_study(arguments.repeats, arguments.store, kept_only=arguments.kept_only)
-    write_page(outcomes, arguments.out)
+    write_page(outcomes, arguments.out, arguments.note)
 
 
 if __name__ == "__main__":
