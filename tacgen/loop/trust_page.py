@@ -137,7 +137,8 @@ def _power_figure(single: list[Outcome]) -> Figure:
             axis.plot([s for s, _ in points], [np.mean(f) for _, f in points], "o-", label=name)
         axis.set_title(channel)
         axis.set_xlabel("strength / noise")
-        axis.legend(fontsize=6)
+        axis.set(xlim=(0.0, 3.2), ylim=(-0.03, 1.08))
+        axis.legend(fontsize=6, loc="lower right", ncols=2)
     figure.axes[0].set_ylabel("right and only right")
     return figure
 
