@@ -11,11 +11,17 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from tacgen.altered_worlds import Alteration, Outcome, check_forces, place_of, simulate_altered
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.errors import RecipeError
 from tacgen.files import write_text
 from tacgen.friction_fit import FrictionFit, fit_friction
+from tacgen.grasp_loop.altered_worlds import (
+    Alteration,
+    Outcome,
+    check_forces,
+    place_of,
+    simulate_altered,
+)
 from tacgen.recipe import Recipe
 from tacgen.resources import find_object_folder
 

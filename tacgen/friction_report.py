@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.altered_worlds import Outcome
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.friction import Key
 from tacgen.friction_fit import FrictionFit
+from tacgen.grasp_loop.altered_worlds import Outcome
 from tacgen.report import Section, figure_section, table_section, text_section, write_page
 
 if TYPE_CHECKING:

@@ -117,7 +117,7 @@ def diagnose_optics(
     json_output: JsonFlag = False,
 ) -> None:
     """Trace what a table leaves over on ball presses to optical effects."""
-    from tacgen.loop.optics_report import sentence, write_optics_diagnosis
+    from tacgen.loop.optics.report import sentence, write_optics_diagnosis
 
     diagnosis, used = write_optics_diagnosis(
         presses, out, table_path=table, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
@@ -139,8 +139,8 @@ def diagnose_grasps_command(
 ) -> None:
     """Trace grasps that end otherwise than simulated to what the declared world lacks."""
     from tacgen.dataset.real_grasps import read_real_grasps
-    from tacgen.grasp_diagnosis import diagnose_grasps, record_of
-    from tacgen.grasp_report import write_grasp_report
+    from tacgen.grasp_loop.diagnosis import diagnose_grasps, record_of
+    from tacgen.grasp_loop.report import write_grasp_report
     from tacgen.progress import progress_counter
     from tacgen.recipe import load_recipe
     from tacgen.resources import object_folders

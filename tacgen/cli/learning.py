@@ -95,10 +95,10 @@ def study(
 ) -> None:
     """Collect, train and test every row of a study; writes the table as Markdown and HTML."""
     from tacgen.learning.extra import require_learning_extra
-    from tacgen.study_recipe import load_study, with_rows
+    from tacgen.study.recipe import load_study, with_rows
 
     require_learning_extra()
-    from tacgen.study import Reality, run_study
+    from tacgen.study.run import Reality, run_study
 
     reality = Reality(real, calibrate_on, contact)
     chosen = with_rows(load_study(recipe), row or ())
@@ -117,7 +117,7 @@ def stand_in(
     images: Annotated[bool, typer.Option(help="Write the images too.")] = True,
 ) -> None:
     """Write a dataset as a folder of real grasps: a stand-in for reality, still simulated."""
-    from tacgen.stand_in import write_stand_in
+    from tacgen.study.stand_in import write_stand_in
 
     count = write_stand_in(data, out, split=split, per_object=per_object, images=images)
     typer.echo(f"{out}: {count} simulated grasps in the format of real ones")

@@ -19,7 +19,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tacgen.calibration.press_images import PressImages
-from tacgen.loop.optics_diagnosis import diagnose_optics
+from tacgen.loop.optics.diagnosis import diagnose_optics
 from tests.blind.optics_images import SENSORS, STRENGTHS, make
 
 COUNT = 28

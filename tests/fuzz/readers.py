@@ -63,7 +63,7 @@ def _read_rig_recipe(path: Path) -> object:
 
 
 def _read_study(path: Path) -> object:
-    from tacgen.study_recipe import load_study
+    from tacgen.study.recipe import load_study
 
     return load_study(path)
 

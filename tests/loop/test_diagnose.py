@@ -12,7 +12,7 @@ from tacgen.contact.law import load_law
 from tacgen.errors import PressError
 from tacgen.loop.contact import diagnose
 from tacgen.loop.diagnosis import diagnosis_record
-from tacgen.loop.trust_cases import blank_log, make_case
+from tacgen.loop.trust.cases import blank_log, make_case
 
 
 def case(effects, strength=1.5, seed=3, n_trials=48, n_samples=60):

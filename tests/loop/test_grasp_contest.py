@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.loop.grasp_candidates import PARAMETERS, Candidate, candidates_for
-from tacgen.loop.grasp_contest import (
+from tacgen.loop.grasps.candidates import PARAMETERS, Candidate, candidates_for
+from tacgen.loop.grasps.contest import (
     FALSE_ALARM,
     Contest,
     Labels,
@@ -18,8 +18,8 @@ from tacgen.loop.grasp_contest import (
     confusable,
     heldout_success,
 )
-from tacgen.loop.grasp_diagnosis import diagnose_labels, diagnosis_record
-from tacgen.loop.grasp_hypothesis import (
+from tacgen.loop.grasps.diagnosis import diagnose_labels, diagnosis_record
+from tacgen.loop.grasps.hypothesis import (
     FAILED,
     NO_READING,
     SUCCESS,
@@ -27,7 +27,7 @@ from tacgen.loop.grasp_hypothesis import (
     declared_world,
     interpolated,
 )
-from tacgen.loop.grasp_slack import signed_slack, slack_at_force, turning_share
+from tacgen.loop.grasps.slack import signed_slack, slack_at_force, turning_share
 
 N = 40
 BY_KEY = {parameter.key: parameter for parameter in PARAMETERS}

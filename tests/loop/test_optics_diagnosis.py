@@ -8,8 +8,8 @@ import pytest
 
 from tacgen.calibration.press_images import PressImages
 from tacgen.errors import PressError
-from tacgen.loop.optics_diagnosis import diagnose_optics
-from tacgen.loop.optics_table import extended_table
+from tacgen.loop.optics.diagnosis import diagnose_optics
+from tacgen.loop.optics.table import extended_table
 from tacgen.optics import render_rgb
 from tests.blind.optics_images import make
 from tests.virtual_presses import virtual_presses
@@ -51,6 +51,12 @@ def test_clean_presses_need_no_effect(kind):
         ("four", "blur"),
         ("three", "background_gain"),
         ("three", "vignetting"),
+        pytest.param(
+            *("four", "vignetting"),
+            marks=pytest.mark.xfail(
+                strict=False, reason="known gap: under four lamps a table hides the dimming"
+            ),
+        ),
         ("three", "saturation"),
     ],
 )
@@ -59,7 +65,8 @@ def test_an_effect_by_another_formula_is_named_and_lowers_the_heldout_error(kind
     assert names(diagnosis) == [effect]
     assert diagnosis.verdict == "effect_found"
     # A table hides most of a clipped picture, so saturation gains little beside its pile.
-    assert diagnosis.rmse_after < diagnosis.rmse_before
+    least = 1.0 if effect == "saturation" else 0.97
+    assert diagnosis.rmse_after < least * diagnosis.rmse_before
 
 
 @pytest.mark.slow

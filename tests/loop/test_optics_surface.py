@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tacgen.loop.optics_surface import Profiles, Skin
+from tacgen.loop.optics.surface import Profiles, Skin
 from tacgen.optics import deform
 
 MM, BALL, CONTACT = 0.04, 2.0, 1.2

@@ -7,8 +7,8 @@ import pytest
 
 from tacgen.collect import collect
 from tacgen.dataset import Dataset
-from tacgen.loop.optics_model import Optics
-from tacgen.loop.optics_table import effects_of, with_effects
+from tacgen.loop.optics.model import Optics
+from tacgen.loop.optics.table import effects_of, with_effects
 from tacgen.optics import load_table, save_table
 from tacgen.recipe import load_recipe
 from tests.small_world import write_world

@@ -1,0 +1,200 @@
+"""How far ``tacgen diagnose grasps`` can be trusted: worlds altered on purpose, over and over.
+
+Real grasps are simulated in worlds with one wrong figure, and the diagnosis, which knows only the
+declared world and the labels, has to name it. Run as
+``python -m tacgen.grasp_loop.trust --out DIR``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.files import write_text
+from tacgen.grasp_loop.altered_worlds import Alteration
+from tacgen.grasp_loop.diagnosis import choose_confirmed, refine
+from tacgen.grasp_loop.worlds import DECLARED, GraspWorlds
+from tacgen.loop.grasps.contest import Labels, choose, confusable
+from tacgen.loop.grasps.diagnosis import GraspDiagnosis, diagnose_labels
+from tacgen.loop.grasps.hypothesis import FAILED, NO_READING, SUCCESS
+from tacgen.objects_io import load_object
+from tacgen.recipe import Recipe
+from tacgen.records import GraspConfig
+
+SETS: tuple[tuple[tuple[str, ...], int, int], ...] = (
+    (("wood_block",), 40, 1),
+    (("potted_meat_can",), 40, 1),
+    (("scissors",), 40, 1),
+    (("tomato_soup_can",), 40, 1),
+    (("cup",), 40, 1),
+    (("wood_block", "potted_meat_can"), 40, 1),
+    (("rubiks_cube",), 40, 1),
+    (("sugar_box",), 24, 2),
+)
+"""Objects, number of grasps and seed of each set of configurations."""
+WORLDS: dict[str, Alteration] = {
+    "none": DECLARED,
+    "center_of_mass +y": Alteration(center_of_mass_y_mm=20.0),
+    "center_of_mass -y": Alteration(center_of_mass_y_mm=-20.0),
+    "grip_force": Alteration(force_scale=0.8),
+    "mass": Alteration(mass_factor=1.4),
+}
+FLIPS = (0.0, 0.05)
+LEAST_CHANGED = 2
+"""A world that changes fewer labels cannot be told from the declared one by anybody."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One diagnosis: what was wrong, and what was said."""
+
+    objects: str
+    world: str
+    flips: float
+    n_grasps: int
+    n_changed: int
+    named: tuple[str, ...]
+    confusable: tuple[str, ...]
+    rate_before: float
+    rate_after: float
+    rate_of_truth: float
+
+    @property
+    def expected(self) -> str:
+        """The name that is right; empty where nothing is wrong."""
+        return "" if self.world == "none" else self.world.split()[0]
+
+    @property
+    def right(self) -> bool:
+        """Whether the right name came first, or nothing was named where nothing is wrong."""
+        return self.named[:1] == ((self.expected,) if self.expected else ())
+
+    @property
+    def listed(self) -> bool:
+        """Whether the right name is the first or said to be as good as the first."""
+        return self.right or self.expected in self.confusable
+
+
+def planned_grasps(objects: Sequence[str], count: int, seed: int) -> tuple[GraspConfig, ...]:
+    """Configurations spread over the objects' own ranges, forces evenly by ratio."""
+    rng = np.random.default_rng([seed, count])
+    configs = []
+    for k in range(count):
+        name = objects[k % len(objects)]
+        ranges = load_object(name).grasp_ranges
+        force, y, z = (ranges[axis] for axis in ("force_n", "y_mm", "z_mm"))
+        force_n = np.exp(rng.uniform(np.log(min(force)), np.log(max(force))))
+        y_mm, z_mm = rng.uniform(min(y), max(y)), rng.uniform(min(z), max(z))
+        configs.append(GraspConfig(k, name, round(force_n, 3), 0.0, round(y_mm, 2), round(z_mm, 2)))
+    return tuple(configs)
+
+
+def run_set(
+    objects: Sequence[str], count: int, seed: int, out: Path, workers: int, *, quick: bool
+) -> Iterator[Trial]:
+    """Every world on one set of configurations; simulations in ``out`` are kept.
+
+    ``quick`` stops at the first name and does not simulate about its value.
+    """
+    recipe = Recipe.model_validate({"name": "trust", "objects": list(objects)})
+    configs = planned_grasps(objects, count, seed)
+    folder = out / f"{'-'.join(objects)}_{count}_{seed}"
+    worlds = GraspWorlds(recipe, configs, folder, workers)
+    contest = worlds.contest()
+    for name, alteration in WORLDS.items():
+        worlds.simulate(name, [(config, alteration) for config in configs])
+        truth = np.array([outcome.label == 1 for outcome in worlds.outcomes(alteration)])
+        declared = np.array([outcome.label == 1 for outcome in worlds.outcomes(DECLARED)])
+        for number, flips in enumerate(FLIPS):
+            rng = np.random.default_rng([seed, number])
+            success = truth.copy()
+            success[rng.choice(count, round(flips * count), replace=False)] ^= True
+            known = np.where(success, SUCCESS, FAILED)
+            labels = Labels(known, np.zeros(count, bool), NO_READING)
+            if quick:
+                current, steps = contest, choose(contest, labels, rng)[:1]
+            else:
+                current = refine(worlds, contest, labels)
+                steps, _ = choose_confirmed(worlds, current, labels, rng)
+            found = diagnose_labels(current, labels, steps, declared.astype(int), {}, (), rng)
+            changed = int((truth != declared).sum())
+            yield _trial(objects, name, flips, changed, found, float((success != truth).mean()))
+
+
+def _trial(
+    objects: Sequence[str],
+    world: str,
+    flips: float,
+    n_changed: int,
+    found: GraspDiagnosis,
+    rate_of_truth: float,
+) -> Trial:
+    return Trial(
+        "+".join(objects),
+        world,
+        flips,
+        len(found.real),
+        n_changed,
+        tuple(standing.name for standing in found.found),
+        confusable(found.steps[0].standings),
+        found.rate_before,
+        found.rate_after,
+        rate_of_truth,
+    )
+
+
+def summary_of(trials: Sequence[Trial]) -> str:
+    """The trials as a table in Markdown, a row for each world and share of flipped labels."""
+    lines = [
+        "| wrong | flipped | trials | too few labels changed | right first "
+        "| right first or said to be as good | mislabels before → after (truth) |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for flips in FLIPS:
+        for world in WORLDS:
+            own = [t for t in trials if t.world == world and t.flips == flips]
+            seen = [t for t in own if not t.expected or t.n_changed >= LEAST_CHANGED]
+            if not seen:
+                continue
+            before, after, truth = (
+                100 * float(np.mean([getattr(t, f"rate_{what}") for t in seen]))
+                for what in ("before", "after", "of_truth")
+            )
+            lines.append(
+                f"| {world} | {100 * flips:.0f} % | {len(own)} | {len(own) - len(seen)} "
+                f"| {sum(t.right for t in seen)} of {len(seen)} "
+                f"| {sum(t.listed for t in seen)} of {len(seen)} "
+                f"| {before:.1f} → {after:.1f} % ({truth:.1f} %) |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Run every set and write ``trials.json`` and ``trust.md``."""
+    parser = argparse.ArgumentParser(description="Diagnoses of worlds altered on purpose.")
+    parser.add_argument("--out", type=Path, default=Path("out/grasp_trust"))
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--quick", action="store_true", help="Stop at the first name.")
+    parser.add_argument("--sets", type=int, default=len(SETS), help="Only the first so many.")
+    arguments = parser.parse_args()
+    trials: list[Trial] = []
+    for objects, count, seed in SETS[: arguments.sets]:
+        for trial in run_set(
+            objects, count, seed, arguments.out, arguments.workers, quick=arguments.quick
+        ):
+            trials.append(trial)
+            said = ", ".join(trial.named) or "sufficient"
+            sys.stderr.write(f"{trial.objects} {trial.world} {trial.flips:g}: {said}\n")
+        content = json.dumps([asdict(one) for one in trials], indent=1)
+        write_text(arguments.out / "trials.json", content + "\n")
+        write_text(arguments.out / "trust.md", summary_of(trials))
+
+
+if __name__ == "__main__":
+    main()

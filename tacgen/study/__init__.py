@@ -1,0 +1,1 @@
+"""Tables of trained networks: datasets, runs and tests of every row of a study."""

@@ -1,0 +1,261 @@
+"""Studies: rows become recipes, run once, and the table says what it is."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
+from tacgen.learning.words import evaluation_lines
+from tacgen.recipe import load_recipe
+from tacgen.resources import packaged
+from tacgen.study.recipe import load_study, merged_mapping, with_rows
+from tacgen.study.run import Reality, run_study
+from tacgen.study.stand_in import write_stand_in
+from tacgen.study.table import markdown_table
+from tests.learning.conftest import collect, make_sample, make_spec, write_real
+
+SHIPPED = sorted(packaged("recipes").glob("paper*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_shipped_study_loads(path):
+    assert load_study(path.stem).name == path.stem
+
+
+def test_the_paper_table_is_twelve_objects_by_three_ways_with_the_papers_figures():
+    study = load_study("paper_table")
+    recipes = [study.data_recipe(row, quick=False) for row in study.rows]
+    assert [len(recipe.objects) for recipe in recipes] == [12, 12, 12]
+    assert [recipe.contact.law for recipe in recipes] == [
+        "linear_depth",
+        "volume_linear",
+        "volume_linear",
+    ]
+    kinds = [study.train_recipe(row, quick=False).model.kind for row in study.rows]
+    assert kinds == ["single", "single", "sequence"]
+    assert [row.published.sim for row in study.rows[1:]] == [0.968, 1.0]
+    assert [row.published.real for row in study.rows[1:]] == [0.864, 0.907]
+
+
+def test_the_ablation_varies_size_friction_and_centre_of_mass():
+    study = load_study("paper_ablation")
+    sizes = [study.train_recipe(row, quick=False).training.grasps for row in study.rows[:4]]
+    assert sizes == [50, 100, 200, 500]
+    objects = [study.data_recipe(row, quick=False).objects[0] for row in study.rows[4:]]
+    assert [(entry.name, entry.friction) for entry in objects[:3]] == [
+        ("potted_meat_can", mu) for mu in (0.2, 0.45, 0.8)
+    ]
+    assert [entry.center_of_mass_offset_mm[1] for entry in objects[3:]] == [-30, 0, 30]
+
+
+def test_rows_that_share_a_dataset_collect_it_once():
+    study = load_study("paper_table")
+    hashes = [study.data_recipe(row, quick=False).sha256() for row in study.rows]
+    assert hashes[1] == hashes[2] != hashes[0]
+
+
+def test_the_quick_version_is_smaller():
+    study = load_study("paper_table")
+    row = study.rows[2]
+    assert len(study.data_recipe(row, quick=True).objects) < 12
+    assert (
+        study.train_recipe(row, quick=True).input.size_px
+        < study.train_recipe(row, quick=False).input.size_px
+    )
+
+
+def test_the_second_world_is_another_one():
+    declared = load_study("paper_transfer").data_recipe(
+        load_study("paper_transfer").rows[1], quick=False
+    )
+    other = load_recipe("worlds/other")
+    assert {entry.name for entry in other.objects} == {entry.name for entry in declared.objects}
+    assert all(entry.friction and entry.mass_kg for entry in other.objects)
+    assert other.contact.file
+    assert other.randomize.position_mm > 0
+
+
+def test_mappings_merge_key_by_key_and_leave_their_inputs():
+    below = {"a": {"b": 1, "c": 2}, "d": [1]}
+    assert merged_mapping(below, {"a": {"c": 3}, "d": [2]}) == {"a": {"b": 1, "c": 3}, "d": [2]}
+    assert below == {"a": {"b": 1, "c": 2}, "d": [1]}
+
+
+def test_every_mistake_of_a_study_is_told(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        "name: s\nobjects: [tomato_soup_can]\ndata: {objects: [cup]}\nrows:\n"
+        "  - {name: one, train: {training: {epochs: 0}}}\n  - {name: one}\n"
+    )
+    with pytest.raises(RecipeError) as caught:
+        load_study(path)
+    text = str(caught.value)
+    assert "s.yaml:3: data.objects belongs to the study or its row" in text
+    assert "rows[0] cannot be used" in text
+    assert "'one' is given twice" in text
+
+
+def test_rows_are_chosen_by_name():
+    study = load_study("paper_table")
+    assert [row.name for row in with_rows(study, ["sequence"]).rows] == ["sequence"]
+    assert with_rows(study, []) == study
+    with pytest.raises(RecipeError, match="has no row 'sequences'; its rows are .*'sequence'"):
+        with_rows(study, ["sequences"])
+
+
+def test_a_table_in_markdown_escapes_bars():
+    assert markdown_table(("a", "b"), [("x|y", 1)]).splitlines()[-1] == "| x\\|y | 1 |"
+
+
+def small_study(tmp_path: Path, extra: str = "") -> Path:
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        "name: s\nobjects: [can, cup]\n"
+        "train: {model: {weights: none}, input: {size_px: [32, 40]}, training: {epochs: 1}}\n"
+        f"rows:\n  - {{name: single image, published: {{sim: 0.9}}{extra}}}\n"
+        "  - {name: one model for all, train: {per_object: false}}\n"
+    )
+    return path
+
+
+@pytest.fixture
+def toy(tmp_path) -> Path:
+    return collect(tmp_path / "toy", make_spec())
+
+
+@pytest.fixture
+def toy_collect(monkeypatch):
+    """The simulation replaced by synthetic grasps: this is about the study."""
+    made: list[Path] = []
+
+    class Nothing:
+        @staticmethod
+        def summary() -> dict[str, int]:
+            return {"not_executed": 4}
+
+    def fake(recipe, out, **_):
+        if not (out / "manifest.jsonl").is_file():
+            collect(out, make_spec(), make_sample)
+            made.append(out)
+        return Nothing()
+
+    monkeypatch.setattr("tacgen.study.run.collect", fake)
+    return made
+
+
+def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy_collect):
+    study, real = load_study(small_study(tmp_path)), write_real(tmp_path / "real")
+    result = run_study(study, tmp_path / "out", Reality(test=real), quick=True)
+    assert len(toy_collect) == 1
+    assert [row["sim"]["source"] for row in result["rows"]] == ["sim", "sim"]
+    assert all("sim_to_real_gap" in row["real"] for row in result["rows"])
+    assert all(isinstance(row["training_grasps"], dict) for row in result["rows"])
+    text = (tmp_path / "out" / "table.md").read_text()
+    assert "REDUCED VERSION" in text
+    assert "NONE: trained from scratch" in text
+    assert "| 0.900 |" in text
+    assert "sim-to-real" in text
+    assert "NOT real" not in text
+    assert json.loads((tmp_path / "out" / "table.json").read_text())["quick"] is True
+    assert "Accuracy" in (tmp_path / "out" / "table.html").read_text()
+
+
+def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(tmp_path, toy_collect):
+    study = load_study(small_study(tmp_path, ", train: {training: {grasps: 500}}"))
+    result = run_study(study, tmp_path / "out", Reality())
+    assert "training.grasps asks for 500" in result["rows"][0]["problem"]
+    assert result["rows"][1]["sim"]["n"] > 0
+    text = (tmp_path / "out" / "table.md").read_text()
+    assert "| single image | single | – | – | – |" in text
+    assert "single image: NOT trained. " in text
+
+
+def test_a_study_of_which_nothing_can_be_trained_stops_with_every_reason(tmp_path, toy_collect):
+    path = small_study(tmp_path)
+    path.write_text(path.read_text().replace("weights: none", "weights: missing.pth"))
+    with pytest.raises(LearningError) as caught:
+        run_study(load_study(path), tmp_path / "out", Reality())
+    assert str(caught.value).count("'missing.pth' is no file") == 2
+
+
+def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect):
+    """The folder says that it is simulated: no table and no line may call it real."""
+    study = load_study(small_study(tmp_path))
+    write_stand_in(toy, tmp_path / "world", split="test")
+    result = run_study(study, tmp_path / "out", Reality(test=tmp_path / "world"))
+    assert result["stand_in"] is True
+    for name in ("table.md", "table.html"):
+        text = (tmp_path / "out" / name).read_text()
+        assert "sim-to-real" not in text
+        assert "other simulation" in text
+        assert "NOT real" in text
+    lines = "\n".join(evaluation_lines(result["rows"][0]["real"]))
+    assert "another simulation, standing in for reality: accuracy" in lines
+    assert "gap to the other simulation" in lines
+    assert "sim-to-real" not in lines
+
+
+def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, toy_collect):
+    study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
+    real = write_real(tmp_path / "real")
+    with pytest.raises(TacgenError, match=r"give them with --calibrate-on DIR"):
+        run_study(study, tmp_path / "out", Reality(test=real))
+    with pytest.raises(TacgenError, match=r"share grasps, such as g00; calibrate on other"):
+        run_study(study, tmp_path / "out", Reality(test=real, calibration=real))
+    assert not toy_collect
+
+
+def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_collect, monkeypatch):
+    study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
+    asked: list[list[str]] = []
+
+    def fake(recipe, grasps, *_, **__):
+        asked.append(sorted(grasps.by_object()))
+        return {}, {}
+
+    monkeypatch.setattr("tacgen.study.run.sweep_friction", fake)
+    real = write_real(tmp_path / "labels")
+    table = pd.read_csv(real / "grasps.csv")
+    table.loc[0, "object"] = "a_thing_of_no_study"
+    table.to_csv(real / "grasps.csv", index=False)
+    run_study(study, tmp_path / "out", Reality(calibration=real))
+    assert asked == [["can", "cup"]]
+    table[table.object == "can"].to_csv(real / "grasps.csv", index=False)
+    with pytest.raises(TacgenError, match="has no grasps of cup, whose friction"):
+        run_study(study, tmp_path / "out", Reality(calibration=real))
+
+
+def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
+    study = load_study(small_study(tmp_path, ", calibrate_contact: true"))
+    with pytest.raises(TacgenError, match=r"contact\.yaml .*--contact FILE"):
+        run_study(study, tmp_path / "out", Reality())
+    given = Reality(contact=tmp_path / "contact.yaml")
+    result = run_study(study, tmp_path / "out", given)
+    assert [row["contact_file"] for row in result["rows"]] == [str(given.contact), None]
+    assert f"contact law from {given.contact}" in (tmp_path / "out" / "table.md").read_text()
+
+
+def test_a_dataset_becomes_a_folder_of_grasps_that_says_it_is_not_real(toy, tmp_path):
+    from tacgen.dataset import Dataset
+    from tacgen.learning.real_grasps import RealGraspImages
+
+    count = write_stand_in(toy, tmp_path / "real", split="test")
+    found = RealGraspImages(tmp_path / "real")
+    assert len(found.table) == count
+    dataset, columns = Dataset(toy), Dataset(toy).columns()
+    tests = (columns["split"] == "test") & (columns["label"] >= 0)
+    assert count == tests.sum()
+    assert list(found.table.label) == list(columns["label"][tests])
+    index = int(columns["index"][tests][3])
+    assert (found.frames(3, [0, 1, 2]) == dataset.rgb(index)).all()
+    assert (found.reference() == dataset.reference()).all()
+    assert "Not real" in (tmp_path / "real" / "about.json").read_text()
+    with pytest.raises(DatasetError, match="exists already"):
+        write_stand_in(toy, tmp_path / "real", split="test")
+
+
+def test_labels_alone_and_a_few_of_each_object(toy, tmp_path):
+    assert write_stand_in(toy, tmp_path / "r", split="train", per_object=3, images=False) == 6
+    assert not (tmp_path / "r" / "images").exists()
