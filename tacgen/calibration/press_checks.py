@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 
 from tacgen.units import STANDARD_GRAVITY_M_S2
 
-MAX_EMPTY_SHARE = 0.05
-"""Up to this share of a trial's samples may be empty before the whole trial is left out."""
+MAX_EMPTY_SHARE = 0.5
+"""Up to this share of a trial's samples may be empty before the whole trial is left out: what is
+measured beside them is as good as ever."""
+
+MAX_WARNED = 5
+"""Presses whose empty cells or gaps are spelled out."""
 
 MAX_PLAUSIBLE_FORCE_N = 100.0
 """Above what a gripper presses on a gel with: the WSG-50 ends at 80 N."""
@@ -88,6 +92,7 @@ def check_trials(columns: Columns, rows: NDArray[np.int64], path: Path) -> Check
     for block in blocks:
         _check_cells(found, block)
         _check_clock(found, block)
+    _shorten(found)
     _check_repeats(found, blocks)
     for block in blocks:
         _check_contact(found, block)
@@ -155,9 +160,9 @@ def _check_cells(found: _Findings, block: slice) -> None:
         return
     guilty = ", ".join(name for name, known in finite.items() if not known.all())
     where = ", ".join(str(row) for row in found.rows[block][bad][:5])
-    what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples (row {where})"
+    what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
     if bad.mean() > MAX_EMPTY_SHARE:
-        found.drop(block, what, "fill the cells or delete the press")
+        found.drop(block, f"{what} (row {where})", "fill the cells or delete the press")
         return
     found.keep[block] &= ~bad
     trial = found.columns["trial"][block.start]
@@ -165,6 +170,14 @@ def _check_cells(found: _Findings, block: slice) -> None:
         f"row {where}: trial {trial}: {what}; these samples are left out, fill the cells "
         "or delete the rows"
     )
+
+
+def _shorten(found: _Findings) -> None:
+    """Say what is the same of very many presses in a line, after the first few."""
+    more = len(found.warnings) - MAX_WARNED
+    if more > 0:
+        del found.warnings[MAX_WARNED:]
+        found.warn(f"{more} more presses have empty cells or gaps in their clock likewise")
 
 
 def _check_clock(found: _Findings, block: slice) -> None:

@@ -265,3 +265,16 @@ def test_measured_logs_are_read(measured_data):
     wedge = read_press_log(measured_data / "wedge_press_log" / "press_log.csv")
     assert (len(wedge.trials), wedge.dropped) == (4, ())
     assert not wedge.has_shear
+
+
+def test_holes_in_every_press_cost_only_their_samples(tmp_path):
+    frame = log_frame(9)
+    holes = np.random.default_rng(3).random(len(frame)) < 0.25
+    frame.loc[holes, "volume_mm3"] = np.nan
+    path = tmp_path / "log.csv"
+    frame.to_csv(path, index=False)
+    log = read_press_log(path)
+    assert log.dropped == ()
+    assert len(log.rows) == int((~holes).sum())
+    assert len(log.warnings) == 6, "five presses are spelled out, the others counted"
+    assert "more presses have empty cells" in log.warnings[-1]
