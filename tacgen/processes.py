@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -29,6 +30,7 @@ ONE_THREAD = dict.fromkeys(
 )
 
 _PR_SET_PDEATHSIG = 1
+_START_TRIES, _START_PAUSE_S = 20, 0.05
 
 
 def start_early(*modules: str) -> None:
@@ -52,9 +54,19 @@ def start(target: Callable[..., None], *arguments: object) -> multiprocessing.pr
     context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     # The process that is copied may have been started under another environment.
     given = (target, dict(os.environ) | ONE_THREAD, *arguments)
-    process = context.Process(target=_run, args=given, daemon=True)
-    with _threads_pinned():
-        process.start()
+    for left in reversed(range(_START_TRIES)):
+        process: multiprocessing.process.BaseProcess
+        process = context.Process(target=_run, args=given, daemon=True)
+        try:
+            with _threads_pinned():
+                process.start()
+        except (EOFError, ConnectionError):
+            # The fork server was killed and is not yet seen to be gone; then a new one starts.
+            if not left:
+                raise
+            time.sleep(_START_PAUSE_S)
+        else:
+            break
     return process
 
 

@@ -32,7 +32,7 @@ from tacgen.errors import DatasetError
 from tacgen.files import atomic_path, sync_directory, sync_file, write_text
 
 _NO_LINKS_HERE = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
-_LOCK_TRIES, _LOCK_PAUSE_S = 5, 0.02
+_LOCK_TRIES, _LOCK_PAUSE_S = 75, 0.02
 _NO_LOCKS_HERE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
@@ -284,7 +284,8 @@ def _open_locked(path: Path) -> tuple[int, bool | None]:
         held = _lock(descriptor)
         tries -= 1
         if held is False and tries:
-            # It may be `running`, looking whether a lock is held: that lasts an instant.
+            # It may be `running`, looking whether a lock is held, which lasts an instant, or a
+            # worker of a run that was killed, which ends within a second on a busy machine.
             os.close(descriptor)
             time.sleep(_LOCK_PAUSE_S)
             continue
