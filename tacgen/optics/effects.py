@@ -154,11 +154,16 @@ def saturation(image: Image, patch: Patch, *, level_grey: float, knee_grey: floa
     return level - knee * np.logaddexp(np.float32(0), (level - image) / knee)
 
 
+CHANNELS = ("r", "g", "b")
+PLACES = ("uu", "vv", "uv", "u", "v")
+LEAKS = ("rg", "rb", "gr", "gb", "br", "bg")
+"""What names of parameters are made of: channels, terms of the place, and which channel leaks into
+which."""
+
 SHARP_KNEE_GREY = 0.05
 """A knee below this is none."""
 
 _LIGHT = Bounds(0.0, -4.0, 4.0)
-_PLACES = ("uu", "vv", "uv", "u", "v")
 _UNIT = Bounds(1.0, 0.5, 2.0)
 _GREY = Bounds(0.0, -60.0, 60.0, "grey")
 _SHARE = Bounds(0.0, -0.5, 0.5)
@@ -172,21 +177,21 @@ EFFECTS: Mapping[str, OpticalEffect] = MappingProxyType(
                 "illumination",
                 "image",
                 illumination,
-                {f"{channel}_{place}": _LIGHT for channel in "rgb" for place in _PLACES},
+                {f"{channel}_{place}": _LIGHT for channel in CHANNELS for place in PLACES},
             ),
             OpticalEffect(
                 "cross_talk",
                 "image",
                 cross_talk,
-                dict.fromkeys(("rg", "rb", "gr", "gb", "br", "bg"), _SHARE),
+                dict.fromkeys(LEAKS, _SHARE),
             ),
             OpticalEffect(
                 "background_gain",
                 "image",
                 background_gain,
                 {
-                    **dict.fromkeys(("gain_r", "gain_g", "gain_b"), _UNIT),
-                    **dict.fromkeys(("offset_r", "offset_g", "offset_b"), _GREY),
+                    **dict.fromkeys((f"gain_{channel}" for channel in CHANNELS), _UNIT),
+                    **dict.fromkeys((f"offset_{channel}" for channel in CHANNELS), _GREY),
                 },
             ),
             OpticalEffect(

@@ -54,7 +54,7 @@ def test_clean_presses_need_no_effect(kind):
         pytest.param(
             *("four", "vignetting"),
             marks=pytest.mark.xfail(
-                strict=False, reason="known gap: under four lamps a table hides the dimming"
+                strict=True, reason="known gap: under four lamps a table hides the dimming"
             ),
         ),
         ("three", "saturation"),
@@ -85,7 +85,7 @@ def test_what_was_put_in_comes_out_in_numbers():
         pytest.param(
             *("four", "scratch", "place_on_gel"),
             marks=pytest.mark.xfail(
-                strict=False, reason="known gap: 24 presses may call a scratch background_gain"
+                strict=True, reason="known gap: 24 presses may call a scratch background_gain"
             ),
         ),
         ("three", "ageing", "image_number"),

@@ -11,6 +11,7 @@ from tacgen.loop.optics.fit import Knob, Problem, fit, mean_square
 from tacgen.loop.optics.model import GivenTable, Optics, PlainTable
 from tacgen.loop.optics.shade import best_length_mm, with_shadow
 from tacgen.loop.optics.surface import FORMS
+from tacgen.optics.effects import CHANNELS, LEAKS, PLACES
 
 EFFECT_NAMES = (
     "press_center",
@@ -26,9 +27,6 @@ EFFECT_NAMES = (
 
 FIRST_SIGMA_RADII = 0.15
 FIRST_SHADOW = 0.4
-_CHANNELS = ("r", "g", "b")
-_PLACE = ("uu", "vv", "uv", "u", "v")
-_LEAKS = ("rg", "rb", "gr", "gb", "br", "bg")
 
 
 def _same(problem: Problem, state: Optics) -> Optics:
@@ -70,7 +68,7 @@ class Candidate:
 def _by_channel(key: str, step: float, bound: float, prior: float, unit: str) -> tuple[Knob, ...]:
     return tuple(
         Knob(key, c, step, -bound, bound, prior, unit, f"{key}_{name}")
-        for c, name in enumerate(_CHANNELS)
+        for c, name in enumerate(CHANNELS)
     )
 
 
@@ -79,7 +77,7 @@ def _press_channel(
 ) -> tuple[Knob, ...]:
     return tuple(
         Knob(key, c, step, -bound, bound, prior, unit, f"{key}_{name}", each_press=True)
-        for c, name in enumerate(_CHANNELS)
+        for c, name in enumerate(CHANNELS)
     )
 
 
@@ -95,10 +93,10 @@ CENTER = tuple(
 RADIUS = Knob("growth", 0, 0.01, -0.4, 0.4, 0.1, "1", "growth", each_press=True)
 FIELD = tuple(
     Knob("light", 5 * c + p, 0.02, -4.0, 4.0, 1.0, "1", f"{name}_{place}")
-    for c, name in enumerate(_CHANNELS)
-    for p, place in enumerate(_PLACE)
+    for c, name in enumerate(CHANNELS)
+    for p, place in enumerate(PLACES)
 )
-MIXING = tuple(Knob("mixing", k, 0.01, -0.6, 0.6, 0.3, "1", name) for k, name in enumerate(_LEAKS))
+MIXING = tuple(Knob("mixing", k, 0.01, -0.6, 0.6, 0.3, "1", name) for k, name in enumerate(LEAKS))
 
 
 def _blurred(problem: Problem, state: Optics) -> Optics:

@@ -22,6 +22,7 @@ from tacgen.calibration.table_background import BackgroundRecipe, make_backgroun
 from tacgen.errors import PressError
 from tacgen.loop.optics.contest import Entry
 from tacgen.loop.optics.model import DEGREE, Optics, PlainTable, skin_of, surface_slopes
+from tacgen.optics.effects import CHANNELS, LEAKS, PLACES
 from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
 
@@ -32,9 +33,6 @@ SMOOTH = 0.03
 to find."""
 
 BEYOND_STEEPEST = 1.02
-_CHANNELS = ("r", "g", "b")
-_PLACES = ("uu", "vv", "uv", "u", "v")
-_LEAKS = ("rg", "rb", "gr", "gb", "br", "bg")
 
 
 def reference_of(presses: PressImages, table: LookupTable | None) -> NDArray[np.float32]:
@@ -88,14 +86,14 @@ def with_effects(state: Optics, effects: Mapping[str, Mapping[str, float]]) -> O
         given = effects.get(name, {})
         return np.array([float(given.get(p, identity)) for p in parameters])
 
-    light = read("illumination", tuple(f"{c}_{p}" for c in _CHANNELS for p in _PLACES))
+    light = read("illumination", tuple(f"{c}_{p}" for c in CHANNELS for p in PLACES))
     return replace(
         state,
         sigma_mm=read("blur", ("sigma_mm",)),
         light=light.reshape(3, 5),
-        mixing=read("cross_talk", _LEAKS),
-        gain=read("background_gain", tuple(f"gain_{c}" for c in _CHANNELS), 1.0) - 1,
-        offset=read("background_gain", tuple(f"offset_{c}" for c in _CHANNELS)),
+        mixing=read("cross_talk", LEAKS),
+        gain=read("background_gain", tuple(f"gain_{c}" for c in CHANNELS), 1.0) - 1,
+        offset=read("background_gain", tuple(f"offset_{c}" for c in CHANNELS)),
         dimming_all=read("vignetting", ("strength",)),
         dimming=read("vignetting", ("change_strength",)),
         level=read("saturation", ("level_grey",), math.inf),
@@ -110,8 +108,8 @@ def effects_of(state: Optics) -> dict[str, dict[str, float]]:
     gain, offset = state.gain, state.offset
     light = {
         f"{c}_{p}": float(state.light[i, j])
-        for i, c in enumerate(_CHANNELS)
-        for j, p in enumerate(_PLACES)
+        for i, c in enumerate(CHANNELS)
+        for j, p in enumerate(PLACES)
     }
     effects: dict[str, dict[str, float]] = {}
     if state.sigma_mm[0] > 0:
@@ -123,11 +121,11 @@ def effects_of(state: Optics) -> dict[str, dict[str, float]]:
     if state.light.any():
         effects["illumination"] = light
     if state.mixing.any():
-        effects["cross_talk"] = dict(zip(_LEAKS, map(float, state.mixing), strict=True))
+        effects["cross_talk"] = dict(zip(LEAKS, map(float, state.mixing), strict=True))
     if gain.any() or offset.any():
         effects["background_gain"] = {
-            **{f"gain_{c}": 1 + float(gain[i]) for i, c in enumerate(_CHANNELS)},
-            **{f"offset_{c}": float(offset[i]) for i, c in enumerate(_CHANNELS)},
+            **{f"gain_{c}": 1 + float(gain[i]) for i, c in enumerate(CHANNELS)},
+            **{f"offset_{c}": float(offset[i]) for i, c in enumerate(CHANNELS)},
         }
     if state.dimming[0] or state.dimming_all[0]:
         effects["vignetting"] = {

@@ -161,7 +161,8 @@ def _confusion_figure(strong: list[Outcome]) -> Figure:
         axis.imshow(share, cmap="Blues", vmin=0, vmax=100)
         for (i, j), value in np.ndenumerate(share):
             if value:
-                axis.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=7)
+                color = "white" if value > 60 else "black"
+                axis.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=7, color=color)
         axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
         axis.set_yticks(range(len(names)), names, fontsize=8)
         axis.set_title(channel)

@@ -3,7 +3,7 @@
     python -m tacgen.loop.trust [--repeats N] [--out docs/trust.md]
 
 Every effect of the lists, none, effects outside the lists, and pairs are put into made-up logs
-(`trust_cases`) at several strengths; the page says what was found. It takes about one and a half
+(`cases.py`) at several strengths; the page says what was found. It takes about one and a half
 seconds of one core a log and channel; results are kept beside the page, so that a run goes on
 where it stopped.
 """
