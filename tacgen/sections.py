@@ -19,13 +19,16 @@ class Section(BaseModel):
 
 
 def _axis_values(given: Any) -> Any:
-    """``4.0``, ``[1, 2]``, ``{linspace: [a, b, n]}`` or ``{range: [a, b, step]}`` as a list."""
+    """``4.0``, ``[1, 2]``, ``{linspace: [a, b, n]}`` and the like as a list."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
         return [given]
     if not isinstance(given, dict):
         return given
-    if len(given) != 1 or next(iter(given)) not in ("linspace", "range"):
-        msg = "is no list, {linspace: [start, stop, count]} or {range: [start, stop, step]}"
+    if len(given) != 1 or next(iter(given)) not in ("linspace", "geomspace", "range"):
+        msg = (
+            "is no list, {linspace: [start, stop, count]}, {geomspace: [start, stop, count]} "
+            "or {range: [start, stop, step]}"
+        )
         raise ValueError(msg)
     kind, arguments = next(iter(given.items()))
     if not (isinstance(arguments, list) and len(arguments) == 3):
@@ -38,10 +41,13 @@ def _axis_values(given: Any) -> Any:
     if not np.isfinite([start, stop, third]).all():
         msg = f"{kind} takes finite numbers, got {arguments!r}"
         raise ValueError(msg)
-    if kind == "linspace":
+    if kind in ("linspace", "geomspace"):
         count = int(third)
         if count < 1 or count != third:
-            msg = f"linspace takes a whole number of values, at least 1, got {arguments[2]!r}"
+            msg = f"{kind} takes a whole number of values, at least 1, got {arguments[2]!r}"
+            raise ValueError(msg)
+        if kind == "geomspace" and min(start, stop) <= 0:
+            msg = f"geomspace goes by equal factors between values above 0, got {arguments!r}"
             raise ValueError(msg)
     else:
         if third == 0 or (stop - start) / third < 0:
@@ -53,7 +59,8 @@ def _axis_values(given: Any) -> Any:
     if count > MAX_AXIS_VALUES:
         msg = f"has {count} values, more than {MAX_AXIS_VALUES}"
         raise ValueError(msg)
-    return [round(float(value), 9) for value in np.linspace(start, stop, count)]
+    spaced = np.geomspace if kind == "geomspace" else np.linspace
+    return [round(float(value), 9) for value in spaced(start, stop, count)]
 
 
 def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:

@@ -160,7 +160,7 @@ def _batches(
     own = source.reference()
     reference = trained_reference if own is None else resized(own[None], spec.size_px)[0]
     if isinstance(source, RealGraspImages):
-        if spec.image == "difference" and own is None:
+        if spec.image != "raw" and own is None:
             _note(
                 notes,
                 f"{source.folder}: no background.png, so the difference is taken to the "

@@ -28,8 +28,9 @@ class InputSpec:
         What images are resized to.
     n_frames : int
         Frames of a sequence, spread evenly over those there are; 1 for a single image.
-    image : ``difference`` or ``raw``
-        Whether the image of the undeformed gel is taken off.
+    image : ``difference``, ``change`` or ``raw``
+        What is taken off: the image of the undeformed gel, the frame before (of the first frame:
+        that of the undeformed gel), or nothing.
     source_shape_px : (height, width)
         Size of the sensor's images; others are refused.
     grasp_fraction : float or None
@@ -42,7 +43,7 @@ class InputSpec:
     kind: Literal["single", "sequence"]
     size_px: tuple[int, int]
     n_frames: int
-    image: Literal["difference", "raw"]
+    image: Literal["difference", "change", "raw"]
     source_shape_px: tuple[int, int]
     grasp_fraction: float | None = 0.0
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -129,14 +130,16 @@ def to_network(
     Parameters
     ----------
     reference : (h, w, 3) uint8, or None
-        The undeformed gel at the same size; needed for ``difference``.
+        The undeformed gel at the same size; not needed for ``raw``.
     """
     images = frames.astype(np.float32)
-    if spec.image == "difference":
+    if spec.image != "raw":
         if reference is None:
             msg = "no image of the undeformed gel to take the difference to; add background.png"
             raise LearningError(msg)
         images -= reference.astype(np.float32)
+    if spec.image == "change":
+        images[:, 1:] -= images[:, :-1].copy()
     images -= np.asarray(spec.mean, np.float32)
     images /= np.asarray(spec.std, np.float32)
     return images
@@ -149,7 +152,7 @@ def with_normalisation(
     plain = replace(spec, mean=(0.0, 0.0, 0.0), std=(1.0, 1.0, 1.0))
     total, squares, count = np.zeros(3), np.zeros(3), 0
     for frames in inputs:
-        images = to_network(frames, reference, plain).reshape(-1, 3).astype(np.float64)
+        images = to_network(frames[None], reference, plain).reshape(-1, 3).astype(np.float64)
         total += images.sum(axis=0)
         squares += np.square(images).sum(axis=0)
         count += len(images)

@@ -45,11 +45,16 @@ class ModelOptions(Section):
 
 
 class InputOptions(Section):
-    """What the network sees: pad, image size, frames, and whether the gel at rest is taken off."""
+    """What the network sees: pad, image size, frames, and what is taken off each image.
+
+    ``image`` is ``difference`` to the gel at rest, ``change`` since the frame before (of the first
+    frame: since the gel at rest), or ``raw``. A grasp that holds changes nothing, so slip and turn
+    stand out in ``change``; to a single image it is the same as ``difference``.
+    """
 
     pad: Literal["left", "right"] | None = None
     size_px: Annotated[tuple[int, int], AfterValidator(_input_size)] = (120, 160)
-    image: Literal["difference", "raw"] = "difference"
+    image: Literal["difference", "change", "raw"] = "difference"
     frames: Annotated[int, Field(ge=2, le=256)] | None = None
     cache_mb: NonNegativeInt = 1024
     loader_workers: Annotated[int, Field(ge=0, le=64)] = 0

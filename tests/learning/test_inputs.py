@@ -62,6 +62,16 @@ def test_the_undeformed_gel_has_no_difference_to_itself():
     np.testing.assert_array_equal(raw, frames)
 
 
+def test_change_is_since_the_frame_before_and_the_sum_of_changes_is_the_difference():
+    frames = np.random.default_rng(2).integers(0, 256, (2, 4, *SENSOR.shape_px, 3), dtype=np.uint8)
+    frames[:, 3] = frames[:, 2]
+    changes = to_network(frames, REFERENCE, replace(SEQUENCE, image="change"))
+    assert not changes[:, 3].any()
+    whole = to_network(frames, REFERENCE, SEQUENCE)
+    np.testing.assert_allclose(changes.cumsum(axis=1), whole, atol=1e-3)  # float32 sums
+    np.testing.assert_array_equal(changes[:, :1], whole[:, :1], err_msg="a single image")
+
+
 def test_resizing_keeps_the_mean_of_an_image():
     image = np.random.default_rng(0).integers(0, 256, (1, 48, 64, 3), dtype=np.uint8)
     small = resized(image, (24, 32))
