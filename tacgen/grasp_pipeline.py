@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,13 +66,8 @@ class GraspPipeline:
         self.simulator.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.simulator.__exit__(kind, error, traceback)
+    def __exit__(self, *raised: object) -> None:
+        self.simulator.__exit__(*raised)
 
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and what the pads feel of it."""

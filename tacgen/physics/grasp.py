@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import TracebackType
 
 import numpy as np
 
@@ -69,13 +68,8 @@ class GraspSimulator:
         self.world.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.world.__exit__(kind, error, traceback)
+    def __exit__(self, *raised: object) -> None:
+        self.world.__exit__(*raised)
 
 
 def run_grasp(

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from enum import IntFlag
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import ModuleType
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -109,12 +109,7 @@ class World:
         self._folder = tempfile.TemporaryDirectory(prefix="tacgen-physics-")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.bullet.disconnect(physicsClientId=self.client)
         self.client = -1
         if self._folder is not None:
