@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -13,11 +14,13 @@ import numpy as np
 
 from tacgen.dataset.real_grasps import RealGrasps
 from tacgen.errors import DatasetError
+from tacgen.files import sha256_of
 from tacgen.grasp_pipeline import recipe_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.randomize import with_friction, with_mass, with_scale
 from tacgen.recipe import ObjectEntry, Recipe
 from tacgen.records import GraspConfig, GraspObject, GraspTrace, frozen_array
+from tacgen.resources import find_object_folder
 from tacgen.workers import Report, run_tasks
 
 GRASP_LIMIT_S = 120.0
@@ -88,6 +91,15 @@ class Outcome:
             trace.rise_mm,
             trace.turn_rad,
         )
+
+
+def declared_sha256(recipe: Recipe, name: str) -> str:
+    """A hash of the recipe and of the files of the object ``name``."""
+    digest = hashlib.sha256(recipe.sha256().encode())
+    for path in sorted(find_object_folder(name).rglob("*")):
+        if path.is_file():
+            digest.update(f"{path.name} {sha256_of(path)}".encode())
+    return digest.hexdigest()
 
 
 Place = tuple[str, float, float, float, float, float]
@@ -165,10 +177,11 @@ def simulate_altered(
     """The outcome of every wanted grasp in its world.
 
     Lines of ``out/outcomes.jsonl`` are written as soon as a grasp has been simulated in all its
-    worlds; a run that was interrupted goes on from there. They carry the hash of the recipe and
-    the whole configuration, and are used for nothing else.
+    worlds; a run that was interrupted goes on from there. They carry the hashes of the recipe and
+    of the object's files and the whole configuration, and are used for nothing else.
     """
-    store = _Store(out / "outcomes.jsonl", recipe.sha256())
+    wanted = list(wanted)
+    store = _Store(out / "outcomes.jsonl", recipe, {config.object for config, _ in wanted})
     kept = store.read()
     jobs: dict[Place, tuple[GraspConfig, dict[Alteration, None]]] = {}
     keys: dict[Key, None] = {}
@@ -236,20 +249,23 @@ def _grasp_job(
 class _Store:
     """Finished simulations on disk, a line each."""
 
-    def __init__(self, path: Path, recipe_sha256: str) -> None:
+    def __init__(self, path: Path, recipe: Recipe, names: Iterable[str]) -> None:
         self._path = path
-        self._recipe = recipe_sha256
+        self._made_with = {name: declared_sha256(recipe, name) for name in names}
 
     def read(self) -> dict[Key, Outcome]:
-        """What is there of this recipe; a line cut short by a crash is passed over."""
+        """What is there of these objects as declared; a line cut short by a crash is passed over.
+
+        Lines of objects that were declared otherwise then are passed over too.
+        """
         found: dict[Key, Outcome] = {}
         if not self._path.is_file():
             return found
         for line in self._path.read_text(encoding="utf-8").splitlines():
             try:
                 data = json.loads(line)
-                if data["recipe"] == self._recipe:
-                    name, *numbers = data["grasp"]
+                name, *numbers = data["grasp"]
+                if data["declared"] == self._made_with.get(name):
                     key = ((name, *map(float, numbers)), Alteration(**data["world"]))
                     found[key] = Outcome(**data["outcome"])
             except (ValueError, KeyError, TypeError):
@@ -261,7 +277,7 @@ class _Store:
         with self._path.open("a", encoding="utf-8") as file:
             for (place, world), one in outcomes.items():
                 line = {
-                    "recipe": self._recipe,
+                    "declared": self._made_with[place[0]],
                     "grasp": place,
                     "world": world.changes(),
                     "outcome": asdict(one),

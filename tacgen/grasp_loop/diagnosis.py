@@ -27,7 +27,7 @@ from tacgen.recipe import Recipe
 Show = Callable[[int, int], None]
 LEADING = 5.0
 """Names whose log-evidence is within this of the best are simulated about their own values."""
-MOST_REFINED = 3
+MOST_REFINED, N_ROUNDS = 3, 3
 _KNOWN_MODE = {"rotational_slip": TURNED, "translational_slip": SLID}
 
 
@@ -62,7 +62,7 @@ def diagnose_grasps(
     configs = tuple(grasp.config for grasp in real.grasps)
     worlds = GraspWorlds(recipe, configs, out, workers, show)
     contest = worlds.contest()
-    reading, about = force_from_images(recipe, real, show("images"))
+    reading, about = force_from_images(recipe, real, out / "imprints.json", show("images"))
     labels = labels_of(real.grasps)
     labels = Labels(labels.known, labels.modes, reading)
     contest = refine(worlds, contest, labels)
@@ -92,9 +92,13 @@ def diagnose_grasps(
 
 
 def refine(worlds: GraspWorlds, contest: Contest, labels: Labels) -> Contest:
-    """Simulate the leading candidates about their own values."""
-    leading = _leading(contest.standings(labels))
-    return worlds.refined(contest, leading) if leading else contest
+    """Simulate the leading candidates about their own values, which moves them, a few times."""
+    for _ in range(N_ROUNDS):
+        leading = _leading(contest.standings(labels))
+        if not leading:
+            break
+        contest = worlds.refined(leading)
+    return contest
 
 
 def choose_confirmed(

@@ -7,6 +7,8 @@ one is compared with simulated images of the same grasp at several forces.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
+from tacgen.files import sha256_of, write_text
+from tacgen.grasp_loop.altered_worlds import declared_sha256, place_of
 from tacgen.grasp_loop.worlds import declared_object
 from tacgen.grasp_pipeline import GraspPipeline, dataset_spec
 from tacgen.grid import PlannedGrasp
@@ -35,16 +39,17 @@ Image = NDArray[np.uint8]
 
 
 def force_from_images(
-    recipe: Recipe, real: RealGrasps, show: Callable[[int, int], None]
+    recipe: Recipe, real: RealGrasps, kept: Path, show: Callable[[int, int], None]
 ) -> tuple[ForceReading, str]:
     """The delivered force over the declared one, as far as images tell, and words about it.
 
-    Successful grasps are read first: where an object slides, its imprint changes.
+    Successful grasps are read first: where an object slides, its imprint changes. What was
+    compared stands in the file ``kept``, and is not simulated again.
     """
     grasps = sorted((g for g in real.grasps if g.images), key=lambda grasp: -grasp.label)[:N_READ]
     if len(grasps) < LEAST_READ:
         return NO_READING, "no images to read the force from: labels alone decide"
-    measured, simulated = imprint_strengths(recipe, real.folder, grasps, show)
+    measured, simulated = _kept_strengths(kept, recipe, real.folder, grasps, show)
     readings = [
         float(np.interp(one, curve, np.log(FORCES)))
         for one, curve in zip(measured, simulated, strict=True)
@@ -63,6 +68,40 @@ def force_from_images(
         f"the imprints of {len(readings)} grasps are those of {np.exp(middle):.2f} times the "
         f"declared force, to {100 * stderr:.0f} % (the gel's compliance included)"
     )
+
+
+def _kept_strengths(
+    kept: Path,
+    recipe: Recipe,
+    folder: Path,
+    grasps: Sequence[RealGrasp],
+    show: Callable[[int, int], None],
+) -> tuple[FloatArray, FloatArray]:
+    """``imprint_strengths``, read from ``kept`` if it was made of the same."""
+    made_of = _hash_of_all(recipe, folder, grasps)
+    try:
+        found = json.loads(kept.read_text(encoding="utf-8"))
+        if found["made_of"] == made_of:
+            return np.array(found["measured"], float), np.array(found["simulated"], float)
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # none yet, or cut short
+    measured, simulated = imprint_strengths(recipe, folder, grasps, show)
+    found = {"made_of": made_of, "measured": measured.tolist(), "simulated": simulated.tolist()}
+    write_text(kept, json.dumps(found) + "\n")
+    return measured, simulated
+
+
+def _hash_of_all(recipe: Recipe, folder: Path, grasps: Sequence[RealGrasp]) -> str:
+    """A hash of everything that the strengths of imprints depend on."""
+    names = dict.fromkeys(grasp.config.object for grasp in grasps)
+    images = [path for grasp in grasps for path in grasp.images]
+    parts = [
+        str(dataset_spec(recipe, len(grasps)).calibration),
+        *(declared_sha256(recipe, name) for name in names),
+        *(str(place_of(grasp.config)) for grasp in grasps),
+        *(sha256_of(path) for path in (folder / "background.png", *images) if path.is_file()),
+    ]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def imprint_strengths(

@@ -1,7 +1,8 @@
 """How far ``tacgen diagnose grasps`` can be trusted: worlds altered on purpose, over and over.
 
 Real grasps are simulated in worlds with one wrong figure, and the diagnosis, which knows only the
-declared world and the labels, has to name it. Run as
+declared world and the labels, has to name it. Then fresh grasps, which it never saw, are simulated
+in the altered world and in the one that was found. Run as
 ``python -m tacgen.grasp_loop.trust --out DIR``.
 """
 
@@ -10,23 +11,25 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.files import write_text
-from tacgen.grasp_loop.altered_worlds import Alteration
+from tacgen.grasp_loop.altered_worlds import Alteration, place_of
 from tacgen.grasp_loop.diagnosis import choose_confirmed, refine
-from tacgen.grasp_loop.worlds import DECLARED, GraspWorlds
+from tacgen.grasp_loop.worlds import DECLARED, GraspWorlds, combined_world, is_sure, slack_of
 from tacgen.loop.grasps.contest import Labels, choose, confusable
-from tacgen.loop.grasps.diagnosis import GraspDiagnosis, diagnose_labels
+from tacgen.loop.grasps.diagnosis import diagnose_labels
 from tacgen.loop.grasps.hypothesis import FAILED, NO_READING, SUCCESS
 from tacgen.objects_io import load_object
 from tacgen.recipe import Recipe
 from tacgen.records import GraspConfig
 
+FRESH_SEED = 1000
 SETS: tuple[tuple[tuple[str, ...], int, int], ...] = (
     (("wood_block",), 40, 1),
     (("potted_meat_can",), 40, 1),
@@ -46,13 +49,19 @@ WORLDS: dict[str, Alteration] = {
     "mass": Alteration(mass_factor=1.4),
 }
 FLIPS = (0.0, 0.05)
+N_FRESH = 100
 LEAST_CHANGED = 2
 """A world that changes fewer labels cannot be told from the declared one by anybody."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One diagnosis: what was wrong, and what was said."""
+    """One diagnosis: what was wrong, and what was said.
+
+    ``rate_after`` is the diagnosis's own figure, ``rate_of_truth`` the share of flipped labels,
+    and ``fresh_wrong`` the share of fresh grasps that end otherwise in the world that was found
+    than in the true one.
+    """
 
     objects: str
     world: str
@@ -60,10 +69,17 @@ class Trial:
     n_grasps: int
     n_changed: int
     named: tuple[str, ...]
+    values: tuple[float, ...]
     confusable: tuple[str, ...]
     rate_before: float
     rate_after: float
     rate_of_truth: float
+    fresh_wrong: float
+
+    @property
+    def rate_fresh(self) -> float:
+        """Expected mislabel rate of fresh grasps whose real labels are flipped as often."""
+        return self.fresh_wrong + self.flips * (1 - 2 * self.fresh_wrong)
 
     @property
     def expected(self) -> str:
@@ -106,6 +122,8 @@ def run_set(
     configs = planned_grasps(objects, count, seed)
     folder = out / f"{'-'.join(objects)}_{count}_{seed}"
     worlds = GraspWorlds(recipe, configs, folder, workers)
+    fresh_configs = planned_grasps(objects, N_FRESH, seed + FRESH_SEED)
+    fresh = GraspWorlds(recipe, fresh_configs, folder / "fresh", workers)
     contest = worlds.contest()
     for name, alteration in WORLDS.items():
         worlds.simulate(name, [(config, alteration) for config in configs])
@@ -123,38 +141,56 @@ def run_set(
                 current = refine(worlds, contest, labels)
                 steps, _ = choose_confirmed(worlds, current, labels, rng)
             found = diagnose_labels(current, labels, steps, declared.astype(int), {}, (), rng)
-            changed = int((truth != declared).sum())
-            yield _trial(objects, name, flips, changed, found, float((success != truth).mean()))
+            said = {one: combined_world(found.found, one) for one in objects}
+            wrong = fresh_labels(fresh, said) != fresh_labels(
+                fresh, dict.fromkeys(objects, alteration)
+            )
+            yield Trial(
+                "+".join(objects),
+                name,
+                flips,
+                count,
+                int((truth != declared).sum()),
+                tuple(standing.name for standing in found.found),
+                tuple(round(standing.value, 4) for standing in found.found),
+                confusable(found.steps[0].standings),
+                found.rate_before,
+                found.rate_after,
+                float((success != truth).mean()),
+                float(wrong.mean()),
+            )
 
 
-def _trial(
-    objects: Sequence[str],
-    world: str,
-    flips: float,
-    n_changed: int,
-    found: GraspDiagnosis,
-    rate_of_truth: float,
-) -> Trial:
-    return Trial(
-        "+".join(objects),
-        world,
-        flips,
-        len(found.real),
-        n_changed,
-        tuple(standing.name for standing in found.found),
-        confusable(found.steps[0].standings),
-        found.rate_before,
-        found.rate_after,
-        rate_of_truth,
-    )
+def fresh_labels(worlds: GraspWorlds, altered: Mapping[str, Alteration]) -> NDArray[np.bool_]:
+    """Whether each grasp succeeds (N,) in the world of its object.
+
+    A mass is simulated as the force that it amounts to, and a grasp that another force leaves
+    beyond doubt is not simulated at it.
+    """
+    worlds.simulate("declared", [(config, DECLARED) for config in worlds.configs])
+    slack, _ = slack_of(worlds.outcomes(DECLARED))
+    keys = []
+    for config, own in zip(worlds.configs, slack, strict=True):
+        world = as_force(altered[config.object])
+        by_force = world == Alteration(force_scale=world.force_scale)
+        known = by_force and is_sure(own, world.force_scale)
+        keys.append((config, DECLARED if known else world))
+    worlds.simulate("fresh", keys)
+    return np.array([worlds.known[place_of(config), world].label == 1 for config, world in keys])
+
+
+def as_force(world: Alteration) -> Alteration:
+    """The world in which a force does what a mass does in ``world``."""
+    scale = round(world.force_scale / world.mass_factor, 3)
+    return replace(world, mass_factor=1.0, force_scale=scale)
 
 
 def summary_of(trials: Sequence[Trial]) -> str:
     """The trials as a table in Markdown, a row for each world and share of flipped labels."""
     lines = [
         "| wrong | flipped | trials | too few labels changed | right first "
-        "| right first or said to be as good | mislabels before → after (truth) |",
-        "|---|---|---|---|---|---|---|",
+        "| right first or said to be as good | mislabels before → after (truth) | fresh (truth) |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for flips in FLIPS:
         for world in WORLDS:
@@ -162,15 +198,16 @@ def summary_of(trials: Sequence[Trial]) -> str:
             seen = [t for t in own if not t.expected or t.n_changed >= LEAST_CHANGED]
             if not seen:
                 continue
-            before, after, truth = (
+            before, after, truth, fresh = (
                 100 * float(np.mean([getattr(t, f"rate_{what}") for t in seen]))
-                for what in ("before", "after", "of_truth")
+                for what in ("before", "after", "of_truth", "fresh")
             )
             lines.append(
                 f"| {world} | {100 * flips:.0f} % | {len(own)} | {len(own) - len(seen)} "
                 f"| {sum(t.right for t in seen)} of {len(seen)} "
                 f"| {sum(t.listed for t in seen)} of {len(seen)} "
-                f"| {before:.1f} → {after:.1f} % ({truth:.1f} %) |"
+                f"| {before:.1f} → {after:.1f} % ({truth:.1f} %) "
+                f"| {fresh:.1f} % ({100 * flips:.1f} %) |"
             )
     return "\n".join(lines) + "\n"
 

@@ -9,8 +9,9 @@ about the values that lead (``refined``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from tacgen.loop.grasps.candidates import WHOLE_WORLD, Candidate, candidates_for
 from tacgen.loop.grasps.contest import Contest, Standing
 from tacgen.loop.grasps.hypothesis import Hypothesis, declared_world, interpolated
 from tacgen.loop.grasps.slack import (
+    FARTHEST,
     at_force,
     signed_slack,
     slack_at_force,
@@ -34,17 +36,19 @@ from tacgen.records import GraspConfig
 DECLARED = Alteration()
 Show = Callable[[int, int], None]
 FloatArray = NDArray[np.float64]
+Tables = tuple[FloatArray, FloatArray, FloatArray]
 
 SURE_SLACK = 0.5
 """Grasps that are further than this from their threshold are not simulated at that force."""
-BY_FORCE = ("mass_factor", "force_offset_n")
-"""Parameters that amount to another force exactly."""
 AS_FORCE: dict[str, Callable[[float], float]] = {
     "force_scale": lambda scale: scale,
     "mass_factor": lambda factor: 1 / factor,
 }
-"""The force that a factor amounts to; the other way round it is the same."""
-PREDICTED = (*BY_FORCE, "friction_factor", "spinning_friction_factor")
+"""The force that a factor amounts to exactly; the other way round it is the same."""
+BY_CLOSED_FORM = ("friction_factor", "spinning_friction_factor")
+"""Parameters that are simulated only about the values that lead."""
+PREDICTED = ("mass_factor", "force_offset_n", *BY_CLOSED_FORM)
+WITHIN_DEVIATIONS = 2.5
 
 
 @dataclass
@@ -57,7 +61,7 @@ class GraspWorlds:
     workers: int
     show: Callable[[str], Show] = lambda what: lambda done, total: None
     known: dict[Key, Outcome] = field(default_factory=dict)
-    further_forces: set[float] = field(default_factory=set)
+    further: dict[Candidate, set[float]] = field(default_factory=dict)
 
     def simulate(self, what: str, wanted: Iterable[tuple[GraspConfig, Alteration]]) -> None:
         """Make the outcomes of these grasps known."""
@@ -78,48 +82,51 @@ class GraspWorlds:
     def contest(self) -> Contest:
         """Simulate what cannot be predicted, and set up the contest of all candidates."""
         self.simulate("declared world", [(config, DECLARED) for config in self.configs])
-        candidates = self._candidates()
-        self.simulate("altered worlds", self._wanted(candidates))
-        return Contest(self._declared(), [self._hypothesis(one) for one in candidates])
+        self.simulate("altered worlds", self._wanted())
+        return self._contest()
 
-    def refined(self, contest: Contest, standings: Sequence[Standing]) -> Contest:
-        """The contest with these standings' hypotheses simulated about their own values."""
+    def refined(self, standings: Sequence[Standing]) -> Contest:
+        """The contest with these standings' hypotheses simulated where their values matter."""
         wanted = []
-        places: dict[int, NDArray[np.float64]] = {}
         for standing in standings:
-            candidate, axis = standing.hypothesis.candidate, standing.hypothesis.coordinate
+            candidate = standing.hypothesis.candidate
             if candidate is None or candidate.parameter.key == "force_offset_n":
                 continue
-            values = _around(standing)
-            if candidate.parameter.key in AS_FORCE:
-                if set(candidate.objects) != {config.object for config in self.configs}:
-                    continue
-                worlds = [
-                    Alteration(force_scale=_rounded(AS_FORCE[candidate.parameter.key](v)))
-                    for v in values
-                ]
-                self.further_forces |= {world.force_scale for world in worlds}
-            else:
-                places[id(candidate)] = values
-                worlds = [world_of(candidate, value) for value in values]
-            for value, world in zip(values, worlds, strict=True):
-                at = np.argmin(np.abs(axis - candidate.parameter.coordinate(value)))
-                near = np.abs(standing.hypothesis.slack[at]) < SURE_SLACK
-                wanted += [
-                    (config, world)
-                    for config, unsure in zip(self.configs, near, strict=True)
-                    if unsure and config.object in candidate.objects
-                ]
+            as_force = AS_FORCE.get(candidate.parameter.key)
+            for config, value in self._telling(standing):
+                own = candidate if as_force is None else self._force
+                value = _rounded(value if as_force is None else as_force(value))
+                self.further.setdefault(own, set()).add(value)
+                wanted.append((config, world_of(own, value)))
         self.simulate("worlds about the best", wanted)
-        return Contest(
-            contest.declared.hypothesis,
-            [
-                self._hypothesis(e.hypothesis.candidate, places.get(id(e.hypothesis.candidate)))
-                for e in contest.others
-                if e.hypothesis.candidate is not None
-            ],
-        )
+        return self._contest()
 
+    def _telling(self, standing: Standing) -> Iterator[tuple[GraspConfig, float]]:
+        """Grasps and values at which a simulation would say most about the standing's value.
+
+        Each grasp whose label changes near the value, at the value where it seems to change. What
+        was predicted by closed form is simulated at the value and one deviation to each side.
+        """
+        candidate, axis = standing.hypothesis.candidate, standing.hypothesis.coordinate
+        if candidate is None:
+            return
+        value, slack = candidate.parameter.value, standing.hypothesis.slack
+        deviation = max(standing.deviation, 0.5 * float(axis[1] - axis[0]))
+        near = np.abs(axis - standing.coordinate) <= WITHIN_DEVIATIONS * deviation
+        about = standing.coordinate + deviation * np.array([-1.0, 0.0, 1.0])
+        about = np.clip(about, axis[0], axis[-1])
+        for n, config in enumerate(self.configs):
+            if config.object not in candidate.objects:
+                continue
+            if candidate.parameter.key in BY_CLOSED_FORM and candidate not in self.further:
+                unsure = np.abs(np.interp(about, axis, slack[:, n])) < SURE_SLACK
+                places = about[unsure]
+            else:
+                places = crossings(axis[near], slack[near, n])
+            for place in places:
+                yield config, value(float(place))
+
+    @cached_property
     def _candidates(self) -> tuple[Candidate, ...]:
         """The candidates for these grasps, centres of mass kept within the objects."""
         objects = tuple(dict.fromkeys(config.object for config in self.configs))
@@ -146,18 +153,18 @@ class GraspWorlds:
             low, high = max(low, vertices.min() - center), min(high, vertices.max() - center)
         return float(low), float(high)
 
-    def _wanted(self, candidates: Sequence[Candidate]) -> list[tuple[GraspConfig, Alteration]]:
+    def _wanted(self) -> list[tuple[GraspConfig, Alteration]]:
         """Grasps at the nodes of the candidates that are simulated from the start."""
         slack = dict(zip(self.configs, self._declared().slack[0], strict=True))
         found = []
-        for candidate in candidates:
+        for candidate in self._candidates:
             parameter = candidate.parameter
             if parameter.key in PREDICTED:
                 continue
             for node in parameter.nodes:
                 world = world_of(candidate, node)
                 for config in self.configs:
-                    far = parameter.key == "force_scale" and _sure(slack[config], node)
+                    far = parameter.key == "force_scale" and is_sure(slack[config], node)
                     if config.object in candidate.objects and not far:
                         found.append((config, world))
         return found
@@ -165,31 +172,55 @@ class GraspWorlds:
     def _declared(self) -> Hypothesis:
         return declared_world(*slack_of(self.outcomes(DECLARED)))
 
-    def _hypothesis(
-        self, candidate: Candidate, further: NDArray[np.float64] | None = None
-    ) -> Hypothesis:
-        """A candidate's hypothesis from what is known; ``further`` values were simulated too."""
-        nodes = np.array(candidate.parameter.nodes)
-        if candidate.parameter.key in AS_FORCE:
-            as_force = AS_FORCE[candidate.parameter.key]
-            further = np.array([as_force(force) for force in sorted(self.further_forces)])
-        if further is not None:
-            nodes = np.unique(np.concatenate([nodes, further]))
-        slack, turning = self._predicted(candidate, nodes)
+    @property
+    def _force(self) -> Candidate:
+        return next(c for c in self._candidates if c.parameter.key == "force_scale")
+
+    def _contest(self) -> Contest:
+        """The contest of all candidates from what is known."""
+        force = self._tables(self._force)
+        hypotheses = []
+        for candidate in self._candidates:
+            tables = force if candidate is self._force else self._tables(candidate, force)
+            log_force = None
+            if candidate.name == "grip_force":
+                log_force = self._log_force(candidate, tables[0]).mean(axis=1)
+            hypotheses.append(interpolated(candidate, *tables, log_force))
+        return Contest(self._declared(), hypotheses)
+
+    def _tables(self, candidate: Candidate, force: Tables | None = None) -> Tables:
+        """Nodes (K,), slack and turning share (K, N): simulated, predicted, or in between.
+
+        ``force`` are those of the force, from which other candidates' may follow.
+        """
+        key = candidate.parameter.key
+        further = self.further.get(candidate, set())
+        if key in ("mass_factor", "friction_factor") and force is not None:
+            further = further | {1 / f if key == "mass_factor" else f for f in force[0]}
+        nodes = np.array(sorted({*candidate.parameter.nodes, *further}))
+        slack, turning = self._predicted(candidate, nodes, force)
+        known = np.isin(nodes, candidate.parameter.nodes)[:, None] | np.zeros(slack.shape, bool)
+        if key in PREDICTED:
+            known[:] = True
+        acting = [n for n, c in enumerate(self.configs) if c.object in candidate.objects]
         for k, node in enumerate(nodes):
-            world = world_of(candidate, node)
-            for n, config in enumerate(self.configs):
-                key = place_of(config), world
-                if config.object in candidate.objects and key in self.known:
-                    own_slack, own_turning = slack_of([self.known[key]])
-                    slack[k, n], turning[k, n] = own_slack[0], own_turning[0]
-        log_force = None
-        if candidate.name == "grip_force":
-            log_force = self._log_force(candidate, nodes).mean(axis=1)
-        return interpolated(candidate, nodes, slack, turning, log_force)
+            if key in PREDICTED and node == candidate.parameter.declared:
+                continue
+            keys = {n: (place_of(self.configs[n]), world_of(candidate, node)) for n in acting}
+            own = [n for n, key in keys.items() if key in self.known]
+            slack[k, own], turning[k, own] = slack_of([self.known[keys[n]] for n in own])
+            known[k, own] = True
+        at = candidate.parameter.coordinate(nodes)
+        for n, own in enumerate(known.T):
+            slack[:, n] = np.interp(at, at[own], slack[own, n])
+            turning[:, n] = np.interp(at, at[own], turning[own, n])
+            places = crossings(at, slack[:, n])
+            if key == "force_scale" and len(places) == 1 and slack[0, n] < 0:
+                slack[:, n] = np.clip(at - places[0], -FARTHEST, FARTHEST)
+        return nodes, slack, turning
 
     def _predicted(
-        self, candidate: Candidate, nodes: NDArray[np.float64]
+        self, candidate: Candidate, nodes: FloatArray, force: Tables | None
     ) -> tuple[FloatArray, FloatArray]:
         """Slack and turning share (K, N) at ``nodes`` as far as they follow from other worlds."""
         declared = self._declared()
@@ -207,22 +238,15 @@ class GraspWorlds:
                 np.array([one.torsion_ratio for one in outcomes]),
                 np.log(nodes),
             )
-        elif key in PREDICTED:
-            by_force, wanted = self._by_force(), self._log_force(candidate, nodes)
-            found = slack_at_force(by_force.coordinate, by_force.slack, wanted)
-            turning = np.where(
-                acts, at_force(by_force.coordinate, by_force.turning, wanted), turning
-            )
+        elif key in PREDICTED and force is not None:
+            log_scale, wanted = np.log(force[0]), self._log_force(candidate, nodes)
+            found = slack_at_force(log_scale, force[1], wanted)
+            turning = np.where(acts, at_force(log_scale, force[2], wanted), turning)
         else:
             found = slack
-        return np.where(acts, np.clip(found, -1.5, 1.5), slack), turning
+        return np.where(acts, np.clip(found, -FARTHEST, FARTHEST), slack), turning
 
-    def _by_force(self) -> Hypothesis:
-        """What grasps do at other forces; its coordinate is the logarithm of the force."""
-        scaled = next(c for c in self._candidates() if c.parameter.key == "force_scale")
-        return self._hypothesis(scaled)
-
-    def _log_force(self, candidate: Candidate, nodes: NDArray[np.float64]) -> FloatArray:
+    def _log_force(self, candidate: Candidate, nodes: FloatArray) -> FloatArray:
         """Log (K, N) of the force over the declared one that each value amounts to."""
         key = candidate.parameter.key
         if key == "mass_factor":
@@ -233,6 +257,14 @@ class GraspWorlds:
         declared = np.array([settings.delivered_force_n(c.force_n) for c in self.configs])
         delivered = np.maximum(declared + nodes[:, None], 0.01)
         return np.log(delivered / np.maximum(declared, 0.01))
+
+
+def crossings(axis: FloatArray, slack: FloatArray) -> FloatArray:
+    """Where on ``axis`` (M,) the interpolated slack (M,) of a grasp passes through zero."""
+    at = np.flatnonzero(slack[:-1] * slack[1:] < 0)
+    part = slack[at] / (slack[at] - slack[at + 1])
+    places: FloatArray = axis[at] + part * (axis[at + 1] - axis[at])
+    return places
 
 
 def slack_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
@@ -248,7 +280,7 @@ def slack_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def _sure(slack: float, factor: float) -> bool:
+def is_sure(slack: float, factor: float) -> bool:
     """Whether a grasp's label at another force is beyond doubt.
 
     Slack near 0 may be a turn that is allowed: only a clear one is carried to another force.
@@ -257,18 +289,9 @@ def _sure(slack: float, factor: float) -> bool:
     return bool(abs(slack) > SURE_SLACK and abs(there) > SURE_SLACK)
 
 
-def _around(standing: Standing) -> NDArray[np.float64]:
-    """Values to simulate: the posterior one and one deviation to each side, within the nodes."""
-    axis = standing.hypothesis.coordinate
-    steps = standing.coordinate + max(standing.deviation, 0.02) * np.array([-1.0, 0.0, 1.0])
-    candidate = standing.hypothesis.candidate
-    value = candidate.parameter.value if candidate is not None else float
-    return np.unique([_rounded(value(float(v))) for v in np.clip(steps, axis[0], axis[-1])])
-
-
 def _rounded(value: float) -> float:
-    """Two digits are enough to simulate about, and repeat from one run to the next."""
-    return float(f"{value:.2g}")
+    """Three digits are enough to simulate about, and repeat from one run to the next."""
+    return float(f"{value:.3g}")
 
 
 def world_of(candidate: Candidate, value: float) -> Alteration:

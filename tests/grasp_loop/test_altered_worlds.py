@@ -1,19 +1,28 @@
 """Altered worlds with the simulator in them: what amounts to the same, and what is kept on disk."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
-from tacgen.grasp_loop.altered_worlds import Alteration, altered_object, place_of, simulate_altered
+from tacgen.grasp_loop.altered_worlds import (
+    Alteration,
+    Outcome,
+    altered_object,
+    place_of,
+    simulate_altered,
+)
 from tacgen.grasp_loop.extended_recipe import extended_recipe, write_extended_recipe
-from tacgen.grasp_loop.worlds import GraspWorlds
+from tacgen.grasp_loop.worlds import GraspWorlds, crossings
 from tacgen.grasp_pipeline import recipe_object
 from tacgen.loop.grasps.candidates import PARAMETERS, Candidate
 from tacgen.loop.grasps.contest import Standing
 from tacgen.loop.grasps.hypothesis import interpolated
 from tacgen.recipe import ObjectEntry, Recipe, load_recipe
 from tacgen.records import GraspConfig
+from tacgen.resources import find_object_folder
 from tacgen.units import STANDARD_GRAVITY_M_S2
 
 BOX = "sugar_box"
@@ -154,6 +163,52 @@ def test_a_mass_predicts_what_the_force_does_upside_down_failure_modes_included(
     }
     force, mass = by_key["force_scale"], by_key["mass_factor"]
     assert mass.coordinate == pytest.approx(-force.coordinate[::-1])
-    # Slack is interpolated twice on the way, between 61 values: 0.3 % at most here.
-    assert mass.slack == pytest.approx(force.slack[::-1], abs=0.01)
-    assert mass.turning == pytest.approx(force.turning[::-1], abs=0.03)
+    # Both are drawn through the same simulated values.
+    assert mass.slack == pytest.approx(force.slack[::-1], abs=1e-6)
+    assert mass.turning == pytest.approx(force.turning[::-1], abs=1e-6)
+
+
+class RimmedWorlds(GraspWorlds):
+    """No simulator: an object that a rim holds at 0.86 of the force that friction would need."""
+
+    def simulate(self, what, wanted):
+        for place, world in wanted:
+            ratio = 1.1 * world.force_scale * world.friction_factor / world.mass_factor
+            outcome = Outcome(int(ratio > 0.86), "", 0.0, 0.0, ratio, np.inf, turn_rad=0.0)
+            self.known[place_of(place), world] = outcome
+
+
+def test_refining_finds_where_a_grasp_slips_that_the_closed_form_puts_elsewhere(tmp_path):
+    worlds = RimmedWorlds(RECIPE, (config(7.0),), tmp_path, 1)
+    contest = worlds.contest()
+    places = []
+    for _ in range(4):
+        by_key = {e.hypothesis.candidate.parameter.key: e.hypothesis for e in contest.others}
+        force, mass = by_key["force_scale"], by_key["mass_factor"]
+        places.append(crossings(force.coordinate, force.slack[:, 0])[0])
+        assert crossings(mass.coordinate, mass.slack[:, 0]) == pytest.approx([-places[-1]])
+        contest = worlds.refined([Standing("mass", 1.0, 1.0, mass, -np.log(0.8), 0.1)])
+    truth = np.log(0.86 / 1.1)
+    # Forces are simulated 13 % apart at first; each round cuts what is left by more than half.
+    assert abs(places[0] - truth) > 0.03
+    assert abs(places[-1] - truth) < 0.01
+
+
+def test_crossings_lie_where_the_line_between_values_is_zero():
+    axis = np.array([0.0, 1.0, 2.0, 3.0])
+    assert crossings(axis, np.array([-1.0, 1.0, 3.0, -1.0])) == pytest.approx([0.5, 2.75])
+    assert crossings(axis, np.ones(4)).size == 0
+
+
+def test_an_object_that_was_changed_is_simulated_again(tmp_path, monkeypatch):
+    """Its recipe's hash stays the same: it names the object alone."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(find_object_folder(BOX), tmp_path / "objects" / BOX)
+    wanted = [(config(30.0), Alteration())]
+    (first,) = simulate_altered(RECIPE, wanted, tmp_path / "out", workers=1).values()
+    path = tmp_path / "objects" / BOX / "object.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["friction"]["value"] = 0.02
+    path.write_text(yaml.safe_dump(content))
+    (second,) = simulate_altered(RECIPE, wanted, tmp_path / "out", workers=1).values()
+    assert (first.label, second.label) == (1, 0)

@@ -27,7 +27,13 @@ from tacgen.loop.grasps.hypothesis import (
     declared_world,
     interpolated,
 )
-from tacgen.loop.grasps.slack import signed_slack, slack_at_force, turning_share
+from tacgen.loop.grasps.slack import (
+    closed_form_slack,
+    signed_slack,
+    slack_at_force,
+    slack_at_torsion,
+    turning_share,
+)
 
 N = 40
 BY_KEY = {parameter.key: parameter for parameter in PARAMETERS}
@@ -190,6 +196,7 @@ def test_the_record_has_the_contracts_keys():
     assert record["schema"] == 1
     assert channel["verdict"] == "effect_found"
     assert channel["error_before"]["unit"] == "mislabel_rate"
+    assert channel["held_out"].startswith("40 folds of 40 grasps")
     assert channel["error_after"]["rmse"] < channel["error_before"]["rmse"]
     effect = channel["effects"][0]
     assert effect["name"] == "center_of_mass"
@@ -204,10 +211,23 @@ def test_slack_follows_the_label_where_the_closed_form_does_not():
     torsion = np.array([4.0, 2.0, 0.8, 1.5, np.nan])
     turn = np.array([0.0, 0.0, 0.05, 0.4, np.nan])
     slack = signed_slack(label, friction, torsion, turn)
-    assert slack[:2] == pytest.approx(np.log([2.0, 0.5]))
+    # Where s² + m² = 1 it slips: s = 1/2 and m = √(3/4)/4 for the first; s = 2 for the second.
+    assert slack[:2] == pytest.approx([-0.5 * np.log(1 / 4 + 3 / 64), -np.log(2.0)])
     assert 0 < slack[2] < 0.5
     assert -0.5 <= slack[3] < 0
     assert slack[4] == -1.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+@pytest.mark.parametrize("moment", [0.3, 1.5])
+def test_slack_is_the_logarithm_of_the_force_that_is_to_spare(share, moment):
+    """A grip weaker by that factor is about to slip: both demands grow to s² + m² = 1."""
+    with np.errstate(divide="ignore"):
+        friction, torsion = 1 / np.array([share]), np.sqrt(1 - share**2) / np.array([moment])
+    slack = closed_form_slack(friction, torsion)[0]
+    assert (share**2 + moment**2) * np.exp(2 * slack) == pytest.approx(1.0)
+    held = slack_at_torsion(np.array([slack]), friction, torsion, np.array([0.0, np.log(1.2)]))
+    assert held[:, 0] == pytest.approx([slack, -0.5 * np.log(share**2 + (moment / 1.2) ** 2)])
 
 
 def test_a_failure_names_its_mode_and_a_success_what_is_nearer():

@@ -60,7 +60,7 @@ class Parameter:
 
 _FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 2.0)
 _RECIPROCALS = tuple(1 / factor for factor in reversed(_FACTORS))
-_OFFSETS_N = (-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
+_OFFSETS_N = tuple(0.25 * k for k in range(-16, 17))
 
 PARAMETERS = (
     Parameter("grip_force", "force_scale", "1", 1.0, _FACTORS, 0.2),

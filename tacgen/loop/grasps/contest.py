@@ -224,12 +224,13 @@ def heldout_success(
     for fold in np.unique(folds):
         used, current = folds != fold, contest
         probability = current.success_probability(labels, used)
+        best: Standing | None = None
         for step in steps:
+            current = current.after(best) if best is not None else current
             best = current.standings(labels, used)[0]
             if best.gain <= step.critical_gain:
                 break
             probability = success_of(best, labels, used)
-            current = current.after(best)
         predicted[~used] = probability[~used]
     return predicted
 

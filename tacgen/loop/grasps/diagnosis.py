@@ -24,7 +24,8 @@ from tacgen.loop.grasps.contest import (
 )
 
 FEW = 10
-N_FOLDS = 5
+MAX_FOLDS = 100
+"""Up to so many grasps each is left out alone, for few of them say anything about a value."""
 USUAL_FLIPS = 0.05
 """Share of real labels that disagree for no reason, whatever the model; more is unexplained."""
 SURE, LIKELY = 0.01, 0.05
@@ -189,7 +190,7 @@ def _folds(real: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int6
     """Folds with the same share of successes, as nearly as can be."""
     order = np.lexsort((rng.uniform(size=len(real)), real))
     folds = np.empty(len(real), dtype=np.int64)
-    folds[order] = np.arange(len(real)) % min(N_FOLDS, len(real))
+    folds[order] = np.arange(len(real)) % min(MAX_FOLDS, len(real))
     return folds
 
 
@@ -275,8 +276,8 @@ def diagnosis_record(
                     "how": "labels that no value of what was found matches",
                 },
                 "trials": {"fit": n, "test": n},
-                "held_out": f"{min(N_FOLDS, n)} folds over grasps; the whole choice made anew "
-                "without each",
+                "held_out": f"{min(MAX_FOLDS, n)} folds of {n} grasps; the whole choice made "
+                "anew without each",
                 "false_alarm_rate": FALSE_ALARM,
                 "force_from_images": diagnosis.reading,
                 "ranking": [

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 SUCCESS, FAILED, TURNED, SLID = range(4)
 """What is known of a real grasp: a failure may come with its mode or without."""
-N_VALUES = 61
+N_VALUES = 121
 
 _FLIPS = np.array([0.005, 0.03, 0.1])
 _WIDTHS = np.array([0.02, 0.1])

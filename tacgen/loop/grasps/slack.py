@@ -16,6 +16,34 @@ SURE_MODE = 0.9
 _MODE_WIDTH = 0.2
 
 
+def closed_form_slack(
+    friction_ratio: FloatArray, torsion_ratio: FloatArray, torsion_factor: FloatArray | float = 1.0
+) -> FloatArray:
+    """Logarithm of the factor by which the grip could be weaker before it slips.
+
+    With s the part of the friction that the weight takes up and m the part of the whole moment
+    that gravity asks for, a soft contact slips at s² + m² = 1, and both fall as the force grows.
+    ``torsion_ratio`` is √(1 − s²)/m; where the weight alone slips it is 0 and m is not known.
+
+    Parameters
+    ----------
+    friction_ratio, torsion_ratio : (...) float
+        Limit over demand, see ``records.SlipMargin``; NaN gives NaN.
+    torsion_factor : (...) float
+        By how much the pads hold a larger moment than they did.
+
+    Source
+    ------
+    Howe & Cutkosky 1996, Practical force-motion models for sliding manipulation.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = 1 / friction_ratio
+        left = np.sqrt(np.maximum(0.0, 1 - share**2))
+        moment = np.where(left > 0, left / (torsion_ratio * torsion_factor), 0.0)
+        slack: FloatArray = -0.5 * np.log(share**2 + moment**2)
+    return np.clip(slack, -FARTHEST, FARTHEST)
+
+
 def signed_slack(
     label: NDArray[np.int64],
     friction_ratio: FloatArray,
@@ -24,23 +52,22 @@ def signed_slack(
 ) -> FloatArray:
     """How far each grasp is from ending otherwise: positive holds, negative fails.
 
-    The smaller logarithm of the two ratios limit/demand. These are closed forms for slip about
-    to start, so where the simulated label says otherwise it is right: a grasp that turns a little
-    and then holds is as far from failing as its turn is from the limit.
+    The closed form is of slip about to start, so where the simulated label says otherwise it is
+    right: a grasp that turns a little and then holds is as far from failing as its turn is from
+    the limit.
 
     Parameters
     ----------
     label : (..., ) int
         1, 0, or −1 where the grasp was not executed, which counts as a clear failure.
     friction_ratio, torsion_ratio : (...) float
-        Limit over demand, see ``records.SlipMargin``.
+        As in ``closed_form_slack``.
     turn_rad : (...) float
         How far the lifted object had turned.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slip = np.log(np.fmin(friction_ratio, torsion_ratio))
+    slip = np.nan_to_num(closed_form_slack(friction_ratio, torsion_ratio), nan=-FARTHEST)
+    with np.errstate(invalid="ignore"):
         turned = 0.5 * np.abs(np.log(np.maximum(turn_rad, 1e-6) / TURN_LIMIT_RAD))
-    slip = np.clip(np.nan_to_num(slip, nan=-FARTHEST), -FARTHEST, FARTHEST)
     aside = np.clip(np.nan_to_num(turned, nan=LEAST), LEAST, NEAR)
     sign = np.where(label == 1, 1.0, -1.0)
     agrees = np.where(label == 1, slip > 0, slip < 0)
@@ -91,11 +118,8 @@ def slack_at_torsion(
 ) -> FloatArray:
     """Slack (M, N) where the pads hold a moment that is larger by ``log_factor`` (M,).
 
-    Only grasps that would give way by turning change, until they would rather slide.
+    Grasps change by as much as turning has a part in their slip.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slide, turn = np.log(friction_ratio), np.log(torsion_ratio)
-    slide = np.nan_to_num(slide, nan=0.0, posinf=FARTHEST, neginf=-FARTHEST)
-    turn = np.nan_to_num(turn, nan=0.0, posinf=FARTHEST, neginf=-FARTHEST)
-    change = np.minimum(turn + log_factor[:, None], slide) - np.minimum(turn, slide)
-    return np.clip(slack + change, -FARTHEST, FARTHEST)
+    before = closed_form_slack(friction_ratio, torsion_ratio)
+    after = closed_form_slack(friction_ratio, torsion_ratio, np.exp(log_factor)[:, None])
+    return np.clip(slack + np.nan_to_num(after - before), -FARTHEST, FARTHEST)
