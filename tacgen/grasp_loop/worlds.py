@@ -49,6 +49,7 @@ BY_CLOSED_FORM = ("friction_factor", "spinning_friction_factor")
 """Parameters that are simulated only about the values that lead."""
 PREDICTED = ("mass_factor", "force_offset_n", *BY_CLOSED_FORM)
 WITHIN_DEVIATIONS = 2.5
+SAME_SLACK = 0.02
 
 
 @dataclass
@@ -212,11 +213,10 @@ class GraspWorlds:
             known[k, own] = True
         at = candidate.parameter.coordinate(nodes)
         for n, own in enumerate(known.T):
-            slack[:, n] = np.interp(at, at[own], slack[own, n])
             turning[:, n] = np.interp(at, at[own], turning[own, n])
-            places = crossings(at, slack[:, n])
-            if key == "force_scale" and len(places) == 1 and slack[0, n] < 0:
-                slack[:, n] = np.clip(at - places[0], -FARTHEST, FARTHEST)
+            place = holds_from(at[own], slack[own, n]) if key == "force_scale" else None
+            between = np.interp(at, at[own], slack[own, n])
+            slack[:, n] = between if place is None else np.clip(at - place, -FARTHEST, FARTHEST)
         return nodes, slack, turning
 
     def _predicted(
@@ -257,6 +257,22 @@ class GraspWorlds:
         declared = np.array([settings.delivered_force_n(c.force_n) for c in self.configs])
         delivered = np.maximum(declared + nodes[:, None], 0.01)
         return np.log(delivered / np.maximum(declared, 0.01))
+
+
+def holds_from(log_force: FloatArray, slack: FloatArray) -> float | None:
+    """The force from which on a grasp holds, of those at which it was simulated (K,).
+
+    By the closed form where it agrees with the simulation on both sides: slack then lies as far
+    apart as the forces do. Else half-way, so that the next simulation halves what is not known.
+    None if it holds or fails everywhere, or begins to hold more than once.
+    """
+    changes = np.flatnonzero(np.diff(slack > 0))
+    if len(changes) != 1 or slack[0] > 0:
+        return None
+    (low, high), (below, above) = (row[changes[0] :][:2] for row in (log_force, slack))
+    if abs((above - below) - (high - low)) < SAME_SLACK:
+        return float(low - below)
+    return float(low + high) / 2
 
 
 def crossings(axis: FloatArray, slack: FloatArray) -> FloatArray:
