@@ -8,8 +8,9 @@ import pytest
 
 from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
 from tacgen.learning.words import evaluation_lines
+from tacgen.objects_io.description import read_description
 from tacgen.recipe import load_recipe
-from tacgen.resources import packaged
+from tacgen.resources import find_object_folder, packaged
 from tacgen.study.recipe import load_study, merged_mapping, with_rows
 from tacgen.study.run import Reality, run_study
 from tacgen.study.stand_in import write_stand_in
@@ -37,6 +38,17 @@ def test_the_paper_table_is_twelve_objects_by_three_ways_with_the_papers_figures
     assert kinds == ["single", "single", "sequence"]
     assert [row.published.sim for row in study.rows[1:]] == [0.968, 1.0]
     assert [row.published.real for row in study.rows[1:]] == [0.864, 0.907]
+
+
+def test_the_grids_of_the_table_are_force_and_one_axis_of_places_over_the_objects_own_ranges():
+    study = load_study("paper_table")
+    for entry in study.data_recipe(study.rows[0], quick=False).objects:
+        own = read_description(find_object_folder(entry.name)).grasp_ranges.axes()
+        assert len(entry.grid.force_n) == 16
+        assert sorted((len(entry.grid.y_mm), len(entry.grid.z_mm))) == [1, 16]
+        for axis in ("force_n", "y_mm", "z_mm"):
+            given = getattr(entry.grid, axis)
+            assert min(own[axis]) <= min(given) <= max(given) <= max(own[axis]), (entry.name, axis)
 
 
 def test_the_ablation_varies_size_friction_and_centre_of_mass():
@@ -71,7 +83,8 @@ def test_the_second_world_is_another_one():
         load_study("paper_transfer").rows[1], quick=False
     )
     other = load_recipe("worlds/other")
-    assert {entry.name for entry in other.objects} == {entry.name for entry in declared.objects}
+    declared_grids = {entry.name: entry.grid for entry in declared.objects}
+    assert {entry.name: entry.grid for entry in other.objects} == declared_grids
     assert all(entry.friction and entry.mass_kg for entry in other.objects)
     assert other.contact.file
     assert other.randomize.position_mm > 0
