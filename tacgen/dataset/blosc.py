@@ -9,7 +9,6 @@ block. Whatever reads Blosc2 undoes all of that.
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -47,7 +46,14 @@ def encode_image(rgb: NDArray[np.uint8]) -> bytes:
     height, width, _ = rgb.shape
     pixels = np.ascontiguousarray(rgb).reshape(-1, 3)
     step = _block_pixels(height, width)
-    blocks = [_encode_block(pixels[k : k + step]) for k in range(0, len(pixels), step)]
+    differences = np.empty(3 * step, np.uint8)
+    words = np.empty(3 * (step * MAX_CODE_BITS // 64 + HEADER_BYTES // 8) + 16, np.uint64)
+    blocks = []
+    for start in range(0, len(pixels), step):
+        rows = pixels[start : start + step]
+        planes = differences[: rows.size].reshape(3, -1)
+        n_bytes = deflate_differences(rows, planes, words)
+        blocks.append(words.view(np.uint8)[:n_bytes].tobytes())
     offset = _CHUNK_BYTES + 4 * len(blocks)
     starts = []
     for block in blocks:
@@ -100,12 +106,3 @@ def _block_pixels(height: int, width: int) -> int:
     rows = max(1, BLOCK_PIXELS // width)
     rows = rows - rows % 16 if rows > 16 else rows
     return width * min(rows, height)
-
-
-def _encode_block(pixels: NDArray[np.uint8]) -> bytes:
-    n = len(pixels)
-    differences = np.empty((3, n), np.uint8)
-    words = np.empty(3 * (n * MAX_CODE_BITS // 32 + HEADER_BYTES // 4) + 16, np.uint32)
-    n_bytes = deflate_differences(pixels, differences, words)
-    checksum = zlib.adler32(differences.data).to_bytes(4, "big")
-    return words.view(np.uint8)[:n_bytes].tobytes() + checksum

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -31,12 +33,17 @@ HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 
 def library_versions() -> dict[str, str]:
     """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
     versions = {"tacgen": tacgen.__version__, "hdf5": h5py.version.hdf5_version}
+    return dict(sorted((versions | _installed()).items()))
+
+
+@cache
+def _installed() -> dict[str, str]:
+    """Looked up once: it takes as long as writing ten images."""
+    found = {}
     for name in LIBRARIES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return dict(sorted(versions.items()))
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 def layout_of(spec: DatasetSpec) -> Layout:
