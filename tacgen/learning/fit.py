@@ -36,6 +36,9 @@ from tacgen.learning.splits import seed_of
 
 DIVERGED_LOSS = 50.0
 """A mean loss no two-class network has unless its weights ran away; guessing has 0.69."""
+CHOOSING_EPOCHS = 5
+"""Epochs that together say how good a model is: with some twenty grasps to choose by, a single
+epoch is good or bad by the luck of one grasp."""
 _STATE_KEYS = ("epoch", "network", "optimizer", "scheduler", "scaler", "best")
 _STREAM_START, _STREAM_EPOCH = 20, 21
 
@@ -74,7 +77,7 @@ class Fit:
         weights = torch.tensor(job.class_weights, dtype=torch.float32, device=device.name)
         self.criterion = nn.CrossEntropyLoss(weight=weights)
         self.epoch = 0
-        self.best = {"epoch": 0, "balanced_accuracy": -1.0, "loss": math.inf}
+        self.best: dict[str, Any] = {"epoch": 0, "recent": 0.0}
         if folder.checkpoint_path.is_file():
             self._resume()
         self.metrics = folder.read_metrics(up_to_epoch=self.epoch)
@@ -154,11 +157,19 @@ class Fit:
         return loss_sum / n, n_right / n
 
     def _keep(self, line: dict[str, Any]) -> None:
-        """The best model first, then the state that counts this epoch as done."""
+        """The best model first, then the state that counts this epoch as done.
+
+        Best is the highest sum of the last epochs' balanced accuracies; of equals, the later.
+        """
         self.epoch = line["epoch"]
-        now = (line["validation_balanced_accuracy"], -line["validation_loss"])
-        if now > (self.best["balanced_accuracy"], -self.best["loss"]):
-            self.best = {"epoch": self.epoch, "balanced_accuracy": now[0], "loss": -now[1]}
+        recent = sum(m["validation_balanced_accuracy"] for m in self.metrics[-CHOOSING_EPOCHS:])
+        if recent >= self.best["recent"]:
+            self.best = {
+                "epoch": self.epoch,
+                "recent": recent,
+                "balanced_accuracy": line["validation_balanced_accuracy"],
+                "loss": line["validation_loss"],
+            }
             save_model(self.folder.model_path, self.network, self._card(), self.job.reference)
         self.folder.write_metrics(self.metrics)
         state = {

@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from tacgen.errors import DatasetError, Interrupted, LearningError
 from tacgen.learning import fit as fit_module
 from tacgen.learning.loader import Batches
+from tacgen.learning.scores import score
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of
 
@@ -61,6 +62,30 @@ def test_the_network_learns_what_can_be_seen(trained):
     # Better than guessing, which costs log 2.
     assert lines[-1]["train_loss"] < min(np.log(2), lines[0]["train_loss"])
     assert lines[0]["backbone_rate"] == pytest.approx(0.8 * lines[0]["learning_rate"])
+
+
+@pytest.mark.parametrize(
+    ("balanced_accuracies", "best"),
+    [
+        # One lucky epoch among bad ones does not win over five good ones, nor does a late fall.
+        ((0.5, 1.0, 0.5, 0.9, 0.9, 0.9, 0.9, 0.9, 0.5, 0.5), 8),
+        # Of equals the later, which has learnt longer.
+        ((0.9,) * 7, 7),
+        ((0.9, 0.5), 2),
+    ],
+)
+def test_the_best_epoch_is_the_end_of_the_best_five(
+    toy, tmp_path, monkeypatch, balanced_accuracies, best
+):
+    told = iter(balanced_accuracies)
+
+    def scripted(labels, probabilities):
+        figures = score(labels, probabilities)
+        return figures | {"balanced_accuracy": next(told)}
+
+    monkeypatch.setattr(fit_module, "score", scripted)
+    recipe = recipe_of(training={"epochs": len(balanced_accuracies)})
+    assert train(recipe, toy, tmp_path / "run")["models"]["pooled"]["best_epoch"] == best
 
 
 def test_that_no_imagenet_weights_were_used_is_said_everywhere(toy, tmp_path, capsys):
