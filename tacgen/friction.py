@@ -21,6 +21,7 @@ from tacgen.grasp_loop.altered_worlds import (
     check_forces,
     place_of,
     simulate_altered,
+    words_about_unexecuted,
 )
 from tacgen.recipe import Recipe
 from tacgen.resources import find_object_folder
@@ -65,19 +66,13 @@ def doubts_about(
     real: RealGrasps, outcomes: Mapping[Key, Outcome], mu_values: Sequence[float]
 ) -> list[str]:
     """What is doubtful about the data, grasps that cannot be simulated among it."""
-    never = [
-        grasp.grasp_id
+    # Where a grasp is executed at one μ it is at all: the best of its labels stands for it.
+    best = [
+        max((outcomes[grasp.grasp_id, mu] for mu in mu_values), key=lambda one: one.label)
         for grasp in real.grasps
-        if all(outcomes[(grasp.grasp_id, mu)].label < 0 for mu in mu_values)
     ]
-    doubts = list(real.warnings)
-    if never:
-        shown = ", ".join(repr(name) for name in never[:5]) + (", …" if len(never) > 5 else "")
-        doubts.append(
-            f"{len(never)} of {len(real.grasps)} grasps ({shown}) cannot be executed in the "
-            "simulated world and count as mislabels at every μ; mend their place or take them out"
-        )
-    return doubts
+    unexecuted = words_about_unexecuted(real.grasps, best, "count as mislabels at every μ")
+    return [*real.warnings, *unexecuted]
 
 
 def mu_range(text: str) -> tuple[float, ...]:

@@ -114,17 +114,22 @@ def _problems(table: pd.DataFrame, path: Path, known_objects: Sequence[str]) -> 
             problems.append(f"{where}: force_n = {record['force_n']} is no force to grip with")
         if _number(record["label"]) not in (0.0, 1.0):
             problems.append(
-                f"{where}: label = {record['label']!r} is neither 1 (success) nor 0 (failure)"
+                f"{where}: label = {record['label']!r} is neither 1 (success) nor 0 (failure); "
+                "write one of them or drop the row"
             )
         if record.get("failure_mode", "") not in FAILURE_MODES:
             known = ", ".join(mode for mode in FAILURE_MODES if mode)
             problems.append(
                 f"{where}: failure_mode = {record['failure_mode']!r} is none of {known}"
             )
-        if known_objects and record["object"] not in known_objects:
+    for name in table["object"].unique() if known_objects else ():
+        if name not in known_objects:
+            row = int(np.flatnonzero(table["object"] == name)[0])
+            count = int((table["object"] == name).sum())
+            where = "1 row" if count == 1 else f"{count} rows, the first"
             problems.append(
-                f"{where}: object = {record['object']!r} is not an object here; "
-                f"known: {', '.join(known_objects)}"
+                f"{path}:{row + 2}: object = {name!r} ({where}) is not an object here; known: "
+                f"{', '.join(known_objects)}; add your own mesh with `tacgen objects add`"
             )
     for grasp_id in table["grasp_id"][table["grasp_id"].duplicated()].unique():
         rows = np.flatnonzero(table["grasp_id"] == grasp_id) + 2

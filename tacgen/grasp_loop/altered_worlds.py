@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.dataset.real_grasps import RealGrasps
+from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.errors import DatasetError
 from tacgen.files import sha256_of
 from tacgen.grasp_pipeline import recipe_object
@@ -164,6 +164,31 @@ def check_forces(recipe: Recipe, real: RealGrasps) -> None:
     ]
     if problems:
         raise DatasetError.from_problems(problems)
+
+
+_WHY = {
+    "unreachable": "out of the gripper's reach",
+    "no_contact": "the fingers close on nothing",
+    "crashed": "the simulation crashed",
+}
+
+
+def words_about_unexecuted(
+    grasps: Sequence[RealGrasp], outcomes: Sequence[Outcome], consequence: str
+) -> list[str]:
+    """A sentence about the grasps that no simulation could execute, if there are any."""
+    never = [
+        f"{grasp.grasp_id!r}: {_WHY.get(outcome.status, outcome.status)}"
+        for grasp, outcome in zip(grasps, outcomes, strict=True)
+        if outcome.label < 0
+    ]
+    if not never:
+        return []
+    shown = ", ".join(never[:5]) + (", …" if len(never) > 5 else "")
+    return [
+        f"{len(never)} of {len(grasps)} grasps cannot be executed in the simulated world ({shown}) "
+        f"and {consequence}; mend their place or take them out"
+    ]
 
 
 def simulate_altered(

@@ -13,15 +13,21 @@ from numpy.typing import NDArray
 
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.files import write_text
-from tacgen.grasp_loop.altered_worlds import check_forces
+from tacgen.grasp_loop.altered_worlds import Outcome, check_forces, words_about_unexecuted
 from tacgen.grasp_loop.extended_recipe import extended_recipe, write_extended_recipe
 from tacgen.grasp_loop.images import force_from_images
 from tacgen.grasp_loop.next_grasps import Proposal, propose_grasps, rivals_of
-from tacgen.grasp_loop.worlds import GraspWorlds, combined_world, declared_object
+from tacgen.grasp_loop.worlds import (
+    DECLARED,
+    GraspWorlds,
+    combined_world,
+    declared_object,
+)
 from tacgen.grasp_pipeline import recipe_object
 from tacgen.loop.grasps.contest import Choice, Contest, Labels, Standing, choose, confirmed
-from tacgen.loop.grasps.diagnosis import FEW, GraspDiagnosis, diagnose_labels, diagnosis_record
+from tacgen.loop.grasps.diagnosis import FEW, GraspDiagnosis, diagnose_labels
 from tacgen.loop.grasps.hypothesis import FAILED, NO_READING, SLID, SUCCESS, TURNED
+from tacgen.loop.grasps.record import diagnosis_record
 from tacgen.recipe import Recipe
 
 Show = Callable[[int, int], None]
@@ -74,7 +80,7 @@ def diagnose_grasps(
         steps,
         simulated[0],
         _covariates(real.grasps),
-        _notes(recipe, real, simulated[0]),
+        _notes(recipe, real, worlds.outcomes(DECLARED)),
         rng,
         reading=about,
     )
@@ -189,7 +195,7 @@ def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, NDArray[np.float64]]:
     return found | {"order": np.arange(len(grasps), dtype=float)}
 
 
-def _notes(recipe: Recipe, real: RealGrasps, simulated: NDArray[np.int64]) -> list[str]:
+def _notes(recipe: Recipe, real: RealGrasps, declared: Sequence[Outcome]) -> list[str]:
     """What the reader should know about the data."""
     notes = list(real.warnings)
     if len(real.grasps) < FEW:
@@ -203,12 +209,7 @@ def _notes(recipe: Recipe, real: RealGrasps, simulated: NDArray[np.int64]) -> li
         for name in real.by_object()
         if name not in known
     ]
-    n_not = int((simulated < 0).sum())
-    if n_not:
-        notes.append(
-            f"{n_not} of {len(simulated)} grasps cannot be executed in the declared world and "
-            "count as mislabels there"
-        )
+    notes += words_about_unexecuted(real.grasps, declared, "count as mislabels there")
     if any(recipe.randomize.model_dump().values()):
         notes.append("the recipe's domain randomisation is left out of a diagnosis")
     return notes

@@ -25,6 +25,8 @@ from tacgen.loop.grasps.hypothesis import Hypothesis, declared_world, interpolat
 from tacgen.loop.grasps.slack import (
     FARTHEST,
     at_force,
+    crossings,
+    holds_from,
     signed_slack,
     slack_at_force,
     slack_at_torsion,
@@ -49,7 +51,6 @@ BY_CLOSED_FORM = ("friction_factor", "spinning_friction_factor")
 """Parameters that are simulated only about the values that lead."""
 PREDICTED = ("mass_factor", "force_offset_n", *BY_CLOSED_FORM)
 WITHIN_DEVIATIONS = 2.5
-SAME_SLACK = 0.02
 
 
 @dataclass
@@ -257,30 +258,6 @@ class GraspWorlds:
         declared = np.array([settings.delivered_force_n(c.force_n) for c in self.configs])
         delivered = np.maximum(declared + nodes[:, None], 0.01)
         return np.log(delivered / np.maximum(declared, 0.01))
-
-
-def holds_from(log_force: FloatArray, slack: FloatArray) -> float | None:
-    """The force from which on a grasp holds, of those at which it was simulated (K,).
-
-    By the closed form where it agrees with the simulation on both sides: slack then lies as far
-    apart as the forces do. Else half-way, so that the next simulation halves what is not known.
-    None if it holds or fails everywhere, or begins to hold more than once.
-    """
-    changes = np.flatnonzero(np.diff(slack > 0))
-    if len(changes) != 1 or slack[0] > 0:
-        return None
-    (low, high), (below, above) = (row[changes[0] :][:2] for row in (log_force, slack))
-    if abs((above - below) - (high - low)) < SAME_SLACK:
-        return float(low - below)
-    return float(low + high) / 2
-
-
-def crossings(axis: FloatArray, slack: FloatArray) -> FloatArray:
-    """Where on ``axis`` (M,) the interpolated slack (M,) of a grasp passes through zero."""
-    at = np.flatnonzero(slack[:-1] * slack[1:] < 0)
-    part = slack[at] / (slack[at] - slack[at + 1])
-    places: FloatArray = axis[at] + part * (axis[at + 1] - axis[at])
-    return places
 
 
 def slack_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:

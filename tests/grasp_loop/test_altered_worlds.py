@@ -15,11 +15,12 @@ from tacgen.grasp_loop.altered_worlds import (
     simulate_altered,
 )
 from tacgen.grasp_loop.extended_recipe import extended_recipe, write_extended_recipe
-from tacgen.grasp_loop.worlds import GraspWorlds, crossings
+from tacgen.grasp_loop.worlds import GraspWorlds
 from tacgen.grasp_pipeline import recipe_object
 from tacgen.loop.grasps.candidates import PARAMETERS, Candidate
 from tacgen.loop.grasps.contest import Standing
 from tacgen.loop.grasps.hypothesis import interpolated
+from tacgen.loop.grasps.slack import crossings
 from tacgen.recipe import ObjectEntry, Recipe, load_recipe
 from tacgen.records import GraspConfig
 from tacgen.resources import find_object_folder

@@ -77,7 +77,7 @@ def test_a_shifted_centre_of_mass_is_found_written_and_reported(shifted_folder, 
     ("rows", "words"),
     [
         ([f"a,{BOX},5,0,0,87,2"], "neither 1 (success) nor 0 (failure)"),
-        (["a,no_such_thing,5,0,0,87,1"], "is not an object here"),
+        (["a,no_such_thing,5,0,0,87,1"], "'no_such_thing' (1 row) is not an object here"),
         ([f"a,{BOX},5,0,0,87,1", f"a,{BOX},6,0,0,87,1"], "stands on line 2 already"),
         ([f"a,{BOX},x,0,0,87,1"], "is no number"),
     ],
@@ -111,7 +111,8 @@ def test_three_grasps_that_contradict_each_other_still_get_a_verdict(tmp_path):
     notes = " ".join(findings.diagnosis.notes)
     assert "3 grasps only" in notes
     assert "opposite labels" in notes
-    assert "cannot be executed" in notes
+    assert "1 of 3 grasps cannot be executed" in notes
+    assert "'c': " in notes
     assert findings.diagnosis.verdict in ("sufficient", "unexplained")
     record = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert record["notes"]

@@ -18,7 +18,7 @@ from tacgen.loop.grasps.contest import (
     confusable,
     heldout_success,
 )
-from tacgen.loop.grasps.diagnosis import diagnose_labels, diagnosis_record
+from tacgen.loop.grasps.diagnosis import diagnose_labels
 from tacgen.loop.grasps.hypothesis import (
     FAILED,
     NO_READING,
@@ -27,6 +27,7 @@ from tacgen.loop.grasps.hypothesis import (
     declared_world,
     interpolated,
 )
+from tacgen.loop.grasps.record import diagnosis_record
 from tacgen.loop.grasps.slack import (
     closed_form_slack,
     signed_slack,
@@ -271,6 +272,7 @@ def test_a_centre_of_mass_off_to_either_side_is_not_called_centred():
     first = steps[0].standings[0]
     assert first.name == "center_of_mass"
     assert abs(abs(first.value) - 20.0) < 6.0
+    assert first.elsewhere == pytest.approx(-first.value, abs=2.0)
 
 
 def test_an_addition_that_simulation_does_not_confirm_is_dropped():

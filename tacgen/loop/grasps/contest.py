@@ -26,6 +26,7 @@ FALSE_ALARM = 0.03
 N_DRAWS = 500
 MAX_EFFECTS = 3
 LEAST_MENDED = 2
+RIVAL_SHARE = 0.2
 EQUAL_FIT = 1.0
 """Log-likelihoods nearer than this are equal: the labels do not tell the two apart."""
 
@@ -51,7 +52,8 @@ class Standing:
 
     ``gain`` is the log-evidence over the declared world's; ``fit`` the largest log-likelihood of
     the labels over it; ``hypothesis`` the name's best one, with the posterior ``coordinate`` and
-    its standard deviation.
+    its standard deviation; ``elsewhere`` the likeliest value apart from it, where one has at
+    least ``RIVAL_SHARE`` of the posterior.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Standing:
     hypothesis: Hypothesis
     coordinate: float
     deviation: float
+    elsewhere: float | None = None
 
     @property
     def value(self) -> float:
@@ -133,9 +136,16 @@ class Contest:
             ]
             best = own[int(np.argmax(scores))]
             weights = best.posterior(known, log_scale, stderr).sum(axis=1)
-            mean, deviation = _mean_of_best_mode(best.hypothesis.coordinate, weights)
+            axis = best.hypothesis.coordinate
+            mean, deviation, rest = _mean_of_best_mode(axis, weights)
+            elsewhere = None
+            if rest.sum() > RIVAL_SHARE * weights.sum() and best.hypothesis.candidate is not None:
+                second = _mean_of_best_mode(axis, rest)[0]
+                elsewhere = best.hypothesis.candidate.parameter.value(second)
             fit = max(e.best_fit(known, log_scale, stderr) for e in own) - base_fit
-            found.append(Standing(name, float(gain), fit, best.hypothesis, mean, deviation))
+            found.append(
+                Standing(name, float(gain), fit, best.hypothesis, mean, deviation, elsewhere)
+            )
         return sorted(found, key=lambda standing: -standing.gain)
 
     def null_gains(self, labels: Labels, rng: np.random.Generator) -> FloatArray:
@@ -245,8 +255,8 @@ def confusable(standings: Sequence[Standing]) -> tuple[str, ...]:
     )
 
 
-def _mean_of_best_mode(axis: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Mean and deviation about the posterior's highest mode, out to where it is all but over.
+def _mean_of_best_mode(axis: FloatArray, weights: FloatArray) -> tuple[float, float, FloatArray]:
+    """Mean and deviation about the highest mode, out to where it is all but over, and the rest.
 
     A centre of mass that is off to either side may explain the same labels; the mean of both
     would explain none.
@@ -257,7 +267,9 @@ def _mean_of_best_mode(axis: FloatArray, weights: FloatArray) -> tuple[float, fl
     right = top + int(np.flatnonzero(low[top:])[0]) if low[top:].any() else len(axis)
     own, part = axis[left:right], weights[left:right] / weights[left:right].sum()
     mean = float(part @ own)
-    return mean, float(np.sqrt(part @ (own - mean) ** 2))
+    rest = weights.copy()
+    rest[left:right] = 0.0
+    return mean, float(np.sqrt(part @ (own - mean) ** 2)), rest
 
 
 def _arguments(labels: Labels, used: BoolArray | None) -> tuple[FloatArray, FloatArray, float]:

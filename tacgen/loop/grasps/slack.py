@@ -12,6 +12,7 @@ FARTHEST = 1.5
 NEAR, LEAST = 0.5, 0.05
 TURN_LIMIT_RAD = 0.1
 """The turn at which a lifted grasp counts as failed (DESIGN §4)."""
+SAME_SLACK = 0.02
 SURE_MODE = 0.9
 _MODE_WIDTH = 0.2
 
@@ -123,3 +124,27 @@ def slack_at_torsion(
     before = closed_form_slack(friction_ratio, torsion_ratio)
     after = closed_form_slack(friction_ratio, torsion_ratio, np.exp(log_factor)[:, None])
     return np.clip(slack + np.nan_to_num(after - before), -FARTHEST, FARTHEST)
+
+
+def holds_from(log_force: FloatArray, slack: FloatArray) -> float | None:
+    """The force from which on a grasp holds, of those at which it was simulated (K,).
+
+    By the closed form where it agrees with the simulation on both sides: slack then lies as far
+    apart as the forces do. Else half-way, so that the next simulation halves what is not known.
+    None if it holds or fails everywhere, or begins to hold more than once.
+    """
+    changes = np.flatnonzero(np.diff(slack > 0))
+    if len(changes) != 1 or slack[0] > 0:
+        return None
+    (low, high), (below, above) = (row[changes[0] :][:2] for row in (log_force, slack))
+    if abs((above - below) - (high - low)) < SAME_SLACK:
+        return float(low - below)
+    return float(low + high) / 2
+
+
+def crossings(axis: FloatArray, slack: FloatArray) -> FloatArray:
+    """Where on ``axis`` (M,) the interpolated slack (M,) of a grasp passes through zero."""
+    at = np.flatnonzero(slack[:-1] * slack[1:] < 0)
+    part = slack[at] / (slack[at] - slack[at + 1])
+    places: FloatArray = axis[at] + part * (axis[at + 1] - axis[at])
+    return places
