@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,16 @@ def load_study(name: str | Path) -> Study:
         for i, name in enumerate(names)
         if name in names[:i]
     ]
+    folders = [run_folder_name(name) for name in names]
+    problems += [
+        source.problem(
+            ("rows", i, "name"),
+            f"= {names[i]!r} would be kept in the folder of {names[folders.index(folder)]!r}, "
+            f"{folder}; tell the names apart by letters or digits",
+        )
+        for i, folder in enumerate(folders)
+        if folder in folders[:i] and names[i] not in names[:i]
+    ]
     for i, row in enumerate(study.rows):
         for make in (study.data_recipe, study.train_recipe):
             for quick in (False, True):
@@ -110,6 +121,12 @@ def load_study(name: str | Path) -> Study:
     if problems:
         raise RecipeError.from_problems(list(dict.fromkeys(problems)))
     return study
+
+
+def run_folder_name(row_name: str) -> str:
+    """The folder of a row's run: its name in small letters and digits; signs become words."""
+    words = re.sub(r"(?<!\w)[-−](?=\d)", "minus ", row_name.lower()).replace("+", "plus ")
+    return re.sub(r"[^a-z0-9]+", "_", words).strip("_")
 
 
 def with_rows(study: Study, names: Sequence[str]) -> Study:

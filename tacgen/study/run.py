@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from tacgen.learning.real_grasps import is_simulated
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.train import train
 from tacgen.recipe import Recipe
-from tacgen.study.recipe import Row, Study
+from tacgen.study.recipe import Row, Study, run_folder_name
 from tacgen.study.table import write_study
 
 MU_VALUES = "0:1:0.05"
@@ -115,7 +114,7 @@ def _run_row(
         friction = _fitted_friction(data_recipe, real.calibration, out, workers)
         data_recipe = _with_friction(data_recipe, friction)
     data = out / "data" / data_recipe.sha256()[:12]
-    run = out / "runs" / re.sub(r"[^a-z0-9]+", "_", row.name.lower()).strip("_")
+    run = out / "runs" / run_folder_name(row.name)
     tell(f"{row.name}: collects into {data}")
     collected = collect(data_recipe, data, workers=workers)
     result: dict[str, Any] = {

@@ -11,7 +11,7 @@ from tacgen.learning.words import evaluation_lines
 from tacgen.objects_io.description import read_description
 from tacgen.recipe import load_recipe
 from tacgen.resources import find_object_folder, packaged
-from tacgen.study.recipe import load_study, merged_mapping, with_rows
+from tacgen.study.recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.run import Reality, run_study
 from tacgen.study.stand_in import write_stand_in
 from tacgen.study.table import markdown_table
@@ -108,6 +108,26 @@ def test_every_mistake_of_a_study_is_told(tmp_path):
     assert "s.yaml:3: data.objects belongs to the study or its row" in text
     assert "rows[0] cannot be used" in text
     assert "'one' is given twice" in text
+
+
+def test_rows_whose_runs_would_share_a_folder_are_told(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text("name: s\nobjects: [cup]\nrows:\n- name: one, two\n- name: One (two)\n")
+    with pytest.raises(RecipeError, match=r"'One \(two\)' would be kept in the folder of 'one, t"):
+        load_study(path)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_each_row_of_a_shipped_study_has_a_folder_of_its_own(path):
+    folders = [run_folder_name(row.name) for row in load_study(path.stem).rows]
+    assert len(set(folders)) == len(folders)
+    assert all(folders)
+
+
+def test_signs_stay_in_the_names_of_folders():
+    assert run_folder_name("centre of mass at −30 mm") == "centre_of_mass_at_minus_30_mm"
+    assert run_folder_name("centre of mass at +30 mm") == "centre_of_mass_at_plus_30_mm"
+    assert run_folder_name("TACTO's law, single image") == "tacto_s_law_single_image"
 
 
 def test_rows_are_chosen_by_name():
