@@ -9,7 +9,7 @@ import pytest
 from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
 from tacgen.learning.words import evaluation_lines
 from tacgen.objects_io.description import read_description
-from tacgen.recipe import load_recipe
+from tacgen.recipe import Grid, load_recipe
 from tacgen.resources import find_object_folder, packaged
 from tacgen.study.recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.run import Reality, run_study
@@ -78,16 +78,38 @@ def test_the_quick_version_is_smaller():
     )
 
 
-def test_the_second_world_is_another_one():
-    declared = load_study("paper_transfer").data_recipe(
-        load_study("paper_transfer").rows[1], quick=False
-    )
+@pytest.mark.parametrize(
+    ("name", "world"), [("paper_transfer", "worlds/other"), ("paper_ablation", "worlds/ablation")]
+)
+def test_the_second_world_grasps_the_same_objects_over_the_same_ranges_elsewhere(name, world):
+    study, other = load_study(name), load_recipe(world)
+    grids: dict[str, Grid] = {}
+    for row in study.rows:
+        recipe = study.data_recipe(row, quick=False)
+        grids |= {entry.name: entry.grid or recipe.grid for entry in recipe.objects}
+    assert {entry.name for entry in other.objects} == set(grids)
+    for entry in other.objects:
+        shared = 1
+        for axis in ("force_n", "y_mm", "z_mm"):
+            ours, theirs = getattr(grids[entry.name], axis), getattr(entry.grid, axis)
+            assert (min(ours), max(ours)) == (min(theirs), max(theirs)), (entry.name, axis)
+            shared *= len(set(ours) & set(theirs))
+        assert shared <= 4  # the corners
+    assert other.randomize.position_mm > 0
+
+
+def test_the_world_of_the_transfer_is_another_one():
     other = load_recipe("worlds/other")
-    declared_grids = {entry.name: entry.grid for entry in declared.objects}
-    assert {entry.name: entry.grid for entry in other.objects} == declared_grids
     assert all(entry.friction and entry.mass_kg for entry in other.objects)
     assert other.contact.file
-    assert other.randomize.position_mm > 0
+
+
+def test_the_world_of_the_ablation_is_as_one_row_of_each_group_declares():
+    study, world = load_study("paper_ablation"), load_recipe("worlds/ablation")
+    for entry in world.objects:
+        declared = [study.data_recipe(row, quick=False).objects[0] for row in study.rows]
+        same = entry.model_copy(update={"grid": None})
+        assert same in [other.model_copy(update={"grid": None}) for other in declared]
 
 
 def test_mappings_merge_key_by_key_and_leave_their_inputs():
