@@ -49,7 +49,7 @@ WORLDS: dict[str, Alteration] = {
     "mass": Alteration(mass_factor=1.4),
 }
 FLIPS = (0.0, 0.05)
-N_FRESH = 100
+N_FRESH, N_DRAWS = 100, 4000
 LEAST_CHANGED = 2
 """A world that changes fewer labels cannot be told from the declared one by anybody."""
 
@@ -183,6 +183,28 @@ def as_force(world: Alteration) -> Alteration:
     """The world in which a force does what a mass does in ``world``."""
     scale = round(world.force_scale / world.mass_factor, 3)
     return replace(world, mass_factor=1.0, force_scale=scale)
+
+
+def least_fresh_wrong(count: int, flips: float, rng: np.random.Generator) -> float:
+    """What no diagnosis can beat: the mean of ``fresh_wrong`` where only the number is not known.
+
+    ``count`` grasps whose thresholds lie at random along one number, every threshold known, the
+    name and the share of flips too; the number is the posterior median. Without flips it is the
+    middle of the gap between two thresholds, and the mean is 1/(2 (count + 1)).
+    """
+    wrong = []
+    flip = max(flips, 1e-4)
+    for _ in range(N_DRAWS):
+        places, truth = np.sort(rng.uniform(size=count)), rng.uniform(0.1, 0.9)
+        success = places < truth
+        success[rng.choice(count, round(flips * count), replace=False)] ^= True
+        edges = np.concatenate([[0.0], places, [1.0]])
+        # In gap k the first k grasps hold and the rest fail.
+        agree = np.cumsum(np.concatenate([[0], 2 * success - 1])) + (~success).sum()
+        weight = np.diff(edges) * (flip / (1 - flip)) ** (agree.max() - agree)
+        upto = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
+        wrong.append(abs(np.interp(0.5, upto, edges) - truth))
+    return float(np.mean(wrong))
 
 
 def summary_of(trials: Sequence[Trial]) -> str:
