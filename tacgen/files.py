@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import socket
 from collections.abc import Iterator
@@ -50,6 +51,23 @@ def write_text(path: Path, text: str) -> None:
         partial.write_text(text, encoding="utf-8")
 
 
+def read_small_text(path: Path, most_bytes: int) -> str:
+    """The text of a file that somebody else may have put there; what is not UTF-8 is marked.
+
+    Raises
+    ------
+    ValueError
+        If it is no regular file (a pipe would never end), or larger than ``most_bytes``.
+    """
+    if not path.is_file():
+        msg = "missing, or not a file"
+        raise ValueError(msg)
+    if path.stat().st_size > most_bytes:
+        msg = f"larger than {most_bytes} bytes"
+        raise ValueError(msg)
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
 def sha256_of(path: Path) -> str:
     """Hex digest of the file's bytes."""
     digest = hashlib.sha256()
@@ -57,3 +75,8 @@ def sha256_of(path: Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def sha256_of_content(content: object) -> str:
+    """Hex digest of plain data, the same for what means the same, however it is written."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +21,7 @@ from pydantic import (
 )
 
 from tacgen.errors import RecipeError
+from tacgen.files import sha256_of_content
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.resources import find_recipe, object_folders, sensor_path
 from tacgen.sections import Axis, Finite, Section
@@ -222,7 +221,7 @@ class Recipe(Section):
 
     def sha256(self) -> str:
         """A hash of ``resolved``, the same for recipes that mean the same."""
-        return hashlib.sha256(json.dumps(self.resolved(), sort_keys=True).encode()).hexdigest()
+        return sha256_of_content(self.resolved())
 
 
 def load_recipe(name: str | Path) -> Recipe:

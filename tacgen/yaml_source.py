@@ -64,6 +64,17 @@ def read_yaml(path: Path) -> YamlSource:
     return _read(Path(path), ())
 
 
+def read_mapping(path: Path) -> dict[str, Any]:
+    """The content of one YAML mapping within the same bounds, ``extends`` and all.
+
+    Raises
+    ------
+    RecipeError
+        If the file cannot be read, is not a mapping, or repeats a key.
+    """
+    return _parse(path).data
+
+
 def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
     if path.resolve() in extended_by:
         msg = f"{path}: extends itself; take it out of `extends:`"
@@ -86,6 +97,9 @@ def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
 
 def _parse(path: Path) -> YamlSource:
     try:
+        if path.exists() and not path.is_file():
+            msg = f"{path}: not a file; give a YAML file"
+            raise RecipeError(msg)
         if path.stat().st_size > MAX_BYTES:
             msg = f"{path}: larger than {MAX_BYTES >> 20} MiB; this is not a recipe"
             raise RecipeError(msg)

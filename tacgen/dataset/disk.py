@@ -18,6 +18,7 @@ _MENDS = {
     errno.EPERM: _WRITABLE,
     errno.EROFS: _WRITABLE,
     errno.ENOTDIR: _WRITABLE,
+    errno.EISDIR: "remove it and run the same command again",
 }
 
 
@@ -31,7 +32,9 @@ def disk_errors(root: Path) -> Iterator[None]:
             raise
         mend = _MENDS.get(error.errno, "finished shards are kept; run the same command again")
         what = error.strerror or str(error)
-        msg = f"{root}: {what[:1].lower()}{what[1:]}; {mend}"
+        in_the_way = error.errno == errno.EISDIR
+        where = (in_the_way and (error.filename2 or error.filename)) or root
+        msg = f"{where}: {what[:1].lower()}{what[1:]}; {mend}"
         raise DatasetError(msg) from error
 
 

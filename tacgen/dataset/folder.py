@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import json
 import os
-import socket
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,23 +13,24 @@ import yaml
 
 import tacgen
 from tacgen.dataset.disk import disk_errors
+from tacgen.dataset.locks import lock, open_locked, write_holder
 from tacgen.dataset.manifest import (
     ShardLine,
     merge_manifest,
+    part_number,
+    part_paths,
     read_lines,
     read_manifest,
     read_part,
     shard_file,
 )
+from tacgen.dataset.plan import create_whole, differences, holds, plan_of, read_plan
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.shard_check import content_problems
 from tacgen.dataset.writer import write_shard_file
-from tacgen.errors import DatasetError
-from tacgen.files import atomic_path, sync_directory, sync_file, write_text
-
-_NO_LINKS_HERE = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
-_LOCK_TRIES, _LOCK_PAUSE_S = 75, 0.02
-_NO_LOCKS_HERE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+from tacgen.errors import DatasetError, RecipeError
+from tacgen.files import atomic_path, write_text
+from tacgen.yaml_source import read_mapping
 
 
 class DatasetFolder:
@@ -82,24 +79,33 @@ class DatasetFolder:
         """
         with disk_errors(self.root):
             (self.root / "shards").mkdir(parents=True, exist_ok=True)
-            plan = _plan_of(spec)
+            plan = plan_of(spec)
+            plan_text = json.dumps(plan, indent=1, sort_keys=True)
             recipe_text = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
+            if self._plan_there() is None:
+                self._refuse_other_shards(spec)
             # The first to create the plan decides; everyone else compares with it.
-            if not _create_whole(self.plan_path, json.dumps(plan, indent=1, sort_keys=True)):
+            if not create_whole(self.plan_path, plan_text):
+                if self._plan_there() is None:
+                    write_text(self.plan_path, plan_text)
                 self._refuse_another(plan, spec.recipe)
-            if not self.recipe_path.is_file():
+            if not holds(self.recipe_path, recipe_text):
                 write_text(self.recipe_path, recipe_text)
 
     def line(self, shard: int) -> ShardLine | None:
         """The manifest's line of one shard, or None while it is not finished."""
         path = self.line_path(shard)
-        if path.is_file():
-            return read_part(path)
-        return self._merged().get(shard)
+        return read_part(path) if os.path.lexists(path) else self._merged().get(shard)
 
     def is_done(self, shard: int) -> bool:
-        """Whether the shard is finished and its file is there, whole by its size."""
-        line = self.line(shard)
+        """Whether the shard is finished and its file is there, whole by its size.
+
+        One whose line cannot be read is not: it is to be made again.
+        """
+        try:
+            line = self.line(shard)
+        except DatasetError:
+            return False
         path = self.shard_path(shard)
         return line is not None and path.is_file() and path.stat().st_size == line.bytes
 
@@ -113,14 +119,14 @@ class DatasetFolder:
         """
         path = self.lock_path(shard)
         with disk_errors(self.root):
-            descriptor, held = _open_locked(path)
+            descriptor, held = open_locked(path)
         try:
             # Whoever held the lock before may have finished the shard.
             if held is False or (self.is_done(shard) and not redo):
                 yield False
                 return
             if held:
-                _write_holder(descriptor)
+                write_holder(descriptor)
                 self._remove_leftovers(shard)
             yield True
         finally:
@@ -169,15 +175,28 @@ class DatasetFolder:
         DatasetError
             If the folder is not a dataset's.
         """
-        return _read_plan(self.plan_path)
+        return read_plan(self.plan_path)
+
+    def recipe(self) -> dict[str, Any]:
+        """What ``recipe.yaml`` says.
+
+        Raises
+        ------
+        RecipeError
+            If it is missing or broken.
+        """
+        return read_mapping(self.recipe_path)
 
     def running(self) -> list[tuple[int, str]]:
         """(shard, who) for each shard that some process holds now."""
         found = []
         for path in sorted(self.root.glob("shards/shard-*.lock")):
-            with contextlib.suppress(FileNotFoundError), path.open("r+") as file:
-                if _lock(file.fileno()) is False:
-                    found.append((int(path.stem.removeprefix("shard-")), file.read(200).strip()))
+            shard = part_number(path)
+            if shard < 0 or not path.is_file():
+                continue
+            with contextlib.suppress(FileNotFoundError), path.open("r+", errors="replace") as file:
+                if lock(file.fileno()) is False:
+                    found.append((shard, file.read(200).strip()))
         return found
 
     def _merged(self) -> dict[int, ShardLine]:
@@ -194,122 +213,43 @@ class DatasetFolder:
         for path in self.root.glob(f"shards/.{self.shard_path(shard).stem}.*.part"):
             path.unlink(missing_ok=True)
 
+    def _plan_there(self) -> dict[str, Any] | None:
+        try:
+            return self.plan()
+        except DatasetError:
+            return None
+
+    def _refuse_other_shards(self, spec: DatasetSpec) -> None:
+        """Where no plan says what the shards are of that are there, they say it themselves."""
+        for path in part_paths(self.root):
+            with contextlib.suppress(DatasetError):
+                line = read_part(path)
+                here = (line.recipe_sha256, line.calibration, line.versions.get("tacgen"))
+                if here != (spec.recipe_sha256, dict(spec.calibration), tacgen.__version__):
+                    break
+        else:
+            return
+        msg = (
+            f"{self.root}: {path.name} is of another recipe, calibration or version, and "
+            f"{self.plan_path.name} is missing or broken; give another --out, or delete the folder"
+        )
+        raise DatasetError(msg)
+
     def _refuse_another(self, plan: Mapping[str, Any], recipe: Mapping[str, Any]) -> None:
-        made = _read_plan(self.plan_path)
+        made = self.plan()
         if made == plan:
             return
-        differences = list(_differences(made, plan))
-        if made.get("recipe_sha256") != plan["recipe_sha256"] and self.recipe_path.is_file():
-            old = yaml.safe_load(self.recipe_path.read_text(encoding="utf-8"))
-            told = list(_differences(old, json.loads(json.dumps(recipe))))
-            differences = told + [d for d in differences if not d.startswith("recipe_sha256")]
+        told = list(differences(made, plan))
+        if made.get("recipe_sha256") != plan["recipe_sha256"]:
+            # Without a recipe to compare with, the hashes are told.
+            with contextlib.suppress(RecipeError):
+                settings = differences(self.recipe(), json.loads(json.dumps(recipe)))
+                others = [text for text in told if not text.startswith("recipe_sha256")]
+                told = [*settings, *others]
         raise DatasetError.from_problems(
             [
                 f"{self.root} holds a dataset made otherwise:",
-                *(f"  {text}" for text in differences),
+                *(f"  {text}" for text in told),
                 "give another --out, set these back to what made it, or delete the folder",
             ]
         )
-
-
-def _plan_of(spec: DatasetSpec) -> dict[str, Any]:
-    return {
-        "schema": 1,
-        "tacgen_version": tacgen.__version__,
-        "recipe": spec.recipe.get("name", ""),
-        "recipe_sha256": spec.recipe_sha256,
-        "calibration": dict(sorted(spec.calibration.items())),
-        "sensor": spec.sensor.name,
-        "pads": list(spec.pads),
-        "n_grasps": spec.n_grasps,
-        "shard_size": spec.shard_size,
-        "n_shards": spec.n_shards,
-    }
-
-
-def _read_plan(path: Path) -> dict[str, Any]:
-    try:
-        plan = json.loads(path.read_text(encoding="utf-8"))
-        numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
-        if all(isinstance(number, int) and number > 0 for number in numbers):
-            return plan
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        pass
-    msg = (
-        f"{path.parent} is not a dataset: {path.name} is missing or broken; "
-        "give the folder that `tacgen collect --out` made"
-    )
-    raise DatasetError(msg)
-
-
-def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
-    """One line for each setting that differs: where, what it was, what it would be."""
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
-        for key in dict.fromkeys([*old, *new]):
-            yield from _differences(old.get(key), new.get(key), f"{where}.{key}" if where else key)
-    elif old != new:
-        yield f"{where}: {json.dumps(old)} there, {json.dumps(new)} now"
-
-
-def _create_whole(path: Path, text: str) -> bool:
-    """Create ``path`` with all of ``text``; False if it exists, whoever came first."""
-    partial = path.with_name(f".{path.name}.{socket.gethostname()}.{os.getpid()}.part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        sync_file(partial)
-        try:
-            os.link(partial, path)
-        except OSError as error:
-            if error.errno not in _NO_LINKS_HERE:
-                raise
-            if path.exists():
-                return False
-            os.replace(partial, path)
-    except FileExistsError:
-        return False
-    finally:
-        partial.unlink(missing_ok=True)
-    sync_directory(path.parent)
-    return True
-
-
-def _open_locked(path: Path) -> tuple[int, bool | None]:
-    """Open and lock ``path``; (descriptor, True), or False where another holds it.
-
-    None instead of True where this file system has no locks.
-    """
-    tries = _LOCK_TRIES
-    while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        held = _lock(descriptor)
-        tries -= 1
-        if held is False and tries:
-            # It may be `running`, looking whether a lock is held, which lasts an instant, or a
-            # worker of a run that was killed, which ends within a second on a busy machine.
-            os.close(descriptor)
-            time.sleep(_LOCK_PAUSE_S)
-            continue
-        # The holder removes the file when it is through: a lock on a removed file is no lock.
-        if not held or _is_same_file(descriptor, path):
-            return descriptor, held
-        os.close(descriptor)
-
-
-def _lock(descriptor: int) -> bool | None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return None if error.errno in _NO_LOCKS_HERE else False
-    return True
-
-
-def _is_same_file(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
-
-
-def _write_holder(descriptor: int) -> None:
-    os.ftruncate(descriptor, 0)
-    os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())

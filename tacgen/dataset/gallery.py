@@ -14,13 +14,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from jinja2 import Environment, PackageLoader
 from numpy.typing import NDArray
 
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.summary import Summary, summarize
+from tacgen.errors import RecipeError
 from tacgen.files import write_text
 
 MAX_PAGE_BYTES = 15_000_000
@@ -269,7 +269,7 @@ def _evenly(items: Sequence[Any], most: int) -> list[Any]:
 
 
 def _description(folder: DatasetFolder) -> str:
-    if not folder.recipe_path.is_file():
+    try:
+        return str(folder.recipe().get("description", ""))
+    except RecipeError:  # `verify` tells of it; the page does without
         return ""
-    recipe = yaml.safe_load(folder.recipe_path.read_text(encoding="utf-8"))
-    return str(recipe.get("description", "")) if isinstance(recipe, dict) else ""

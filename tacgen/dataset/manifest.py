@@ -15,10 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.errors import DatasetError
-from tacgen.files import write_text
+from tacgen.files import read_small_text, write_text
 
 SCHEMA = 1
 MAX_LINE_BYTES = 1 << 20
+MEND_MERGED = "remake the manifest with `tacgen merge`"
+MEND_PART = "`tacgen collect` remakes that shard"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +56,8 @@ class ShardLine:
         return json.dumps(asdict(self), sort_keys=True)
 
 
-def parse_line(text: str, where: str) -> ShardLine:
-    """The record that ``text`` holds; ``where`` names the place in the error.
+def parse_line(text: str, where: str, mend: str = MEND_MERGED) -> ShardLine:
+    """The record that ``text`` holds; ``where`` names the place in the error, ``mend`` what helps.
 
     Raises
     ------
@@ -68,7 +70,7 @@ def parse_line(text: str, where: str) -> ShardLine:
         data = None
     problem = _problem_of(data)
     if problem:
-        msg = f"{where}: {problem}; remake the manifest with `tacgen merge`"
+        msg = f"{where}: {problem}; {mend}"
         raise DatasetError(msg)
     data["index_range"] = tuple(data["index_range"])
     data["pads"] = tuple(data["pads"])
@@ -140,7 +142,7 @@ def read_manifest(folder: Path) -> dict[int, ShardLine]:
         If a line cannot be understood.
     """
     lines = read_lines(folder / "manifest.jsonl")
-    missing = (path for path in part_paths(folder) if _part_number(path) not in lines)
+    missing = (path for path in part_paths(folder) if part_number(path) not in lines)
     lines.update((line.shard, line) for line in map(read_part, missing))
     return dict(sorted(lines.items()))
 
@@ -238,7 +240,8 @@ def part_paths(folder: Path) -> list[Path]:
     return sorted(folder.glob("shards/shard-*.json"))
 
 
-def _part_number(path: Path) -> int:
+def part_number(path: Path) -> int:
+    """The shard that a line beside it is of, by its name; −1 where it says none."""
     digits = path.stem.removeprefix("shard-")
     return int(digits) if digits.isdecimal() else -1
 
@@ -251,11 +254,13 @@ def read_part(path: Path) -> ShardLine:
     DatasetError
         If it cannot be understood, or is that of another shard.
     """
-    if path.stat().st_size > MAX_LINE_BYTES:
-        msg = f"{path}: larger than a line of a manifest can be; remake the shard"
-        raise DatasetError(msg)
-    line = parse_line(path.read_text(encoding="utf-8", errors="replace"), str(path))
-    if line.shard != _part_number(path):
-        msg = f"{path}: holds the line of shard {line.shard}"
+    try:
+        text = read_small_text(path, MAX_LINE_BYTES)
+    except (OSError, ValueError) as error:
+        msg = f"{path}: {error}; {MEND_PART}"
+        raise DatasetError(msg) from error
+    line = parse_line(text, str(path), MEND_PART)
+    if line.shard != part_number(path):
+        msg = f"{path}: holds the line of shard {line.shard}; {MEND_PART}"
         raise DatasetError(msg)
     return line

@@ -10,9 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.dataset.folder import DatasetFolder
-from tacgen.dataset.manifest import ShardLine, manifest_problems, part_paths, read_lines, read_part
+from tacgen.dataset.manifest import (
+    ShardLine,
+    manifest_problems,
+    part_number,
+    part_paths,
+    read_lines,
+    read_part,
+)
 from tacgen.dataset.shard_check import byte_problems, content_problems
-from tacgen.errors import DatasetError
+from tacgen.errors import DatasetError, RecipeError, TacgenError
+from tacgen.files import sha256_of_content
 
 SHARDS_AHEAD = 2
 
@@ -119,7 +127,7 @@ def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Proble
         try:
             line = read_part(path)
         except DatasetError as error:
-            problems.append(Problem(name, _without_path(error, path)))
+            problems.append(Problem(name, _without_path(error, path), part_number(path)))
             continue
         if line.shard in merged and merged[line.shard] != line:
             reason = f"{name} says otherwise about the shard; `tacgen merge` brings them together"
@@ -132,9 +140,11 @@ def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[
     """Gaps, mixtures, and files that nobody answers for."""
     n_grasps = None
     problems = []
-    if folder.plan_path.is_file():
+    if lines or folder.plan_path.exists():
         try:
-            n_grasps = folder.plan()["n_grasps"]
+            plan = folder.plan()
+            n_grasps = plan["n_grasps"]
+            problems += _plan_problems(folder, plan, list(lines.values()))
         except DatasetError as error:
             problems.append(Problem(folder.plan_path.name, str(error)))
     known = {line.file for line in lines.values()}
@@ -147,5 +157,38 @@ def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[
     return problems + [Problem("manifest.jsonl", reason) for reason in found]
 
 
-def _without_path(error: DatasetError, path: Path) -> str:
+def _plan_problems(
+    folder: DatasetFolder, plan: dict[str, Any], lines: list[ShardLine]
+) -> list[Problem]:
+    """Where ``dataset.json`` or ``recipe.yaml`` say otherwise than the shards."""
+    wrong = []
+    size, n_grasps = plan["shard_size"], plan["n_grasps"]
+    if plan["n_shards"] != -(-n_grasps // size):
+        wrong.append(f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard")
+    for line in lines:
+        due = (line.shard * size, min(n_grasps, (line.shard + 1) * size))
+        said = {
+            "index_range": (due, line.index_range),
+            "recipe_sha256": (plan.get("recipe_sha256"), line.recipe_sha256),
+            "calibration": (plan.get("calibration"), line.calibration),
+            "sensor": (plan.get("sensor"), line.sensor),
+            "pads": (plan.get("pads"), list(line.pads)),
+            "tacgen_version": (plan.get("tacgen_version"), line.versions.get("tacgen")),
+        }
+        differing = [name for name, (here, there) in said.items() if here != there]
+        if differing:
+            wrong.append(f"says otherwise than {line.file} about {', '.join(differing)}")
+            break
+    problems = [Problem(folder.plan_path.name, reason) for reason in wrong]
+    try:
+        if sha256_of_content(folder.recipe()) == plan.get("recipe_sha256"):
+            return problems
+        reason = "is not the recipe that dataset.json is of"
+    except RecipeError as error:
+        reason = _without_path(error, folder.recipe_path)
+    reason = f"{reason}; `tacgen collect` with that recipe writes it again"
+    return [*problems, Problem(folder.recipe_path.name, reason)]
+
+
+def _without_path(error: TacgenError, path: Path) -> str:
     return str(error).removeprefix(f"{path}:").strip()

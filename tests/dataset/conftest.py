@@ -7,17 +7,21 @@ import numpy as np
 import pytest
 
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample, PadSample
-from tacgen.files import sha256_of
+from tacgen.files import sha256_of, sha256_of_content
 from tacgen.records import GraspConfig, Sensor, SlipMargin
 
 SENSOR = Sensor("gelsight", height_px=24, width_px=32, mm_per_px=0.5, gel_depth_mm=2.0)
 
 
+RECIPE = {"name": "toy", "seed": 3, "physics": {"time_step_s": 0.004}, "objects": ["can"]}
+
+
 def make_spec(**changes: object) -> DatasetSpec:
     height, width = SENSOR.shape_px
+    recipe = changes.get("recipe", RECIPE)
     given: dict = {
-        "recipe": {"name": "toy", "seed": 3, "physics": {"time_step_s": 0.004}, "objects": ["can"]},
-        "recipe_sha256": "ab" * 32,
+        "recipe": recipe,
+        "recipe_sha256": sha256_of_content(recipe),
         "calibration": {"table": "cd" * 32},
         "sensor": SENSOR,
         "pads": ("left",),

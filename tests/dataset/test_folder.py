@@ -15,8 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.dataset import Dataset, DatasetFolder
-from tacgen.dataset import folder as folder_module
+from tacgen.dataset import Dataset, DatasetFolder, locks
 from tacgen.dataset.verify import verify
 from tacgen.errors import DatasetError
 
@@ -108,7 +107,7 @@ def test_the_second_on_a_shard_leaves_and_a_dead_holder_is_succeeded(toy):
 
 
 def test_without_locks_two_may_work_and_neither_corrupts(tmp_path, spec, monkeypatch):
-    monkeypatch.setattr(folder_module, "_lock", lambda _: None)
+    monkeypatch.setattr(locks, "lock", lambda _: None)
     one, two = DatasetFolder(tmp_path), DatasetFolder(tmp_path)
     one.prepare(spec)
     with one.claim(0) as first, two.claim(0) as second:

@@ -23,7 +23,7 @@ def test_card_says_counts_layout_and_origin(toy):
     assert "| success | 5 |" in text
     assert "| can | 3 | 1 | 1 |" in text
     assert "| `/contact/force_shear_n` | N, T, 2 | float64 | N | gel |" in text
-    assert "ab" * 32 in text
+    assert toy.plan()["recipe_sha256"] in text
 
 
 def test_gallery_needs_no_network_and_shows_every_grasp(toy):

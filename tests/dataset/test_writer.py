@@ -38,11 +38,11 @@ def test_contract_layout(toy):
         assert list(file["/grasp/object"].asstr()) == ["cup", "can", "cup", "can"]
 
 
-def test_manifest_line_of_each_shard(toy):
+def test_manifest_line_of_each_shard(toy, spec):
     lines = [json.loads(text) for text in toy.manifest_path.read_text().splitlines()]
     assert [line["index_range"] for line in lines] == [[0, 4], [4, 8], [8, 10]]
     assert [line["sha256"] for line in lines] == digests(toy.root)
-    assert lines[0]["recipe_sha256"] == "ab" * 32
+    assert lines[0]["recipe_sha256"] == spec.recipe_sha256
     assert lines[0]["calibration"] == {"table": "cd" * 32}
     assert {"tacgen", "h5py", "numpy"} <= set(lines[0]["versions"])
     # Grasps 4 and 9 are not executed; of the others those with index % 3 > 0 succeed.

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from tacgen import cluster
-from tacgen.dataset import folder as folder_module
+from tacgen.dataset.locks import open_locked
 from tacgen.dataset.verify import verify
 from tacgen.workers import run_tasks
 from tests.dataset.conftest import collect_toy
@@ -46,7 +46,7 @@ def test_a_leap_of_the_clock_makes_no_grasp_hang(tmp_path, monkeypatch):
 
 def test_somebody_looking_at_a_lock_does_not_scare_a_writer_off(toy):
     """``tacgen status`` tries the locks; a writer that comes at that instant tries again."""
-    descriptor, held = folder_module._open_locked(toy.lock_path(1))
+    descriptor, held = open_locked(toy.lock_path(1))
     assert held
     release = threading.Timer(0.03, os.close, [descriptor])
     release.start()
