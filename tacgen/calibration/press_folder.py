@@ -149,7 +149,7 @@ def _datapack_problems(path: Path, arrays: dict[str, NDArray]) -> list[str]:
 
 def _read_folder(path: Path, mm_per_px: float | None, ball_radius_mm: float | None) -> PressImages:
     problems: list[str] = []
-    sensor = _read_sensor(path / "sensor.yaml", mm_per_px, problems)
+    sensor = read_sensor_file(path / "sensor.yaml", mm_per_px, problems)
     table = _read_list(path / "presses.csv", ball_radius_mm, problems)
     background = _read_image(path / "background.png", "the gel with nothing on it", problems)
     images, rows = [], []
@@ -204,7 +204,7 @@ def scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
     ]
 
 
-def _read_sensor(
+def read_sensor_file(
     path: Path, mm_per_px: float | None, problems: list[str]
 ) -> tuple[float, float, str, float] | None:
     """Scale, dome radius, name and pitch of the printed dots (0 where there are none)."""
@@ -215,7 +215,7 @@ def _read_sensor(
         return None
     data = read_yaml(path).data
     scale: Any = mm_per_px if mm_per_px is not None else data.get("mm_per_px")
-    dome: Any = data.get("dome_radius_mm", 0.0)
+    dome: Any = data.get("dome_radius_mm") or 0.0
     for name, value, least in (("mm_per_px", scale, 1e-6), ("dome_radius_mm", dome, 0.0)):
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not number or not np.isfinite(value) or value < least:

@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 from numpy.typing import NDArray
 
 from tacgen.calibration.ball import cap_volume_from_circle_mm3
 from tacgen.calibration.circles import find_circle
 from tacgen.calibration.markers import MIN_DOTS, dot_mask, dot_places_px, dots_at_rest, follow
-from tacgen.calibration.press_folder import BALLS_MM, scale_problems
+from tacgen.calibration.press_folder import BALLS_MM, read_sensor_file, scale_problems
 from tacgen.calibration.press_log import SHEAR_FORCES, numeric_columns, read_table
 from tacgen.calibration.reconstruct import Reconstructor
 from tacgen.errors import PressError
@@ -100,12 +99,10 @@ def read_force_images(folder: Path) -> ForceImages:
         if name not in frame.columns
     ]
     numbers, cells = numeric_columns(frame, listing, NUMBERS)
-    try:
-        sensor = yaml.safe_load(sensor_file.read_text(encoding="utf-8")) or {}
-        mm_per_px = float(sensor["mm_per_px"])
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        problems.append(f"{sensor_file}: no usable mm_per_px ({error}); write mm_per_px: 0.0295")
-        raise PressError.from_problems([*problems, *cells]) from error
+    sensor = read_sensor_file(sensor_file, None, problems)
+    if sensor is None:
+        raise PressError.from_problems([*problems, *cells])
+    mm_per_px, dome_radius_mm, _, pitch_mm = sensor
     background = _read_rgb(folder / "background.png")
     problems += scale_problems(sensor_file, mm_per_px, background.shape[1])
     problems += [*cells, *_row_problems(frame.assign(**numbers), listing)]
@@ -116,8 +113,8 @@ def read_force_images(folder: Path) -> ForceImages:
         background=background,
         table=frame.assign(**numbers),
         mm_per_px=mm_per_px,
-        dome_radius_mm=float(sensor.get("dome_radius_mm") or 0.0),
-        marker_pitch_mm=float((sensor.get("markers") or {}).get("pitch_mm", np.nan)),
+        dome_radius_mm=dome_radius_mm,
+        marker_pitch_mm=pitch_mm or np.nan,
     )
 
 

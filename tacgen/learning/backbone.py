@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import pickle
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from zipfile import BadZipFile
@@ -34,6 +35,9 @@ UNREADABLE = (
     IndexError,
     TypeError,
     AttributeError,
+    AssertionError,
+    OverflowError,
+    struct.error,
     pickle.UnpicklingError,
     BadZipFile,
     SafetensorError,

@@ -92,7 +92,7 @@ def is_simulated(folder: Path) -> bool:
     """Whether a folder of grasps says of itself that a simulation made them."""
     try:
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(about, dict) and about.get("simulated") is True
 

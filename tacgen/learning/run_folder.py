@@ -39,7 +39,7 @@ class ModelFolder:
             lines = self.metrics_path.read_text(encoding="utf-8").splitlines()
             metrics = [json.loads(line) for line in lines if line.strip()]
             return [line for line in metrics if line["epoch"] <= up_to_epoch]
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             msg = f"{self.metrics_path}: broken ({error}); remove {self.root} to train it anew"
             raise LearningError(msg) from error
 

@@ -11,6 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tests.fuzz import learned
+
 Read = Callable[[Path], object]
 
 
@@ -91,17 +93,31 @@ CUBE_OBJ = "".join(
 )
 
 
-def _make_stl(folder: Path) -> Path:
-    import trimesh
+def _box(name: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        import trimesh
 
-    trimesh.creation.box(extents=(30.0, 40.0, 50.0)).export(folder / "box.stl")
-    return folder / "box.stl"
+        trimesh.creation.box(extents=(30.0, 40.0, 50.0)).export(folder / name)
+        return folder / name
+
+    return make
 
 
 def _read_mesh(path: Path) -> object:
     from tacgen.objects_io.mesh_import import import_surface
 
     return import_surface(path)
+
+
+def _added_object(pattern: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        from tacgen.objects_io.add import add_object
+
+        added = add_object(_box("box.stl")(folder), mass_kg=0.1, into=folder)
+        (path,) = added.object.folder.glob(pattern)
+        return path
+
+    return make
 
 
 PRESS_LOG = "trial,time_s,force_normal_n,volume_mm3,operator\n" + "".join(
@@ -140,6 +156,25 @@ def _read_presses(path: Path) -> object:
     from tacgen.calibration.press_folder import read_presses
 
     return read_presses(path if path.suffix == ".npz" else path.parent)
+
+
+def _force_images(spoiled: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        _presses(spoiled)(folder)
+        lines = ["file,trial,time_s,force_normal_n,radius_mm", "a.png,0,0.5,1.5,2", "b.png,1,2,3,2"]
+        (folder / "presses.csv").write_text("\n".join(lines) + "\n")
+        sensor = "mm_per_px: 0.5\ndome_radius_mm: 30\nmarkers: {pitch_mm: 1.5}\n"
+        (folder / "sensor.yaml").write_text(sensor)
+        return folder / spoiled
+
+    return make
+
+
+def _read_force_images(path: Path) -> object:
+    from tacgen.calibration.press_forces import read_force_images
+
+    found = read_force_images(path.parent)
+    return [found.picture(k) for k in range(len(found.table))]
 
 
 def _make_datapack(folder: Path) -> Path:
@@ -186,6 +221,19 @@ def _read_polycalib(path: Path) -> object:
     return import_polycalib(path, path.parent / "bg.npy", 0.1)
 
 
+def _make_sensor(folder: Path) -> Path:
+    from tests.small_world import write_world
+
+    write_world(folder)
+    return folder / "recipes/sensors/coarse.yaml"
+
+
+def _read_sensor(path: Path) -> object:
+    from tacgen.sensors import load_sensor
+
+    return load_sensor(str(path))
+
+
 LAW = """
 law: volume_linear
 k_n_mm3_per_n: {value: 8.0, stderr: 0.1}
@@ -215,6 +263,11 @@ def _read_real_grasps(path: Path) -> object:
     from tacgen.dataset.real_grasps import read_real_grasps
 
     return read_real_grasps(path.parent)
+
+
+def _make_real_image(folder: Path) -> Path:
+    _make_real_grasps(folder)
+    return folder / "images/g0/0.png"
 
 
 def _dataset(name: str) -> Callable[[Path], Path]:
@@ -248,33 +301,15 @@ def _read_dataset(path: Path) -> object:
     return Dataset(root, partial=True)
 
 
-def _make_checkpoint(folder: Path) -> Path:
-    import torch
+def _read_dataset_recipe(path: Path) -> object:
+    """Shown by the page, and compared with where another recipe is refused."""
+    from tacgen.dataset import DatasetFolder
+    from tacgen.dataset.gallery import write_gallery
+    from tests.dataset.conftest import make_spec
 
-    from tacgen.learning.checkpoint import save_state
-
-    save_state(folder / "last.pt", {"epoch": 3, "weights": {"a": torch.zeros(5)}})
-    return folder / "last.pt"
-
-
-def _read_checkpoint(path: Path) -> object:
-    from tacgen.learning.checkpoint import load_state
-
-    return load_state(path, ("epoch", "weights"))
-
-
-def _make_model(folder: Path) -> Path:
-    import torch
-    from safetensors.torch import save_file
-
-    save_file({"a": torch.zeros(7)}, folder / "model.safetensors", metadata={"card": "{}"})
-    return folder / "model.safetensors"
-
-
-def _read_model(path: Path) -> object:
-    from tacgen.learning.checkpoint import load_model
-
-    return load_model(path)
+    write_gallery(path.parent)
+    DatasetFolder(path.parent).prepare(make_spec(n_grasps=4, recipe={"name": "another"}))
+    return path
 
 
 def _make_jobs(folder: Path) -> Path:
@@ -299,12 +334,19 @@ READERS = {
     "study": Reader(_shipped("paper_table.yaml"), _read_study),
     "object folder": Reader(_make_object, _read_object),
     "mesh obj": Reader(_text("cube.obj", CUBE_OBJ), _read_mesh),
-    "mesh stl": Reader(_make_stl, _read_mesh),
+    "mesh stl": Reader(_box("box.stl"), _read_mesh),
+    "mesh ply": Reader(_box("box.ply"), _read_mesh),
+    "mesh glb": Reader(_box("box.glb"), _read_mesh),
+    "added surface": Reader(_added_object("*.ply"), _read_object),
+    "added parts": Reader(_added_object("*.npz"), _read_object),
     "press log csv": Reader(_text("log.csv", PRESS_LOG), _read_press_log),
     "press log parquet": Reader(_make_parquet, _read_press_log),
     "press list": Reader(_presses("presses.csv"), _read_presses),
     "press image": Reader(_presses("a.png"), _read_presses),
     "press sensor": Reader(_presses("sensor.yaml"), _read_presses),
+    "force images": Reader(_force_images("presses.csv"), _read_force_images),
+    "force images' sensor": Reader(_force_images("sensor.yaml"), _read_force_images),
+    "sensor": Reader(_make_sensor, _read_sensor),
     "dataPack": Reader(_make_datapack, _read_presses),
     "lookup table": Reader(_make_table, _read_table),
     "polycalib": Reader(_make_polycalib, _read_polycalib),
@@ -314,8 +356,16 @@ READERS = {
     "manifest": Reader(_dataset("manifest.jsonl"), _read_dataset),
     "shard's line": Reader(_dataset("shards/shard-00000.json"), _read_dataset),
     "dataset plan": Reader(_dataset("dataset.json"), _read_dataset),
-    "checkpoint": Reader(_make_checkpoint, _read_checkpoint),
-    "model": Reader(_make_model, _read_model, sound=False),
+    "dataset recipe": Reader(_dataset("recipe.yaml"), _read_dataset_recipe, sound=False),
     "batch jobs": Reader(_make_jobs, _read_jobs),
 }
-NEED_TORCH = {"checkpoint", "model"}
+LEARNED = {
+    "checkpoint": Reader(learned.make_checkpoint, learned.read_checkpoint),
+    "model": Reader(learned.make_model, learned.read_model, sound=False),
+    "weights": Reader(learned.make_weights, learned.read_weights),
+    "training run": Reader(learned.make_run, learned.read_run),
+    "training metrics": Reader(learned.make_metrics, learned.read_metrics),
+    "real grasps' image": Reader(_make_real_image, learned.read_real_images),
+}
+"""Those that need PyTorch."""
+READERS |= LEARNED
