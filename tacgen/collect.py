@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.card import write_card
+from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.gallery import Card, CardMaker, write_gallery
 from tacgen.dataset.verify import verify
 from tacgen.grasp_pipeline import GraspPipeline, crashed_sample, dataset_spec
@@ -107,8 +108,9 @@ def collect(
     result = tally.collected(found)
     is_whole = len(folder.merge()) == spec.n_shards
     if is_whole and (result.made or not folder.gallery_path.is_file()):
-        write_card(folder.root)
-        write_gallery(folder.root, partial(_make_cards, folder.root, workers))
+        with disk_errors(folder.root):
+            write_card(folder.root)
+            write_gallery(folder.root, partial(_make_cards, folder.root, workers))
     return result
 
 

@@ -1,7 +1,9 @@
 """Collecting: the same bytes however the work is done, and nothing lost."""
 
+import errno
 import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -68,6 +70,24 @@ def test_what_is_felt_follows_the_force(reference):
         for g in (weak, firm)
     ]
     assert changed[1] > 1.5 * changed[0] > 0
+
+
+def test_a_disk_that_is_full_once_the_shards_are_done_is_named(
+    reference, world, tmp_path, monkeypatch
+):
+    out = shutil.copytree(reference[0], tmp_path / "out")
+    (out / "index.html").unlink()
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("tacgen.collect.write_gallery", full)
+    with pytest.raises(DatasetError, match=f"{out}: no space left on device; free some space"):
+        collect(load_recipe(world), out, progress=False)
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    collect(load_recipe(world), out, progress=False)
+    assert (out / "index.html").is_file()
 
 
 @pytest.mark.parametrize("workers", [2, 4])
