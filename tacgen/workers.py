@@ -29,7 +29,10 @@ from tacgen.processes import start, start_early
 MAX_KILLS_PER_TASK = 5
 MAX_CRASHES_IN_A_ROW = 3
 _NATIVE_CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL}
+SILENCE_LIMIT_S = 600.0
+"""Between items, where a worker opens files and writes them; after that it is taken for dead."""
 _POLL_S = 1.0
+_LONGEST_LOOK_S = 5.0
 
 Report = Callable[[str, int, Any], None]
 """Called by a job with ("start", item, None) and then ("item", item, anything to show)."""
@@ -57,12 +60,30 @@ class _Worker:
     connection: Connection
     task: int | None = None
     item: int | None = None
-    item_since_s: float = 0.0
+    heard_s: float = 0.0
+
+
+class _AwakeClock:
+    """Seconds in which this process was running.
+
+    A job that the scheduler suspends, or a machine that sleeps, must not blame its grasps for it.
+    """
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self._seen_s = time.monotonic()
+
+    def look(self) -> None:
+        """Count the time since the last look, if it is not longer than looks are apart."""
+        seen_s = time.monotonic()
+        self.now_s += min(seen_s - self._seen_s, _LONGEST_LOOK_S)
+        self._seen_s = seen_s
 
 
 @dataclass
 class _Progress:
     queue: deque[int]
+    clock: _AwakeClock = field(default_factory=_AwakeClock)
     crashed: dict[int, dict[int, str]] = field(default_factory=dict)
     kills: dict[int, int] = field(default_factory=dict)
 
@@ -91,11 +112,12 @@ def run_tasks(
                 if worker.task is None and progress.queue:
                     _hand_out(worker, progress)
             _await_news(crew)
+            progress.clock.look()
             for k, worker in enumerate(crew):
                 # Looked at once: a worker may die at any line below, and is then found dead next
                 # time, with its task.
                 alive = worker.process.is_alive()
-                yield from _read_news(worker)
+                yield from _read_news(worker, progress.clock)
                 if alive:
                     yield from _end_if_hung(worker, progress, item_limit_s)
                 else:
@@ -123,7 +145,7 @@ def _start(make_job: JobFactory) -> _Worker:
 
 def _hand_out(worker: _Worker, progress: _Progress) -> None:
     worker.task = progress.queue.popleft()
-    worker.item = None
+    worker.item, worker.heard_s = None, progress.clock.now_s
     with contextlib.suppress(BrokenPipeError):  # it died idle; its death is accounted for
         worker.connection.send((worker.task, progress.crashed.get(worker.task, {})))
 
@@ -135,19 +157,19 @@ def _await_news(crew: Sequence[_Worker]) -> None:
     )
 
 
-def _read_news(worker: _Worker) -> Iterator[Event]:
+def _read_news(worker: _Worker, clock: _AwakeClock) -> Iterator[Event]:
     """Everything the worker has said since."""
     try:
         while worker.task is not None and worker.connection.poll():
             kind, item, value = worker.connection.recv()
-            task = worker.task
+            task, worker.heard_s = worker.task, clock.now_s
             if kind == "error":
                 raise TacgenError(value)
             if kind == "bug":
                 msg = f"a worker failed unexpectedly:\n{value}"
                 raise RuntimeError(msg)
             if kind == "start":
-                worker.item, worker.item_since_s = item, time.monotonic()
+                worker.item = item
                 continue
             worker.item = None
             if kind == "done":
@@ -158,11 +180,13 @@ def _read_news(worker: _Worker) -> Iterator[Event]:
 
 
 def _end_if_hung(worker: _Worker, progress: _Progress, limit_s: float) -> Iterator[Event]:
-    if worker.item is None or time.monotonic() - worker.item_since_s <= limit_s:
-        return
-    worker.process.kill()
-    worker.process.join()
-    yield _blame_item(worker, progress, f"took longer than {limit_s:g} s")
+    silent_s = progress.clock.now_s - worker.heard_s
+    if worker.item is not None and silent_s > limit_s:
+        worker.process.kill()
+        worker.process.join()
+        yield _blame_item(worker, progress, f"took longer than {limit_s:g} s")
+    elif worker.task is not None and silent_s > max(limit_s, SILENCE_LIMIT_S):
+        worker.process.kill()  # found dead at the next look, and its task run again
 
 
 def _account_for_death(worker: _Worker, progress: _Progress) -> Iterator[Event]:

@@ -20,7 +20,7 @@ ITEMS_PER_TASK = 4
 class Script:
     """A job whose items misbehave as told, once or always."""
 
-    def __init__(self, folder: Path, acts: dict[int, str]) -> None:
+    def __init__(self, folder: Path, acts: dict[int | str, str]) -> None:
         self.folder, self.acts = folder, acts
 
     @contextlib.contextmanager
@@ -35,6 +35,7 @@ class Script:
             report("start", item, None)
             self.act(self.acts.get(item, ""), item)
             report("item", item, os.getpid())
+            self.act(self.acts.get(f"after {item}", ""), f"after {item}")
             done.append(item)
         return done
 
@@ -48,7 +49,7 @@ class Script:
             os.kill(os.getpid(), signal.SIGKILL)
         elif what == "killed":
             os.kill(os.getpid(), signal.SIGKILL)
-        elif what == "hang":
+        elif what == "hang" or (what == "hang_once" and first):
             time.sleep(60)
         elif what == "brief":
             time.sleep(0.01)
@@ -86,7 +87,7 @@ def test_an_item_that_takes_its_process_down_is_left_out(tmp_path):
 
 
 def test_an_item_that_hangs_is_left_out(tmp_path):
-    done, events = results(tmp_path, {6: "hang"}, limit_s=1.0)
+    done, events = results(tmp_path, {6: "hang"}, limit_s=3.0)
     assert done[1] == [4, 5, 7]
     assert [event.item for event in events if event.kind == "crashed"] == [6]
 
@@ -95,6 +96,16 @@ def test_a_worker_killed_from_outside_costs_nothing(tmp_path):
     done, events = results(tmp_path, {5: "killed_once"})
     assert done == {task: items_of(task) for task in range(3)}
     assert [event.task for event in events if event.kind == "retried"] == [1]
+
+
+def test_a_worker_that_falls_silent_between_items_is_replaced_and_nothing_is_lost(
+    tmp_path, monkeypatch
+):
+    """Stopped by a hand, or held by a file system: no grasp's fault."""
+    monkeypatch.setattr(workers, "SILENCE_LIMIT_S", 3.0)
+    done, events = results(tmp_path, {"after 5": "hang_once"}, workers=1, limit_s=3.0)
+    assert done == {task: items_of(task) for task in range(3)}
+    assert [event.kind for event in events if event.kind not in ("item", "done")] == ["retried"]
 
 
 def test_a_worker_that_dies_between_two_looks_loses_no_task(tmp_path, monkeypatch):

@@ -1,17 +1,19 @@
 """Clocks that jump, and a look at a lock at the wrong moment."""
 
+import itertools
 import os
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 
-from tacgen import cluster
+from tacgen import cluster, workers
 from tacgen.dataset.locks import open_locked
 from tacgen.dataset.verify import verify
 from tacgen.workers import run_tasks
 from tests.dataset.conftest import collect_toy
-from tests.test_workers import Script
+from tests.test_workers import ITEMS_PER_TASK, Script
 
 
 def test_files_from_the_future_and_the_past_are_as_done_as_others(toy, spec):
@@ -41,6 +43,18 @@ def test_a_leap_of_the_clock_makes_no_grasp_hang(tmp_path, monkeypatch):
     leaps = iter(np.random.default_rng(0).uniform(-1e8, 1e8, 100_000))
     monkeypatch.setattr(time, "time", lambda: next(leaps))
     events = list(run_tasks(range(2), Script(tmp_path, {}), workers=1, item_limit_s=20.0))
+    assert {event.kind for event in events} == {"item", "done"}
+
+
+def test_a_job_that_was_suspended_blames_no_grasp(tmp_path, monkeypatch):
+    """Between two looks of the supervisor an hour goes by, of which it was awake for a moment."""
+    asleep_s = itertools.count(step=3600.0)
+    now_s = time.monotonic
+    monkeypatch.setattr(
+        workers, "time", SimpleNamespace(monotonic=lambda: now_s() + next(asleep_s))
+    )
+    slow = Script(tmp_path, dict.fromkeys(range(2 * ITEMS_PER_TASK), "brief"))
+    events = list(run_tasks(range(2), slow, workers=1, item_limit_s=60.0))
     assert {event.kind for event in events} == {"item", "done"}
 
 
