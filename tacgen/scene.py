@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from tacgen.physics.frames import rotation_about_z, rotation_from_quaternion
@@ -81,7 +80,9 @@ def _openings_mm(
 
 @lru_cache(maxsize=1)
 def _table() -> Part:
-    disc = trimesh.creation.cylinder(radius=_TABLE_RADIUS_MM, height=3.0, sections=48)
+    from trimesh import creation
+
+    disc = creation.cylinder(radius=_TABLE_RADIUS_MM, height=3.0, sections=48)
     disc.apply_translation([0.0, 0.0, -1.6])
     return np.array(disc.vertices), np.array(disc.faces), _TABLE_COLOR
 
@@ -106,7 +107,9 @@ def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part
 
 @lru_cache(maxsize=1)
 def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
+    from trimesh import creation
+
+    box = creation.box(extents=(1.0, 1.0, 1.0))
     return np.array(box.vertices), np.array(box.faces)
 
 

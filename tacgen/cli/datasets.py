@@ -117,7 +117,7 @@ def collect(
     from tacgen.processes import start_early
 
     if not (dry_run or _looks_whole(out)):
-        start_early("tacgen.collect")
+        start_early("tacgen.collect", "trimesh.creation")
     from tacgen.collect import collect as run
     from tacgen.collect import describe, shards_to_repair
     from tacgen.recipe import load_recipe

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from tacgen.errors import ObjectError
 from tacgen.records import Mesh, frozen_array
@@ -18,6 +17,8 @@ MAX_PARTS = 256
 
 def read_surface(path: Path, scale_mm: float) -> Mesh:
     """The surface in a mesh file, one unit of which is ``scale_mm``."""
+    import trimesh  # slow to import, and not every object has a mesh
+
     _check_file(path)
     try:
         loaded = trimesh.load_mesh(path, process=False)

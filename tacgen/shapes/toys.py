@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -98,8 +97,10 @@ def golf_ball(
     subdivisions: int = 6,
 ) -> Shape:
     """A ball with 10·order² + 2 dimples at the points of an icosahedral grid."""
+    from trimesh import creation  # slow to import, and not every object needs it
+
     radius = diameter_mm / 2
-    sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
+    sphere = creation.icosphere(subdivisions=subdivisions, radius=1.0)
     directions = _gathered(np.asarray(sphere.vertices))
     chord, _ = cKDTree(icosahedral_points(dimple_order)).query(directions)
     share = 2 * np.arcsin(chord / 2) * radius / (dimple_diameter_mm / 2)
@@ -121,7 +122,9 @@ def _gathered(directions: NDArray[np.float64], strength: float = 0.6) -> NDArray
 
 def icosahedral_points(order: int) -> NDArray[np.float64]:
     """10·order² + 2 unit vectors: an icosahedron's faces divided into a triangular grid."""
-    solid = trimesh.creation.icosahedron()
+    from trimesh import creation
+
+    solid = creation.icosahedron()
     corners = np.asarray(solid.vertices)[np.asarray(solid.faces)]
     weights = (
         np.array(
