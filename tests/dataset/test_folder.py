@@ -233,9 +233,11 @@ def test_a_read_only_disk(tmp_path, spec):
 
 KILLED = """
 import sys
+import time
 sys.path.insert(0, {checkout!r})
 from tests.dataset.conftest import *
-collect_toy(Path({root!r}), make_spec(n_grasps=200, shard_size=4))
+collect_toy(Path({root!r}), make_spec(n_grasps=200, shard_size=4), shards=range(40))
+time.sleep(600)  # however late the kill comes, it comes before the end
 """
 
 
