@@ -39,6 +39,11 @@ def rivals_of(standings: Sequence[Standing], found: bool) -> dict[str, tuple[Sta
     """The explanations worth telling apart by name; no standing at all is the declared world."""
     best = standings[0]
     rivals: dict[str, tuple[Standing, ...]] = {} if found else {"as declared": ()}
+    candidate = best.hypothesis.candidate
+    if best.elsewhere is not None and candidate is not None:
+        there = float(candidate.parameter.coordinate(np.array([best.elsewhere]))[0])
+        rivals[best.name] = (best,)
+        rivals[f"{best.name} at {best.elsewhere:.3g}"] = (replace(best, coordinate=there),)
     for standing in standings:
         if len(rivals) < MAX_RIVALS and standing.gain > best.gain - WITHIN:
             rivals[standing.name] = (_at_the_same_ratio(standing, best),)

@@ -126,7 +126,7 @@ def _next_grasps(findings: GraspFindings) -> Section:
             one.config.x_mm,
             one.config.y_mm,
             one.config.z_mm,
-            *(one.success[name] for name in names),
+            *(f"{one.success[name]:.2f}" for name in names),
         ]
         for one in proposals
     ]

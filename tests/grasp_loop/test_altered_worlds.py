@@ -15,10 +15,12 @@ from tacgen.grasp_loop.altered_worlds import (
     simulate_altered,
 )
 from tacgen.grasp_loop.extended_recipe import extended_recipe, write_extended_recipe
-from tacgen.grasp_loop.worlds import GraspWorlds
+from tacgen.grasp_loop.next_grasps import rivals_of
+from tacgen.grasp_loop.worlds import GraspWorlds, combined_world
 from tacgen.grasp_pipeline import recipe_object
 from tacgen.loop.grasps.candidates import PARAMETERS, Candidate
 from tacgen.loop.grasps.contest import Standing
+from tacgen.loop.grasps.diagnosis import describe
 from tacgen.loop.grasps.hypothesis import interpolated
 from tacgen.loop.grasps.slack import crossings
 from tacgen.recipe import ObjectEntry, Recipe, load_recipe
@@ -138,6 +140,22 @@ def test_an_extended_recipe_holds_the_world_that_was_found(tmp_path):
     assert np.ptp(made.surface.vertices_mm, axis=0) == pytest.approx(
         np.ptp(expected.surface.vertices_mm, axis=0), rel=1e-6
     )
+
+
+def test_what_was_found_is_told_with_its_object_and_as_many_digits_as_its_error():
+    assert (
+        describe(standing("mass_factor", 1.4))
+        == f"mass of {BOX} at 1.400 ± 0.014 times the declared"
+    )
+    shifted = replace(standing("center_of_mass_y_mm", -21.34), deviation=4.41)
+    assert describe(shifted) == f"center_of_mass of {BOX} along y off by -21.3 ± 4.4 mm"
+
+
+def test_grasps_to_make_next_tell_the_two_sides_of_a_shift():
+    shifted = replace(standing("center_of_mass_y_mm", -21.0), elsewhere=22.0)
+    rivals = rivals_of([shifted], True)
+    sides = [combined_world(found, BOX).center_of_mass_y_mm for found in rivals.values()]
+    assert sides == [-21.0, 22.0]
 
 
 def test_nothing_found_leaves_the_recipe_as_it_is():

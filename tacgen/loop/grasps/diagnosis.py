@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -113,7 +114,7 @@ class GraspDiagnosis:
             )
         names = " and ".join(describe(standing) for standing in self.found)
         text = (
-            f"The simulated world lacks {names}: as declared, {before} of {n} grasps end "
+            f"What the declared world gets wrong: {names}. As declared, {before} of {n} grasps end "
             f"otherwise than the real ones; predicted from the other grasps, {after} do."
         )
         text += "".join(_other_value(standing) for standing in self.found)
@@ -131,29 +132,36 @@ class GraspDiagnosis:
 
 
 def describe(standing: Standing) -> str:
-    """A finding in words, such as ``grip_force at 0.8 ± 0.03 of the declared one``."""
+    """A finding in words, such as ``grip_force at 0.80 ± 0.03 times the declared``."""
     candidate = standing.hypothesis.candidate
     if candidate is None:
         return standing.name
     parameter = candidate.parameter
-    error = f"{standing.stderr:.2g}"
     whose = "" if candidate.name in WHOLE_WORLD else f" of {', '.join(candidate.objects)}"
+    digits = digits_for(standing.stderr)
+    error = f"{standing.stderr:.{digits}f}"
     if parameter.is_factor:
-        return f"{standing.name}{whose} at {standing.value:.3g} ± {error} of the declared one"
+        return f"{standing.name}{whose} at {standing.value:.{digits}f} ± {error} times the declared"
     axis = parameter.key.removeprefix(f"{standing.name}_").split("_")[0]
     along = f" along {axis}" if standing.name == "center_of_mass" else ""
-    return f"{standing.name}{whose}{along} off by {standing.value:+.3g} ± {error} {parameter.unit}"
+    value = f"{standing.value:+.{digits}f}"
+    return f"{standing.name}{whose}{along} off by {value} ± {error} {parameter.unit}"
+
+
+def digits_for(error: float) -> int:
+    """Decimal places that show two digits of ``error``."""
+    if not (math.isfinite(error) and error > 0):
+        return 2
+    return max(0, 1 - math.floor(math.log10(error)))
 
 
 def _other_value(standing: Standing) -> str:
-    if standing.elsewhere is None:
+    candidate = standing.hypothesis.candidate
+    if standing.elsewhere is None or candidate is None:
         return ""
-    return (
-        f" For {standing.name} {standing.elsewhere:.3g} explains these labels nearly as well; "
-        "grasps on both sides of the object's middle would tell."
-        if standing.name == "center_of_mass"
-        else f" For {standing.name} {standing.elsewhere:.3g} explains them nearly as well."
-    )
+    value = f"{standing.elsewhere:.{digits_for(standing.stderr)}f}"
+    unit = "times the declared" if candidate.parameter.is_factor else candidate.parameter.unit
+    return f" {standing.name} at {value} {unit} explains these labels nearly as well."
 
 
 def diagnose_labels(
