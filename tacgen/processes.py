@@ -18,6 +18,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from tacgen.errors import TacgenError
+
 ONE_THREAD = dict.fromkeys(
     (
         "OMP_NUM_THREADS",
@@ -60,10 +62,15 @@ def start(target: Callable[..., None], *arguments: object) -> multiprocessing.pr
         try:
             with _threads_pinned():
                 process.start()
-        except (EOFError, ConnectionError):
+        except (EOFError, ConnectionError) as error:
             # The fork server was killed and is not yet seen to be gone; then a new one starts.
             if not left:
-                raise
+                msg = (
+                    f"no worker process could be started with {sys.executable} "
+                    f"({error or type(error).__name__}); what it said stands above, if it began "
+                    "at all; is there memory left, and may you run it?"
+                )
+                raise TacgenError(msg) from error
             time.sleep(_START_PAUSE_S)
         else:
             break

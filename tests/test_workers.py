@@ -177,3 +177,15 @@ def test_a_worker_has_todays_environment_and_one_thread_a_library(tmp_path, monk
     events = list(run_tasks(range(1), Surroundings(), workers=1, item_limit_s=20.0))
     assert [event.value for event in events] == [("1", "now", 1, 1)]
     assert os.environ["OMP_NUM_THREADS"] == "4"
+
+
+def test_workers_that_cannot_start_are_told_of(tmp_path, monkeypatch):
+    """The process that they are copied from dies at once, whenever it is started."""
+
+    def refused(*_):
+        raise ConnectionRefusedError(111, "Connection refused")
+
+    monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", refused)
+    monkeypatch.setattr("tacgen.processes._START_PAUSE_S", 0.0)
+    with pytest.raises(TacgenError, match=r"no worker process could be started with .*python"):
+        results(tmp_path, {})

@@ -9,6 +9,7 @@ merging twice, or at the same time on two machines, loses nothing.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -236,7 +237,17 @@ def read_lines(path: Path) -> dict[int, ShardLine]:
 
 
 def part_paths(folder: Path) -> list[Path]:
-    """The lines that stand beside the shards."""
+    """The lines that stand beside the shards.
+
+    Raises
+    ------
+    DatasetError
+        If the folder is there, but may not be looked into.
+    """
+    shards = folder / "shards"
+    if shards.is_dir() and not os.access(shards, os.R_OK | os.X_OK):
+        msg = f"{shards}: permission denied; ask its owner for the right to read it"
+        raise DatasetError(msg)
     return sorted(folder.glob("shards/shard-*.json"))
 
 
@@ -257,7 +268,8 @@ def read_part(path: Path) -> ShardLine:
     try:
         text = read_small_text(path, MAX_LINE_BYTES)
     except (OSError, ValueError) as error:
-        msg = f"{path}: {error}; {MEND_PART}"
+        reason = error.strerror if isinstance(error, OSError) else error
+        msg = f"{path}: {reason}; {MEND_PART}"
         raise DatasetError(msg) from error
     line = parse_line(text, str(path), MEND_PART)
     if line.shard != part_number(path):

@@ -115,3 +115,10 @@ def test_odd_names_among_the_locks_are_passed_over(toy):
     (toy.root / "shards/shard-00002.lock").mkdir()
     os.mkfifo(toy.root / "shards/shard-00001.lock")
     assert toy.running() == []
+
+
+def test_shards_that_may_not_be_read_are_not_taken_for_none(toy, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, _: path != toy.root / "shards")
+    toy.manifest_path.unlink()
+    with pytest.raises(DatasetError, match="shards: permission denied; ask its owner"):
+        toy.manifest()
