@@ -286,14 +286,14 @@ class _Store:
         found: dict[Key, Outcome] = {}
         if not self._path.is_file():
             return found
-        for line in self._path.read_text(encoding="utf-8").splitlines():
+        for line in self._path.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 data = json.loads(line)
                 name, *numbers = data["grasp"]
                 if data["declared"] == self._made_with.get(name):
                     key = ((name, *map(float, numbers)), Alteration(**data["world"]))
                     found[key] = Outcome(**data["outcome"])
-            except (ValueError, KeyError, TypeError):
+            except (ValueError, KeyError, TypeError, RecursionError):
                 continue
         return found
 
