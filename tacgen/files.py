@@ -51,6 +51,14 @@ def write_text(path: Path, text: str) -> None:
         partial.write_text(text, encoding="utf-8")
 
 
+def is_file(path: Path) -> bool:
+    """Whether ``path``, which somebody may have mistyped, is a file; no name is too long to ask."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def read_small_text(path: Path, most_bytes: int) -> str:
     """The text of a file that somebody else may have put there; what is not UTF-8 is marked.
 

@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from tacgen.errors import RecipeError
-from tacgen.files import sha256_of_content
+from tacgen.files import is_file, sha256_of_content
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.resources import find_recipe, object_folders, sensor_path
 from tacgen.sections import Axis, Finite, Section
@@ -276,7 +276,7 @@ def cluster_section(before: Cluster | None = None, **settings: object) -> Cluste
 def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     known = object_folders()
     for i, entry in enumerate(recipe.objects):
-        if entry.name not in known and not (Path(entry.name) / "object.yaml").is_file():
+        if entry.name not in known and not is_file(Path(entry.name) / "object.yaml"):
             yield source.problem(
                 ("objects", i),
                 f"= {entry.name!r} is not an object here; known: {', '.join(known)}; "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tacgen.errors import ObjectError, RecipeError
+from tacgen.files import is_file
 
 _PACKAGE = Path(__file__).parent
 
@@ -39,7 +40,7 @@ def _find_yaml(name: str, folder: str, kind: str, beside: Path | None) -> Path:
     if beside is not None:
         places.insert(0, beside / file)
     for place in places:
-        if place.is_file():
+        if is_file(place):
             return place
     shipped = sorted(path.stem for path in (packaged("recipes").parent / folder).glob("*.yaml"))
     msg = f"no {kind} named {name!r}; give the path of a YAML file or one of {', '.join(shipped)}"
@@ -61,7 +62,7 @@ def object_folders() -> dict[str, Path]:
 
 def find_object_folder(name: str) -> Path:
     """The folder of the object ``name``: a path, ``./objects/<name>``, or a shipped one."""
-    if (Path(name) / "object.yaml").is_file():
+    if is_file(Path(name) / "object.yaml"):
         return Path(name)
     folders = object_folders()
     if name not in folders:

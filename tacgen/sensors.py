@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from tacgen.errors import RecipeError
+from tacgen.files import is_file
 from tacgen.recipe import SensorChoice
 from tacgen.records import Markers, Sensor
 from tacgen.resources import sensor_path
@@ -55,7 +56,7 @@ def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sens
     places = [path.parent / table, Path(table)]
     if choice.table:
         places.reverse()
-    found = next((place for place in places if table and place.is_file()), None)
+    found = next((place for place in places if table and is_file(place)), None)
     if found is None and needs_table:
         msg = f"{path}: there is no table {table!r}; `tacgen calibrate lookup` makes one"
         raise RecipeError(msg)

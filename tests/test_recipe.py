@@ -158,3 +158,13 @@ def test_every_shipped_sensor_loads(path):
     sensor = load_sensor(path.stem)
     assert sensor.name == path.stem
     assert Path(sensor.table).is_file()
+
+
+def test_a_sensor_whose_table_has_an_endless_name_is_told(tmp_path):
+    (tmp_path / "odd.yaml").write_text(
+        (packaged("recipes") / "sensors" / "digit.yaml")
+        .read_text()
+        .replace("digit.table.npz", "t" * 3000)
+    )
+    with pytest.raises(RecipeError, match="there is no table"):
+        load_sensor(str(tmp_path / "odd.yaml"))

@@ -20,6 +20,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from tacgen.errors import LearningError
+from tacgen.files import is_file
 from tacgen.learning.weight_names import Naming, renamed
 
 FEATURES = 512
@@ -110,7 +111,7 @@ def make_backbone(weights: str) -> Backbone:
             raise LearningError(msg)
         return backbone
     path = Path(weights).expanduser()
-    if not path.is_file():
+    if not is_file(path):
         msg = (
             f"model.weights = {weights!r} is no file; give a ResNet-18 weight file, "
             "or auto, imagenet or none"

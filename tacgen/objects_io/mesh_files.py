@@ -10,6 +10,7 @@ import numpy as np
 
 from tacgen.errors import ObjectError
 from tacgen.records import Mesh, frozen_array
+from tacgen.untrusted import check_archive
 
 MAX_FILE_BYTES = 512 << 20
 MAX_PARTS = 256
@@ -32,6 +33,7 @@ def read_parts(path: Path, scale_mm: float) -> tuple[Mesh, ...]:
     """The convex parts written by ``write_parts``."""
     _check_file(path)
     try:
+        check_archive(path)
         with np.load(path, allow_pickle=False) as file:
             count = int(file["parts"])
             if not 1 <= count <= MAX_PARTS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,11 +90,10 @@ def _read(path: Path) -> trimesh.Trimesh:
         msg = f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; simplify the mesh first"
         raise ObjectError(msg)
     try:
-        with path.open("rb") as file:
-            # No resolver: nothing but this file is opened, whatever it refers to.
-            loaded = trimesh.load(file, file_type=kind, force="mesh", process=False)
-    except MemoryError:
-        raise
+        # From memory, where a part that says it is larger than the file takes no more than that;
+        # without a resolver: nothing but this file is opened, whatever it refers to.
+        file = io.BytesIO(path.read_bytes())
+        loaded = trimesh.load(file, file_type=kind, force="mesh", process=False)
     except Exception as error:
         # The readers raise whatever a damaged file leads them to.
         msg = f"{path}: cannot be read as {kind.upper()}: {error}; export it anew"

@@ -1,7 +1,11 @@
 """A user's own mesh: what is repaired, what is refused with its mend, what is written."""
 
+import io
 import json
 import os
+import tracemalloc
+import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +17,7 @@ from tacgen.errors import ObjectError
 from tacgen.objects_io import load_object
 from tacgen.objects_io.add import add_object
 from tacgen.objects_io.decompose import convex_parts
+from tacgen.objects_io.mesh_files import read_parts
 from tacgen.objects_io.mesh_import import import_surface
 from tacgen.records import Mesh
 from tacgen.resources import find_object_folder
@@ -230,3 +235,27 @@ def test_a_broken_object_does_not_hide_the_others(own_folder):
     assert listed.exit_code == 0
     assert "tomato_soup_can" in listed.stdout
     assert "mass is not a known key" in listed.stdout
+
+
+def test_a_glb_that_says_it_is_larger_than_it_is_takes_no_memory_for_it(own_folder):
+    path = Path(exported(box(), "box.glb"))
+    content = bytearray(path.read_bytes())
+    content[12:16] = (0xFFFFFFF0).to_bytes(4, "little")  # the length of its first chunk
+    path.write_bytes(content)
+    tracemalloc.start()
+    with pytest.raises(ObjectError, match="cannot be read as GLB"):
+        import_surface(path)
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 100 << 20
+
+
+def test_parts_whose_header_lies_about_their_size_are_refused(tmp_path):
+    path, lie = tmp_path / "parts.npz", io.BytesIO()
+    header = {"shape": (10**9, 3), "fortran_order": False, "descr": "<i4"}
+    np.lib.format.write_array_header_1_0(lie, header)
+    np.savez(path, parts=np.array(1), vertices_0=np.zeros((4, 3)))
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("faces_0.npy", lie.getvalue())
+    with pytest.raises(ObjectError, match="which is not what is there"):
+        read_parts(path, 1.0)
