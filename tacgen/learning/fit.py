@@ -39,6 +39,7 @@ DIVERGED_LOSS = 50.0
 CHOOSING_EPOCHS = 5
 """Epochs that together say how good a model is: with some twenty grasps to choose by, a single
 epoch is good or bad by the luck of one grasp."""
+_BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
 _STATE_KEYS = ("epoch", "network", "optimizer", "scheduler", "scaler", "best")
 _STREAM_START, _STREAM_EPOCH = 20, 21
 
@@ -203,7 +204,8 @@ class Fit:
             self.optimizer.load_state_dict(state["optimizer"])
             self.scheduler.load_state_dict(state["scheduler"])
             self.scaler.load_state_dict(state["scaler"])
-            self.epoch, self.best = int(state["epoch"]), dict(state["best"])
+            self.epoch = int(state["epoch"])
+            self.best = {name: state["best"][name] for name in _BEST_KEYS}
         except (ValueError, KeyError, TypeError, RuntimeError) as error:
             msg = f"{path}: does not fit this network ({error}); remove it to train anew"
             raise LearningError(msg) from error

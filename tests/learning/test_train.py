@@ -234,6 +234,18 @@ def test_a_checkpoint_of_another_model_is_refused(toy, recipe, trained, tmp_path
         train(recipe, toy, run)
 
 
+def test_a_checkpoint_that_does_not_say_how_good_its_best_epoch_was_is_refused(
+    toy, recipe, trained, tmp_path
+):
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    path = run / "models/pooled/checkpoint.pt"
+    state = torch.load(path, weights_only=True)
+    torch.save({**state, "best": {"epoch": 1, "loss": 0.5}}, path)
+    with pytest.raises(LearningError, match=r"does not fit this network.*remove it to train anew"):
+        train(recipe, toy, run)
+
+
 def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
     toy, tmp_path, monkeypatch
 ):
