@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from tacgen.errors import LearningError
 from tacgen.learning.checkpoint import ModelCard, load_state, save_model, save_state
@@ -40,7 +41,7 @@ CHOOSING_EPOCHS = 5
 """Epochs that together say how good a model is: with some twenty grasps to choose by, a single
 epoch is good or bad by the luck of one grasp."""
 _BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
-_STATE_KEYS = ("epoch", "network", "optimizer", "scheduler", "scaler", "best")
+_STATE_KEYS = ("epoch", "network", "average", "optimizer", "scheduler", "scaler", "best")
 _STREAM_START, _STREAM_EPOCH = 20, 21
 
 
@@ -63,7 +64,11 @@ class FitJob:
 
 
 class Fit:
-    """The state of one training, from its start or its last checkpoint on."""
+    """The state of one training, from its start or its last checkpoint on.
+
+    ``network`` learns; ``average`` is the running mean of what it was after each epoch, and the
+    model that is validated and kept.
+    """
 
     def __init__(self, job: FitJob, folder: ModelFolder, device: Device) -> None:
         options = job.recipe.training
@@ -72,6 +77,9 @@ class Fit:
         self.network = build_network(job.spec.kind, job.recipe.model.weights)
         self.network.to(device.name)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.average = AveragedModel(
+            self.network, avg_fn=_mean_of_latest(options.average_epochs), use_buffers=True
+        )
         self.optimizer = build_optimizer(self.network, options)
         self.scheduler = build_scheduler(self.optimizer, options)
         self.scaler = torch.amp.GradScaler(device.name, enabled=device.mixed)
@@ -111,8 +119,9 @@ class Fit:
         torch.manual_seed(self._seed(_STREAM_EPOCH, epoch))
         rates = [group["lr"] for group in self.optimizer.param_groups]
         train_loss, train_accuracy = self._learn(epoch)
+        self.average.update_parameters(self.network)
         fit_s = time.perf_counter() - start_s
-        probabilities, labels = predict(self.network, self.job.validation.in_order(), self.device)
+        probabilities, labels = predict(self._kept, self.job.validation.in_order(), self.device)
         if not np.isfinite(probabilities).all():
             self._stop_diverged(epoch, math.nan)
         loss = weighted_loss(labels, probabilities, self.job.class_weights)
@@ -171,17 +180,22 @@ class Fit:
                 "balanced_accuracy": line["validation_balanced_accuracy"],
                 "loss": line["validation_loss"],
             }
-            save_model(self.folder.model_path, self.network, self._card(), self.job.reference)
+            save_model(self.folder.model_path, self._kept, self._card(), self.job.reference)
         self.folder.write_metrics(self.metrics)
         state = {
             "epoch": self.epoch,
             "network": self.network.state_dict(),
+            "average": self._kept.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "scheduler": self.scheduler.state_dict(),
             "scaler": self.scaler.state_dict(),
             "best": self.best,
         }
         save_state(self.folder.checkpoint_path, state)
+
+    @property
+    def _kept(self) -> StabilityNet:
+        return cast(StabilityNet, self.average.module)
 
     def _card(self) -> ModelCard:
         return ModelCard(
@@ -199,14 +213,16 @@ class Fit:
     def _resume(self) -> None:
         path = self.folder.checkpoint_path
         state = load_state(path, _STATE_KEYS)
-        self.network.take(state["network"], str(path))
         try:
+            self.network.take(state["network"], str(path))
+            self._kept.take(state["average"], str(path))
             self.optimizer.load_state_dict(state["optimizer"])
             self.scheduler.load_state_dict(state["scheduler"])
             self.scaler.load_state_dict(state["scaler"])
             self.epoch = int(state["epoch"])
+            self.average.n_averaged.fill_(self.epoch)
             self.best = {name: state["best"][name] for name in _BEST_KEYS}
-        except (ValueError, KeyError, TypeError, RuntimeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
             msg = f"{path}: does not fit this network ({error}); remove it to train anew"
             raise LearningError(msg) from error
 
@@ -240,6 +256,20 @@ def predict(
             probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
             labels.append(truth.numpy())
     return np.concatenate(probabilities), np.concatenate(labels)
+
+
+def _mean_of_latest(epochs: int) -> Callable[[Tensor, Tensor, Tensor | int], Tensor]:
+    """The plain mean of the first epochs' weights, then an exponential one over about ``epochs``.
+
+    Averages along the way of Adam lie in flatter minima than its last step (Izmailov et al. 2018,
+    arXiv 1803.05407).
+    """
+
+    def mixed(average: Tensor, latest: Tensor, n_averaged: Tensor | int) -> Tensor:
+        share = max(2 / (epochs + 1), 1 / (int(n_averaged) + 1))
+        return torch.lerp(average, latest, share) if latest.is_floating_point() else latest
+
+    return mixed
 
 
 def weighted_loss(

@@ -74,9 +74,14 @@ class Augmentation(Section):
 
 
 class TrainingOptions(Section):
-    """How the network is trained. ``precision: auto`` is mixed precision on a GPU only."""
+    """How the network is trained. ``precision: auto`` is mixed precision on a GPU only.
+
+    ``average_epochs`` is over about how many of the latest epochs the weights of the kept model
+    are averaged; with 1 it is the latest itself.
+    """
 
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
+    average_epochs: Annotated[int, Field(ge=1, le=10_000)] = 8
     batch_size: Annotated[int, Field(ge=2, le=4096)] = 8
     learning_rate: Annotated[PositiveFloat, AfterValidator(finite)] = 1e-4
     backbone_rate_factor: Annotated[NonNegativeFloat, AfterValidator(finite)] = 0.8

@@ -11,6 +11,7 @@ from safetensors.torch import load_file
 
 from tacgen.errors import DatasetError, Interrupted, LearningError
 from tacgen.learning import fit as fit_module
+from tacgen.learning import train as train_module
 from tacgen.learning.loader import Batches
 from tacgen.learning.scores import score
 from tacgen.learning.train import train
@@ -86,6 +87,43 @@ def test_the_best_epoch_is_the_end_of_the_best_five(
     monkeypatch.setattr(fit_module, "score", scripted)
     recipe = recipe_of(training={"epochs": len(balanced_accuracies)})
     assert train(recipe, toy, tmp_path / "run")["models"]["pooled"]["best_epoch"] == best
+
+
+@pytest.mark.parametrize(
+    ("average_epochs", "shares"),
+    [
+        (1, (0, 0, 0, 0, 1)),
+        # 2 / (3 + 1) of each epoch after the first.
+        (3, (1 / 16, 1 / 16, 1 / 8, 1 / 4, 1 / 2)),
+        # Until 1 / epoch falls below 2 / (n + 1) it is the plain mean.
+        (100, (0.2,) * 5),
+    ],
+)
+def test_the_kept_model_is_the_mean_of_the_latest_epochs(
+    toy, tmp_path, monkeypatch, average_epochs, shares
+):
+    learnt = []
+
+    class Watched(fit_module.Fit):
+        def _learn(self, epoch):
+            result = super()._learn(epoch)
+            learnt.append({k: v.double().clone() for k, v in self.network.state_dict().items()})
+            return result
+
+    def always_as_good(labels, probabilities):
+        return score(labels, probabilities) | {"balanced_accuracy": 0.9}
+
+    monkeypatch.setattr(train_module, "Fit", Watched)
+    monkeypatch.setattr(fit_module, "score", always_as_good)
+    recipe = recipe_of("single", training={"epochs": 5, "average_epochs": average_epochs})
+    assert train(recipe, toy, tmp_path / "run")["models"]["pooled"]["best_epoch"] == 5
+    kept = load_file(tmp_path / "run/models/pooled/model.safetensors")
+    for name in learnt[0]:
+        if kept[name].is_floating_point():
+            each = zip(shares, (epoch[name] for epoch in learnt), strict=True)
+            wanted = sum(share * weights for share, weights in each)
+            # float32 holds 24 bits; four steps round four times.
+            torch.testing.assert_close(kept[name].double(), wanted, rtol=1e-6, atol=1e-6)
 
 
 def test_that_no_imagenet_weights_were_used_is_said_everywhere(toy, tmp_path, capsys):
