@@ -162,11 +162,20 @@ def with_normalisation(
 
 
 def augmented(
-    frames: NDArray[np.uint8], options: Augmentation, rng: np.random.Generator
+    frames: NDArray[np.uint8],
+    reference: NDArray[np.uint8] | None,
+    options: Augmentation,
+    rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
     """One grasp's frames (T, h, w, 3) shifted, brightened and with noise, all frames alike.
 
-    What a shift brings in from outside repeats the edge.
+    The imprint moves over the gel, whose own light stays where it is; what a shift brings in from
+    outside repeats the edge.
+
+    Parameters
+    ----------
+    reference : (h, w, 3) uint8, or None
+        The undeformed gel; where it is not known the whole image moves.
     """
     height, width = frames.shape[1:3]
     shift = rng.uniform(-1, 1, 2) * options.shift_fraction * (height, width)
@@ -175,7 +184,8 @@ def augmented(
     noise = options.noise_grey * rng.standard_normal(frames.shape, dtype=np.float32)
     ys = np.clip(np.arange(height) - dy, 0, height - 1)
     xs = np.clip(np.arange(width) - dx, 0, width - 1)
-    moved = frames[:, ys][:, :, xs].astype(np.float32)
+    rest = np.float32(0) if reference is None else reference.astype(np.float32)
+    moved = rest + (frames - rest)[:, ys][:, :, xs]
     return np.clip(np.rint(gain * moved + noise), 0, 255).astype(np.uint8)
 
 

@@ -118,7 +118,7 @@ class Batches:
         for items, frames in zip(order, loader, strict=True):
             if augmentation is not None and key is not None:
                 frames = [
-                    augmented(f, augmentation, _grasp_rng(*key, int(item)))
+                    augmented(f, self._reference, augmentation, _grasp_rng(*key, int(item)))
                     for item, f in zip(items, frames, strict=True)
                 ]
             images = _as_batch(frames, self._reference, self._spec)

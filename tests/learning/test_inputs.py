@@ -102,7 +102,7 @@ def test_images_that_never_change_do_not_divide_by_zero():
 def test_augmentation_of_no_strength_changes_nothing():
     frames = np.random.default_rng(0).integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
     off = Augmentation(on=True, shift_fraction=0, gain_relative=0, noise_grey=0)
-    np.testing.assert_array_equal(augmented(frames, off, np.random.default_rng(1)), frames)
+    np.testing.assert_array_equal(augmented(frames, None, off, np.random.default_rng(1)), frames)
 
 
 def test_augmentation_moves_all_frames_of_a_grasp_alike_and_leaves_its_input():
@@ -110,7 +110,7 @@ def test_augmentation_moves_all_frames_of_a_grasp_alike_and_leaves_its_input():
     frames[:, 12, 16] = 200
     before = frames.copy()
     options = Augmentation(on=True, shift_fraction=0.25, gain_relative=0, noise_grey=0)
-    moved = augmented(frames, options, np.random.default_rng(3))
+    moved = augmented(frames, None, options, np.random.default_rng(3))
     np.testing.assert_array_equal(frames, before)
     np.testing.assert_array_equal(moved[0], moved[1])
     ys, xs = np.nonzero(moved[0, ..., 0])
@@ -118,6 +118,22 @@ def test_augmentation_moves_all_frames_of_a_grasp_alike_and_leaves_its_input():
     assert (ys[0], xs[0]) != (12, 16)
     assert abs(ys[0] - 12) <= 6
     assert abs(xs[0] - 16) <= 8
+
+
+def test_a_shift_moves_the_imprint_and_not_the_light_of_the_gel():
+    rng = np.random.default_rng(0)
+    rest = rng.integers(60, 120, (24, 32, 3), dtype=np.uint8)
+    imprint = np.zeros((24, 32, 3), np.uint8)
+    imprint[10:14, 12:18] = rng.integers(20, 90, (4, 6, 3))
+    options = Augmentation(on=True, shift_fraction=0.2, gain_relative=0, noise_grey=0)
+    pressed, unpressed = augmented(
+        np.stack([rest + imprint, rest]), rest, options, np.random.default_rng(4)
+    )
+    np.testing.assert_array_equal(unpressed, rest)
+    ys, xs = np.nonzero((pressed - rest).any(axis=2))
+    assert (ys.min(), xs.min()) != (10, 12)
+    moved = (pressed - rest)[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1]
+    np.testing.assert_array_equal(moved, imprint[10:14, 12:18])
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Studies: rows become recipes, run once, and the table says what it is."""
 
+import itertools
 import json
 from pathlib import Path
 
@@ -8,8 +9,11 @@ import pytest
 
 from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
 from tacgen.learning.words import evaluation_lines
+from tacgen.objects_io import load_object
 from tacgen.objects_io.description import read_description
+from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.recipe import Grid, load_recipe
+from tacgen.records import GraspConfig
 from tacgen.resources import find_object_folder, packaged
 from tacgen.study.recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.run import Reality, run_study
@@ -46,9 +50,32 @@ def test_the_grids_of_the_table_are_force_and_one_axis_of_places_over_the_object
         own = read_description(find_object_folder(entry.name)).grasp_ranges.axes()
         assert len(entry.grid.force_n) == 16
         assert sorted((len(entry.grid.y_mm), len(entry.grid.z_mm))) == [1, 16]
-        for axis in ("force_n", "y_mm", "z_mm"):
+        assert max(entry.grid.force_n) <= max(own["force_n"])
+        for axis in ("y_mm", "z_mm"):
             given = getattr(entry.grid, axis)
             assert min(own[axis]) <= min(given) <= max(given) <= max(own[axis]), (entry.name, axis)
+
+
+def test_of_every_object_in_the_table_the_weakest_grasps_slip_and_some_strong_one_holds():
+    """A grid whose grasps nearly all hold teaches nothing, and its row would be refused."""
+    study = load_study("paper_table")
+    recipe = study.data_recipe(study.rows[1], quick=False)
+    with GraspSimulator(recipe.robot.name) as simulator:
+        for entry in recipe.objects:
+            places = list(itertools.product(entry.grid.y_mm, entry.grid.z_mm))[::5]
+            weakest, strongest = min(entry.grid.force_n), max(entry.grid.force_n)
+            held = _held(simulator, recipe, entry.name, weakest, places)
+            assert sum(held) <= len(places) - 3, (entry.name, held)
+            assert any(_held(simulator, recipe, entry.name, strongest, places)), entry.name
+
+
+def _held(simulator, recipe, name, force_n, places) -> list[bool]:
+    grasped, settings = load_object(name), recipe.physics_settings
+    configs = [GraspConfig(0, name, force_n, 0.0, y_mm, z_mm, 0.0) for y_mm, z_mm in places]
+    traces = [
+        run_grasp(simulator, grasped, config, settings, frames=FrameRequest()) for config in configs
+    ]
+    return [trace.label == 1 for trace in traces]
 
 
 def test_the_ablation_varies_size_friction_and_centre_of_mass():
