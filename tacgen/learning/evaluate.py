@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -73,6 +74,26 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     for note in notes:
         tell(note)
     return result
+
+
+def scores_by_value(
+    values: NDArray[np.float64], labels: NDArray[np.int64], probabilities: NDArray[np.float64]
+) -> dict[str, Any]:
+    """Scores of (N,) grasps by each of their values, or by ranges where there are many.
+
+    Ranges hold about as many grasps each; their names are their ends.
+    """
+    distinct = np.unique(values)
+    if len(distinct) <= MAX_GROUPS:
+        groups = [(f"{value:g}", values == value) for value in distinct]
+    else:
+        edges = np.unique(np.quantile(values, np.linspace(0, 1, MAX_GROUPS // 2 + 1)))
+        places = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+        groups = [
+            (f"{low} to {high}", places == k)
+            for k, (low, high) in enumerate(itertools.pairwise(_told_apart(edges)))
+        ]
+    return {name: score(labels[g], probabilities[g]) for name, g in groups if g.any()}
 
 
 def _check_unseen(plan: Mapping[str, Any], source: SimulatedGrasps, where: str) -> list[str]:
@@ -212,8 +233,8 @@ def _summary(
             str(name): score(labels[objects == name], probabilities[objects == name])
             for name in np.unique(objects)
         },
-        "by_force_n": _by_value(column("force_n"), labels, probabilities),
-        "by_z_mm": _by_value(column("z_mm"), labels, probabilities),
+        "by_force_n": scores_by_value(column("force_n"), labels, probabilities),
+        "by_z_mm": scores_by_value(column("z_mm"), labels, probabilities),
         "data": where,
         "kind": cards[0].input.kind,
         "weights": ", ".join(weights),
@@ -233,18 +254,10 @@ def _summary(
     }
 
 
-def _by_value(
-    values: NDArray[np.float64], labels: NDArray[np.int64], probabilities: NDArray[np.float64]
-) -> dict[str, Any]:
-    """Scores by each value, or by ranges of about equal count where there are many values."""
-    distinct = np.unique(values)
-    if len(distinct) <= MAX_GROUPS:
-        groups = [(f"{value:g}", values == value) for value in distinct]
-    else:
-        edges = np.unique(np.quantile(values, np.linspace(0, 1, MAX_GROUPS // 2 + 1)))
-        places = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-        groups = [(f"{edges[k]:g} to {edges[k + 1]:g}", places == k) for k in range(len(edges) - 1)]
-    return {name: score(labels[g], probabilities[g]) for name, g in groups if g.any()}
+def _told_apart(values: NDArray[np.float64]) -> list[str]:
+    """Different numbers as different texts, with as few digits as that takes, but at least four."""
+    texts = ([f"{value:.{digits}g}" for value in values] for digits in range(4, 18))
+    return next(found for found in texts if len(set(found)) == len(values))
 
 
 def _add_gap(folder: RunFolder, result: dict[str, Any]) -> None:

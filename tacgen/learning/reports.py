@@ -91,13 +91,12 @@ def started_from(weights: str) -> str:
 def score_row(scores: Mapping[str, Any]) -> tuple[object, ...]:
     """One row of the scores' table."""
     lo, hi = scores["accuracy_interval"]
-    auroc = "one class" if scores["auroc"] is None else scores["auroc"]
     return (
-        scores["accuracy"],
+        f"{scores['accuracy']:.3f}",
         f"{lo:.3f} to {hi:.3f}",
-        scores["balanced_accuracy"],
-        auroc,
-        scores["ece"],
+        f"{scores['balanced_accuracy']:.3f}",
+        "one class" if scores["auroc"] is None else f"{scores['auroc']:.3f}",
+        f"{scores['ece']:.3f}",
         scores["n"],
     )
 

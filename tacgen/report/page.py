@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,10 @@ from tacgen.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+_NUMBER = ' class="number"'
+_FIGURE = re.compile(r"[-+−]?\d+(\.\d+)?|–")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +43,12 @@ def text_section(title: str, *paragraphs: str) -> Section:
 def table_section(
     title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
 ) -> Section:
-    """A table; numbers align right."""
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
+    """A table; columns of numbers align right, their headings too."""
+    numeric = [all(_is_number(row[k]) for row in rows) and bool(rows) for k in range(len(header))]
+    head = "".join(
+        f"<th{_NUMBER if number else ''}>{html.escape(name)}</th>"
+        for name, number in zip(header, numeric, strict=True)
+    )
     body = "".join("<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in rows)
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
     return Section(title, table + _note(note))
@@ -77,10 +86,15 @@ def write_page(path: Path, title: str, sections: Sequence[Section], *, summary: 
 
 
 def _cell(value: object) -> str:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        return f"<td>{html.escape(str(value))}</td>"
     text = f"{value:.4g}" if isinstance(value, (float, np.floating)) else str(value)
-    return f'<td class="number">{text}</td>'
+    return f"<td{_NUMBER if _is_number(value) else ''}>{html.escape(text)}</td>"
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a number, or the text of one."""
+    if isinstance(value, (int, float, np.integer, np.floating)):
+        return not isinstance(value, bool)
+    return isinstance(value, str) and _FIGURE.fullmatch(value) is not None
 
 
 def _img(png: bytes, alt: str, width_px: int = 0) -> str:

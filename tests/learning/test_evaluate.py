@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from tacgen.errors import DatasetError, LearningError
-from tacgen.learning.evaluate import evaluate
+from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
 from tacgen.records import Sensor
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
@@ -231,3 +231,21 @@ def test_a_bad_list_of_grasps_is_told(run, real):
     table.to_csv(real / "grasps.csv", index=False)
     with pytest.raises(DatasetError, match="label"):
         evaluate(run, real=real)
+
+
+def test_scores_by_value_lose_no_grasp_where_values_differ_by_less_than_their_text():
+    """A robot's own reading of the height is never twice the same."""
+    heights_mm = 20 + 1e-6 * np.arange(40)
+    labels = np.arange(40) % 2
+    parts = scores_by_value(heights_mm, labels, labels * 0.8 + 0.1)
+    assert sum(part["n"] for part in parts.values()) == 40
+    assert len(parts) == 4
+
+
+def test_few_values_are_named_as_they_are_and_ranges_with_few_digits():
+    labels = np.array([0, 1, 0, 1])
+    assert list(scores_by_value(np.array([1.5, 1.5, 7, 7]), labels, labels * 1.0)) == ["1.5", "7"]
+    many = np.geomspace(1, 20, 17)
+    labels = np.arange(17) % 2
+    first, *_ = scores_by_value(many, labels, labels * 1.0)
+    assert first == "1 to 2.115"  # 20^(1/4) = 2.1147
