@@ -67,7 +67,10 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
         If the file is missing, damaged, or that of another network.
     """
     if not path.is_file():
-        msg = f"{path}: the model is missing; `tacgen train` with the same recipe makes it"
+        msg = (
+            f"{path}: the model is missing; remove {path.parent / 'checkpoint.pt'} if there is one "
+            "and run `tacgen train` with the same recipe again"
+        )
         raise LearningError(msg)
     try:
         with safe_open(path, framework="pt") as file:
@@ -105,7 +108,7 @@ def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except UNREADABLE as error:
-        reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else "empty"
+        reason = f"{type(error).__name__} {str(error).strip()}".splitlines()[0][:200]
         msg = f"{path}: cannot be read as a checkpoint ({reason}); remove it to train anew"
         raise LearningError(msg) from error
     if not isinstance(state, dict) or set(state) != set(keys):

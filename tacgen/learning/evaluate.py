@@ -15,17 +15,17 @@ from tacgen.errors import LearningError
 from tacgen.files import write_text
 from tacgen.learning.checkpoint import ModelCard, load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
-from tacgen.learning.fit import predict
 from tacgen.learning.grasps import GraspSource, SimulatedGrasps
 from tacgen.learning.inputs import check_source, read_input, resized
 from tacgen.learning.loader import Batches, DecodedInputs
-from tacgen.learning.predictions import Predictions
+from tacgen.learning.predictions import Predictions, predict
 from tacgen.learning.progress import tell
 from tacgen.learning.real_grasps import RealGraspImages
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.reports import started_from, write_evaluation_report
-from tacgen.learning.run_folder import RunFolder, read_json
+from tacgen.learning.run_folder import ModelFolder, RunFolder, read_json
 from tacgen.learning.scores import score
+from tacgen.learning.unseen import unseen_tests
 
 MAX_GROUPS = 8
 _AUROC_NOTE = (
@@ -50,20 +50,23 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
         raise LearningError(msg)
     folder = RunFolder(run)
     plan = folder.plan()
-    recipe = TrainRecipe.model_validate(plan["recipe"])
+    recipe = folder.recipe()
     notes: list[str] = []
     stand_in = False
     if data is not None:
         source: GraspSource = SimulatedGrasps(data, recipe.input.pad)
-        notes += _check_unseen(plan, source, str(data))  # type: ignore[arg-type]
     else:
         source = RealGraspImages(Path(str(real)))
         notes += source.warnings
         stand_in = source.simulated
     where = str(data if data is not None else real)
+    unseen, about_unseen = unseen_tests(plan, source, where)
+    notes += about_unseen
     device = choose_device(recipe.training)
     with exact_torch(recipe.training.threads):
-        predictions, cards = _predict_all(folder, plan, recipe, source, where, device, notes)
+        predictions, cards = _predict_all(
+            folder, plan, recipe, source, unseen, where, device, notes
+        )
     result = _summary(predictions, cards, "sim" if data is not None else "real", where, notes)
     result["stand_in"] = stand_in
     _add_gap(folder, result)
@@ -96,31 +99,12 @@ def scores_by_value(
     return {name: score(labels[g], probabilities[g]) for name, g in groups if g.any()}
 
 
-def _check_unseen(plan: Mapping[str, Any], source: SimulatedGrasps, where: str) -> list[str]:
-    """Refuse test grasps that were trained on; say where other grasps did the same."""
-    trained = {text for model in plan["models"].values() for text in model["configurations"]}
-    table = source.table
-    tested = table.take(np.flatnonzero(table.split == "test")).configurations()
-    shared = trained & set(tested)
-    if not shared:
-        return []
-    if plan["dataset"].get("recipe_sha256") == source.identity()["recipe_sha256"]:
-        msg = (
-            f"{where}: {len(shared)} test configurations were trained on, such as "
-            f"{min(shared)}; test on a dataset that this run has not seen"
-        )
-        raise LearningError(msg)
-    return [
-        f"{len(shared)} of {len(tested)} test grasps of {where} have a configuration that was "
-        "trained on in another dataset"
-    ]
-
-
 def _predict_all(
     folder: RunFolder,
     plan: Mapping[str, Any],
     recipe: TrainRecipe,
     source: GraspSource,
+    unseen: NDArray[np.bool_],
     where: str,
     device: Device,
     notes: list[str],
@@ -138,11 +122,12 @@ def _predict_all(
         notes.append(f"NOT tested, since no model is for them: {', '.join(unknown)}")
     predictions, cards = [], []
     for name, model in plan["models"].items():
-        rows = source.table.rows(objects=model["objects"], split="test")
+        rows = np.flatnonzero(np.isin(source.table.objects, model["objects"]) & unseen)
         if not len(rows):
             notes.append(f"the model {name} was NOT tested: {where} has no test grasps for it")
             continue
         network, card, reference = load_model(folder.model(name).model_path)
+        notes += _unfinished(folder.model(name), name, recipe.training.epochs)
         if (card.input.kind, card.name) != (recipe.model.kind, name):
             msg = (
                 f"{folder.model(name).model_path}: is the {card.input.kind} model {card.name!r}, "
@@ -167,6 +152,13 @@ def _predict_all(
         msg = f"{where}: no test grasps in it; collect it with split.test_fraction above 0"
         raise LearningError(msg)
     return predictions, cards
+
+
+def _unfinished(folder: ModelFolder, name: str, epochs: int) -> list[str]:
+    done = len(folder.read_metrics(up_to_epoch=epochs))
+    if done == epochs:
+        return []
+    return [f"the model {name} is NOT trained to its end: {done} of {epochs} epochs"]
 
 
 def _batches(

@@ -7,8 +7,9 @@ a run that was stopped goes on from its last whole epoch to the same weights, bi
 from __future__ import annotations
 
 import math
+import multiprocessing
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -29,6 +30,7 @@ from tacgen.learning.networks import (
     build_optimizer,
     build_scheduler,
 )
+from tacgen.learning.predictions import predict, weighted_loss
 from tacgen.learning.progress import Board, epoch_bar
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.run_folder import ModelFolder
@@ -41,7 +43,16 @@ CHOOSING_EPOCHS = 5
 """Epochs that together say how good a model is: with some twenty grasps to choose by, a single
 epoch is good or bad by the luck of one grasp."""
 _BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
-_STATE_KEYS = ("epoch", "network", "average", "optimizer", "scheduler", "scaler", "best")
+_STATE_KEYS = (
+    "epoch",
+    "backbone",
+    "network",
+    "average",
+    "optimizer",
+    "scheduler",
+    "scaler",
+    "best",
+)
 _STREAM_START, _STREAM_EPOCH = 20, 21
 
 
@@ -74,7 +85,9 @@ class Fit:
         options = job.recipe.training
         self.job, self.folder, self.device = job, folder, device
         torch.manual_seed(self._seed(_STREAM_START))
-        self.network = build_network(job.spec.kind, job.recipe.model.weights)
+        resumes = folder.checkpoint_path.is_file()
+        first_weights = "none" if resumes else job.recipe.model.weights
+        self.network = build_network(job.spec.kind, first_weights)
         self.network.to(device.name)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = AveragedModel(
@@ -87,7 +100,7 @@ class Fit:
         self.criterion = nn.CrossEntropyLoss(weight=weights)
         self.epoch = 0
         self.best: dict[str, Any] = {"epoch": 0, "recent": 0.0}
-        if folder.checkpoint_path.is_file():
+        if resumes:
             self._resume()
         self.metrics = folder.read_metrics(up_to_epoch=self.epoch)
 
@@ -103,6 +116,7 @@ class Fit:
         bar = epoch_bar(self.job.name, epochs, self.epoch)
         with bar, Board(self.folder.board_path, self.epoch) as board:
             while self.epoch < epochs:
+                _stop_if_left_alone(self.job.name)
                 line = self._run_epoch(self.epoch + 1)
                 self.metrics.append(line)
                 self._keep(line)
@@ -184,6 +198,7 @@ class Fit:
         self.folder.write_metrics(self.metrics)
         state = {
             "epoch": self.epoch,
+            "backbone": self._backbone(),
             "network": self.network.state_dict(),
             "average": self._kept.state_dict(),
             "optimizer": self.optimizer.state_dict(),
@@ -210,12 +225,26 @@ class Fit:
             recipe_sha256=self.job.recipe.sha256(),
         )
 
+    def _backbone(self) -> dict[str, str]:
+        """Which library's it is, which orders the optimizer's numbers, and whence its weights."""
+        backbone = self.network.backbone
+        return {"naming": backbone.naming, "origin": backbone.origin}
+
     def _resume(self) -> None:
         path = self.folder.checkpoint_path
         state = load_state(path, _STATE_KEYS)
         try:
+            naming, origin = state["backbone"]["naming"], str(state["backbone"]["origin"])
+            if naming != self.network.backbone.naming:
+                msg = (
+                    f"its ResNet-18 was that of {naming}, which does not load now: bring it back, "
+                    "or train anew in another folder"
+                )
+                raise ValueError(msg)
+            self.network.backbone.origin = self._kept.backbone.origin = origin
             self.network.take(state["network"], str(path))
             self._kept.take(state["average"], str(path))
+            self._check_moments(state["optimizer"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.scheduler.load_state_dict(state["scheduler"])
             self.scaler.load_state_dict(state["scaler"])
@@ -225,6 +254,15 @@ class Fit:
         except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
             msg = f"{path}: does not fit this network ({error}); remove it to train anew"
             raise LearningError(msg) from error
+
+    def _check_moments(self, state: Mapping[str, Any]) -> None:
+        """Adam's fused step does not look at shapes: it would write beyond wrong ones."""
+        parameters = [p for group in self.optimizer.param_groups for p in group["params"]]
+        for k, parameter in enumerate(parameters):
+            for name in ("exp_avg", "exp_avg_sq"):
+                if state["state"][k][name].shape != parameter.shape:
+                    msg = f"the optimizer's {name} {k} has another shape"
+                    raise ValueError(msg)
 
     def _stop_diverged(self, epoch: int, value: float) -> None:
         kept = (
@@ -241,21 +279,12 @@ class Fit:
         return seed_of(self.job.recipe.seed, self.job.name, parts)
 
 
-def predict(
-    network: StabilityNet,
-    batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
-    device: Device,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Probability of success (N,) and label (N,) of every grasp in ``batches``."""
-    network.eval()
-    probabilities, labels = [np.empty(0)], [np.empty(0, np.int64)]
-    with torch.inference_mode():
-        for images, truth, _ in batches:
-            with device.autocast():
-                logits = network(images.to(device.name))
-            probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
-            labels.append(truth.numpy())
-    return np.concatenate(probabilities), np.concatenate(labels)
+def _stop_if_left_alone(name: str) -> None:
+    """End with words where the process that asked for this training has been killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None and not parent.is_alive():
+        msg = f"{name}: the process that started this training is gone; start it again to go on"
+        raise LearningError(msg)
 
 
 def _mean_of_latest(epochs: int) -> Callable[[Tensor, Tensor, Tensor | int], Tensor]:
@@ -270,12 +299,3 @@ def _mean_of_latest(epochs: int) -> Callable[[Tensor, Tensor, Tensor | int], Ten
         return torch.lerp(average, latest, share) if latest.is_floating_point() else latest
 
     return mixed
-
-
-def weighted_loss(
-    labels: NDArray[np.int64], probabilities: NDArray[np.float64], weights: NDArray[np.float64]
-) -> float:
-    """Cross entropy of predicted probabilities of success, classes weighed."""
-    right = np.where(labels == 1, probabilities, 1 - probabilities)
-    each = weights[labels]
-    return float(np.sum(-each * np.log(np.maximum(right, 1e-12))) / each.sum())

@@ -74,9 +74,13 @@ class GraspTable:
 
 
 class GraspSource(Protocol):
-    """Where the images of a table's grasps are read from; can be pickled to a loader's worker."""
+    """Where the images of a table's grasps are read from; can be pickled to a loader's worker.
+
+    ``made_with`` is the hash of the recipe that simulated them, None where a robot made them.
+    """
 
     table: GraspTable
+    made_with: str | None
     shape_px: tuple[int, int]
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
@@ -107,6 +111,7 @@ class SimulatedGrasps:
         self.root = Path(root)
         self.dataset = Dataset(self.root)
         self.pad = pad
+        self.made_with: str | None = self.dataset.lines[0].recipe_sha256
         columns = self.dataset.columns()
         self._indices = columns["index"][columns["label"] != LABEL_NOT_EXECUTED]
         self.table = _table_of(columns)
@@ -132,10 +137,9 @@ class SimulatedGrasps:
 
     def identity(self) -> dict[str, object]:
         """What tells this dataset from any other."""
-        lines = self.dataset.lines
         return {
-            "recipe_sha256": lines[0].recipe_sha256,
-            "shards_sha256": [line.sha256 for line in lines],
+            "recipe_sha256": self.made_with,
+            "shards_sha256": [line.sha256 for line in self.dataset.lines],
             "sensor": self.dataset.sensor,
             "pad": self.pad or self.dataset.pads[0],
         }

@@ -131,9 +131,12 @@ class Batches:
 def _as_batch(
     frames: list[NDArray[np.uint8]], reference: NDArray[np.uint8] | None, spec: InputSpec
 ) -> Tensor:
-    """(B, T, 3, h, w) float32; shorter sequences repeat their last frame."""
-    longest = max(len(grasp) for grasp in frames)
-    filled = [np.concatenate([g, g[-1:].repeat(longest - len(g), axis=0)]) for g in frames]
+    """(B, T, 3, h, w) float32; shorter sequences repeat their last frame.
+
+    All are as long as the network's, so that no grasp's answer hangs on its neighbours.
+    """
+    n = spec.n_frames
+    filled = [np.concatenate([g, g[-1:].repeat(n - len(g), axis=0)]) for g in frames]
     images = to_network(np.stack(filled), reference, spec)
     return torch.from_numpy(np.ascontiguousarray(np.moveaxis(images, -1, 2)))
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from tacgen.learning.device import Device
 from tacgen.learning.grasps import GraspTable
+from tacgen.learning.networks import StabilityNet
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,3 +39,29 @@ class Predictions:
         """Labels and probabilities of all parts, in their order."""
         labels = np.concatenate([part.table.label for part in parts])
         return labels, np.concatenate([part.probabilities for part in parts])
+
+
+def predict(
+    network: StabilityNet,
+    batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
+    device: Device,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Probability of success (N,) and label (N,) of every grasp in ``batches``."""
+    network.eval()
+    probabilities, labels = [np.empty(0)], [np.empty(0, np.int64)]
+    with torch.inference_mode():
+        for images, truth, _ in batches:
+            with device.autocast():
+                logits = network(images.to(device.name))
+            probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
+            labels.append(truth.numpy())
+    return np.concatenate(probabilities), np.concatenate(labels)
+
+
+def weighted_loss(
+    labels: NDArray[np.int64], probabilities: NDArray[np.float64], weights: NDArray[np.float64]
+) -> float:
+    """Cross entropy of predicted probabilities of success, classes weighed."""
+    right = np.where(labels == 1, probabilities, 1 - probabilities)
+    each = weights[labels]
+    return float(np.sum(-each * np.log(np.maximum(right, 1e-12))) / each.sum())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,8 @@ class RealGraspImages:
     """Grasps of a real robot, or of anything written in the same format.
 
     A picture of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``;
-    ``simulated`` tells that another simulation stands in for the robot.
+    ``simulated`` tells that another simulation stands in for the robot, and ``made_with`` is then
+    the hash of its recipe.
 
     Raises
     ------
@@ -39,7 +41,9 @@ class RealGraspImages:
         self.folder = Path(folder)
         found = read_real_grasps(self.folder)
         self.warnings = found.warnings
-        self.simulated = is_simulated(self.folder)
+        about = _about(self.folder)
+        self.simulated = about.get("simulated") is True
+        self.made_with: str | None = about.get("recipe_sha256") if self.simulated else None
         missing = [grasp.grasp_id for grasp in found.grasps if not grasp.images]
         if missing:
             more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
@@ -90,11 +94,15 @@ class RealGraspImages:
 
 def is_simulated(folder: Path) -> bool:
     """Whether a folder of grasps says of itself that a simulation made them."""
+    return _about(folder).get("simulated") is True
+
+
+def _about(folder: Path) -> dict[str, Any]:
     try:
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(about, dict) and about.get("simulated") is True
+        return {}
+    return about if isinstance(about, dict) else {}
 
 
 def _table_of(grasps: Sequence[RealGrasp]) -> GraspTable:

@@ -21,6 +21,10 @@ from tacgen.report import (
 )
 
 MAX_MISJUDGED = 24
+_ABOUT_CURVES = (
+    "Training: the network that learns, on the way. "
+    "Validation: the mean of its weights, which is kept."
+)
 _SCORES = ("accuracy", "95 % interval", "balanced", "AUROC", "ECE", "n")
 
 
@@ -40,13 +44,14 @@ def write_training_report(
         ("of these successes", result["successes_fit"]),
         ("grasps to choose the best epoch", result["grasps_validation"]),
         ("best epoch", result["best_epoch"]),
+        ("weights averaged over about so many epochs", recipe.training.average_epochs),
         ("seconds an epoch (median)", result["epoch_s"]),
         ("share of the loader (median)", result["loader_share"]),
         ("seconds to decode the images once", result["decode_s"]),
     ]
     sections = [
         table_section("What was trained", ("", ""), facts),
-        figure_section("Curves", curves(metrics, result["best_epoch"])),
+        figure_section("Curves", curves(metrics, result["best_epoch"]), _ABOUT_CURVES),
         figure_section(
             "Validation grasps",
             confusion_figure(result["validation"]["confusion"]),
@@ -138,7 +143,7 @@ def _misjudged(predictions: Sequence[Predictions]) -> list[Section]:
             image_section(
                 f"{table.objects[i]}, grasp {table.ids[i]}",
                 strip(part.frames(i)),
-                f"A {truth}, judged {part.probabilities[i]:.2f} likely to succeed; "
+                f"A {truth}, judged {part.probabilities[i]:.3f} likely to succeed; "
                 f"{table.force_n[i]:g} N at height {table.z_mm[i]:g} mm.",
             )
         )

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
 
+from tacgen.dataset.locks import open_locked, write_holder
 from tacgen.errors import LearningError
 from tacgen.files import write_text
+from tacgen.learning.recipe import TrainRecipe
 
 SCHEMA = 1
 MAX_JSON_BYTES = 64 << 20
@@ -46,6 +51,37 @@ class ModelFolder:
     def write_metrics(self, metrics: Sequence[Mapping[str, Any]]) -> None:
         """All lines, whole or not at all."""
         write_text(self.metrics_path, "".join(f"{json.dumps(line)}\n" for line in metrics))
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the folder: no other process trains this model meanwhile.
+
+        What a killed process left half-written is removed.
+
+        Raises
+        ------
+        LearningError
+            If another process holds it.
+        """
+        self.root.mkdir(parents=True, exist_ok=True)
+        path = self.root / ".lock"
+        descriptor, held = open_locked(path)
+        try:
+            if held is False:
+                msg = (
+                    f"{self.root}: {path.read_text(encoding='utf-8').strip() or 'another process'} "
+                    "trains this model at present; wait for it, or end it"
+                )
+                raise LearningError(msg)
+            write_holder(descriptor)
+            if held:
+                for partial in self.root.glob(".*.part"):
+                    partial.unlink(missing_ok=True)
+            yield
+        finally:
+            if held is not False:
+                path.unlink(missing_ok=True)
+            os.close(descriptor)
 
 
 class RunFolder:
@@ -96,10 +132,25 @@ class RunFolder:
             If the folder is not a run's.
         """
         plan = read_json(self.plan_path, "give the folder that `tacgen train --out` made")
-        if plan.get("schema") != SCHEMA or not isinstance(plan.get("models"), dict):
-            msg = f"{self.plan_path}: not of this version of tacgen; train the models again"
-            raise LearningError(msg)
+        if plan.get("schema") != SCHEMA or not _is_plan(plan):
+            raise LearningError(self._not_of_this_version())
         return plan
+
+    def recipe(self) -> TrainRecipe:
+        """The training recipe of the run.
+
+        Raises
+        ------
+        LearningError
+            If it is not one of this version.
+        """
+        try:
+            return TrainRecipe.model_validate(self.plan().get("recipe"))
+        except ValidationError as error:
+            raise LearningError(self._not_of_this_version()) from error
+
+    def _not_of_this_version(self) -> str:
+        return f"{self.plan_path}: not of this version of tacgen; train the models again"
 
     def _refuse_another(self, plan: Mapping[str, Any]) -> None:
         made = self.plan()
@@ -139,6 +190,19 @@ def read_json(path: Path, mend: str) -> dict[str, Any]:
         problem = f"cannot be read ({error})"
     msg = f"{path}: {problem}; {mend}"
     raise LearningError(msg)
+
+
+def _is_plan(plan: Mapping[str, Any]) -> bool:
+    models, dataset = plan.get("models"), plan.get("dataset")
+    return (
+        isinstance(dataset, dict)
+        and isinstance(models, dict)
+        and all(
+            isinstance(model, dict)
+            and all(isinstance(model.get(key), list) for key in ("objects", "configurations"))
+            for model in models.values()
+        )
+    )
 
 
 def _differences(old: Any, new: Any, where: str = "") -> list[str]:

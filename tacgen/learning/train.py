@@ -20,10 +20,11 @@ from tacgen.files import write_text
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
 from tacgen.learning.extra import library_versions
-from tacgen.learning.fit import Fit, FitJob, predict
+from tacgen.learning.fit import Fit, FitJob
 from tacgen.learning.grasps import SimulatedGrasps
 from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
 from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.predictions import predict
 from tacgen.learning.progress import tell
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.reports import write_training_report
@@ -158,8 +159,9 @@ def _train_one(
     device: Device,
     plan: ModelPlan,
 ) -> dict[str, Any]:
-    with exact_torch(recipe.training.threads):
-        return _fitted(recipe, source, spec, run.model(plan.name), device, plan)
+    folder = run.model(plan.name)
+    with folder.alone(), exact_torch(recipe.training.threads):
+        return _fitted(recipe, source, spec, folder, device, plan)
 
 
 def _fitted(

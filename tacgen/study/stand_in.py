@@ -61,7 +61,7 @@ def write_stand_in(
     partial = out.with_name(f".{out.name}.part")
     shutil.rmtree(partial, ignore_errors=True)
     try:
-        _write_grasps(chosen, partial)
+        _write_grasps(chosen, partial, dataset.lines[0].recipe_sha256)
         if images:
             _write_images(dataset, [int(index) for index in chosen["index"]], partial)
         partial.rename(out)
@@ -74,12 +74,13 @@ def _grasp_id(index: int) -> str:
     return f"g{index:05d}"
 
 
-def _write_grasps(chosen: pd.DataFrame, folder: Path) -> None:
+def _write_grasps(chosen: pd.DataFrame, folder: Path, recipe_sha256: str) -> None:
     names = ["object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode"]
     table = chosen[names].copy()
     table.insert(0, "grasp_id", [_grasp_id(int(index)) for index in chosen["index"]])
     write_text(folder / "grasps.csv", table.to_csv(index=False))
-    write_text(folder / ABOUT, json.dumps({"simulated": True, "note": NOTE}, indent=1))
+    about = {"simulated": True, "note": NOTE, "recipe_sha256": recipe_sha256}
+    write_text(folder / ABOUT, json.dumps(about, indent=1))
 
 
 def _write_images(dataset: Dataset, indices: Sequence[int], folder: Path) -> None:

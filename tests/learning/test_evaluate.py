@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from tacgen.errors import DatasetError, LearningError
 from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
 from tacgen.records import Sensor
+from tacgen.study.stand_in import write_stand_in
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
 
 
@@ -68,8 +70,6 @@ def is_test_grasp(index: int) -> bool:
 def test_the_report_shows_the_scores_and_the_misjudged_grasps(run, toy, tmp_path):
     def swapped(index, spec):
         """Grasps that look one way and end the other: every one is misjudged."""
-        from dataclasses import replace
-
         sample = make_sample(index, spec)
         if sample.label < 0:
             return sample
@@ -83,7 +83,6 @@ def test_the_report_shows_the_scores_and_the_misjudged_grasps(run, toy, tmp_path
     page = (run / "eval.html").read_text()
     assert f"{len(result['misjudged'])} in all" in page
     assert "judged" in page
-    # The grasps of the other dataset were asked to do what some in training were: it is said.
     assert evaluate(run, data=toy)["notes"] == []
 
 
@@ -127,7 +126,6 @@ def test_without_a_background_the_gel_of_the_training_data_is_taken_and_it_is_sa
 
 def test_test_grasps_that_were_trained_on_are_refused(run, tmp_path):
     """The same recipe, but another split: what was for training is now for testing."""
-    from dataclasses import replace
 
     def other_side(index, spec):
         sample = make_sample(index, spec)
@@ -138,12 +136,55 @@ def test_test_grasps_that_were_trained_on_are_refused(run, tmp_path):
         evaluate(run, data=data)
 
 
+def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, tmp_path):
+    """Another recipe by its hash, which may differ in the split alone."""
+    whole = evaluate(run, data=toy)["n"]
+
+    def all_for_testing(index, spec):
+        return replace(make_sample(index, spec), split="test")
+
+    data = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32), all_for_testing)
+    result = evaluate(run, data=data)
+    assert result["n"] == whole
+    assert "are left out: they ask for the same" in " ".join(result["notes"])
+
+
+def test_the_training_grasps_written_as_a_stand_in_are_refused(run, toy, tmp_path):
+    for split in ("train", "test"):
+        write_stand_in(toy, tmp_path / split, split=split)
+    with pytest.raises(LearningError, match="test configurations were trained on"):
+        evaluate(run, real=tmp_path / "train")
+    assert evaluate(run, real=tmp_path / "test")["stand_in"]
+
+
+def test_a_run_that_is_not_finished_is_judged_and_it_is_said(run, toy):
+    path = run / "models/can/metrics.jsonl"
+    path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:2]))
+    notes = evaluate(run, data=toy)["notes"]
+    assert notes == ["the model can is NOT trained to its end: 2 of 5 epochs"]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda plan: plan.pop("recipe"),
+        lambda plan: plan["recipe"].update(unknown=1),
+        lambda plan: plan.update(dataset=[]),
+        lambda plan: plan["models"]["can"].pop("configurations"),
+    ],
+)
+def test_a_plan_that_is_not_of_this_version_is_refused(run, toy, spoil):
+    plan = json.loads((run / "run.json").read_text())
+    spoil(plan)
+    (run / "run.json").write_text(json.dumps(plan))
+    with pytest.raises(LearningError, match="not of this version of tacgen"):
+        evaluate(run, data=toy)
+
+
 def test_images_of_another_size_are_refused(run, real, tmp_path):
     sensor = Sensor("gelsight", height_px=40, width_px=64, mm_per_px=0.3, gel_depth_mm=2.0)
 
     def cropped(index, spec):
-        from dataclasses import replace
-
         sample = make_sample(index, spec)
         pads = {k: replace(pad, rgb=pad.rgb[:, :40].copy()) for k, pad in sample.pads.items()}
         return replace(sample, pads=pads)

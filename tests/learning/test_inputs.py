@@ -196,3 +196,13 @@ def test_augmentation_is_drawn_anew_each_epoch_and_repeatably(source):
 
     assert torch.equal(image_of(1), image_of(1))
     assert not torch.equal(image_of(1), image_of(2))
+
+
+def test_a_short_sequence_is_as_long_whatever_stands_beside_it(source):
+    """Else a grasp's answer would hang on its neighbours in the batch."""
+    spec = replace(SEQUENCE, n_frames=7)
+    for size in (1, 4):
+        lengths = {
+            images.shape[1] for images, _, _ in batches_of(source, spec, size=size).in_order()
+        }
+        assert lengths == {7}

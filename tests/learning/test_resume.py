@@ -1,0 +1,103 @@
+"""Going on with a training: only with what it began with, and never two at a time."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+from tacgen.errors import LearningError
+from tacgen.learning import fit as fit_module
+from tacgen.learning.run_folder import ModelFolder
+from tacgen.learning.train import train
+from tests.learning.conftest import recipe_of
+from tests.learning.test_train import metrics_of
+
+
+@pytest.fixture(scope="module")
+def begun(toy, tmp_path_factory) -> Path:
+    """Two of three epochs are done."""
+    run = tmp_path_factory.mktemp("runs") / "begun"
+    save_state = fit_module.save_state
+
+    def stopped(path, state):
+        save_state(path, state)
+        if state["epoch"] == 2:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit_module, "save_state", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            go_on(toy, run)
+    return run
+
+
+@pytest.fixture
+def run(begun, tmp_path) -> Path:
+    return Path(shutil.copytree(begun, tmp_path / "run"))
+
+
+def go_on(toy, run) -> None:
+    train(recipe_of("single", training={"epochs": 3}), toy, run)
+
+
+def change(run: Path, change_state) -> None:
+    path = run / "models/pooled/checkpoint.pt"
+    state = torch.load(path, weights_only=True)
+    change_state(state)
+    torch.save(state, path)
+
+
+def test_where_the_first_weights_came_from_is_kept_and_not_asked_again(toy, run):
+    """The weights may lie on the disk now that did not when the training began, or no longer."""
+    change(run, lambda state: state["backbone"].update(origin="imagenet (there before)"))
+    go_on(toy, run)
+    origins = [line["weights"] for line in metrics_of(run)]
+    assert origins == ["none", "none", "imagenet (there before)"]
+
+
+def test_a_backbone_of_another_library_is_refused(toy, run):
+    """Its parameters come in another order, by which the optimizer's state is kept."""
+    change(run, lambda state: state["backbone"].update(naming="another"))
+    with pytest.raises(LearningError, match=r"was that of another.*bring it back"):
+        go_on(toy, run)
+
+
+def test_an_optimizer_of_other_shapes_is_refused(toy, run):
+    def shrink(state):
+        moments = state["optimizer"]["state"][0]
+        moments["exp_avg"] = moments["exp_avg"][:1].clone()
+
+    change(run, shrink)
+    with pytest.raises(LearningError, match="exp_avg 0 has another shape"):
+        go_on(toy, run)
+
+
+def test_two_processes_do_not_train_one_model(toy, run):
+    folder = ModelFolder(run / "models/pooled")
+    with folder.alone(), pytest.raises(LearningError, match=r"process \d+ on .* trains this model"):
+        go_on(toy, run)
+    go_on(toy, run)
+    assert len(metrics_of(run)) == 3
+
+
+def test_what_a_killed_process_left_half_written_is_removed(toy, run):
+    left = run / "models/pooled/.checkpoint.pt.host.1.part"
+    left.write_bytes(b"half")
+    go_on(toy, run)
+    assert not left.exists()
+    assert not list((run / "models/pooled").glob(".*"))
+
+
+def test_a_worker_whose_parent_was_killed_ends_after_its_epoch(toy, run, monkeypatch):
+    class Gone:
+        def is_alive(self):
+            return False
+
+    monkeypatch.setattr(fit_module.multiprocessing, "parent_process", Gone)
+    with pytest.raises(LearningError, match="the process that started this training is gone"):
+        go_on(toy, run)
+    monkeypatch.undo()
+    assert len(metrics_of(run)) == 2
+    go_on(toy, run)
+    assert len(metrics_of(run)) == 3
