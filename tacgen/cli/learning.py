@@ -95,15 +95,22 @@ def study(
 ) -> None:
     """Collect, train and test every row of a study; writes the table as Markdown and HTML."""
     from tacgen.learning.extra import require_learning_extra
-    from tacgen.study.recipe import load_study, with_rows
+    from tacgen.study.recipe import load_study
 
     require_learning_extra()
-    from tacgen.study.run import Reality, run_study
+    from tacgen.study.reality import Reality
+    from tacgen.study.run import check_finished, run_study
 
-    reality = Reality(real, calibrate_on, contact)
-    chosen = with_rows(load_study(recipe), row or ())
-    run_study(chosen, out, reality, quick=quick, workers=workers)
+    result = run_study(
+        load_study(recipe),
+        out,
+        Reality(real, calibrate_on, contact),
+        rows=row or (),
+        quick=quick,
+        workers=workers,
+    )
     typer.echo((out / "table.md").read_text(encoding="utf-8"))
+    check_finished(result)
 
 
 @app.command("stand-in", rich_help_panel="Networks")

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from tacgen.collect import collect
-from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.errors import LearningError, TacgenError
 from tacgen.files import write_text
 from tacgen.friction import friction_json, mu_range, sweep_friction
@@ -20,85 +18,107 @@ from tacgen.learning.real_grasps import is_simulated
 from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.train import train
 from tacgen.recipe import Recipe
-from tacgen.study.recipe import Row, Study, run_folder_name
+from tacgen.study.reality import Reality, calibration_grasps, check_reality
+from tacgen.study.recipe import Row, Study, run_folder_name, with_rows
+from tacgen.study.record import RECORD, declaration_sha256, kept_rows
+from tacgen.study.reduced import reductions
 from tacgen.study.table import write_study
 
 MU_VALUES = "0:1:0.05"
 
 
-@dataclass(frozen=True, slots=True)
-class Reality:
-    """What is known of the real world: grasps to test on, others to calibrate on, a contact law.
-
-    No grasp may be in both folders. ``contact`` is a ``contact.yaml`` of the real sensor.
-    """
-
-    test: Path | None = None
-    calibration: Path | None = None
-    contact: Path | None = None
-
-
 def run_study(
-    study: Study, out: Path, real: Reality, *, quick: bool = False, workers: int = 1
+    study: Study,
+    out: Path,
+    real: Reality,
+    *,
+    rows: Sequence[str] = (),
+    quick: bool = False,
+    workers: int = 1,
 ) -> dict[str, Any]:
-    """Run every row of a study; what is finished in ``out`` is not done again.
+    """Run the rows of a study; what is finished in ``out`` is not done again.
+
+    The table is written anew after each row; rows that earlier runs finished stay in it.
+
+    Parameters
+    ----------
+    rows : sequence of str
+        Names of the rows to run; all of them if empty.
 
     Returns
     -------
     dict
-        ``rows`` with the scores on simulated and, where given, real grasps; also written as
-        ``table.json``, ``table.md`` and ``table.html``.
+        ``rows`` with the scores on simulated and, where given, real grasps, and ``problems`` of
+        this run; also written as ``table.json``, ``table.md`` and ``table.html``.
 
     Raises
     ------
     TacgenError
-        If a row cannot be collected, or none can be trained and tested; a row that cannot keeps
-        its ``problem`` in the table.
+        If what is given cannot be used, the folder holds another study or version, or a row
+        cannot be collected. A row that cannot be trained or tested keeps its ``problem`` in the
+        table; ``check_finished`` raises it.
     """
-    _check_real(study, real)
+    chosen = with_rows(study, rows)
+    kept_rows(study, out, quick=quick)
+    check_reality(chosen, real, quick=quick)
     start_s = time.perf_counter()
-    rows = [_run_row(study, row, out, real, quick, workers) for row in study.rows]
-    problems = [f"{row['name']}: {row['problem']}" for row in rows if row["problem"]]
-    if len(problems) == len(rows):
-        raise LearningError.from_problems(problems)
+    done: dict[str, dict[str, Any]] = {}
+    result = _write_table(study, out, real, done, quick, 0.0)
+    for row in chosen.rows:
+        done[row.name] = _run_row(study, row, out, real, quick, workers)
+        result = _write_table(study, out, real, done, quick, time.perf_counter() - start_s)
+    return result
+
+
+def check_finished(result: Mapping[str, Any]) -> None:
+    """See that every row of this run was trained and tested.
+
+    Raises
+    ------
+    LearningError
+        Lists the rows that were not, and why.
+    """
+    if result["problems"]:
+        first = (
+            "not all rows could be trained and tested; mend these and run the same command again, "
+            "what is finished stays:"
+        )
+        raise LearningError.from_problems([first, *result["problems"]])
+
+
+def _write_table(
+    study: Study,
+    out: Path,
+    real: Reality,
+    done: Mapping[str, Mapping[str, Any]],
+    quick: bool,
+    took_s: float,
+) -> dict[str, Any]:
+    """Write the rows that are done among those of earlier runs, in the study's order."""
+    # Read anew each time: another process may have added rows meanwhile.
+    found = kept_rows(study, out, quick=quick) | dict(done)
+    told = [row for row in study.rows if row.name in found]
     result = {
         "study": study.name,
         "description": study.description,
         "quick": quick,
+        "reduced": reductions(study, told) if quick else [],
         "notes": list(study.notes),
         "real": None if real.test is None else str(real.test),
         "stand_in": real.test is not None and is_simulated(real.test),
-        "rows": rows,
-        "took_s": time.perf_counter() - start_s,
+        "rows": [found[row.name] for row in told],
+        "problems": [
+            f"{row['name']}: {row[key]}"
+            for row in done.values()
+            for key in ("problem", "real_problem")
+            if row[key]
+        ],
+        "took_s": took_s,
     }
-    write_text(out / "table.json", json.dumps(result, indent=1))
-    write_study(result, out)
+    write_text(out / RECORD, json.dumps(result, indent=1))
+    if told:
+        write_study(result, out)
     return result
-
-
-def _check_real(study: Study, real: Reality) -> None:
-    if any(row.calibrate_friction for row in study.rows) and real.calibration is None:
-        msg = (
-            f"{study.name}: a row calibrates friction, which needs real grasps that are not "
-            "tested on; give them with --calibrate-on DIR"
-        )
-        raise TacgenError(msg)
-    if any(row.calibrate_contact for row in study.rows) and real.contact is None:
-        msg = (
-            f"{study.name}: a row takes the real sensor's contact law; give the contact.yaml that "
-            "`tacgen calibrate contact` or `tacgen diagnose contact` wrote with --contact FILE"
-        )
-        raise TacgenError(msg)
-    if real.test is None or real.calibration is None:
-        return
-    tested = {grasp.grasp_id for grasp in read_real_grasps(real.test).grasps}
-    shared = tested & {grasp.grasp_id for grasp in read_real_grasps(real.calibration).grasps}
-    if shared:
-        msg = (
-            f"{real.test} and {real.calibration} share grasps, such as {min(shared)}; "
-            "calibrate on other grasps than those tested on"
-        )
-        raise TacgenError(msg)
 
 
 def _run_row(
@@ -125,51 +145,50 @@ def _run_row(
         "contact_law": data_recipe.contact.law,
         "input_px": list(train_recipe.input.size_px),
         "epochs": train_recipe.training.epochs,
+        "average_epochs": train_recipe.training.average_epochs,
         "weights": [],
         "training_grasps": {},
         "not_executed": collected.summary()["not_executed"],
         "contact_file": data_recipe.contact.file,
         "friction": {name: fit["mu"] for name, fit in friction.items()},
+        "declaration_sha256": declaration_sha256(study, row, quick=quick),
         "problem": "",
+        "real_problem": "",
     }
     try:
-        return result | _learn(train_recipe, data, run, real.test, workers)
+        result |= _trained(train_recipe, data, run, workers)
+        result["sim"] = evaluate(run, data=data)
     except LearningError as error:
         # Such as grasps that all succeed: the other rows are worth having all the same.
         tell(f"{row.name}: {error}")
         return result | {"problem": str(error)}
+    return result if real.test is None else result | _tested_on_real(row, run, real.test)
 
 
-def _learn(
-    recipe: TrainRecipe, data: Path, run: Path, real: Path | None, workers: int
-) -> dict[str, Any]:
-    """Train a row's networks, test them, and what the table says of both."""
+def _trained(recipe: TrainRecipe, data: Path, run: Path, workers: int) -> dict[str, Any]:
+    """Train a row's networks, and what the table says of them."""
     models = train(recipe, data, run, workers=workers)["models"]
-    learnt: dict[str, Any] = {
+    return {
         "weights": sorted({model["weights"] for model in models.values()}),
         "training_grasps": {
             name: model["grasps_fit"] + model["grasps_validation"] for name, model in models.items()
         },
-        "sim": evaluate(run, data=data),
     }
-    if real is not None:
-        learnt["real"] = evaluate(run, real=real)
-    return learnt
+
+
+def _tested_on_real(row: Row, run: Path, real: Path) -> dict[str, Any]:
+    """The row's scores on real grasps, or why there are none."""
+    try:
+        return {"real": evaluate(run, real=real)}
+    except TacgenError as error:
+        tell(f"{row.name}: {error}")
+        return {"real_problem": str(error)}
 
 
 def _fitted_friction(recipe: Recipe, real: Path, out: Path, workers: int) -> Mapping[str, Any]:
     """μ of each object of the recipe, as ``tacgen friction`` finds it."""
     folder = out / "friction" / recipe.sha256()[:12]
-    found = read_real_grasps(real)
-    wanted = {entry.name for entry in recipe.objects}
-    missing = wanted - set(found.by_object())
-    if missing:
-        msg = (
-            f"{real}: has no grasps of {', '.join(sorted(missing))}, whose friction is to be "
-            "calibrated; add some, or take the objects out of the study"
-        )
-        raise TacgenError(msg)
-    grasps = replace(found, grasps=tuple(g for g in found.grasps if g.config.object in wanted))
+    grasps = calibration_grasps(recipe, real)
     fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), folder, workers=workers)
     fitted = friction_json(fits)
     write_text(folder / "friction.json", json.dumps(fitted, indent=1))

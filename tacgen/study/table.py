@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,30 +40,35 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
 def study_remarks(result: Mapping[str, Any]) -> list[str]:
     """What a reader must know before comparing the figures with others."""
     rows = result["rows"]
-    weights = sorted({name for row in rows for name in row["weights"]})
+    averaged = sorted({row["average_epochs"] for row in rows})
     sizes = sorted({tuple(row["input_px"]) for row in rows})
     epochs = sorted({row["epochs"] for row in rows})
     counts = sorted({n for row in rows for n in row["training_grasps"].values()})
     remarks = [
-        f"First weights of the backbone: {', '.join(started_from(name) for name in weights)} "
-        "(the paper: ImageNet).",
+        *_reduced(result),
+        *_first_weights(rows),
         f"Input {', '.join(f'{w}×{h} px' for h, w in sizes)}; "
         f"epochs: {', '.join(map(str, epochs))}; training grasps a model (of which some choose "
-        f"the epoch): {', '.join(map(str, counts))}.",
+        f"the epoch): {', '.join(map(str, counts)) or 'none'}.",
+        f"Weights averaged over about {', '.join(map(str, averaged))} epochs (the paper: 1).",
         f"Took {result['took_s'] / 60:.1f} minutes, without what was there already.",
+        *_where_tested(result),
     ]
-    if result["quick"]:
-        remarks.insert(0, "REDUCED VERSION (--quick): fewer objects, smaller input.")
-    if result["real"] is not None:
-        what = ", simulated grasps of another world: NOT real" if result["stand_in"] else ""
-        remarks.append(f"The column {_tested_on(result)} is measured on {result['real']}{what}.")
     remarks += [
         f"{row['name']}: friction fitted, "
         + ", ".join(f"{name} μ = {mu:g}" for name, mu in row["friction"].items())
         for row in rows
         if row["friction"]
     ]
-    remarks += [f"{row['name']}: NOT trained. {row['problem']}" for row in rows if row["problem"]]
+    for row in rows:
+        if row["problem"]:
+            what = "tested" if row["weights"] else "trained"
+            remarks.append(f"{row['name']}: NOT {what}. {row['problem']}")
+        if row["real_problem"]:
+            remarks.append(
+                f"{row['name']}: NOT tested for the column {_tested_on(result)}. "
+                f"{row['real_problem']}"
+            )
     remarks += [
         f"{row['name']}: contact law from {row['contact_file']}."
         for row in rows
@@ -80,8 +85,43 @@ def markdown_table(header: tuple[str, ...], rows: list[tuple[object, ...]]) -> s
     )
 
 
+def _reduced(result: Mapping[str, Any]) -> list[str]:
+    if not result["quick"]:
+        return []
+    less = "; ".join(result["reduced"]) or "no other objects, frames, grasps, input or epochs"
+    return [f"REDUCED VERSION (--quick): {less}."]
+
+
+def _first_weights(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    names = sorted({name for row in rows for name in row["weights"]})
+    told = ", ".join(started_from(name) for name in names)
+    return [f"First weights of the backbone: {told} (the paper: ImageNet)."] if names else []
+
+
+def _where_tested(result: Mapping[str, Any]) -> list[str]:
+    """A line for each folder of real grasps; it names its rows where there are several."""
+    tested: dict[tuple[str, bool], list[str]] = {}
+    for row in result["rows"]:
+        if "real" in row:
+            where = (row["real"]["data"], row["real"]["stand_in"])
+            tested.setdefault(where, []).append(row["name"])
+    lines = []
+    for (folder, stand_in), names in tested.items():
+        what = ", simulated grasps of another world: NOT real" if stand_in else ""
+        of = f" of {', '.join(names)}" if len(tested) > 1 else ""
+        lines.append(f"The column {_tested_on(result)}{of} is measured on {folder}{what}.")
+    return lines
+
+
 def _tested_on(result: Mapping[str, Any]) -> str:
-    return STAND_IN if result["stand_in"] else "sim-to-real"
+    """What the column of real grasps is called; rows of earlier runs may have other grasps."""
+    kinds = {row["real"]["stand_in"] for row in result["rows"] if "real" in row}
+    names = [_kind_of(stand_in) for stand_in in sorted(kinds or {result["stand_in"]})]
+    return " or ".join(names)
+
+
+def _kind_of(stand_in: bool) -> str:
+    return STAND_IN if stand_in else "sim-to-real"
 
 
 def _header(result: Mapping[str, Any]) -> tuple[str, ...]:
@@ -115,13 +155,20 @@ def _figure(value: float | None) -> str:
 
 def _by_object(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
     names = sorted({name for row in result["rows"] for name in row["objects"]})
-    sources = {"sim": "sim"}
-    if result["real"] is not None:
-        sources["real"] = _tested_on(result)
+    sources = ["sim"]
+    if result["real"] is not None or any("real" in row for row in result["rows"]):
+        sources.append("real")
     rows = []
     for row in result["rows"]:
-        for source, told in sources.items():
-            parts = row.get(source, {}).get("by_object", {})
+        for source in sources:
+            scores = row.get(source)
+            parts = scores["by_object"] if scores else {}
             cells = [_figure(parts[n]["accuracy"]) if n in parts else "–" for n in names]
-            rows.append((row["name"], told, *cells))
+            rows.append((row["name"], _told(result, source, scores), *cells))
     return ("variant", "tested on", *names), rows
+
+
+def _told(result: Mapping[str, Any], source: str, scores: Mapping[str, Any] | None) -> str:
+    if source == "sim":
+        return "sim"
+    return _kind_of(scores["stand_in"]) if scores else _tested_on(result)

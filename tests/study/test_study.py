@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tacgen.contact import ContactLaw, save_law
 from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
 from tacgen.learning.words import evaluation_lines
 from tacgen.objects_io import load_object
@@ -15,11 +16,13 @@ from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.recipe import Grid, load_recipe
 from tacgen.records import GraspConfig
 from tacgen.resources import find_object_folder, packaged
+from tacgen.study.reality import Reality
 from tacgen.study.recipe import load_study, merged_mapping, run_folder_name, with_rows
-from tacgen.study.run import Reality, run_study
+from tacgen.study.run import check_finished, run_study
 from tacgen.study.stand_in import write_stand_in
 from tacgen.study.table import markdown_table
-from tests.learning.conftest import collect, make_sample, make_spec, write_real
+from tests.learning.conftest import collect, make_spec, write_real
+from tests.study.conftest import small_study
 
 SHIPPED = sorted(packaged("recipes").glob("paper*.yaml"))
 
@@ -191,40 +194,9 @@ def test_a_table_in_markdown_escapes_bars():
     assert markdown_table(("a", "b"), [("x|y", 1)]).splitlines()[-1] == "| x\\|y | 1 |"
 
 
-def small_study(tmp_path: Path, extra: str = "") -> Path:
-    path = tmp_path / "s.yaml"
-    path.write_text(
-        "name: s\nobjects: [can, cup]\n"
-        "train: {model: {weights: none}, input: {size_px: [32, 40]}, training: {epochs: 1}}\n"
-        f"rows:\n  - {{name: single image, published: {{sim: 0.9}}{extra}}}\n"
-        "  - {name: one model for all, train: {per_object: false}}\n"
-    )
-    return path
-
-
 @pytest.fixture
 def toy(tmp_path) -> Path:
     return collect(tmp_path / "toy", make_spec())
-
-
-@pytest.fixture
-def toy_collect(monkeypatch):
-    """The simulation replaced by synthetic grasps: this is about the study."""
-    made: list[Path] = []
-
-    class Nothing:
-        @staticmethod
-        def summary() -> dict[str, int]:
-            return {"not_executed": 4}
-
-    def fake(recipe, out, **_):
-        if not (out / "manifest.jsonl").is_file():
-            collect(out, make_spec(), make_sample)
-            made.append(out)
-        return Nothing()
-
-    monkeypatch.setattr("tacgen.study.run.collect", fake)
-    return made
 
 
 def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy_collect):
@@ -254,11 +226,13 @@ def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(tmp_
     assert "single image: NOT trained. " in text
 
 
-def test_a_study_of_which_nothing_can_be_trained_stops_with_every_reason(tmp_path, toy_collect):
+def test_a_study_of_which_nothing_can_be_trained_says_so_in_its_table(tmp_path, toy_collect):
     path = small_study(tmp_path)
     path.write_text(path.read_text().replace("weights: none", "weights: missing.pth"))
-    with pytest.raises(LearningError) as caught:
-        run_study(load_study(path), tmp_path / "out", Reality())
+    result = run_study(load_study(path), tmp_path / "out", Reality())
+    assert "one model for all: NOT trained. " in (tmp_path / "out" / "table.md").read_text()
+    with pytest.raises(LearningError, match="mend these and run the same command again") as caught:
+        check_finished(result)
     assert str(caught.value).count("'missing.pth' is no file") == 2
 
 
@@ -286,6 +260,8 @@ def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, t
         run_study(study, tmp_path / "out", Reality(test=real))
     with pytest.raises(TacgenError, match=r"share grasps, such as g00; calibrate on other"):
         run_study(study, tmp_path / "out", Reality(test=real, calibration=real))
+    with pytest.raises(TacgenError, match=r"nosuch/grasps\.csv: no such file"):
+        run_study(study, tmp_path / "out", Reality(calibration=tmp_path / "nosuch"))
     assert not toy_collect
 
 
@@ -305,8 +281,10 @@ def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_coll
     run_study(study, tmp_path / "out", Reality(calibration=real))
     assert asked == [["can", "cup"]]
     table[table.object == "can"].to_csv(real / "grasps.csv", index=False)
+    toy_collect.clear()
     with pytest.raises(TacgenError, match="has no grasps of cup, whose friction"):
-        run_study(study, tmp_path / "out", Reality(calibration=real))
+        run_study(study, tmp_path / "new", Reality(calibration=real))
+    assert not toy_collect
 
 
 def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
@@ -314,6 +292,10 @@ def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
     with pytest.raises(TacgenError, match=r"contact\.yaml .*--contact FILE"):
         run_study(study, tmp_path / "out", Reality())
     given = Reality(contact=tmp_path / "contact.yaml")
+    with pytest.raises(TacgenError, match=r"no contact law named .*contact\.yaml"):
+        run_study(study, tmp_path / "out", given)
+    assert not toy_collect
+    save_law(ContactLaw.linear(5.0, 1.0), given.contact)
     result = run_study(study, tmp_path / "out", given)
     assert [row["contact_file"] for row in result["rows"]] == [str(given.contact), None]
     assert f"contact law from {given.contact}" in (tmp_path / "out" / "table.md").read_text()

@@ -1,0 +1,111 @@
+"""What a study is told of the real world, looked at before anything is collected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tacgen.dataset.real_grasps import RealGrasps, read_real_grasps
+from tacgen.errors import TacgenError
+from tacgen.grasp_loop.altered_worlds import check_forces
+from tacgen.grasp_pipeline import contact_law
+from tacgen.learning.real_grasps import RealGraspImages
+from tacgen.recipe import Contact, Recipe
+from tacgen.study.recipe import Study
+
+
+@dataclass(frozen=True, slots=True)
+class Reality:
+    """What is known of the real world: grasps to test on, others to calibrate on, a contact law.
+
+    No grasp may be in both folders. ``contact`` is a ``contact.yaml`` of the real sensor.
+    """
+
+    test: Path | None = None
+    calibration: Path | None = None
+    contact: Path | None = None
+
+
+def check_reality(study: Study, real: Reality, *, quick: bool) -> None:
+    """See that the rows have what they need, and that what is given can be read.
+
+    Raises
+    ------
+    TacgenError
+        Lists everything that is wrong.
+    """
+    problems = []
+    for check in (_check_given, _check_tested, _check_calibration, _check_contact):
+        try:
+            check(study, real, quick)
+        except TacgenError as error:
+            problems.append(str(error))
+    if problems:
+        raise TacgenError.from_problems(list(dict.fromkeys(problems)))
+
+
+def calibration_grasps(recipe: Recipe, folder: Path) -> RealGrasps:
+    """The real grasps of the recipe's objects, to fit their friction to.
+
+    Raises
+    ------
+    TacgenError
+        If an object has none, or one asks for more force than the gripper has.
+    """
+    found = read_real_grasps(folder)
+    wanted = {entry.name for entry in recipe.objects}
+    missing = wanted - set(found.by_object())
+    if missing:
+        msg = (
+            f"{folder}: has no grasps of {', '.join(sorted(missing))}, whose friction is to be "
+            "calibrated; add some, or take the objects out of the study"
+        )
+        raise TacgenError(msg)
+    grasps = replace(found, grasps=tuple(g for g in found.grasps if g.config.object in wanted))
+    check_forces(recipe, grasps)
+    return grasps
+
+
+def _check_given(study: Study, real: Reality, _quick: bool) -> None:
+    problems = []
+    if any(row.calibrate_friction for row in study.rows) and real.calibration is None:
+        problems.append(
+            f"{study.name}: a row calibrates friction, which needs real grasps that are not "
+            "tested on; give them with --calibrate-on DIR"
+        )
+    if any(row.calibrate_contact for row in study.rows) and real.contact is None:
+        problems.append(
+            f"{study.name}: a row takes the real sensor's contact law; give the contact.yaml that "
+            "`tacgen calibrate contact` or `tacgen diagnose contact` wrote with --contact FILE"
+        )
+    if problems:
+        raise TacgenError.from_problems(problems)
+
+
+def _check_tested(_study: Study, real: Reality, _quick: bool) -> None:
+    if real.test is None:
+        return
+    tested = set(RealGraspImages(real.test).table.ids.tolist())
+    if real.calibration is None:
+        return
+    shared = tested & {grasp.grasp_id for grasp in read_real_grasps(real.calibration).grasps}
+    if shared:
+        msg = (
+            f"{real.test} and {real.calibration} share grasps, such as {min(shared)}; "
+            "calibrate on other grasps than those tested on"
+        )
+        raise TacgenError(msg)
+
+
+def _check_calibration(study: Study, real: Reality, quick: bool) -> None:
+    if real.calibration is None:
+        return
+    read_real_grasps(real.calibration)
+    for row in study.rows:
+        if row.calibrate_friction:
+            calibration_grasps(study.data_recipe(row, quick=quick), real.calibration)
+
+
+def _check_contact(_study: Study, real: Reality, _quick: bool) -> None:
+    if real.contact is not None:
+        contact_law(Contact(file=str(real.contact)))

@@ -1,0 +1,236 @@
+"""What a study checks before it collects, keeps in its folder, and says of what failed."""
+
+import json
+import shutil
+import sys
+
+import pandas as pd
+import pytest
+
+from tacgen import cli
+from tacgen.errors import LearningError, TacgenError
+from tacgen.study.reality import Reality
+from tacgen.study.recipe import load_study
+from tacgen.study.reduced import reductions
+from tacgen.study.run import check_finished, run_study
+from tacgen.study.table import study_remarks
+from tests.learning.conftest import write_real
+from tests.study.conftest import small_study
+
+ROWS = ("single image", "one model for all")
+
+
+def table_of(out) -> dict:
+    return json.loads((out / "table.json").read_text())
+
+
+def names_in(out) -> list[str]:
+    return [row["name"] for row in table_of(out)["rows"]]
+
+
+def without_images(folder):
+    shutil.rmtree(write_real(folder) / "images")
+    return folder
+
+
+def run_cli(monkeypatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["tacgen", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code or 0)
+
+
+def test_real_grasps_of_other_objects_leave_the_simulated_result_in_the_table(
+    tmp_path, toy_collect
+):
+    real, out = write_real(tmp_path / "real"), tmp_path / "out"
+    table = pd.read_csv(real / "grasps.csv")
+    table.assign(object="mug").to_csv(real / "grasps.csv", index=False)
+    study = load_study(small_study(tmp_path))
+    result = run_study(study, out, Reality(test=real), rows=[ROWS[0]])
+    row = table_of(out)["rows"][0]
+    assert row["sim"]["n"] > 0
+    assert "real" not in row
+    assert "has grasps of mug" in row["real_problem"]
+    for name in ("table.md", "table.html"):
+        text = (out / name).read_text()
+        assert "single image: NOT tested for the column sim-to-real. " in text
+        assert "NOT trained" not in text
+        assert f"{row['sim']['accuracy']:.3f}" in text
+    with pytest.raises(LearningError, match="single image: .* has grasps of mug"):
+        check_finished(result)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: folder, r"real/grasps\.csv: no such file; real grasps are a folder"),
+        (without_images, r"no images of g00, .*put them at images/<grasp_id>"),
+    ],
+    ids=["no folder", "no images"],
+)
+def test_real_grasps_are_opened_before_anything_is_collected(tmp_path, toy_collect, make, words):
+    real, out = make(tmp_path / "real"), tmp_path / "out"
+    with pytest.raises(TacgenError, match=words):
+        run_study(load_study(small_study(tmp_path)), out, Reality(test=real))
+    assert not toy_collect
+    assert not out.exists()
+
+
+def test_what_cannot_be_read_of_the_real_world_is_told_at_once(tmp_path, toy_collect):
+    (tmp_path / "contact.yaml").write_text("law: none\n")
+    given = Reality(tmp_path / "a", tmp_path / "b", tmp_path / "contact.yaml")
+    with pytest.raises(TacgenError) as caught:
+        run_study(load_study(small_study(tmp_path)), tmp_path / "out", given)
+    for text in ("a/grasps.csv: no such", "b/grasps.csv: no such", "contact.yaml: k_n_mm3_per_n"):
+        assert text in str(caught.value)
+    assert not toy_collect
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_reduced_version_does_not_share_a_folder_with_the_whole(tmp_path, no_networks, first):
+    study, out = load_study(small_study(tmp_path)), tmp_path / "out"
+    run_study(study, out, Reality(), rows=[ROWS[0]], quick=first)
+    before = (out / "table.md").read_bytes(), (out / "table.json").read_bytes()
+    with pytest.raises(LearningError, match=r"out: holds the study 's'.*give another --out"):
+        run_study(study, out, Reality(), quick=not first)
+    assert no_networks == ["single_image"]
+    assert before == ((out / "table.md").read_bytes(), (out / "table.json").read_bytes())
+
+
+def test_two_studies_do_not_share_a_folder_even_before_the_first_has_a_row(
+    tmp_path, toy_collect, monkeypatch
+):
+    study, out = load_study(small_study(tmp_path)), tmp_path / "out"
+
+    def fail(*_, **__):
+        raise TacgenError("no simulator")
+
+    monkeypatch.setattr("tacgen.study.run.collect", fail)
+    with pytest.raises(TacgenError, match="no simulator"):
+        run_study(study, out, Reality())
+    with pytest.raises(LearningError, match="'s', whole, this is the study 't', whole; give"):
+        run_study(study.model_copy(update={"name": "t"}), out, Reality())
+
+
+def test_rows_run_one_by_one_end_in_one_table_in_the_studys_order(tmp_path, no_networks):
+    study, out = load_study(small_study(tmp_path)), tmp_path / "out"
+    run_study(study, out, Reality(), rows=[ROWS[1]])
+    assert names_in(out) == [ROWS[1]]
+    run_study(study, out, Reality(), rows=[ROWS[0]])
+    assert names_in(out) == list(ROWS)
+    assert no_networks == ["one_model_for_all", "single_image"]
+    text = (out / "table.md").read_text()
+    assert text.index("| single image |") < text.index("| one model for all |")
+
+
+def test_a_row_that_the_study_now_says_otherwise_is_not_kept(tmp_path, no_networks):
+    out = tmp_path / "out"
+    run_study(load_study(small_study(tmp_path)), out, Reality())
+    changed = load_study(small_study(tmp_path, ", train: {training: {epochs: 2}}"))
+    run_study(changed, out, Reality(), rows=[ROWS[1]])
+    assert names_in(out) == [ROWS[1]]
+
+
+def test_rows_tested_on_different_grasps_say_on_which(tmp_path, no_networks):
+    study, out = load_study(small_study(tmp_path)), tmp_path / "out"
+    real, world = write_real(tmp_path / "real"), write_real(tmp_path / "world")
+    run_study(study, out, Reality(test=real), rows=[ROWS[0]])
+    run_study(study, out, Reality(test=world), rows=[ROWS[1]])
+    text = (out / "table.md").read_text()
+    column = "The column sim-to-real or other simulation of"
+    assert f"{column} single image is measured on {real}.\n" in text
+    assert f"{column} one model for all is measured on {world}, simulated" in text
+    assert "| single image | sim-to-real | 0.900 |" in text
+    assert "| one model for all | other simulation | 0.900 |" in text
+
+
+def test_a_row_that_stops_everything_leaves_the_table_of_those_before(
+    tmp_path, no_networks, monkeypatch
+):
+    def stopped(recipe, data, run, **_):
+        if run.name == "one_model_for_all":
+            raise KeyboardInterrupt
+        model = {"weights": "none", "grasps_fit": 20, "grasps_validation": 4}
+        return {"models": {"can": model}}
+
+    out = tmp_path / "out"
+    monkeypatch.setattr("tacgen.study.run.train", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(load_study(small_study(tmp_path)), out, Reality())
+    assert names_in(out) == [ROWS[0]]
+    assert "| single image | single | 0.900 |" in (out / "table.md").read_text()
+
+
+@pytest.mark.parametrize("text", ["{", '{"study": "s", "quick": false, "rows": 3}'])
+def test_a_broken_record_is_told_with_its_mend(tmp_path, no_networks, text):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "table.json").write_text(text)
+    with pytest.raises(
+        LearningError, match=r"table\.json: .*remove it; finished datasets and runs"
+    ):
+        run_study(load_study(small_study(tmp_path)), out, Reality())
+    assert not no_networks
+
+
+@pytest.mark.parametrize(
+    ("quick", "told"),
+    [
+        ("{}", []),
+        ("{train: {training: {epochs: 1}}}", []),
+        ("{objects: [cup]}", ["objects: 1 instead of 2"]),
+        (
+            "{data: {frames: {mode: sequence, count: 5}, grid: {sample: 9}}}",
+            ["frames: 5 instead of 1", "sampled grasps: 9 instead of all"],
+        ),
+        (
+            "{train: {input: {size_px: [34, 48]}, training: {epochs: 3, grasps: 7}}}",
+            [
+                "training grasps: 7 instead of all",
+                "input: 48×34 px instead of 40×32 px",
+                "epochs: 3 instead of 1",
+            ],
+        ),
+    ],
+)
+def test_what_the_reduced_version_has_less_of_is_told(tmp_path, quick, told):
+    study = load_study(small_study(tmp_path, quick=quick))
+    assert reductions(study, study.rows) == told
+
+
+def test_the_reductions_of_the_paper_table_are_those_of_each_row():
+    study = load_study("paper_table")
+    assert reductions(study, study.rows) == [
+        "objects: 3 instead of 12",
+        "frames: 5 instead of 8",
+        "input: 72×54 px instead of 160×120 px, 72×54 px instead of 80×60 px",
+        "epochs: 15 instead of 30",
+    ]
+    assert "input: 72×54 px instead of 80×60 px" in reductions(study, study.rows[2:])
+
+
+def test_the_table_says_what_is_reduced_and_nothing_else(tmp_path, no_networks):
+    study = load_study(small_study(tmp_path, quick="{objects: [cup]}"))
+    remarks = study_remarks(run_study(study, tmp_path / "out", Reality(), quick=True))
+    assert remarks[0] == "REDUCED VERSION (--quick): objects: 1 instead of 2."
+    whole = study_remarks(run_study(study, tmp_path / "whole", Reality()))
+    assert not any("REDUCED" in text for text in whole)
+
+
+def test_the_command_prints_the_table_and_fails_where_a_row_did(
+    tmp_path, no_networks, monkeypatch, capsys
+):
+    def fail(recipe, data, run, **_):
+        raise LearningError("every grasp succeeded")
+
+    path, out = small_study(tmp_path), tmp_path / "out"
+    assert run_cli(monkeypatch, "study", path, "--out", out, "--row", ROWS[0]) == 0
+    monkeypatch.setattr("tacgen.study.run.train", fail)
+    capsys.readouterr()
+    assert run_cli(monkeypatch, "study", path, "--out", out, "--row", ROWS[1]) == 2
+    printed = capsys.readouterr()
+    assert "| single image | single | 0.900 |" in printed.out
+    assert "one model for all: NOT trained. every grasp succeeded" in printed.out
+    assert "tacgen: not all rows could be trained and tested; mend these" in printed.err
+    assert "\none model for all: every grasp succeeded" in printed.err
