@@ -236,10 +236,7 @@ class Fit:
         try:
             naming, origin = state["backbone"]["naming"], str(state["backbone"]["origin"])
             if naming != self.network.backbone.naming:
-                msg = (
-                    f"its ResNet-18 was that of {naming}, which does not load now: bring it back, "
-                    "or train anew in another folder"
-                )
+                msg = f"its ResNet-18 was that of {naming}: install that to go on"
                 raise ValueError(msg)
             self.network.backbone.origin = self._kept.backbone.origin = origin
             self.network.take(state["network"], str(path))
