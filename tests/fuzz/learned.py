@@ -49,7 +49,12 @@ def read_weights(path: Path) -> object:
 
 
 def make_run(folder: Path) -> Path:
-    plan = {"schema": 1, "models": {"cup": {}}, "recipe": {"seed": 1}}
+    plan = {
+        "schema": 1,
+        "models": {"cup": {"objects": ["cup"], "configurations": ["cup 5 0 0 40 0"]}},
+        "dataset": {"recipe_sha256": "ab" * 32},
+        "recipe": {"name": "run", "seed": 1},
+    }
     (folder / "run.json").write_text(json.dumps(plan))
     return folder / "run.json"
 
@@ -57,7 +62,8 @@ def make_run(folder: Path) -> Path:
 def read_run(path: Path) -> object:
     from tacgen.learning.run_folder import RunFolder
 
-    return RunFolder(path.parent).plan()
+    run = RunFolder(path.parent)
+    return run.plan(), run.recipe()
 
 
 def make_metrics(folder: Path) -> Path:
