@@ -34,7 +34,7 @@ bench: setup
 	$(BIN)/tacgen bench
 
 trust: setup
-	$(BIN)/python -m tacgen.loop.trust
+	$(BIN)/python -m validation.contact
 
 lock: setup
 	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --universal --python-version 3.10 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock

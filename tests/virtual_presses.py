@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from tacgen.calibration.press_images import PressImages
+from tacgen.core.records import Sensor
 from tacgen.optics import deform
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.records import Sensor
+from tacgen.presses.press_images import PressImages
 
 LEDS = (
     ((0.94, 0.0, -0.34), (0.9, 0.05, 0.05)),

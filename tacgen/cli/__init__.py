@@ -14,7 +14,7 @@ import typer
 # Importing a module of commands registers them.
 from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects  # noqa: F401
 from tacgen.cli.app import app
-from tacgen.errors import Interrupted, TacgenError
+from tacgen.core.errors import Interrupted, TacgenError
 
 
 def main() -> None:

@@ -55,7 +55,7 @@ def calibrate_lookup(
     json_output: JsonFlag = False,
 ) -> None:
     """Fit the lookup table to images of ball presses, with its error on presses left out."""
-    from tacgen.calibration import lookup_command as command
+    from tacgen.calibrate.lookup import command
 
     made, used = command.calibrate_lookup(
         presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
@@ -75,7 +75,7 @@ def calibrate_score(
     json_output: JsonFlag = False,
 ) -> None:
     """Score a table on presses: labels as they stand, and each press's place re-estimated."""
-    from tacgen.calibration import lookup_command as command
+    from tacgen.calibrate.lookup import command
 
     score, used = command.score_presses(
         table, presses, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
@@ -93,7 +93,7 @@ def calibrate_import(
     out: Annotated[Path, typer.Option("--out", help="The table.npz to write.")],
 ) -> None:
     """Turn a Taxim table into one that tacgen renders the same picture with."""
-    from tacgen.calibration.taxim_import import import_polycalib
+    from tacgen.calibrate.lookup.taxim_import import import_polycalib
     from tacgen.optics import save_table
 
     save_table(import_polycalib(polycalib, background, mm_per_px), out)
@@ -135,8 +135,8 @@ def calibrate_contact(
     json_output: JsonFlag = False,
 ) -> None:
     """Fit the contact law k_n, k_s to a press log, with intervals and held-out error."""
-    from tacgen.calibration.contact_command import calibrate_contact as calibrate
-    from tacgen.calibration.contact_command import result_text
+    from tacgen.calibrate.contact.command import calibrate_contact as calibrate
+    from tacgen.calibrate.contact.command import result_text
 
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,

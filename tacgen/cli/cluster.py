@@ -35,7 +35,7 @@ def submit(
 ) -> None:
     """Hand a recipe's missing shards to a scheduler; flags win over the section `cluster`."""
     from tacgen import cluster
-    from tacgen.recipe import load_recipe, with_cluster
+    from tacgen.collection.recipe import load_recipe, with_cluster
 
     loaded = with_cluster(
         load_recipe(recipe),
@@ -77,7 +77,7 @@ def batch(
 ) -> None:
     """Hand a long command to a scheduler: `tacgen batch --gpus 1 -- train RECIPE --data … `."""
     from tacgen import cluster
-    from tacgen.recipe import cluster_section
+    from tacgen.collection.recipe import cluster_section
 
     cluster.require_command(command)
     commands: Any = typer.main.get_command(app)

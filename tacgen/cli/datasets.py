@@ -24,8 +24,8 @@ from tacgen.cli.app import (
 @app.command(rich_help_panel="Datasets")
 def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     """List the grasps of a recipe and the shard of each, as CSV."""
-    from tacgen.grid import grid_rows, plan_recipe
-    from tacgen.recipe import load_recipe
+    from tacgen.collection.grid import grid_rows, plan_recipe
+    from tacgen.collection.recipe import load_recipe
 
     rows = grid_rows(plan_recipe(load_recipe(recipe)))
     if json_output:
@@ -54,8 +54,8 @@ def verify(
     """Check a dataset: every hash, shape and label; exit 1 and the bad shards if any is wrong."""
     from tqdm import tqdm
 
+    from tacgen.core.errors import VerificationError
     from tacgen.dataset import verify as check
-    from tacgen.errors import VerificationError
 
     with tqdm(unit="B", unit_scale=True, disable=None, leave=False) as bar:
         found = check.verify(folder, decode=decode, progress=bar.update)
@@ -91,7 +91,7 @@ def export(
     ] = "lerobot",
 ) -> None:
     """Write a dataset in a format that other tools read."""
-    from tacgen.dataset.lerobot import export_dataset
+    from tacgen.dataset.export.lerobot import export_dataset
 
     typer.echo(export_dataset(folder, out, format_name))
 
@@ -114,14 +114,14 @@ def collect(
     json_output: JsonFlag = False,
 ) -> None:
     """Simulate a recipe's grasps and write them as a dataset; goes on where it stopped."""
-    from tacgen.processes import start_early
+    from tacgen.core.processes import start_early
 
     if not (dry_run or _looks_whole(out)):
-        start_early("tacgen.collect", "trimesh.creation")
-    from tacgen.collect import collect as run
-    from tacgen.collect import describe, shards_to_repair
-    from tacgen.recipe import load_recipe
-    from tacgen.shares import parse_share, share_of
+        start_early("tacgen.collection.run", "trimesh.creation")
+    from tacgen.collection.job_array import parse_share, share_of
+    from tacgen.collection.recipe import load_recipe
+    from tacgen.collection.run import collect as run
+    from tacgen.collection.run import describe, shards_to_repair
 
     loaded = load_recipe(recipe)
     plan = describe(loaded, out)

@@ -29,21 +29,21 @@ def friction(
     json_output: JsonFlag = False,
 ) -> None:
     """Find each object's friction: the μ whose simulated grasps end as the real ones did."""
-    from tacgen.dataset.real_grasps import read_real_grasps
-    from tacgen.friction import (
+    from tacgen.calibrate.friction.report import verdict_of, write_friction_report
+    from tacgen.calibrate.friction.sweep import (
         doubts_about,
         friction_json,
         mu_range,
         sweep_friction,
         write_object_copies,
     )
-    from tacgen.friction_report import verdict_of, write_friction_report
-    from tacgen.recipe import load_recipe
-    from tacgen.resources import object_folders
+    from tacgen.collection.recipe import load_recipe
+    from tacgen.core.resources import object_folders
+    from tacgen.dataset.real_grasps import read_real_grasps
 
     loaded = load_recipe(recipe)
     grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
-    from tacgen.progress import progress_counter
+    from tacgen.core.progress import progress_counter
 
     with progress_counter("grasp") as show:
         fits, outcomes = sweep_friction(
@@ -76,15 +76,15 @@ def diagnose_contact(
     json_output: JsonFlag = False,
 ) -> None:
     """Trace what V = k_n F_n and D = k_s F_s leave over of a press log, and extend the law."""
-    from tacgen.loop.contact import diagnose_log
-    from tacgen.loop.diagnosis import diagnosis_record
+    from tacgen.diagnose.contact.command import diagnose_log
+    from tacgen.diagnose.contact.result import diagnosis_record
 
     diagnosis = diagnose_log(log, out, marker_pitch_mm=marker_pitch_mm)
     for note in diagnosis.notes:
         typer.echo(note, err=True)
     if grasp is not None:
-        from tacgen.before_after import write_before_after
-        from tacgen.recipe import load_recipe
+        from tacgen.collection.recipe import load_recipe
+        from tacgen.diagnose.contact.law_comparison import write_before_after
 
         write_before_after(
             load_recipe(grasp), diagnosis.linear_law, diagnosis.law, out / "grasp.html"
@@ -117,7 +117,7 @@ def diagnose_optics(
     json_output: JsonFlag = False,
 ) -> None:
     """Trace what a table leaves over on ball presses to optical effects."""
-    from tacgen.loop.optics.report import sentence, write_optics_diagnosis
+    from tacgen.diagnose.optics.report import sentence, write_optics_diagnosis
 
     diagnosis, used = write_optics_diagnosis(
         presses, out, table_path=table, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
@@ -138,12 +138,12 @@ def diagnose_grasps_command(
     json_output: JsonFlag = False,
 ) -> None:
     """Trace grasps that end otherwise than simulated to what the declared world lacks."""
+    from tacgen.collection.recipe import load_recipe
+    from tacgen.core.progress import progress_counter
+    from tacgen.core.resources import object_folders
     from tacgen.dataset.real_grasps import read_real_grasps
-    from tacgen.grasp_loop.diagnosis import diagnose_grasps, record_of
-    from tacgen.grasp_loop.report import write_grasp_report
-    from tacgen.progress import progress_counter
-    from tacgen.recipe import load_recipe
-    from tacgen.resources import object_folders
+    from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
+    from tacgen.diagnose.grasps.report import write_grasp_report
 
     loaded = load_recipe(recipe)
     grasps = read_real_grasps(real, known_objects=tuple(object_folders()))

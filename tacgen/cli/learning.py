@@ -26,9 +26,9 @@ def train(
     json_output: JsonFlag = False,
 ) -> None:
     """Train grasp-stability networks on the training grasps of a dataset."""
-    from tacgen.learning.extra import require_learning_extra
-    from tacgen.learning.recipe import load_train_recipe
-    from tacgen.learning.words import training_lines
+    from tacgen.learning.formatting import training_lines
+    from tacgen.learning.optional_dependencies import require_learning_extra
+    from tacgen.learning.training_recipe import load_train_recipe
 
     require_learning_extra()
     from tacgen.learning.train import train as train_models
@@ -49,8 +49,8 @@ def evaluate(
     json_output: JsonFlag = False,
 ) -> None:
     """Test a run on simulated or real grasps; tells the sim-to-real gap once both are known."""
-    from tacgen.learning.extra import require_learning_extra
-    from tacgen.learning.words import evaluation_lines
+    from tacgen.learning.formatting import evaluation_lines
+    from tacgen.learning.optional_dependencies import require_learning_extra
 
     require_learning_extra()
     from tacgen.learning.evaluate import evaluate as evaluate_run
@@ -62,9 +62,9 @@ def evaluate(
 @app.command(rich_help_panel="Networks")
 def told(data: DatasetArgument, json_output: JsonFlag = False) -> None:
     """How well outcomes follow from force and place: what a network can hope for."""
-    from tacgen.learning.extra import require_learning_extra
     from tacgen.learning.grasps import SimulatedGrasps
-    from tacgen.learning.told import told_lines, told_scores
+    from tacgen.learning.optional_dependencies import require_learning_extra
+    from tacgen.learning.parameter_baseline import told_lines, told_scores
 
     require_learning_extra()
     scores = told_scores(SimulatedGrasps(data).table)
@@ -94,8 +94,8 @@ def study(
     workers: Annotated[int, typer.Option(min=1, help="Processes that collect and train.")] = 1,
 ) -> None:
     """Collect, train and test every row of a study; writes the table as Markdown and HTML."""
-    from tacgen.learning.extra import require_learning_extra
-    from tacgen.study.recipe import load_study
+    from tacgen.learning.optional_dependencies import require_learning_extra
+    from tacgen.study.study_recipe import load_study
 
     require_learning_extra()
     from tacgen.study.reality import Reality

@@ -25,7 +25,7 @@ def version() -> None:
 @app.command(rich_help_panel="This machine")
 def doctor(json_output: JsonFlag = False) -> None:
     """Say what this machine can do, and how to mend what is missing."""
-    from tacgen import doctor as examination
+    from tacgen.cli import doctor as examination
 
     findings = examination.examine()
     if json_output:
@@ -48,8 +48,8 @@ def bench(
     json_output: JsonFlag = False,
 ) -> None:
     """Measure frames and grasps on this machine, one thread, medians."""
-    from tacgen.bench import estimate_s, run_benchmarks
-    from tacgen.recipe import load_recipe
+    from tacgen.collection.bench import estimate_s, run_benchmarks
+    from tacgen.collection.recipe import load_recipe
 
     estimate = estimate_s(load_recipe(recipe)) if recipe else {}
     figures = run_benchmarks(repeats=repeats)

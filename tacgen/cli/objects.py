@@ -17,7 +17,7 @@ from tacgen.cli.app import (
 @objects_app.command("list")
 def objects_list(json_output: JsonFlag = False) -> None:
     """List every object that can be grasped here: tacgen's and those in ./objects."""
-    from tacgen.objects_io.listing import object_rows, rows_text
+    from tacgen.objects.listing import object_rows, rows_text
 
     rows = object_rows()
     typer.echo(json.dumps(rows, indent=2, ensure_ascii=False) if json_output else rows_text(rows))
@@ -32,11 +32,11 @@ def objects_show(
     json_output: JsonFlag = False,
 ) -> None:
     """Show an object's figures, each with its source."""
-    from tacgen.objects_io import load_object
-    from tacgen.objects_io.description import read_description
-    from tacgen.objects_io.listing import facts_text, object_facts
-    from tacgen.objects_io.picture import write_picture
-    from tacgen.resources import find_object_folder
+    from tacgen.core.resources import find_object_folder
+    from tacgen.objects import load_object
+    from tacgen.objects.description import read_description
+    from tacgen.objects.listing import facts_text, object_facts
+    from tacgen.objects.picture import write_picture
 
     obj = load_object(name)
     facts = object_facts(obj, read_description(find_object_folder(name)))
@@ -67,9 +67,9 @@ def objects_add(
     json_output: JsonFlag = False,
 ) -> None:
     """Import a mesh of your own into ./objects, ready to be named in a recipe."""
-    from tacgen.objects_io.add import add_object
-    from tacgen.objects_io.description import read_description
-    from tacgen.objects_io.listing import facts_text, object_facts
+    from tacgen.objects.add import add_object
+    from tacgen.objects.description import read_description
+    from tacgen.objects.listing import facts_text, object_facts
 
     typer.echo(f"tacgen: importing {mesh}; convex parts take up to a minute", err=True)
     added = add_object(

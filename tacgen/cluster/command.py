@@ -10,8 +10,8 @@ from tacgen.cluster.ledger import JobsFolder, note_path
 from tacgen.cluster.states import TaskState, job_states
 from tacgen.cluster.submission import Submitted, Target, hand_over, require_executor
 from tacgen.cluster.task import CommandTask
-from tacgen.errors import ClusterError
-from tacgen.recipe import Cluster
+from tacgen.collection.recipe import Cluster
+from tacgen.core.errors import ClusterError
 
 COMMANDS = ("friction", "train")
 """Those that write into ``--out`` and, run again, go on where they stopped."""

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen.errors import ClusterError
-from tacgen.files import write_text
+from tacgen.core.errors import ClusterError
+from tacgen.core.files import write_text
 
 
 @dataclass(frozen=True, slots=True)

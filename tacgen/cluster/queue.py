@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tacgen.cluster.ledger import Submission
-from tacgen.errors import ClusterError
+from tacgen.core.errors import ClusterError
 
 SCHEDULER_PATIENCE_S = 60
 _RUNNING = {"RUNNING", "COMPLETING", "STOPPED", "SUSPENDED"}

@@ -25,11 +25,11 @@ from tacgen.cluster.ledger import (
 from tacgen.cluster.queue import site_array_limit
 from tacgen.cluster.states import Status, status
 from tacgen.cluster.task import CollectTask, CommandTask
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.pipeline import dataset_spec
+from tacgen.collection.recipe import Cluster, Recipe
+from tacgen.core.errors import ClusterError
 from tacgen.dataset import DatasetFolder
-from tacgen.errors import ClusterError
-from tacgen.grasp_pipeline import dataset_spec
-from tacgen.grid import plan_recipe
-from tacgen.recipe import Cluster, Recipe
 
 EXECUTORS = ("local", "slurm")
 SIGNAL_DELAY_S = 60

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.cluster.ledger import Note, read_note, write_note
-from tacgen.collect import collect
-from tacgen.errors import TacgenError
-from tacgen.recipe import Recipe
+from tacgen.collection.recipe import Recipe
+from tacgen.collection.run import collect
+from tacgen.core.errors import TacgenError
 
 
 @dataclass(frozen=True, slots=True)

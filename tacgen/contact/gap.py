@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.raster import rasterize, to_window
-from tacgen.errors import ContactError
-from tacgen.records import Sensor
+from tacgen.core.errors import ContactError
+from tacgen.core.records import Sensor
 
 CAMERAS = ("raster", "pyrender")
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tacgen.errors import ContactError
+from tacgen.core.errors import ContactError
 
 
 @njit(cache=True, nogil=True)

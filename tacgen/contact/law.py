@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from tacgen.contact.effects import STAGES, Effect, LoadHistory, find_effect
 from tacgen.contact.law_checks import law_problems, require_columns
-from tacgen.errors import ContactError
-from tacgen.files import write_text
-from tacgen.records import Estimate
+from tacgen.core.errors import ContactError
+from tacgen.core.files import write_text
+from tacgen.core.records import Estimate
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")

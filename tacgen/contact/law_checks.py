@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from tacgen.contact.effects import LoadHistory, find_effect
-from tacgen.errors import ContactError
+from tacgen.core.errors import ContactError
 
 if TYPE_CHECKING:
     from tacgen.contact.law import ContactLaw, FittedEffect

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import ContactError
-from tacgen.records import Sensor
+from tacgen.core.errors import ContactError
+from tacgen.core.records import Sensor
 
 _PLATFORMS = ("egl", "osmesa")
 

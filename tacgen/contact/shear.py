@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tacgen.records import Markers, Sensor
+from tacgen.core.records import Markers, Sensor
 
 SHEAR_DECAY_PER_MM2 = 0.0805
 DILATION_DECAY_PER_MM2 = 0.479

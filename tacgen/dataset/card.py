@@ -6,10 +6,10 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader
 
+from tacgen.core.files import write_text
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.summary import summarize
-from tacgen.files import write_text
 
 
 def write_card(root: Path | str) -> Path:

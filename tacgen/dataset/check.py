@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tacgen.core.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 from tacgen.dataset.samples import DatasetSpec, GraspSample, PadSample
 from tacgen.dataset.schema import FAILURE_MODES, MAX_OBJECT_BYTES, SPLITS, STATUSES
-from tacgen.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 
 
 def sample_problems(sample: GraspSample, spec: DatasetSpec) -> list[str]:

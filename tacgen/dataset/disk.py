@@ -8,7 +8,7 @@ import io
 from collections.abc import Iterator
 from pathlib import Path
 
-from tacgen.errors import DatasetError
+from tacgen.core.errors import DatasetError
 
 _WRITABLE = "give a folder that you may write to"
 _MENDS = {

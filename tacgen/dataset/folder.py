@@ -12,6 +12,9 @@ from typing import Any
 import yaml
 
 import tacgen
+from tacgen.core.errors import DatasetError, RecipeError
+from tacgen.core.files import atomic_path, write_text
+from tacgen.core.yaml_source import read_mapping
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.locks import lock, open_locked, write_holder
 from tacgen.dataset.manifest import (
@@ -28,9 +31,6 @@ from tacgen.dataset.plan import create_whole, differences, holds, plan_of, read_
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.shard_check import content_problems
 from tacgen.dataset.writer import write_shard_file
-from tacgen.errors import DatasetError, RecipeError
-from tacgen.files import atomic_path, write_text
-from tacgen.yaml_source import read_mapping
 
 
 class DatasetFolder:

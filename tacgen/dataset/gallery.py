@@ -17,11 +17,11 @@ import numpy as np
 from jinja2 import Environment, PackageLoader
 from numpy.typing import NDArray
 
+from tacgen.core.errors import RecipeError
+from tacgen.core.files import write_text
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.summary import Summary, summarize
-from tacgen.errors import RecipeError
-from tacgen.files import write_text
 
 MAX_PAGE_BYTES = 15_000_000
 MAX_CARDS, MAX_SHARDS, MAX_STRIP = 200, 200, 8

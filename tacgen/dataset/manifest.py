@@ -15,8 +15,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen.errors import DatasetError
-from tacgen.files import read_small_text, write_text
+from tacgen.core.errors import DatasetError
+from tacgen.core.files import read_small_text, write_text
 
 SCHEMA = 1
 MAX_LINE_BYTES = 1 << 20

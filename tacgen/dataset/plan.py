@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import tacgen
+from tacgen.core.errors import DatasetError
+from tacgen.core.files import read_small_text, sync_directory, sync_file
 from tacgen.dataset.samples import DatasetSpec
-from tacgen.errors import DatasetError
-from tacgen.files import read_small_text, sync_directory, sync_file
 
 MAX_PLAN_BYTES = 1 << 20
 _NO_LINKS_HERE = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)

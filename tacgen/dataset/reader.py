@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.errors import DatasetError
+from tacgen.core.files import sha256_of
+from tacgen.core.records import GraspConfig, SlipMargin
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample
 from tacgen.dataset.schema import CONTACT_NAMES, GRASP_ARRAYS, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
-from tacgen.errors import DatasetError
-from tacgen.files import sha256_of
-from tacgen.records import GraspConfig, SlipMargin
 
 _MAX_OPEN = 8
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tacgen.errors import DatasetError
-from tacgen.records import FailureMode, GraspConfig
+from tacgen.core.errors import DatasetError
+from tacgen.core.records import FailureMode, GraspConfig
 
 REQUIRED = ("grasp_id", "object", "force_n", "x_mm", "y_mm", "z_mm", "label")
 FAILURE_MODES: tuple[FailureMode, ...] = ("", "translational_slip", "rotational_slip")

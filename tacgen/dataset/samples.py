@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.records import FailureMode, GraspConfig, Sensor, SlipMargin, Status
+from tacgen.core.records import FailureMode, GraspConfig, Sensor, SlipMargin, Status
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from tacgen.records import Sensor
+from tacgen.core.records import Sensor
 
 FORMAT_VERSION = 1
 PADS = ("left", "right")

@@ -17,9 +17,9 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 from numpy.typing import NDArray
 
+from tacgen.core.errors import DatasetError
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
 from tacgen.dataset.schema import FORMAT_VERSION, PADS, ArraySpec, Layout
-from tacgen.errors import DatasetError
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
 MAX_TEXT_BYTES = 256

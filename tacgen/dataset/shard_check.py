@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.errors import DatasetError
+from tacgen.core.files import sha256_of
 from tacgen.dataset.check import outcome_problem
 from tacgen.dataset.manifest import ShardLine
 from tacgen.dataset.schema import SPLITS
@@ -21,8 +23,6 @@ from tacgen.dataset.shard import (
     read_image,
 )
 from tacgen.dataset.tally import Tally
-from tacgen.errors import DatasetError
-from tacgen.files import sha256_of
 
 Decode = Literal["none", "first", "all"]
 _MAX_NAMED = 5

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tacgen.core.errors import DatasetError
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
 from tacgen.dataset.tally import OUTCOME
-from tacgen.errors import DatasetError
 
 _MB = 1e6
 

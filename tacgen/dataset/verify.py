@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tacgen.core.errors import DatasetError, RecipeError, TacgenError
+from tacgen.core.files import sha256_of_content
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import (
     ShardLine,
@@ -19,8 +21,6 @@ from tacgen.dataset.manifest import (
     read_part,
 )
 from tacgen.dataset.shard_check import byte_problems, content_problems
-from tacgen.errors import DatasetError, RecipeError, TacgenError
-from tacgen.files import sha256_of_content
 
 SHARDS_AHEAD = 2
 

@@ -19,8 +19,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from tacgen.errors import LearningError
-from tacgen.files import is_file
+from tacgen.core.errors import LearningError
+from tacgen.core.files import is_file
 from tacgen.learning.weight_names import Naming, renamed
 
 FEATURES = 512

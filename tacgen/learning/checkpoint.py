@@ -17,8 +17,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 import tacgen
-from tacgen.errors import LearningError
-from tacgen.files import atomic_path
+from tacgen.core.errors import LearningError
+from tacgen.core.files import atomic_path
 from tacgen.learning.backbone import UNREADABLE
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import torch
 
-from tacgen.errors import LearningError
-from tacgen.learning.recipe import TrainingOptions
+from tacgen.core.errors import LearningError
+from tacgen.learning.training_recipe import TrainingOptions
 
 _CUBLAS_SETTING = "CUBLAS_WORKSPACE_CONFIG"
 

@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import LearningError
-from tacgen.files import write_text
+from tacgen.core.errors import LearningError
+from tacgen.core.files import write_text
 from tacgen.learning.checkpoint import ModelCard, load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
 from tacgen.learning.grasps import GraspSource, SimulatedGrasps
 from tacgen.learning.inputs import check_source, read_input, resized
+from tacgen.learning.leakage import unseen_tests
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import Predictions, predict
 from tacgen.learning.progress import tell
 from tacgen.learning.real_grasps import RealGraspImages
-from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.reports import started_from, write_evaluation_report
 from tacgen.learning.run_folder import ModelFolder, RunFolder, read_json
 from tacgen.learning.scores import score
-from tacgen.learning.unseen import unseen_tests
+from tacgen.learning.training_recipe import TrainRecipe
 
 MAX_GROUPS = 8
 _AUROC_NOTE = (

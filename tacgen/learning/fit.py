@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
-from tacgen.errors import LearningError
+from tacgen.core.errors import LearningError
 from tacgen.learning.checkpoint import ModelCard, load_state, save_model, save_state
 from tacgen.learning.device import Device
 from tacgen.learning.inputs import InputSpec
@@ -32,10 +32,10 @@ from tacgen.learning.networks import (
 )
 from tacgen.learning.predictions import predict, weighted_loss
 from tacgen.learning.progress import Board, epoch_bar
-from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.run_folder import ModelFolder
 from tacgen.learning.scores import score
 from tacgen.learning.splits import seed_of
+from tacgen.learning.training_recipe import TrainRecipe
 
 DIVERGED_LOSS = 50.0
 """A mean loss no two-class network has unless its weights ran away; guessing has 0.69."""

@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.errors import LearningError
+from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset import Dataset
-from tacgen.errors import LearningError
-from tacgen.records import LABEL_NOT_EXECUTED
 
 CONFIGURATION_DIGITS = 6
 FRAME_UNKNOWN = -1

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import LearningError
+from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspSource
-from tacgen.learning.recipe import Augmentation
+from tacgen.learning.training_recipe import Augmentation
 
 MIN_STD = 1e-3
 

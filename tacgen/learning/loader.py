@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader
 
 from tacgen.learning.grasps import GraspSource
 from tacgen.learning.inputs import InputSpec, augmented, read_input, resized, to_network
-from tacgen.learning.recipe import Augmentation
+from tacgen.learning.training_recipe import Augmentation
 
 _STREAM_ORDER, _STREAM_AUGMENT = 10, 11
 

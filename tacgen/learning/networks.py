@@ -13,9 +13,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from tacgen.errors import LearningError
+from tacgen.core.errors import LearningError
 from tacgen.learning.backbone import FEATURES, Backbone, make_backbone, shape_problem
-from tacgen.learning.recipe import TrainingOptions
+from tacgen.learning.training_recipe import TrainingOptions
 from tacgen.learning.weight_names import renamed
 
 CLASSES = 2

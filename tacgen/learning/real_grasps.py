@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.errors import LearningError
+from tacgen.core.safe_io import read_bgr
 from tacgen.dataset.real_grasps import RealGrasp, read_real_grasps
-from tacgen.errors import LearningError
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspTable
-from tacgen.untrusted import read_bgr
 
 BACKGROUND = "background.png"
 ABOUT = "about.json"

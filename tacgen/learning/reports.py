@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.learning.figures import confusion_figure, curves, reliability_figure, strip
+from tacgen.learning.formatting import tested_on
 from tacgen.learning.predictions import Predictions
-from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.scores import reliability
-from tacgen.learning.words import tested_on
+from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.report import (
     Section,
     figure_section,

@@ -12,10 +12,10 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from tacgen.core.errors import LearningError
+from tacgen.core.files import write_text
 from tacgen.dataset.locks import open_locked, write_holder
-from tacgen.errors import LearningError
-from tacgen.files import write_text
-from tacgen.learning.recipe import TrainRecipe
+from tacgen.learning.training_recipe import TrainRecipe
 
 SCHEMA = 1
 MAX_JSON_BYTES = 64 << 20

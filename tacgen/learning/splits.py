@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import LearningError
+from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import GraspTable
-from tacgen.learning.recipe import POOLED, TrainRecipe
+from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
 MIN_OF_A_CLASS = 2
 _STREAM_SUBSET, _STREAM_VALIDATION = 0, 1

@@ -15,22 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tacgen
-from tacgen.errors import LearningError
-from tacgen.files import write_text
+from tacgen.core.errors import LearningError
+from tacgen.core.files import write_text
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
-from tacgen.learning.extra import library_versions
 from tacgen.learning.fit import Fit, FitJob
 from tacgen.learning.grasps import SimulatedGrasps
 from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
 from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.optional_dependencies import library_versions
 from tacgen.learning.predictions import predict
 from tacgen.learning.progress import tell
-from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.reports import write_training_report
 from tacgen.learning.run_folder import SCHEMA, ModelFolder, RunFolder
 from tacgen.learning.scores import score
 from tacgen.learning.splits import ModelPlan, class_weights, plan_models
+from tacgen.learning.training_recipe import TrainRecipe
 
 NO_WEIGHTS_WARNING = (
     "NO ImageNet weights: the backbone starts from scratch, other than in the paper; "

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import TableError
+from tacgen.core.errors import TableError
 from tacgen.optics.smooth import half_kernel, smooth
 
 Image = NDArray[np.float32]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import TableError
+from tacgen.core.errors import TableError
 from tacgen.optics.effects import EFFECTS, Patch, check_effects
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise

@@ -13,9 +13,9 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.errors import TableError
-from tacgen.files import atomic_path
-from tacgen.untrusted import check_archive
+from tacgen.core.errors import TableError
+from tacgen.core.files import atomic_path
+from tacgen.core.safe_io import check_archive
 
 N_FEATURES = 6
 """x², y², xy, x, y, 1 in image position, Taxim's order."""

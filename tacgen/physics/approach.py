@@ -12,13 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from tacgen.core.records import GraspConfig, GraspObject
+from tacgen.core.units import M_PER_MM, MM_PER_M
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.gripper import PAD_HEIGHT_MM, STROKE_MM
 from tacgen.physics.robot import GripperTarget, Robot
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import World
-from tacgen.records import GraspConfig, GraspObject
-from tacgen.units import M_PER_MM, MM_PER_M
 
 WAYPOINT_SPACING_MM = 6.0
 ABOVE_MM = 10.0

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from tacgen.core.units import M_PER_MM, MM_PER_M
 from tacgen.physics import ur5e
 from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation, rotation_about_z
 from tacgen.physics.gripper import (
@@ -21,7 +22,6 @@ from tacgen.physics.gripper import (
 from tacgen.physics.robot import GripperTarget
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import World
-from tacgen.units import M_PER_MM, MM_PER_M
 
 BASE_POSITION_M = (-0.5, 0.0, 0.0)
 FLANGE_HEIGHT_M = (FINGER_LENGTH_MM + 2 * PALM_HALF_EXTENTS_MM[2]) * M_PER_MM

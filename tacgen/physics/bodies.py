@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.records import GraspObject
+from tacgen.core.units import M_PER_MM
 from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation
 from tacgen.physics.frames import rotation_from_quaternion as rotation_of
 from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
-from tacgen.records import GraspObject
-from tacgen.units import M_PER_MM
 
 OBJECT_FRICTION = 1.0
 """Bullet multiplies the coefficients of two bodies: the pads and the table carry the real ones."""

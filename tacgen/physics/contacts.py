@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.records import ContactFrame
+from tacgen.core.units import MM_PER_M
 from tacgen.physics.frames import Pose, gel_pose_in_gripper, inverse, pose
 from tacgen.physics.frames import rotation_from_quaternion as rotation_of
-from tacgen.records import ContactFrame
-from tacgen.units import MM_PER_M
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tacgen.errors import PhysicsError
+from tacgen.core.errors import PhysicsError
+from tacgen.core.records import (
+    LABEL_NOT_EXECUTED,
+    LABEL_SUCCESS,
+    GraspConfig,
+    GraspObject,
+    GraspTrace,
+    Status,
+    frozen_array,
+)
+from tacgen.core.units import M_PER_MM
 from tacgen.physics import labels
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.arm import ArmWithGripper
@@ -23,16 +33,6 @@ from tacgen.physics.recorder import Recorder, frame_end_steps
 from tacgen.physics.robot import Robot
 from tacgen.physics.settings import PAD_NAMES, FrameRequest, PhysicsSettings, RobotName
 from tacgen.physics.world import World
-from tacgen.records import (
-    LABEL_NOT_EXECUTED,
-    LABEL_SUCCESS,
-    GraspConfig,
-    GraspObject,
-    GraspTrace,
-    Status,
-    frozen_array,
-)
-from tacgen.units import M_PER_MM
 
 CHUNK_STEPS = 5
 """How often the closing fingers are looked at."""

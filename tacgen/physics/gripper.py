@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from tacgen.core.units import M_PER_MM
 from tacgen.physics.frames import PAD_SIDE
 from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
 from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
-from tacgen.units import M_PER_MM
 
 STROKE_MM = 110.0
 """Largest opening. Source: Weiss Robotics, WSG 50 data sheet."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.records import LABEL_FAILURE, LABEL_SUCCESS, FailureMode
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.records import LABEL_FAILURE, LABEL_SUCCESS, FailureMode
 
 
 @dataclass(frozen=True, slots=True)

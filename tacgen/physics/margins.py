@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.records import SlipMargin
-from tacgen.units import MM_PER_M, STANDARD_GRAVITY_M_S2
+from tacgen.core.records import SlipMargin
+from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True)

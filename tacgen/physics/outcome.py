@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.records import ContactFrame, GraspObject, frozen_array
+from tacgen.core.units import MM_PER_M
 from tacgen.physics.contacts import (
     Bodies,
     Snapshot,
@@ -21,8 +23,6 @@ from tacgen.physics.frames import rotation_from_quaternion as rotation_of
 from tacgen.physics.labels import Motion
 from tacgen.physics.margins import Capacity, PadLoad, grasp_capacity
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.records import ContactFrame, GraspObject, frozen_array
-from tacgen.units import MM_PER_M
 
 
 def capacity_of(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 
+from tacgen.core.units import M_PER_MM
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.contacts import Snapshot
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.robot import Robot
 from tacgen.physics.settings import FrameRequest, PhysicsSettings
 from tacgen.physics.world import World
-from tacgen.units import M_PER_MM
 
 
 def frame_end_steps(request: FrameRequest, time_step_s: float) -> list[int]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from tacgen.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
 RobotName = Literal["wsg50", "ur5e_wsg50"]
 Pads = Literal["left", "right", "both"]

@@ -14,10 +14,10 @@ from types import ModuleType
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from tacgen.errors import PhysicsError
+from tacgen.core.errors import PhysicsError
+from tacgen.core.records import Mesh
+from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.records import Mesh
-from tacgen.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
 HULL_MARGIN_MM = 1.0

@@ -16,8 +16,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from tacgen.errors import TacgenError
-from tacgen.files import write_text
+from tacgen.core.errors import TacgenError
+from tacgen.core.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, LoadHistory, find_effect
 from tacgen.contact.law import ContactLaw, FittedEffect, respond
-from tacgen.errors import RecipeError
-from tacgen.records import Estimate
-from tacgen.rig.recipe import RigEffect, RigRecipe
+from tacgen.core.errors import RecipeError
+from tacgen.core.records import Estimate
+from tacgen.rig.rig_recipe import RigEffect, RigRecipe
 
 Floats = NDArray[np.float64]
 

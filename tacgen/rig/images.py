@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from tacgen.contact import contact_depth, gel_map_mm, solve_indentation
 from tacgen.contact.gel import pixel_centers_mm
 from tacgen.contact.shear import MarkerField, marker_grid_mm
-from tacgen.files import atomic_path, write_text
+from tacgen.core.files import atomic_path, write_text
+from tacgen.core.records import Sensor
 from tacgen.optics.deform import deform
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.records import Sensor
 from tacgen.report.page import encode_png
 from tacgen.rig.effects import SessionTruth
-from tacgen.rig.recipe import RigRecipe
+from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import camera_rng
-from tacgen.sensors import load_sensor
+from tacgen.sensor.description import load_sensor
 
 Floats = NDArray[np.float64]
 

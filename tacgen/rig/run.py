@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from tacgen import __version__
 from tacgen.contact.law import save_law
-from tacgen.files import atomic_path
+from tacgen.core.files import atomic_path
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import rig_sensor, write_images
-from tacgen.rig.recipe import RigRecipe
+from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import noise_rng, true_session
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.rig.recipe import RigRecipe, Schedule, Temperature
+from tacgen.rig.rig_recipe import RigRecipe, Schedule, Temperature
 
 Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]

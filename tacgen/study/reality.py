@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from tacgen.collection.perturbed import check_forces
+from tacgen.collection.pipeline import contact_law
+from tacgen.collection.recipe import Contact, Recipe
+from tacgen.core.errors import TacgenError
 from tacgen.dataset.real_grasps import RealGrasps, read_real_grasps
-from tacgen.errors import TacgenError
-from tacgen.grasp_loop.altered_worlds import check_forces
-from tacgen.grasp_pipeline import contact_law
 from tacgen.learning.real_grasps import RealGraspImages
-from tacgen.recipe import Contact, Recipe
-from tacgen.study.recipe import Study
+from tacgen.study.study_recipe import Study
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tacgen.errors import LearningError
-from tacgen.files import sha256_of_content
+from tacgen.core.errors import LearningError
+from tacgen.core.files import sha256_of_content
 from tacgen.learning.run_folder import read_json
-from tacgen.study.recipe import Row, Study
+from tacgen.study.study_recipe import Row, Study
 
 RECORD = "table.json"
 _MEND = "remove it; finished datasets and runs stay and are not done again"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tacgen.study.recipe import Row, Study
+from tacgen.study.study_recipe import Row, Study
 
 
 def reductions(study: Study, rows: Sequence[Row]) -> list[str]:

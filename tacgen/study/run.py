@@ -8,20 +8,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tacgen.collect import collect
-from tacgen.errors import LearningError, TacgenError
-from tacgen.files import write_text
-from tacgen.friction import friction_json, mu_range, sweep_friction
+from tacgen.calibrate.friction.sweep import friction_json, mu_range, sweep_friction
+from tacgen.collection.recipe import Recipe
+from tacgen.collection.run import collect
+from tacgen.core.errors import LearningError, TacgenError
+from tacgen.core.files import write_text
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.progress import tell
 from tacgen.learning.real_grasps import is_simulated
-from tacgen.learning.recipe import TrainRecipe
 from tacgen.learning.train import train
-from tacgen.recipe import Recipe
+from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.study.reality import Reality, calibration_grasps, check_reality
-from tacgen.study.recipe import Row, Study, run_folder_name, with_rows
 from tacgen.study.record import RECORD, declaration_sha256, kept_rows
 from tacgen.study.reduced import reductions
+from tacgen.study.study_recipe import Row, Study, run_folder_name, with_rows
 from tacgen.study.table import write_study
 
 MU_VALUES = "0:1:0.05"

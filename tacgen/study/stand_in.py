@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from tacgen.core.errors import DatasetError
+from tacgen.core.files import write_text
+from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset import Dataset
-from tacgen.errors import DatasetError
-from tacgen.files import write_text
 from tacgen.learning.real_grasps import ABOUT
-from tacgen.records import LABEL_NOT_EXECUTED
 from tacgen.report.page import encode_png
 
 NOTE = "Simulated by tacgen in another world, written in the format of real grasps. Not real."

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tacgen.files import write_text
+from tacgen.core.files import write_text
 from tacgen.learning.reports import started_from
 from tacgen.report import Section, table_section, text_section, write_page
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.grasp_pipeline import recipe_object
-from tacgen.recipe import ObjectEntry
-from tacgen.units import STANDARD_GRAVITY_M_S2
+from tacgen.collection.pipeline import recipe_object
+from tacgen.collection.recipe import ObjectEntry
+from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
 BOX, MU = "sugar_box", 0.4
 

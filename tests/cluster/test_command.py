@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 from tacgen import cluster
 from tacgen.cli import app
 from tacgen.cluster.ledger import JobsFolder, Note, Submission, Task, write_note, write_submission
-from tacgen.errors import ClusterError
-from tacgen.recipe import Cluster
+from tacgen.collection.recipe import Cluster
+from tacgen.core.errors import ClusterError
 
 from .friction_case import BOX, MU, write_friction_case
 

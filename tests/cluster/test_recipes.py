@@ -12,7 +12,7 @@ import yaml
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.resources import packaged
+from tacgen.core.resources import packaged
 
 FOLDER = packaged("recipes") / "cluster"
 ROOT = FOLDER.parents[1]

@@ -17,11 +17,11 @@ from tacgen.cli import app
 from tacgen.cluster import queue
 from tacgen.cluster.ledger import JobsFolder, Note, Submission, Task, write_note, write_submission
 from tacgen.cluster.submission import slurm_parameters
-from tacgen.collect import collect
+from tacgen.collection.pipeline import dataset_spec
+from tacgen.collection.recipe import Cluster, load_recipe, with_cluster
+from tacgen.collection.run import collect
+from tacgen.core.errors import ClusterError, DatasetError, RecipeError
 from tacgen.dataset import DatasetFolder
-from tacgen.errors import ClusterError, DatasetError, RecipeError
-from tacgen.grasp_pipeline import dataset_spec
-from tacgen.recipe import Cluster, load_recipe, with_cluster
 from tests.small_world import write_world
 
 LOCAL = cluster.Request("local")

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from tacgen.contact import gap_map, gel_map_mm
 from tacgen.contact.gap import GapMapper
 from tacgen.contact.gel import pixel_centers_mm
-from tacgen.errors import ContactError
-from tacgen.records import Sensor
+from tacgen.core.errors import ContactError
+from tacgen.core.records import Sensor
 
 FLAT = Sensor("flat", 120, 160, 0.1, 4.0)
 DOMED = Sensor("domed", 120, 160, 0.1, 4.0, dome_radius_mm=30.0)
@@ -155,8 +155,8 @@ def test_bad_meshes_are_refused_with_everything_that_is_wrong():
 PYRENDER = """
 import sys, numpy as np, trimesh
 from tacgen.contact import gap_map
-from tacgen.errors import ContactError
-from tacgen.records import Sensor
+from tacgen.core.errors import ContactError
+from tacgen.core.records import Sensor
 shape = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
 pose = np.eye(4); pose[:3, 3] = 0.31, -0.47, 7.5
 try:

@@ -10,7 +10,7 @@ from scipy.optimize import bisect
 
 from tacgen.contact import contact_depth, solve_indentation
 from tacgen.contact.indentation import solve_grains, volume_of
-from tacgen.errors import ContactError
+from tacgen.core.errors import ContactError
 
 MM_PER_PX = 0.0295
 AREA = MM_PER_PX**2

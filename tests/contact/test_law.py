@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from tacgen.contact.law import ContactLaw, FittedEffect, load_law, save_law
-from tacgen.errors import ContactError
-from tacgen.records import Estimate
+from tacgen.core.errors import ContactError
+from tacgen.core.records import Estimate
 
 COLUMNS = {
     "trial": np.zeros(5, int),

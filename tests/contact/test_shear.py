@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
-from tacgen.records import Markers, Sensor
+from tacgen.core.records import Markers, Sensor
 
 SENSOR = Sensor("s", 120, 160, 0.1, 4.0, markers=Markers(9, 12, 1.25, 0.2))
 POINTS = marker_grid_mm(SENSOR)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tacgen.core.files import sha256_of, sha256_of_content
+from tacgen.core.records import GraspConfig, Sensor, SlipMargin
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample, PadSample
-from tacgen.files import sha256_of, sha256_of_content
-from tacgen.records import GraspConfig, Sensor, SlipMargin
 
 SENSOR = Sensor("gelsight", height_px=24, width_px=32, mm_per_px=0.5, gel_depth_mm=2.0)
 

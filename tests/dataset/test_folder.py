@@ -15,9 +15,9 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
+from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset, DatasetFolder, locks
 from tacgen.dataset.verify import verify
-from tacgen.errors import DatasetError
 
 from .conftest import collect_toy, make_sample, make_spec
 from .test_writer import digests
@@ -209,7 +209,7 @@ def test_a_full_disk_gives_one_message_and_no_half_shard(tmp_path, kilobytes):
             [sys.executable, "-c", script], cwd=CHECKOUT, capture_output=True, text=True
         )
         last = run.stderr.strip().splitlines()[-1]
-        assert last.startswith("tacgen.errors.DatasetError")
+        assert last.startswith("tacgen.core.errors.DatasetError")
         assert "no space left on device; free some space" in last
         assert "Can't close file" not in run.stderr
         assert not list((disk / "out" / "shards").iterdir())

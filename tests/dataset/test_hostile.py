@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tacgen.core.errors import DatasetError
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.gallery import write_gallery
 from tacgen.dataset.verify import verify
-from tacgen.errors import DatasetError
 
 from .conftest import make_sample
 from .test_writer import digests

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tacgen.core.errors import DatasetError
 from tacgen.dataset.manifest import parse_line
 from tacgen.dataset.shard import open_shard
-from tacgen.errors import DatasetError
 
 CHECKOUT = Path(__file__).parents[2]
 
@@ -25,8 +25,8 @@ resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
 from tests.dataset.conftest import *
 from tacgen.dataset import Dataset
 from tacgen.dataset.verify import verify
-from tacgen.errors import TacgenError
-from tacgen.files import sha256_of
+from tacgen.core.errors import TacgenError
+from tacgen.core.files import sha256_of
 
 rng = np.random.default_rng(7)
 toy = collect_toy(Path({root!r}), make_spec(n_grasps=4, depth=True))

@@ -9,10 +9,10 @@ from hdf5plugin import Htj2k, Zstd
 from typer.testing import CliRunner
 
 from tacgen.cli import app
+from tacgen.core.errors import DatasetError, VerificationError
 from tacgen.dataset import Dataset
 from tacgen.dataset.manifest import parse_line
 from tacgen.dataset.verify import verify
-from tacgen.errors import DatasetError, VerificationError
 
 from .conftest import collect_toy, make_spec, vouch_for
 

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
+from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset, DatasetFolder
-from tacgen.errors import DatasetError
 
 from .conftest import collect_toy, make_sample, make_spec
 

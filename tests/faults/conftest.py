@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tacgen.collect import collect
-from tacgen.recipe import load_recipe
+from tacgen.collection.recipe import load_recipe
+from tacgen.collection.run import collect
 from tests.dataset.conftest import spec, toy  # noqa: F401
 from tests.small_world import write_world
 

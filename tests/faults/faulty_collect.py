@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from tacgen.cli import main
-from tacgen.grasp_pipeline import GraspPipeline
+from tacgen.collection.pipeline import GraspPipeline
 
 ACTS = dict(fault.split("=") for fault in os.environ["TACGEN_FAULTS"].split())
 _sample = GraspPipeline.sample

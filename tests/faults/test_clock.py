@@ -8,12 +8,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from tacgen import cluster, workers
+from tacgen import cluster
+from tacgen.core import workers
+from tacgen.core.workers import run_tasks
 from tacgen.dataset.locks import open_locked
 from tacgen.dataset.verify import verify
-from tacgen.workers import run_tasks
+from tests.core.test_workers import ITEMS_PER_TASK, Script
 from tests.dataset.conftest import collect_toy
-from tests.test_workers import ITEMS_PER_TASK, Script
 
 
 def test_files_from_the_future_and_the_past_are_as_done_as_others(toy, spec):

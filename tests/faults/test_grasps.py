@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.collect import collect
+from tacgen.collection.recipe import load_recipe
+from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
 from tacgen.dataset.verify import verify
-from tacgen.recipe import load_recipe
 
 from .conftest import digests
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tacgen.core.workers import run_tasks
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.verify import verify
-from tacgen.workers import run_tasks
+from tests.core.test_workers import ITEMS_PER_TASK, Script, items_of
 from tests.dataset.conftest import collect_toy, make_sample, make_spec
-from tests.test_workers import ITEMS_PER_TASK, Script, items_of
 
 from .conftest import digests
 

@@ -8,9 +8,9 @@ import pytest
 
 GRASP = """
 import hashlib, cv2
-from tacgen.grasp_pipeline import GraspPipeline
-from tacgen.grid import plan_recipe
-from tacgen.recipe import load_recipe
+from tacgen.collection.pipeline import GraspPipeline
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.recipe import load_recipe
 cv2.setNumThreads({threads})
 recipe = load_recipe("quickstart")
 with GraspPipeline(recipe) as pipeline:

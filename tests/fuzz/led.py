@@ -25,7 +25,7 @@ COMPILED = [
 COUNTED = {"include": ["tacgen"], "exclude": COMPILED}
 
 with atheris.instrument_imports(**COUNTED):
-    from tacgen.errors import TacgenError
+    from tacgen.core.errors import TacgenError
     from tests.fuzz.readers import READERS
 
 

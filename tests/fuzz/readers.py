@@ -39,7 +39,7 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
 
 def _shipped(name: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
-        from tacgen.resources import packaged
+        from tacgen.core.resources import packaged
 
         return Path(shutil.copy(packaged("recipes") / name, folder / Path(name).name))
 
@@ -47,38 +47,38 @@ def _shipped(name: str) -> Callable[[Path], Path]:
 
 
 def _read_recipe(path: Path) -> object:
-    from tacgen.recipe import load_recipe
+    from tacgen.collection.recipe import load_recipe
 
     return load_recipe(path)
 
 
 def _read_train_recipe(path: Path) -> object:
-    from tacgen.learning.recipe import load_train_recipe
+    from tacgen.learning.training_recipe import load_train_recipe
 
     return load_train_recipe(path)
 
 
 def _read_rig_recipe(path: Path) -> object:
-    from tacgen.rig.recipe import load_rig_recipe
+    from tacgen.rig.rig_recipe import load_rig_recipe
 
     return load_rig_recipe(path)
 
 
 def _read_study(path: Path) -> object:
-    from tacgen.study.recipe import load_study
+    from tacgen.study.study_recipe import load_study
 
     return load_study(path)
 
 
 def _make_object(folder: Path) -> Path:
-    from tacgen.resources import packaged
+    from tacgen.core.resources import packaged
 
     shutil.copytree(packaged("objects") / "sugar_box", folder / "sugar_box")
     return folder / "sugar_box/object.yaml"
 
 
 def _read_object(path: Path) -> object:
-    from tacgen.objects_io import load_object
+    from tacgen.objects import load_object
 
     return load_object(path.parent)
 
@@ -104,14 +104,14 @@ def _box(name: str) -> Callable[[Path], Path]:
 
 
 def _read_mesh(path: Path) -> object:
-    from tacgen.objects_io.mesh_import import import_surface
+    from tacgen.objects.mesh_import import import_surface
 
     return import_surface(path)
 
 
 def _added_object(pattern: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
-        from tacgen.objects_io.add import add_object
+        from tacgen.objects.add import add_object
 
         added = add_object(_box("box.stl")(folder), mass_kg=0.1, into=folder)
         (path,) = added.object.folder.glob(pattern)
@@ -135,7 +135,7 @@ def _make_parquet(folder: Path) -> Path:
 
 
 def _read_press_log(path: Path) -> object:
-    from tacgen.calibration.press_log import read_press_log
+    from tacgen.presses.press_log import read_press_log
 
     return read_press_log(path)
 
@@ -153,7 +153,7 @@ def _presses(spoiled: str) -> Callable[[Path], Path]:
 
 
 def _read_presses(path: Path) -> object:
-    from tacgen.calibration.press_folder import read_presses
+    from tacgen.presses.press_folder import read_presses
 
     return read_presses(path if path.suffix == ".npz" else path.parent)
 
@@ -171,7 +171,7 @@ def _force_images(spoiled: str) -> Callable[[Path], Path]:
 
 
 def _read_force_images(path: Path) -> object:
-    from tacgen.calibration.press_forces import read_force_images
+    from tacgen.presses.press_forces import read_force_images
 
     found = read_force_images(path.parent)
     return [found.picture(k) for k in range(len(found.table))]
@@ -216,7 +216,7 @@ def _make_polycalib(folder: Path) -> Path:
 
 
 def _read_polycalib(path: Path) -> object:
-    from tacgen.calibration.taxim_import import import_polycalib
+    from tacgen.calibrate.lookup.taxim_import import import_polycalib
 
     return import_polycalib(path, path.parent / "bg.npy", 0.1)
 
@@ -229,7 +229,7 @@ def _make_sensor(folder: Path) -> Path:
 
 
 def _read_sensor(path: Path) -> object:
-    from tacgen.sensors import load_sensor
+    from tacgen.sensor.description import load_sensor
 
     return load_sensor(str(path))
 
@@ -282,8 +282,8 @@ def _dataset(name: str) -> Callable[[Path], Path]:
 
 def _read_shard(path: Path) -> object:
     """As from a stranger, whose manifest vouches for whatever there is."""
+    from tacgen.core.files import sha256_of
     from tacgen.dataset import Dataset
-    from tacgen.files import sha256_of
 
     line = path.with_suffix(".json")
     said = json.loads(line.read_text())

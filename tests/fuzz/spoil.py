@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.errors import TacgenError
+from tacgen.core.errors import TacgenError
 from tests.fuzz.readers import READERS
 
 PATIENCE_S = 20

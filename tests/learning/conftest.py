@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tacgen.core.records import GraspConfig, Sensor
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample, PadSample
-from tacgen.learning.recipe import TrainRecipe
-from tacgen.records import GraspConfig, Sensor
+from tacgen.learning.training_recipe import TrainRecipe
 
 SENSOR = Sensor("gelsight", height_px=48, width_px=64, mm_per_px=0.3, gel_depth_mm=2.0)
 REFERENCE = np.full((*SENSOR.shape_px, 3), (90, 110, 130), np.uint8)

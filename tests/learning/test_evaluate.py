@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tacgen.errors import DatasetError, LearningError
+from tacgen.core.errors import DatasetError, LearningError
+from tacgen.core.records import Sensor
 from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
-from tacgen.records import Sensor
 from tacgen.study.stand_in import write_stand_in
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
 

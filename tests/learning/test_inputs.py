@@ -20,7 +20,7 @@ from tacgen.learning.inputs import (
 )
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.real_grasps import RealGraspImages
-from tacgen.learning.recipe import Augmentation
+from tacgen.learning.training_recipe import Augmentation
 from tests.learning.conftest import REFERENCE, SENSOR, write_real
 
 SINGLE = InputSpec("single", (24, 32), 1, "difference", SENSOR.shape_px)

@@ -13,11 +13,11 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
-from tacgen.errors import LearningError
+from tacgen.core.errors import LearningError
 from tacgen.learning import backbone as backbone_module
 from tacgen.learning.backbone import Backbone, cached_imagenet_file, make_backbone, read_weights
 from tacgen.learning.networks import build_network, build_optimizer, build_scheduler
-from tacgen.learning.recipe import TrainingOptions
+from tacgen.learning.training_recipe import TrainingOptions
 from tacgen.learning.weight_names import to_transformers
 
 # Names and shapes of torchvision's resnet18, which its published weight file holds.

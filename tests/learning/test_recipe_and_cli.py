@@ -7,10 +7,10 @@ import pytest
 import yaml
 
 from tacgen import cli
-from tacgen.errors import TacgenError
-from tacgen.learning import extra
-from tacgen.learning.recipe import load_train_recipe
-from tacgen.resources import packaged
+from tacgen.core.errors import TacgenError
+from tacgen.core.resources import packaged
+from tacgen.learning import optional_dependencies as extra
+from tacgen.learning.training_recipe import load_train_recipe
 from tests.learning.conftest import recipe_of, write_real
 
 SHIPPED = sorted(packaged("recipes").glob("train*.yaml"))

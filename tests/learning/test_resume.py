@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tacgen.errors import LearningError
+from tacgen.core.errors import LearningError
 from tacgen.learning import fit as fit_module
 from tacgen.learning.run_folder import ModelFolder
 from tacgen.learning.train import train

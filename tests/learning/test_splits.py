@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacgen.errors import LearningError
+from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import GraspTable, SimulatedGrasps
 from tacgen.learning.splits import class_weights, plan_models, shared_configurations
 from tests.learning.conftest import recipe_of

@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from tacgen.errors import Interrupted, LearningError
+from tacgen.core.errors import Interrupted, LearningError
 from tacgen.learning import fit as fit_module
 from tacgen.learning import train as train_module
 from tacgen.learning.loader import Batches

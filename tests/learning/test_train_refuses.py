@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tacgen.errors import DatasetError, LearningError
+from tacgen.core.errors import DatasetError, LearningError
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of
 

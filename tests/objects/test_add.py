@@ -13,15 +13,15 @@ import trimesh
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.errors import ObjectError
-from tacgen.objects_io import load_object
-from tacgen.objects_io.add import add_object
-from tacgen.objects_io.decompose import convex_parts
-from tacgen.objects_io.mesh_files import read_parts
-from tacgen.objects_io.mesh_import import import_surface
-from tacgen.records import Mesh
-from tacgen.resources import find_object_folder
-from tacgen.shapes.mass_properties import volume_mm3
+from tacgen.core.errors import ObjectError
+from tacgen.core.records import Mesh
+from tacgen.core.resources import find_object_folder
+from tacgen.objects import load_object
+from tacgen.objects.add import add_object
+from tacgen.objects.decompose import convex_parts
+from tacgen.objects.mesh_files import read_parts
+from tacgen.objects.mesh_import import import_surface
+from tacgen.objects.shapes.mass_properties import volume_mm3
 
 
 @pytest.fixture(autouse=True)
@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_written_leaves_nothing(own_folder, monkeypatch)
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tacgen.objects_io.add.write_parts", full)
+    monkeypatch.setattr("tacgen.objects.add.write_parts", full)
     with pytest.raises(ObjectError, match="No space left on device"):
         add_object(exported(box(), "thing.stl"), mass_kg=0.1)
     assert os.listdir("objects") == []

@@ -5,9 +5,9 @@ import shutil
 import pytest
 import yaml
 
-from tacgen.errors import ObjectError
-from tacgen.objects_io import load_object
-from tacgen.resources import packaged
+from tacgen.core.errors import ObjectError
+from tacgen.core.resources import packaged
+from tacgen.objects import load_object
 
 
 @pytest.fixture

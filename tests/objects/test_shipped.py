@@ -9,13 +9,13 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from tacgen.objects_io import load_object
-from tacgen.objects_io.description import read_description
-from tacgen.objects_io.load import build_shape
-from tacgen.resources import packaged
-from tacgen.shading import depth_view, view_axes
-from tacgen.shapes.mass_properties import mass_properties, volume_mm3
-from tacgen.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.resources import packaged
+from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.objects import load_object
+from tacgen.objects.description import read_description
+from tacgen.objects.load import build_shape
+from tacgen.objects.shading import depth_view, view_axes
+from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
 
 STROKE_MM = 110.0  # WSG-50, datasheet
 PAD_MM = (20.0, 16.0)

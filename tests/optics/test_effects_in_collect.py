@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.collect import collect
+from tacgen.collection.recipe import load_recipe
+from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
-from tacgen.loop.optics.model import Optics
-from tacgen.loop.optics.table import effects_of, with_effects
+from tacgen.diagnose.optics.extended_table import effects_of, with_effects
+from tacgen.diagnose.optics.model import Optics
 from tacgen.optics import load_table, save_table
-from tacgen.recipe import load_recipe
 from tests.small_world import write_world
 
 FOUND = Optics(

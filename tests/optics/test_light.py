@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from tacgen.errors import TableError
+from tacgen.core.errors import TableError
+from tacgen.core.records import Sensor
 from tacgen.optics.effects import EFFECTS, Patch, check_effects
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.shadow import PENUMBRA_MM, cast_shadow, leds_of_table, shadow_reach_mm
 from tacgen.optics.virtual_sensor import Led, Paint, VirtualSensor
-from tacgen.records import Sensor
 
 MM_PER_PX = 0.1
 LEDS = tuple(

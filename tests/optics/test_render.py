@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from tacgen.errors import TableError
+from tacgen.core.errors import TableError
 from tacgen.optics import LookupTable, render_rgb
 from tacgen.optics.render import Renderer
 from tacgen.optics.sampled_table import with_reference

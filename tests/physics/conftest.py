@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.records import GraspConfig, GraspObject, GraspTrace, Mesh
 
 GRAVITY_M_S2 = 9.80665
 SEQUENCE = FrameRequest("sequence", 25, 3.0)

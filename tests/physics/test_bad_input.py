@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.errors import PhysicsError
+from tacgen.core.errors import PhysicsError
+from tacgen.core.records import GraspConfig
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.records import GraspConfig
 
 from .conftest import block, grasp
 

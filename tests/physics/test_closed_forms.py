@@ -13,10 +13,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tacgen.core.units import MM_PER_M
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.margins import torsion_factor
-from tacgen.units import MM_PER_M
 
 from .conftest import GRAVITY_M_S2, block, grasp, threshold
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tacgen.errors import PhysicsError
+from tacgen.core.errors import PhysicsError
 from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody, principal_axes
 from tacgen.physics.contacts import object_contacts

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from tacgen.calibration.slope_fit import fit_slope
+from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.rig import load_rig_recipe, simulate_session
 
 CHANNELS = {

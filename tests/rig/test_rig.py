@@ -9,15 +9,15 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from tacgen.calibration.press_log import read_press_log
-from tacgen.calibration.slope_fit import fit_slope
+from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.cli import app
 from tacgen.contact.effects import all_effects
 from tacgen.contact.law import load_law
-from tacgen.errors import RecipeError
-from tacgen.resources import packaged
+from tacgen.core.errors import RecipeError
+from tacgen.core.resources import packaged
+from tacgen.presses.press_log import read_press_log
 from tacgen.rig import RigRecipe, load_rig_recipe, run_rig, simulate_session
-from tacgen.rig.recipe import RigEffect
+from tacgen.rig.rig_recipe import RigEffect
 
 RECIPES = sorted(packaged("recipes").glob("rig*.yaml"))
 SHEAR_FORCES = ["force_shear_x_n", "force_shear_y_n"]

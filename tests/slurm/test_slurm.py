@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from tacgen import cluster
-from tacgen.collect import collect
-from tacgen.errors import ClusterError
-from tacgen.recipe import load_recipe, with_cluster
-from tacgen.resources import packaged
+from tacgen.collection.recipe import load_recipe, with_cluster
+from tacgen.collection.run import collect
+from tacgen.core.errors import ClusterError
+from tacgen.core.resources import packaged
 from tests.cluster.friction_case import BOX, MU, write_friction_case
 from tests.small_world import write_world
 

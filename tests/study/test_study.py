@@ -7,19 +7,19 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tacgen.collection.recipe import Grid, load_recipe
 from tacgen.contact import ContactLaw, save_law
-from tacgen.errors import DatasetError, LearningError, RecipeError, TacgenError
-from tacgen.learning.words import evaluation_lines
-from tacgen.objects_io import load_object
-from tacgen.objects_io.description import read_description
+from tacgen.core.errors import DatasetError, LearningError, RecipeError, TacgenError
+from tacgen.core.records import GraspConfig
+from tacgen.core.resources import find_object_folder, packaged
+from tacgen.learning.formatting import evaluation_lines
+from tacgen.objects import load_object
+from tacgen.objects.description import read_description
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
-from tacgen.recipe import Grid, load_recipe
-from tacgen.records import GraspConfig
-from tacgen.resources import find_object_folder, packaged
 from tacgen.study.reality import Reality
-from tacgen.study.recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.run import check_finished, run_study
 from tacgen.study.stand_in import write_stand_in
+from tacgen.study.study_recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.table import markdown_table
 from tests.learning.conftest import collect, make_spec, write_real
 from tests.study.conftest import small_study

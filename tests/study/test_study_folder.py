@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 
 from tacgen import cli
-from tacgen.errors import LearningError, TacgenError
+from tacgen.core.errors import LearningError, TacgenError
 from tacgen.study.reality import Reality
-from tacgen.study.recipe import load_study
 from tacgen.study.reduced import reductions
 from tacgen.study.run import check_finished, run_study
+from tacgen.study.study_recipe import load_study
 from tacgen.study.table import study_remarks
 from tests.learning.conftest import write_real
 from tests.study.conftest import small_study

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tacgen.contact.effects import kernels
-from tacgen.errors import ContactError
+from tacgen.core.errors import ContactError
 
 REQUIRED = ("trial", "time_s", "force_normal_n")
 SHEAR_FORCE = ("force_shear_x_n", "force_shear_y_n")

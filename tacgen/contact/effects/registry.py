@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.contact.effects.history import LoadHistory
-from tacgen.errors import ContactError
+from tacgen.core.errors import ContactError
 
 Channel = Literal["normal", "shear"]
 CHANNELS: tuple[Channel, ...] = ("normal", "shear")

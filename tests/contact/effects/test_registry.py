@@ -5,7 +5,7 @@ import pytest
 
 from tacgen.contact.effects import LoadHistory, all_effects, effect_names, find_effect, register
 from tacgen.contact.law import respond
-from tacgen.errors import ContactError
+from tacgen.core.errors import ContactError
 
 EFFECTS = [pytest.param(effect, id=f"{effect.channel}-{effect.name}") for effect in all_effects()]
 K = 5.0

@@ -1,0 +1,176 @@
+"""``tacgen calibrate contact``: a press log, or curves of force against depth, to a contact law."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tacgen import __version__
+from tacgen.calibrate.contact.depth_curves import (
+    DepthReport,
+    explain_curves,
+    is_depth_table,
+    read_depth_curves,
+)
+from tacgen.calibrate.contact.depth_summary import depth_dict, depth_text, depth_warnings
+from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact
+from tacgen.calibrate.contact.summary import summary_dict, summary_text
+from tacgen.contact.law import ContactLaw, save_law
+from tacgen.core.errors import PressError
+from tacgen.core.files import atomic_path, sha256_of
+from tacgen.core.records import Estimate
+from tacgen.optics.table import LookupTable, load_table
+from tacgen.presses.press_log import read_press_log
+
+if TYPE_CHECKING:
+    from tacgen.presses.press_forces import MeasuredLog
+
+MIN_FOR_OWN_TABLE = 10
+"""Pictures that a table has to be fitted to before volumes by it are better than by the circle."""
+
+CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
+
+
+@dataclass(frozen=True, slots=True)
+class ContactCalibration:
+    """What was fitted, the law that was written, and what has to be said about it."""
+
+    fit: ContactFit | DepthReport
+    law: ContactLaw
+    warnings: tuple[str, ...]
+
+
+def calibrate_contact(
+    log: Path,
+    out: Path,
+    report: Path | None = None,
+    *,
+    by: str | None = None,
+    contact_point: str = "auto",
+    force_unit: str | None = None,
+    marker_pitch_mm: float = np.nan,
+    radius_mm: float | None = None,
+    table: Path | None = None,
+    save_log: Path | None = None,
+) -> ContactCalibration:
+    """Fit ``log``, write the law to ``out`` and, where asked for, a page into ``report``.
+
+    ``log`` is a press log, a table of force–depth curves, or a folder of press images with
+    forces; of the last, ``table`` turns pictures into volumes and ``save_log`` keeps the log.
+
+    Raises
+    ------
+    PressError
+        If the log cannot be used or an option is not known.
+    """
+    if contact_point not in CONTACT_POINTS:
+        known = ", ".join(CONTACT_POINTS)
+        msg = f"--contact-point {contact_point!r} is not known; use one of {known}"
+        raise PressError(msg)
+    measured: tuple[str, ...] = ()
+    if Path(log).is_dir():
+        log, found = _measure_images(Path(log), table, save_log or Path(out).with_suffix(".csv"))
+        measured = found.warnings
+        if np.isnan(marker_pitch_mm):
+            marker_pitch_mm = found.marker_pitch_mm
+    elif is_depth_table(log):
+        return _explain_depths(Path(log), Path(out), report, radius_mm)
+    fit = fit_contact(
+        read_press_log(log, force_unit=force_unit),
+        by=by,
+        free_contact_point=CONTACT_POINTS[contact_point],
+        marker_pitch_mm=marker_pitch_mm,
+    )
+    fit = replace(fit, warnings=(*measured, *fit.warnings))
+    save_law(fit.law, out)
+    if report is not None:
+        from tacgen.calibrate.contact.report import write_report
+
+        write_report(fit, report)
+    return ContactCalibration(fit, fit.law, fit.warnings)
+
+
+def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
+    """The press log that a folder of images with forces holds, written to ``log``."""
+    from tacgen.presses.press_forces import measure_presses, read_force_images
+
+    images = read_force_images(folder)
+    lookup = None
+    if table is not None:
+        lookup = load_table(table)
+        if lookup.background.shape != images.background.shape:
+            msg = (
+                f"{table}: made for {lookup.background.shape[1]}×{lookup.background.shape[0]} px, "
+                f"the images in {folder} are {images.background.shape[1]}×"
+                f"{images.background.shape[0]}; use the table of this sensor and camera setting"
+            )
+            raise PressError(msg)
+    own = _table_of(folder) if lookup is None else None
+    found = measure_presses(images, lookup or own)
+    if own is not None:
+        said = (
+            f"{folder}: no --table given; volumes are by one fitted to these same pictures of balls"
+        )
+        found = replace(found, method="own table", warnings=(said, *found.warnings))
+    with atomic_path(log) as partial:
+        found.frame.to_csv(partial, index=False)
+    return log, found
+
+
+def _table_of(folder: Path) -> LookupTable | None:
+    """A table fitted to the pictures of balls of known radius; None where they are too few."""
+    from tacgen.calibrate.lookup.table_fit import fit_lookup
+    from tacgen.presses.press_folder import read_presses
+    from tacgen.presses.screening import usable_presses
+
+    try:
+        return fit_lookup(usable_presses(read_presses(folder), least=MIN_FOR_OWN_TABLE))
+    except PressError:
+        return None
+
+
+def result_text(result: ContactCalibration, *, json_output: bool) -> str:
+    """What the command prints."""
+    if isinstance(result.fit, ContactFit):
+        return (
+            json.dumps(summary_dict(result.fit), indent=2)
+            if json_output
+            else summary_text(result.fit)
+        )
+    return json.dumps(depth_dict(result.fit), indent=2) if json_output else depth_text(result.fit)
+
+
+def _explain_depths(
+    log: Path, out: Path, report: Path | None, radius_mm: float | None
+) -> ContactCalibration:
+    """The law of curves without volumes is the k_n that all of them share."""
+    curves = read_depth_curves(log)
+    found = explain_curves(curves, radius_mm)
+    warnings = depth_warnings(log, found)
+    values = [np.log(fit.k_n_mm3_per_n) for fit in found.curves]
+    ends = [np.log(fit.k_interval) for fit in found.curves]
+    spread = max(np.ptp(values), max(float(np.ptp(end)) for end in ends)) / 2.0
+    provenance: dict[str, Any] = {
+        "data": {log.name: sha256_of(log)},
+        "versions": {"tacgen": __version__},
+        "trials": {"fit": len(found.curves), "left_out": 0},
+        "curves": depth_dict(found)["curves"],
+        "warnings": list(warnings),
+    }
+    k_n = found.shared_k_n_mm3_per_n
+    law = ContactLaw(
+        law="volume_linear",
+        k_n_mm3_per_n=Estimate(k_n, k_n * spread / 1.96, "mm3/N"),
+        provenance=MappingProxyType(provenance),
+    )
+    save_law(law, out)
+    if report is not None:
+        from tacgen.calibrate.contact.depth_report import write_depth_page
+
+        write_depth_page(found, curves, warnings, report)
+    return ContactCalibration(found, law, warnings)

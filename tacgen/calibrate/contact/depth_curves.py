@@ -1,0 +1,287 @@
+"""Force against depth of an unknown indenter: which ball and which k_n explain it.
+
+A curve of force against depth holds no volume. If the indenter was a ball of radius R, its volume
+follows from the depth, and V = k_n F then has to hold. Two numbers (R, k_n) and a contact point
+are fitted to every curve, and one k_n to all curves together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.special import fdtrc
+
+from tacgen.core.errors import PressError
+from tacgen.presses.ball import ball_volume_mm3
+from tacgen.presses.press_log import (
+    column_names,
+    column_problems,
+    numeric_columns,
+    read_table,
+)
+
+Floats = NDArray[Any]
+
+RADII_MM = (0.1, 100.0)
+"""Indenters outside this range are no balls that a gel is pressed with."""
+MIN_SAMPLES = 8
+N_STARTS = 13
+
+
+@dataclass(frozen=True, slots=True)
+class DepthCurve:
+    """One curve: depth and force (N,), in the file's order."""
+
+    name: str
+    depth_mm: Floats
+    force_n: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class BallFit:
+    """The ball and compliance that explain one curve best.
+
+    ``radius_interval_mm`` and ``k_interval`` (95 %) come from the profile of the misfit: at its
+    ends the other quantities are refitted. An interval that ends at a bound of ``RADII_MM`` is
+    open there: the curve cannot tell. ``exponent`` is the slope of log F against log depth.
+    ``waviness`` is the correlation of neighbouring residuals: near 1, what is left over is no
+    noise but shape that a ball on a linear gel does not have, and the intervals are too narrow.
+    """
+
+    name: str
+    radius_mm: float
+    radius_interval_mm: tuple[float, float]
+    k_n_mm3_per_n: float
+    k_interval: tuple[float, float]
+    contact_point_mm: float
+    r_squared: float
+    rmse_n: float
+    exponent: float
+    waviness: float
+    n_samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class DepthReport:
+    """Every curve's best ball, and what one k_n for all curves costs.
+
+    ``shared_rmse_n`` are each curve's errors with the shared k_n and its own best radius;
+    ``p_value`` is of the F test that one k_n does for all.
+    """
+
+    curves: tuple[BallFit, ...]
+    shared_k_n_mm3_per_n: float
+    shared_radius_mm: Mapping[str, float]
+    shared_rmse_n: Mapping[str, float]
+    p_value: float
+
+    @property
+    def one_k_n_will_do(self) -> bool:
+        """Whether the data leaves one k_n standing."""
+        return self.p_value >= 0.05
+
+
+def is_depth_table(path: Path) -> bool:
+    """Whether a file holds depths and no volumes: force–depth curves, not a press log."""
+    columns = column_names(path)
+    return "depth_mm" in columns and "volume_mm3" not in columns
+
+
+def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
+    """Read curves from columns ``force_normal_n``, ``depth_mm`` and ``curve`` (or ``trial``).
+
+    Raises
+    ------
+    PressError
+        Listing what is missing, not a number, or too short.
+    """
+    frame = read_table(path)
+    label = "curve" if "curve" in frame.columns else "trial"
+    problems = column_problems(frame, path, ("force_normal_n", "depth_mm"))
+    if problems:
+        raise PressError.from_problems(problems)
+    numbers, problems = numeric_columns(frame, path, ("force_normal_n", "depth_mm"))
+    names = frame[label].astype(str) if label in frame.columns else np.full(len(frame), "curve")
+    curves = []
+    for name in dict.fromkeys(names):
+        rows = np.flatnonzero(names == name)
+        depth, force = numbers["depth_mm"][rows], numbers["force_normal_n"][rows]
+        empty = ~(np.isfinite(depth) & np.isfinite(force))
+        if empty.any():
+            problems.append(
+                f"{path}: row {rows[np.argmax(empty)] + 2}: curve {name}: depth_mm or "
+                "force_normal_n is empty; fill it or delete the row"
+            )
+        elif (depth > 0).sum() < MIN_SAMPLES or not force.max() > 0:
+            problems.append(
+                f"{path}: row {rows[0] + 2}: curve {name} has {(depth > 0).sum()} samples in "
+                f"contact; at least {MIN_SAMPLES} with a positive force are needed"
+            )
+        curves.append(DepthCurve(str(name), depth, force))
+    if problems:
+        raise PressError.from_problems(problems)
+    return tuple(curves)
+
+
+def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = None) -> DepthReport:
+    """Find each curve's ball and k_n, and judge one k_n for all.
+
+    ``radius_mm`` is the ball's radius where it is known; only k_n and the contact point are then
+    free.
+    """
+    own = tuple(_explain(curve, radius_mm) for curve in curves)
+    shared_log_k, shared = _share_k(curves, own, radius_mm)
+    n_samples = sum(len(curve.depth_mm) for curve in curves)
+    free = 2 if radius_mm else 3
+    dof = n_samples - free * len(curves)
+    p_value = 1.0
+    if len(curves) > 1:
+        # Each curve at its own noise: a stiff curve's newtons must not drown a soft one's.
+        excess = sum(
+            (shared[c.name][1] ** 2 / fit.rmse_n**2 - 1.0) * len(c.depth_mm)
+            for c, fit in zip(curves, own, strict=True)
+        )
+        statistic = excess / (len(curves) - 1) / (n_samples / dof)
+        p_value = float(fdtrc(len(curves) - 1, dof, max(statistic, 0.0)))
+    return DepthReport(
+        own,
+        float(np.exp(shared_log_k)),
+        MappingProxyType({name: radius for name, (radius, _) in shared.items()}),
+        MappingProxyType({name: rmse for name, (_, rmse) in shared.items()}),
+        p_value,
+    )
+
+
+def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
+    radii = _radius_grid(radius_mm, 121)
+    best, parameters = np.inf, np.zeros(3)
+    for radius in radii:
+        cost, k_log, shift = _fit_at_radius(curve, float(radius))
+        if cost < best:
+            best, parameters = cost, np.array([np.log(radius), k_log, shift])
+    if radius_mm is None:
+        parameters = _polish(curve, parameters)
+        best = _squares(curve, parameters)
+    limit = best * (1.0 + 3.841 / max(len(curve.depth_mm) - 3, 1))
+    profile = [(float(np.log(r)), *_fit_at_radius(curve, float(r))) for r in radii]
+    inside = [(log_r, k) for log_r, cost, k, _ in profile if cost <= limit]
+    inside.append((float(parameters[0]), float(parameters[1])))
+    in_contact = (curve.depth_mm > 0) & (curve.force_n > 0)
+    exponent = np.polyfit(np.log(curve.depth_mm[in_contact]), np.log(curve.force_n[in_contact]), 1)[
+        0
+    ]
+    spread = ((curve.force_n - curve.force_n.mean()) ** 2).sum()
+    left = curve.force_n - _predict(curve, np.exp(parameters[0]), parameters[1], parameters[2])
+    return BallFit(
+        name=curve.name,
+        radius_mm=float(np.exp(parameters[0])),
+        radius_interval_mm=_span([r for r, _ in inside]),
+        k_n_mm3_per_n=float(np.exp(parameters[1])),
+        k_interval=_span([k for _, k in inside]),
+        contact_point_mm=float(parameters[2]),
+        r_squared=float(1.0 - best / spread),
+        rmse_n=float(np.sqrt(best / len(curve.depth_mm))),
+        exponent=float(exponent),
+        waviness=float((left[1:] * left[:-1]).mean() / max(float((left**2).mean()), 1e-300)),
+        n_samples=len(curve.depth_mm),
+    )
+
+
+def _radius_grid(radius_mm: float | None, size: int) -> Floats:
+    return np.geomspace(*RADII_MM, size) if radius_mm is None else np.array([radius_mm])
+
+
+def _span(logs: list[float]) -> tuple[float, float]:
+    return float(np.exp(min(logs))), float(np.exp(max(logs)))
+
+
+def _predict(curve: DepthCurve, radius_mm: float, k_log: float, shift_mm: float) -> Floats:
+    return ball_volume_mm3(curve.depth_mm + shift_mm, radius_mm) / np.exp(k_log)
+
+
+def _squares(curve: DepthCurve, parameters: Floats) -> float:
+    predicted = _predict(curve, np.exp(parameters[0]), parameters[1], parameters[2])
+    return float(((curve.force_n - predicted) ** 2).sum())
+
+
+def _shift_bounds(curve: DepthCurve) -> tuple[float, float]:
+    deepest = float(curve.depth_mm.max())
+    return -0.5 * deepest, 0.2 * deepest
+
+
+def _fit_at_radius(
+    curve: DepthCurve, radius_mm: float, k_log: float | None = None
+) -> tuple[float, float, float]:
+    """(sum of squares, log k, contact point) of one radius; k may be given."""
+    shifts = np.linspace(*_shift_bounds(curve), N_STARTS)
+    for _ in range(4):
+        volumes = np.stack([ball_volume_mm3(curve.depth_mm + s, radius_mm) for s in shifts])
+        if k_log is None:
+            stiffness = (volumes @ curve.force_n) / np.maximum((volumes**2).sum(axis=1), 1e-300)
+        else:
+            stiffness = np.full(len(shifts), np.exp(-k_log))
+        costs = ((curve.force_n - stiffness[:, None] * volumes) ** 2).sum(axis=1)
+        at = int(np.argmin(costs))
+        step = shifts[1] - shifts[0]
+        low, high = _shift_bounds(curve)
+        result = float(costs[at]), float(-np.log(max(stiffness[at], 1e-300))), float(shifts[at])
+        shifts = np.linspace(max(low, shifts[at] - step), min(high, shifts[at] + step), N_STARTS)
+    return result
+
+
+def _polish(curve: DepthCurve, parameters: Floats) -> Floats:
+    low, high = _shift_bounds(curve)
+    found = least_squares(
+        lambda p: _predict(curve, np.exp(p[0]), p[1], p[2]) - curve.force_n,
+        parameters,
+        bounds=(
+            [np.log(RADII_MM[0]) - 1e-9, -20.0, low - 1e-9],
+            [np.log(RADII_MM[1]) + 1e-9, 20.0, high + 1e-9],
+        ),
+        x_scale=[1.0, 1.0, 0.1 * float(curve.depth_mm.max())],
+    )
+    return np.asarray(found.x)
+
+
+def _share_k(
+    curves: tuple[DepthCurve, ...], own: tuple[BallFit, ...], radius_mm: float | None
+) -> tuple[float, dict[str, tuple[float, float]]]:
+    """The log k that explains all curves best, each at its own noise; radius and RMSE there."""
+
+    def at(k_log: float) -> tuple[float, dict[str, tuple[float, float]]]:
+        total, found = 0.0, {}
+        for curve, fit in zip(curves, own, strict=True):
+            cost, radius = _best_radius(curve, k_log, radius_mm)
+            found[curve.name] = radius, float(np.sqrt(cost / fit.n_samples))
+            total += cost / fit.rmse_n**2
+        return total, found
+
+    logs = np.log([fit.k_n_mm3_per_n for fit in own])
+    candidates = np.linspace(logs.min() - 0.2, logs.max() + 0.2, 25)
+    for _ in range(2):
+        totals = [at(float(k))[0] for k in candidates]
+        best, step = int(np.argmin(totals)), candidates[1] - candidates[0]
+        chosen = float(candidates[best])
+        candidates = np.linspace(chosen - step, chosen + step, 9)
+    return chosen, at(chosen)[1]
+
+
+def _best_radius(curve: DepthCurve, k_log: float, radius_mm: float | None) -> tuple[float, float]:
+    """(sum of squares, radius) of the ball that suits a given k best."""
+    radii = _radius_grid(radius_mm, 41)
+    for _ in range(3):
+        costs = [_fit_at_radius(curve, float(radius), k_log)[0] for radius in radii]
+        best = int(np.argmin(costs))
+        result = costs[best], float(radii[best])
+        if radius_mm is not None:
+            break
+        low, high = radii[max(best - 1, 0)], radii[min(best + 1, len(radii) - 1)]
+        radii = np.geomspace(low, high, 9)
+    return result

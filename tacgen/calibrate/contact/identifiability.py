@@ -1,0 +1,112 @@
+"""What a press log cannot tell, and which press would."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen.presses.press_log import PressLog
+
+FEW_TRIALS = 10
+SMALL_SPREAD_MM = 1.0
+HOLD_S = 1.0
+"""A hold long enough to tell creep from the speed of loading."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What cannot be told from a log, and what to press next to tell it."""
+
+    subject: str
+    cannot_tell: str
+    press_next: str
+
+    def __str__(self) -> str:
+        return f"{self.cannot_tell}; {self.press_next}"
+
+
+def limits_of(log: PressLog) -> tuple[Limit, ...]:
+    """What the schedule of this log leaves open, the most important first."""
+    checks = (_geometry, _shear, _trials, _unloading, _hold, _position)
+    return tuple(limit for check in checks if (limit := check(log)) is not None)
+
+
+def n_balls(log: PressLog) -> int:
+    """How many different indenters pressed, by size where it is known, else by name."""
+    radii = log["radius_mm"] if "radius_mm" in log else np.array([])
+    known = np.unique(np.round(radii[np.isfinite(radii)], 6)) if len(radii) else radii
+    names = np.unique(log["indenter"]) if "indenter" in log else np.array([])
+    return max(len(known), len(names), 1)
+
+
+def _geometry(log: PressLog) -> Limit | None:
+    if n_balls(log) > 1:
+        return None
+    return Limit(
+        "geometry",
+        "one ball only: whether k_n depends on the indenter's size or shape cannot be told",
+        "press a second ball of at least twice the radius",
+    )
+
+
+def _shear(log: PressLog) -> Limit | None:
+    if log.has_shear:
+        return None
+    return Limit(
+        "shear",
+        "no trial holds both shear force and marker motion: k_s cannot be told",
+        "push sideways while pressing and track the markers",
+    )
+
+
+def _trials(log: PressLog) -> Limit | None:
+    if len(log.trials) >= FEW_TRIALS:
+        return None
+    return Limit(
+        "trials",
+        f"{len(log.trials)} presses only: the interval rests on few repeats and is wide",
+        f"press at least {FEW_TRIALS} times, and repeat a press now and then",
+    )
+
+
+def _unloading(log: PressLog) -> Limit | None:
+    for force in _forces(log):
+        if len(force) > 2 and force[np.argmax(force) :].min() < 0.5 * force.max():
+            return None
+    return Limit(
+        "unloading",
+        "no press is unloaded: hysteresis cannot be told from stiffening",
+        "log the way back as well",
+    )
+
+
+def _hold(log: PressLog) -> Limit | None:
+    for trial in log.trials:
+        rows = log["trial"] == trial
+        force, time_s = log["force_normal_n"][rows], log["time_s"][rows]
+        held = force > 0.9 * force.max()
+        if held.any() and np.ptp(time_s[held]) >= HOLD_S:
+            return None
+    return Limit(
+        "hold",
+        f"no press is held for {HOLD_S:g} s near its peak: creep cannot be told",
+        "hold some presses for several seconds",
+    )
+
+
+def _position(log: PressLog) -> Limit | None:
+    known = [log[name] for name in ("x_mm", "y_mm") if name in log]
+    spreads = [np.nanmax(mm) - np.nanmin(mm) for mm in known if np.isfinite(mm).any()]
+    if spreads and max(spreads) >= SMALL_SPREAD_MM:
+        return None
+    return Limit(
+        "position",
+        "positions on the gel are not known or all alike: whether k_n depends on them cannot "
+        "be told",
+        "press on a grid over the gel and log x_mm and y_mm",
+    )
+
+
+def _forces(log: PressLog) -> list[np.ndarray]:
+    return [log["force_normal_n"][log["trial"] == trial] for trial in log.trials]

@@ -1,0 +1,164 @@
+"""The friction sweep: simulate the real grasps at every μ and keep the μ that matches best."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from tacgen.calibrate.friction.fit import FrictionFit, fit_friction
+from tacgen.collection.perturbed import (
+    Alteration,
+    Outcome,
+    check_forces,
+    place_of,
+    simulate_altered,
+    words_about_unexecuted,
+)
+from tacgen.collection.recipe import Recipe
+from tacgen.core.errors import RecipeError
+from tacgen.core.files import write_text
+from tacgen.core.resources import find_object_folder
+from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
+
+Key = tuple[str, float]
+"""(grasp_id, μ)."""
+
+
+def sweep_friction(
+    recipe: Recipe,
+    real: RealGrasps,
+    mu_values: Sequence[float],
+    out: Path,
+    *,
+    workers: int,
+    show: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[dict[str, FrictionFit], dict[Key, Outcome]]:
+    """Fit every object's friction to its real grasps; finished simulations in ``out`` are kept.
+
+    Returns
+    -------
+    The fit of every object by name, and every simulated outcome.
+
+    Raises
+    ------
+    DatasetError
+        If a real grasp asks for a force that the recipe's gripper cannot give.
+    """
+    check_forces(recipe, real)
+    outcomes = simulate_outcomes(recipe, real.grasps, mu_values, out, workers=workers, show=show)
+    fits: dict[str, FrictionFit] = {}
+    for number, (name, grasps) in enumerate(real.by_object().items()):
+        labels = label_matrix(outcomes, grasps, mu_values)
+        truth = np.array([grasp.label for grasp in grasps])
+        rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(number,)))
+        fits[name] = fit_friction(np.asarray(mu_values), labels, truth, rng)
+    write_text(out / "friction.json", json.dumps(friction_json(fits), indent=2) + "\n")
+    return fits, outcomes
+
+
+def doubts_about(
+    real: RealGrasps, outcomes: Mapping[Key, Outcome], mu_values: Sequence[float]
+) -> list[str]:
+    """What is doubtful about the data, grasps that cannot be simulated among it."""
+    # Where a grasp is executed at one μ it is at all: the best of its labels stands for it.
+    best = [
+        max((outcomes[grasp.grasp_id, mu] for mu in mu_values), key=lambda one: one.label)
+        for grasp in real.grasps
+    ]
+    unexecuted = words_about_unexecuted(real.grasps, best, "count as mislabels at every μ")
+    return [*real.warnings, *unexecuted]
+
+
+def mu_range(text: str) -> tuple[float, ...]:
+    """The values of μ that ``start:stop:step`` means, the end included.
+
+    Raises
+    ------
+    RecipeError
+        If the text is not of that form, or a value lies outside [0, 2].
+    """
+    try:
+        start, stop, step = (float(part) for part in text.split(":"))
+    except ValueError:
+        start, stop, step = 0.0, -1.0, 1.0
+    if not (0 <= start <= stop <= 2 and step > 0 and (stop - start) / step <= 1000):
+        msg = f"--mu {text}: give start:stop:step within 0 to 2, such as 0:1:0.05"
+        raise RecipeError(msg)
+    count = int(np.floor((stop - start) / step + 1e-9)) + 1
+    return tuple(round(start + k * step, 9) for k in range(count))
+
+
+def write_object_copies(fits: Mapping[str, FrictionFit], folder: Path) -> None:
+    """Copy each object's folder into ``folder`` with its friction replaced by the fitted one."""
+    for name, fit in fits.items():
+        target = folder / name
+        shutil.copytree(find_object_folder(name), target, dirs_exist_ok=True)
+        path = target / "object.yaml"
+        low, high = fit.interval
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content["friction"] = {
+            "value": round(fit.mu, 6),
+            "source": f"tacgen friction, {fit.n_grasps} real grasps, 95 % {low:.3g} to {high:.3g}",
+        }
+        write_text(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+
+def label_matrix(
+    outcomes: Mapping[Key, Outcome], grasps: Sequence[RealGrasp], mu_values: Sequence[float]
+) -> NDArray[np.int64]:
+    """Simulated labels (M, N) of the grasps at every μ."""
+    return np.array(
+        [[outcomes[(grasp.grasp_id, mu)].label for grasp in grasps] for mu in mu_values]
+    )
+
+
+def friction_json(fits: Mapping[str, FrictionFit]) -> dict[str, object]:
+    """The content of ``friction.json``."""
+    return {
+        name: {
+            "mu": round(fit.mu, 6),
+            "interval": [round(end, 6) for end in fit.interval],
+            "mislabels": [
+                [round(float(mu), 6), int(n)]
+                for mu, n in zip(fit.mu_values, fit.mislabels, strict=True)
+            ],
+            "n_grasps": fit.n_grasps,
+            "bounded": fit.bounded,
+        }
+        for name, fit in fits.items()
+    }
+
+
+def simulate_outcomes(
+    recipe: Recipe,
+    grasps: Sequence[RealGrasp],
+    mu_values: Sequence[float],
+    out: Path,
+    *,
+    workers: int,
+    show: Callable[[int, int], None],
+) -> dict[Key, Outcome]:
+    """The outcome of every grasp at every μ, by (grasp_id, μ).
+
+    What has been simulated is kept in ``out/outcomes.jsonl``; a sweep that was interrupted goes
+    on from there.
+    """
+    worlds = {mu: Alteration(friction=mu) for mu in mu_values}
+    found = simulate_altered(
+        recipe,
+        [(grasp.config, world) for grasp in grasps for world in worlds.values()],
+        out,
+        workers=workers,
+        show=show,
+    )
+    return {
+        (grasp.grasp_id, mu): found[place_of(grasp.config), world]
+        for grasp in grasps
+        for mu, world in worlds.items()
+    }

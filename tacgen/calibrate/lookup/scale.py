@@ -1,0 +1,336 @@
+"""What the presses say about mm/px and about the balls: rulers, a bound, and ratios of radii.
+
+A ball's slope is r/R on its sine, so a picture of a ball tells its radius in pixels only up to a
+factor: with every length 10 % larger the same slopes would just be called by other names, and the
+table would absorb it. That stays so with several balls; what two balls do tell is the ratio of
+their radii, because equal slopes look equal. The scale itself needs a ruler: places of the presses
+that a stage has logged, or printed dots of known pitch. Without one there is a bound: no contact is
+wider than its ball.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tacgen.calibrate.lookup.background import (
+    BackgroundRecipe,
+    bare_gel_change,
+    make_background,
+)
+from tacgen.calibrate.lookup.model_choice import fold_of, left_out_squares, press_sums
+from tacgen.calibrate.lookup.press_fit import (
+    FitSettings,
+    JointFit,
+    fit_jointly,
+    gather,
+    sample_design,
+)
+from tacgen.presses.dots import dot_centers
+from tacgen.presses.press_images import PressImages
+
+FloatArray = NDArray[np.floating]
+
+MIN_RULER_PRESSES = 4
+CLEAR_SIGMAS = 3.0
+CLEAR_SHARE = 0.02
+"""A disagreement is said where it is this many standard errors and this share."""
+
+UNEVEN_LIGHT = 0.005
+"""Light that changes across the picture moves the centres that are found in it, by up to this
+share of their distances."""
+
+RIM_EXCESS = 1.05
+"""The rim that is seen in a picture lies outside the contact by up to this factor."""
+
+RADIUS_FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1)
+RATIO_SETTINGS = FitSettings(degree=5, ridge=1e-3)
+RATIO_PIXELS = 300
+BACKGROUND = BackgroundRecipe(smooth=0.05, drift=True)
+BOOTSTRAPS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Ruler:
+    """An estimate of mm/px and what it rests on."""
+
+    name: str
+    mm_per_px: float
+    stderr: float
+    n: int
+
+
+@dataclass(frozen=True, slots=True)
+class BallRatio:
+    """By what factor a ball looks larger than its stated radius, the reference ball being right."""
+
+    radius_mm: float
+    reference_mm: float
+    factor: float
+    stderr: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleEvidence:
+    """All that is known of the scale; ``warnings`` are disagreements, ``notes`` what is open."""
+
+    stated_mm_per_px: float
+    rulers: tuple[Ruler, ...]
+    largest_mm_per_px: float
+    ratios: tuple[BallRatio, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def estimate(self) -> Ruler | None:
+        """The rulers together, weighted by their errors; None without one."""
+        if not self.rulers:
+            return None
+        weight = np.array([1.0 / ruler.stderr**2 for ruler in self.rulers])
+        value = np.array([ruler.mm_per_px for ruler in self.rulers])
+        mean = float((weight * value).sum() / weight.sum())
+        names = " and ".join(ruler.name for ruler in self.rulers)
+        return Ruler(names, mean, float(weight.sum() ** -0.5), sum(r.n for r in self.rulers))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, for a table's provenance and for ``--json``."""
+        together = self.estimate
+        return {
+            "stated_mm_per_px": self.stated_mm_per_px,
+            "estimate_mm_per_px": together.mm_per_px if together else None,
+            "stderr_mm_per_px": together.stderr if together else None,
+            "rulers": [
+                {"name": r.name, "mm_per_px": r.mm_per_px, "stderr": r.stderr, "n": r.n}
+                for r in self.rulers
+            ],
+            "largest_mm_per_px": self.largest_mm_per_px,
+            "ball_ratios": [
+                {"radius_mm": r.radius_mm, "reference_mm": r.reference_mm, "factor": r.factor,
+                 "stderr": r.stderr}
+                for r in self.ratios
+            ],
+        }  # fmt: skip
+
+
+def scale_evidence(presses: PressImages, fit: JointFit, changes: FloatArray) -> ScaleEvidence:
+    """What placed presses say about mm/px and the balls' radii.
+
+    ``changes`` is what ``bare_changes`` gives of them.
+    """
+    candidates = (by_stage(presses, fit), by_dots(presses))
+    rulers = tuple(ruler for ruler in candidates if ruler is not None)
+    largest = largest_scale(presses)
+    ratios = ball_ratios(presses, fit, changes)
+    found = ScaleEvidence(presses.mm_per_px, rulers, largest, ratios, (), ())
+    return replace(
+        found, warnings=tuple(_warnings(presses, found)), notes=tuple(_notes(presses, found))
+    )
+
+
+def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
+    """mm/px from where a stage says the presses were, against where they are in the pictures.
+
+    The axes may be turned or mirrored against the picture's: only distances count.
+    """
+    if presses.stage_mm is None:
+        return None
+    known = np.isfinite(presses.stage_mm).all(axis=1)
+    if known.sum() < MIN_RULER_PRESSES:
+        return None
+    stage = presses.stage_mm[known] @ np.array([1.0, 1.0j])
+    place = fit.geometry[known, :2] @ np.array([1.0, 1.0j]) / presses.mm_per_px
+    stage, place = stage - stage.mean(), place - place.mean()
+    power = float((np.abs(stage) ** 2).sum())
+    if power <= 0:
+        return None
+    best: tuple[float, float] | None = None
+    for turned in (stage, stage.conj()):
+        px_per_mm = (turned.conj() @ place) / power
+        left = float((np.abs(place - px_per_mm * turned) ** 2).sum())
+        if best is None or left < best[0]:
+            best = (left, abs(px_per_mm))
+    if best is None or best[1] <= 0:
+        return None
+    scatter = np.sqrt(best[0] / (2 * len(place) - 4) / power) / best[1]
+    middle, either = _of_contact_or_ball(presses)
+    value = middle / best[1]
+    error = value * float(np.sqrt(scatter**2 + UNEVEN_LIGHT**2 + either**2))
+    return Ruler("the stage's places", value, error, len(place))
+
+
+def _of_contact_or_ball(presses: PressImages) -> tuple[float, float]:
+    """Factor from a stage's distances to those of the contacts, and how far it is open.
+
+    On a flat gel 1. On a dome a ball touches beside its own centre, nearer to the dome's middle by
+    the share R/(R + dome); whether the stage's places are the ball's or the contact's is not known.
+    """
+    if presses.dome_radius_mm <= 0:
+        return 1.0, 0.0
+    ball = float(presses.ball_radius_mm.mean())
+    nearer = presses.dome_radius_mm / (presses.dome_radius_mm + ball)
+    return (1 + nearer) / 2, (1 - nearer) / 2
+
+
+def by_dots(presses: PressImages) -> Ruler | None:
+    """mm/px from the spacing of printed dots of known pitch."""
+    if presses.dots is None or not presses.dot_pitch_mm > 0:
+        return None
+    places = dot_centers(presses.background)
+    nearest = cKDTree(places).query(places, k=2)[0][:, 1]
+    spacing = float(np.median(nearest))
+    usual = nearest[np.abs(nearest - spacing) < 0.2 * spacing]
+    error = 1.25 * usual.std() / np.sqrt(len(usual)) + 0.002 * spacing
+    scale = presses.dot_pitch_mm / spacing
+    return Ruler("the printed dots", scale, float(scale * error / spacing), len(usual))
+
+
+def largest_scale(presses: PressImages) -> float:
+    """The largest mm/px at which every contact is no wider than its ball."""
+    if presses.seen_px is None or not np.isfinite(presses.seen_px[:, 2]).any():
+        return float("inf")
+    bounds = presses.ball_radius_mm * RIM_EXCESS / presses.seen_px[:, 2]
+    # The widest tenth, so that one misread circle does not set the bound.
+    return float(np.nanquantile(bounds, 0.1))
+
+
+def ball_ratios(presses: PressImages, fit: JointFit, changes: FloatArray) -> tuple[BallRatio, ...]:
+    """How large each ball looks against the ball that pressed most often."""
+    radii, counts = np.unique(presses.ball_radius_mm, return_counts=True)
+    reference = radii[np.argmax(counts)]
+    return tuple(
+        _ratio(presses, fit, changes, float(radius), float(reference))
+        for radius, count in zip(radii, counts, strict=True)
+        if radius != reference and count >= 3
+    )
+
+
+def _ratio(
+    presses: PressImages, fit: JointFit, changes: FloatArray, radius: float, reference: float
+) -> BallRatio:
+    """Profile of the left-out error over the ball's radius; scatter by bootstrap over presses."""
+    which = presses.ball_radius_mm == radius
+    squares = np.array(
+        [
+            _squares(
+                replace(
+                    presses,
+                    ball_radius_mm=np.where(which, factor * radius, presses.ball_radius_mm),
+                ),
+                fit,
+                changes,
+            )
+            for factor in RADIUS_FACTORS
+        ]
+    )
+    rng = np.random.default_rng(len(presses))
+    draws = [rng.integers(0, len(presses), len(presses)) for _ in range(BOOTSTRAPS)]
+    factors = [_lowest(squares[:, draw].sum(axis=1)) for draw in draws]
+    return BallRatio(radius, reference, _lowest(squares.sum(axis=1)), float(np.std(factors)))
+
+
+def _squares(presses: PressImages, fit: JointFit, changes: FloatArray) -> FloatArray:
+    """Squared error (N,) of each press by a model of the others, all placed anew."""
+    change = bare_gel_change(presses, changes)
+    background = make_background(presses.background, change, BACKGROUND, presses.dots)
+    placed = fit_jointly(
+        presses, background, RATIO_SETTINGS, start=fit, iterations=3, changes=changes
+    )
+    sums = [
+        press_sums(
+            sample,
+            sample_design(sample, place, placed.press_model, RATIO_SETTINGS.degree),
+            sample.change,
+        )
+        for sample, place in zip(
+            gather(presses, background, RATIO_SETTINGS, limit=RATIO_PIXELS),
+            placed.geometry,
+            strict=True,
+        )
+    ]
+    folds = fold_of(len(presses))
+    return left_out_squares(sums, folds, RATIO_SETTINGS.ridge, RATIO_SETTINGS.degree)[:, 0]
+
+
+def _lowest(squares: FloatArray) -> float:
+    """Where a parabola through the profile is lowest, within the factors that were tried."""
+    factors = np.array(RADIUS_FACTORS)
+    middle = int(np.clip(np.argmin(squares), 1, len(factors) - 2))
+    near = slice(middle - 1, middle + 2)
+    bend, slope, _ = np.polyfit(factors[near] - factors[middle], squares[near], 2)
+    if bend <= 0:
+        return float(factors[np.argmin(squares)])
+    step = np.clip(-slope / (2 * bend), -0.05, 0.05)
+    return float(factors[middle] + step)
+
+
+def _warnings(presses: PressImages, found: ScaleEvidence) -> list[str]:
+    stated = found.stated_mm_per_px
+    said = []
+    for ruler in found.rulers:
+        apart = ruler.mm_per_px / stated - 1
+        if abs(apart) > max(CLEAR_SHARE, CLEAR_SIGMAS * ruler.stderr / stated):
+            said.append(
+                f"the stated mm_per_px is {stated:.4f}, but {ruler.name} say {ruler.mm_per_px:.4f} "
+                f"± {ruler.stderr:.4f} ({apart:+.0%}): check both; --mm-per-px "
+                f"{ruler.mm_per_px:.4f} sets the scale"
+            )
+    if stated > found.largest_mm_per_px:
+        said.append(
+            f"at {stated:.4f} mm/px contacts are wider than their ball; that cannot be above "
+            f"{found.largest_mm_per_px:.4f} mm/px: mm_per_px is too large or the ball's radius_mm "
+            "too small"
+        )
+    labelled = presses.radius_px[~presses.found] if len(presses.found) else presses.radius_px
+    balls = presses.ball_radius_mm[~presses.found] if len(presses.found) else presses.ball_radius_mm
+    beyond = int((labelled * stated > balls).sum())
+    if beyond:
+        said.append(
+            f"{beyond} of {len(labelled)} labelled contact radii exceed the ball's own radius: the "
+            "labels follow the gel's dark rim, or mm_per_px or radius_mm is off; the radii were "
+            "estimated instead"
+        )
+    for ratio in found.ratios:
+        apart = ratio.factor - 1
+        if abs(apart) > max(CLEAR_SHARE, CLEAR_SIGMAS * ratio.stderr):
+            said.append(
+                f"the ball of {ratio.radius_mm:g} mm looks like one of "
+                f"{ratio.factor * ratio.radius_mm:.2f} ± {ratio.stderr * ratio.radius_mm:.2f} mm "
+                f"if the one of {ratio.reference_mm:g} mm is right: measure both"
+            )
+    return said
+
+
+def _notes(presses: PressImages, found: ScaleEvidence) -> list[str]:
+    said = []
+    if not found.rulers:
+        said.append(
+            "nothing in these presses measures the scale, so the stated mm_per_px is taken; it "
+            f"cannot be above {found.largest_mm_per_px:.4f}, where contacts would be wider than "
+            "their ball. A stage's x_mm and y_mm in presses.csv, or printed dots with "
+            "markers.pitch_mm in sensor.yaml, would measure it"
+        )
+    if len(set(presses.ball_radius_mm.tolist())) == 1:
+        said.append(
+            "one ball only: whether its radius is off cannot be told; a second ball of another "
+            "size would show it by the ratio of the two"
+        )
+    return said
+
+
+def evidence_lines(found: ScaleEvidence) -> Sequence[str]:
+    """The estimates in words."""
+    lines = [f"Stated: {found.stated_mm_per_px:.4f} mm/px."]
+    lines += [
+        f"By {r.name} ({r.n}): {r.mm_per_px:.4f} ± {r.stderr:.4f} mm/px." for r in found.rulers
+    ]
+    lines += [
+        f"The ball of {r.radius_mm:g} mm looks {r.factor:.3f} ± {r.stderr:.3f} times its stated "
+        f"radius against the ball of {r.reference_mm:g} mm."
+        for r in found.ratios
+    ]
+    return [*lines, *found.warnings, *found.notes]

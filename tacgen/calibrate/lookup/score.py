@@ -1,0 +1,240 @@
+"""How far a table's pictures are from real presses, in grey levels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.calibrate.lookup.press_fit import (
+    CENTER_PRIOR_RADII,
+    CORRELATED_PIXELS,
+    NOISE_GREY,
+    RADIUS_PRIOR_RADII,
+)
+from tacgen.calibrate.lookup.press_model import PressModel, label_mm, plain_press_model
+from tacgen.calibrate.lookup.samples import Pixels, disc_pixels, place_mm
+from tacgen.core.errors import PressError
+from tacgen.optics.render import Shader
+from tacgen.optics.table import LookupTable
+from tacgen.presses.geometry import MAX_RADIUS_SHARE
+from tacgen.presses.press_images import PressImages
+
+FloatArray = NDArray[np.floating]
+
+_MARGIN_PX = 3
+_STEPS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class PressScore:
+    """One press: squared errors summed over its pixels, RGB, and the geometry that was found."""
+
+    name: str
+    n_pixels: int
+    squared_labels: FloatArray
+    squared_refined: FloatArray
+    expected_mm: FloatArray
+    refined_mm: FloatArray
+
+    @property
+    def rmse_refined(self) -> float:
+        """Over the channels, grey levels."""
+        return float(np.sqrt(self.squared_refined.sum() / (3 * self.n_pixels)))
+
+    @property
+    def rmse_labels(self) -> float:
+        """Over the channels, grey levels."""
+        return float(np.sqrt(self.squared_labels.sum() / (3 * self.n_pixels)))
+
+
+@dataclass(frozen=True, slots=True)
+class TableScore:
+    """Errors of a table over a set of presses."""
+
+    presses: tuple[PressScore, ...]
+
+    @property
+    def n_pixels(self) -> int:
+        """Pixels inside the contact circles."""
+        return sum(press.n_pixels for press in self.presses)
+
+    def rmse(self, which: str) -> tuple[float, list[float]]:
+        """Over all and per channel (RGB); ``which`` is ``labels`` or ``refined``."""
+        squares = np.sum([getattr(press, f"squared_{which}") for press in self.presses], axis=0)
+        mean = squares / self.n_pixels
+        return float(np.sqrt(mean.mean())), [float(value) for value in np.sqrt(mean)]
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``tacgen calibrate score --json`` prints."""
+        labels, labels_rgb = self.rmse("labels")
+        refined, refined_rgb = self.rmse("refined")
+        return {
+            "rmse_labels": labels,
+            "rmse_labels_rgb": labels_rgb,
+            "rmse_refined": refined,
+            "rmse_refined_rgb": refined_rgb,
+            "n_images": len(self.presses),
+            "n_pixels": self.n_pixels,
+            "unit": "grey",
+            "images": [
+                {
+                    "name": press.name,
+                    "rmse_labels": press.rmse_labels,
+                    "rmse_refined": press.rmse_refined,
+                    "n_pixels": press.n_pixels,
+                }
+                for press in self.presses
+            ],
+        }
+
+
+class PressRenderer:
+    """Renders ball presses with a table, the way the simulation does: height map → picture."""
+
+    def __init__(self, table: LookupTable, press_model: PressModel) -> None:
+        self._shader = Shader(table)
+        self._model = press_model
+        self._shape = table.shape_px
+        self._mm_per_px = table.mm_per_px
+        height, width = self._shape
+        self._height_mm = np.zeros((height, width), dtype=np.float32)
+        self._image = np.zeros((height, width, 3), dtype=np.float32)
+
+    def grey(self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels) -> FloatArray:
+        """Grey levels (n, 3) at ``pixels`` of a ball at ``geometry`` (centre and radius, mm)."""
+        window = self._window(pixels)
+        self._render(geometry, ball_radius_mm, window)
+        return np.clip(self._image[pixels.rows, pixels.columns].astype(np.float64), 0.0, 255.0)
+
+    def picture(self, geometry: FloatArray, ball_radius_mm: float) -> NDArray[np.uint8]:
+        """The whole picture (H, W, 3), RGB."""
+        self._render(geometry, ball_radius_mm, (0, self._shape[0], 0, self._shape[1]))
+        return np.rint(np.clip(self._image, 0, 255)).astype(np.uint8)
+
+    def _window(self, pixels: Pixels) -> tuple[int, int, int, int]:
+        height, width = self._shape
+        return (
+            max(0, int(pixels.rows.min()) - _MARGIN_PX),
+            min(height, int(pixels.rows.max()) + _MARGIN_PX + 1),
+            max(0, int(pixels.columns.min()) - _MARGIN_PX),
+            min(width, int(pixels.columns.max()) + _MARGIN_PX + 1),
+        )
+
+    def _render(
+        self, geometry: FloatArray, ball_radius_mm: float, window: tuple[int, int, int, int]
+    ) -> None:
+        top, bottom, left, right = window
+        rows, columns = np.mgrid[top:bottom, left:right]
+        x_mm, y_mm = place_mm(columns, rows, self._shape, self._mm_per_px)
+        self._height_mm[top:bottom, left:right] = self._model.height(
+            geometry, ball_radius_mm, x_mm, y_mm
+        )
+        self._shader.light(self._height_mm, window, self._image)
+        self._shader.finish(self._height_mm, window, self._image)
+
+
+def score_table(table: LookupTable, presses: PressImages) -> TableScore:
+    """Score a table on presses; every press must have a circle, labelled or found.
+
+    Raises
+    ------
+    PressError
+        If the presses are not of the table's resolution.
+    """
+    if table.shape_px != presses.shape_px:
+        msg = (
+            f"the table renders {table.shape_px} pixels (rows, columns), the presses are "
+            f"{presses.shape_px}: score with presses of the table's own resolution"
+        )
+        raise PressError(msg)
+    press_model = press_model_of(table, presses)
+    renderer = PressRenderer(table, press_model)
+    labels = label_mm(presses)
+    return TableScore(
+        tuple(
+            _score_press(presses, k, labels[k], press_model, renderer) for k in range(len(presses))
+        )
+    )
+
+
+def press_model_of(table: LookupTable, presses: PressImages) -> PressModel:
+    """How to turn a label into a press for ``table``: learnt with it, or labels at their word."""
+    learnt = table.provenance.get("press_model")
+    if learnt:
+        return PressModel.from_dict(learnt)
+    radius_mm = float(np.median(presses.radius_px) * presses.mm_per_px)
+    return plain_press_model(radius_mm, presses.dome_radius_mm)
+
+
+def _score_press(
+    presses: PressImages,
+    k: int,
+    label: FloatArray,
+    press_model: PressModel,
+    renderer: PressRenderer,
+) -> PressScore:
+    ball = float(presses.ball_radius_mm[k])
+    pixels = disc_pixels(
+        presses.images[k],
+        presses.center_px[k],
+        float(presses.radius_px[k]),
+        presses.mm_per_px,
+        hidden=presses.hidden_in(k),
+    )
+    expected = press_model.labels.geometry(label)
+    expected[2] = min(expected[2], 0.95 * ball)
+    error = pixels.grey - renderer.grey(expected, ball, pixels)
+    squared, places = np.zeros(3), []
+    for odd in (False, True):
+        estimating = pixels.select(pixels.odd_block == odd)
+        scoring = pixels.select(pixels.odd_block != odd)
+        place = expected
+        if len(estimating) and len(scoring):
+            place = refine_on_table(estimating, renderer, expected, label[2], ball)
+        if len(scoring):
+            squared += ((scoring.grey - renderer.grey(place, ball, scoring)) ** 2).sum(axis=0)
+        places.append(place)
+    return PressScore(
+        name=presses.names[k],
+        n_pixels=len(pixels),
+        squared_labels=(error**2).sum(axis=0),
+        squared_refined=squared,
+        expected_mm=expected,
+        refined_mm=np.mean(places, axis=0),
+    )
+
+
+def refine_on_table(
+    pixels: Pixels,
+    renderer: PressRenderer,
+    expected: FloatArray,
+    label_radius_mm: float,
+    ball_radius_mm: float,
+) -> FloatArray:
+    """Centre and contact radius (3,), mm, that make the table's picture most like the press."""
+    scatter = np.array([CENTER_PRIOR_RADII, CENTER_PRIOR_RADII, RADIUS_PRIOR_RADII])
+    prior = 1.0 / (scatter * label_radius_mm) ** 2
+    precision = 1.0 / (NOISE_GREY**2 * CORRELATED_PIXELS)
+    nudge = 0.01 * label_radius_mm
+    place = np.array(expected, dtype=np.float64)
+    for _ in range(_STEPS):
+        value = renderer.grey(place, ball_radius_mm, pixels)
+        columns = []
+        for axis in range(3):
+            moved = place.copy()
+            moved[axis] += nudge
+            columns.append(((renderer.grey(moved, ball_radius_mm, pixels) - value) / nudge).ravel())
+        jacobian = np.stack(columns, axis=-1)
+        residual = (pixels.grey - value).ravel()
+        step = np.linalg.solve(
+            precision * jacobian.T @ jacobian + np.diag(prior),
+            precision * jacobian.T @ residual - prior * (place - expected),
+        )
+        place += np.clip(step, -0.06 * label_radius_mm, 0.06 * label_radius_mm)
+        place[2] = np.clip(place[2], 0.1 * label_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
+        if np.abs(step).max() < 2e-3 * label_radius_mm:
+            break
+    return place

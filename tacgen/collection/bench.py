@@ -1,0 +1,173 @@
+"""How fast this machine makes frames and grasps, and how long a recipe would take on it.
+
+Every figure is the median of repeats on one thread, of wall time by ``perf_counter``. A frame is
+timed from the posed mesh to the RGB array: gap map, indentation, deformation, colour. A grasp is
+timed from its configuration to the images, all phases simulated up to the label, without the
+scene picture and without writing.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.collection.grid import PlannedGrasp, plan_recipe
+from tacgen.collection.pipeline import GraspPipeline
+from tacgen.collection.recipe import Recipe
+from tacgen.contact import gap_map, solve_indentation
+from tacgen.core.records import GraspObject
+from tacgen.objects import load_object
+from tacgen.optics import load_table
+from tacgen.sensor.description import load_sensor
+from tacgen.sensor.tactile_pad import Pad
+
+FRAME_OBJECT = "tomato_soup_can"
+FRAME_VOLUME_MM3 = 40.0
+"""About what 8 N press into the default gel."""
+GRASP = {"force_n": 10.0, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0}
+SEQUENCE_FRAMES = 24
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured figure: its median, its unit, and what was timed."""
+
+    name: str
+    value: float
+    unit: str
+    what: str
+
+
+def run_benchmarks(*, repeats: int = 30) -> list[Figure]:
+    """Measure everything; takes about half a minute."""
+    return [*_frame_figures(repeats), *_grasp_figures(max(5, repeats // 3))]
+
+
+def estimate_s(recipe: Recipe, *, sample: int = 6, workers: int = 1) -> dict[str, float]:
+    """How long ``recipe`` would take here, from a few of its own grasps.
+
+    Returns
+    -------
+    dict
+        ``grasps``, ``grasp_s`` (median of the sample, after a warm-up) and ``total_s``.
+    """
+    planned = plan_recipe(recipe)
+    chosen = [planned[i] for i in np.linspace(0, len(planned) - 1, sample).astype(int)]
+    with GraspPipeline(recipe) as pipeline:
+        pipeline.sample(chosen[0])
+        grasp_s = statistics.median(_timed_s(partial(pipeline.sample, one)) for one in chosen)
+    return {
+        "grasps": len(planned),
+        "grasp_s": grasp_s,
+        "total_s": grasp_s * len(planned) / workers,
+    }
+
+
+def _frame_figures(repeats: int) -> list[Figure]:
+    grasped = load_object(FRAME_OBJECT)
+    triangles = len(grasped.surface.faces)
+    figures = []
+    for name, sensor_name, shadows in (
+        ("frame_ms_640x480", "gelsight", False),
+        ("frame_shadow_ms_640x480", "gelsight", True),
+        ("frame_ms_320x240", "gelsight_mini", False),
+    ):
+        sensor = load_sensor(sensor_name)
+        pad = Pad(sensor, load_table(sensor.table), shadows=shadows)
+        pose = _side_pose(grasped)
+
+        def frame(pad: Pad = pad, pose: NDArray[np.float64] = pose) -> None:
+            pad.feel(grasped.surface, pose, volume_mm3=FRAME_VOLUME_MM3)
+
+        what = f"{sensor_name}, {triangles} triangles{', shadows' if shadows else ''}"
+        figures.append(Figure(name, 1e3 * _median_s(frame, repeats), "ms", what))
+    sensor = load_sensor("gelsight")
+    surface, pose = grasped.surface, _side_pose(grasped)
+    gap = gap_map(surface.vertices_mm, surface.faces, pose, sensor)
+    gap_s = _median_s(lambda: gap_map(surface.vertices_mm, surface.faces, pose, sensor), repeats)
+    solve_s = _median_s(
+        lambda: solve_indentation(gap, FRAME_VOLUME_MM3, sensor.pixel_area_mm2), repeats
+    )
+    figures.append(Figure("gap_map_ms", 1e3 * gap_s, "ms", "whole 640×480 map, by itself"))
+    figures.append(Figure("solve_ms", 1e3 * solve_s, "ms", "V → δ on the whole map, by itself"))
+    return figures
+
+
+def _side_pose(grasped: GraspObject) -> NDArray[np.float64]:
+    """The object lying against the gel with its +x side, its middle over the pad's centre."""
+    pose = np.array(
+        [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    )
+    pose[1, 3] = float(np.mean(grasped.surface.vertices_mm[:, 2]))
+    return pose
+
+
+def _grasp_figures(repeats: int) -> list[Figure]:
+    figures = []
+    share = 0.0
+    for name, frames in (
+        ("grasp_s_single", {"mode": "single"}),
+        ("grasp_s_sequence", {"mode": "sequence", "count": SEQUENCE_FRAMES}),
+    ):
+        recipe = Recipe.model_validate(
+            {
+                "name": "bench",
+                "objects": [FRAME_OBJECT],
+                "grid": GRASP,
+                "frames": frames,
+                "dataset": {"scene_pictures": False},
+            }
+        )
+        planned = plan_recipe(recipe)[0]
+        with GraspPipeline(recipe) as pipeline:
+            seconds = _median_s(partial(pipeline.sample, planned), repeats)
+            if frames["mode"] == "single":
+                share = _physics_share(pipeline, planned, repeats)
+        what = "1 image" if frames["mode"] == "single" else f"{SEQUENCE_FRAMES} images"
+        figures.append(Figure(name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"))
+    figures.append(
+        Figure("physics_share", share, "1", "time inside stepSimulation / time of a single image")
+    )
+    return figures
+
+
+def _physics_share(pipeline: GraspPipeline, planned: PlannedGrasp, repeats: int) -> float:
+    """Wall time inside ``stepSimulation`` as a share of the whole grasp."""
+    bullet: Any = pipeline.simulator.world.bullet
+    step = bullet.stepSimulation
+    inside = [0.0]
+
+    def timed_step(client: int) -> None:
+        start = time.perf_counter()
+        step(client)
+        inside[0] += time.perf_counter() - start
+
+    shares = []
+    bullet.stepSimulation = timed_step
+    try:
+        for _ in range(repeats):
+            inside[0] = 0.0
+            whole_s = _timed_s(lambda: pipeline.sample(planned))
+            shares.append(inside[0] / whole_s)
+    finally:
+        bullet.stepSimulation = step
+    return statistics.median(shares)
+
+
+def _median_s(action: Callable[[], object], repeats: int) -> float:
+    for _ in range(2):
+        action()
+    return statistics.median(_timed_s(action) for _ in range(repeats))
+
+
+def _timed_s(action: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    action()
+    return time.perf_counter() - start

@@ -1,0 +1,147 @@
+"""The list of grasps a recipe asks for, its train and test sides, and its division into shards."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
+from tacgen.core.errors import RecipeError
+from tacgen.core.records import GraspConfig
+from tacgen.core.resources import find_object_folder
+from tacgen.objects.description import read_description
+
+AXES = ("force_n", "x_mm", "y_mm", "z_mm")
+MAX_GRASPS = 10_000_000
+
+# Streams of a recipe's random numbers; an object's own number follows, so that adding an object
+# changes nothing for those before it.
+_STREAM_SAMPLE, _STREAM_SPLIT, _STREAM_GRASP = range(3)
+
+RangesOf = Callable[[str], Mapping[str, tuple[float, ...]]]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedGrasp:
+    """A grasp of the plan: its configuration, the side of the split, its shard and its seed.
+
+    ``entry`` is the position of its object in the recipe.
+    """
+
+    config: GraspConfig
+    entry: int
+    split: str
+    shard: int
+    seed: int
+
+
+def plan_grasps(recipe: Recipe, ranges_of: RangesOf) -> tuple[PlannedGrasp, ...]:
+    """Every grasp of ``recipe``, in order.
+
+    ``ranges_of`` gives the grasp ranges of an object by name, for axes that the recipe leaves out.
+
+    Raises
+    ------
+    RecipeError
+        If an axis is given nowhere, a force exceeds the gripper's, or the grid is too large.
+    """
+    planned: list[PlannedGrasp] = []
+    for number, entry in enumerate(recipe.objects):
+        points = _points(recipe, entry, number, ranges_of)
+        splits = _splits(recipe, number, len(points))
+        for point, split in zip(points, splits, strict=True):
+            index = len(planned)
+            planned.append(
+                PlannedGrasp(
+                    config=GraspConfig(index, entry.name, *point),
+                    entry=number,
+                    split=split,
+                    shard=index // recipe.dataset.shard_size,
+                    seed=_grasp_seed(recipe.seed, index),
+                )
+            )
+    return tuple(planned)
+
+
+def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
+    """Every grasp of ``recipe``, axes left out taken from its objects' ``object.yaml``."""
+    ranges = {
+        entry.name: read_description(find_object_folder(entry.name)).grasp_ranges.axes()
+        for entry in recipe.objects
+    }
+    return plan_grasps(recipe, ranges.__getitem__)
+
+
+def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
+    """The plan as rows of a table: the configuration, its side of the split and its shard."""
+    return [
+        asdict(grasp.config) | {"split": grasp.split, "shard": grasp.shard} for grasp in planned
+    ]
+
+
+def shard_ranges(n_grasps: int, shard_size: int) -> list[range]:
+    """The grasp indices of each shard."""
+    return [
+        range(start, min(start + shard_size, n_grasps)) for start in range(0, n_grasps, shard_size)
+    ]
+
+
+def _points(
+    recipe: Recipe, entry: ObjectEntry, number: int, ranges_of: RangesOf
+) -> Sequence[tuple[float, ...]]:
+    """(force_n, x_mm, y_mm, z_mm, yaw_rad) of every grasp of one object, in grid order."""
+    own, common = entry.grid or Grid(), recipe.grid
+    axes = []
+    for axis in AXES:
+        values = getattr(own, axis) or getattr(common, axis) or ranges_of(entry.name).get(axis)
+        if not values:
+            msg = (
+                f"grid.{axis} is given neither by the recipe nor by the object {entry.name!r}; "
+                f"add grid.{axis} to the recipe {recipe.name!r}"
+            )
+            raise RecipeError(msg)
+        axes.append(tuple(values))
+    _check_forces(recipe, entry, axes[0])
+    yaw = own.yaw_rad if entry.grid and "yaw_rad" in own.model_fields_set else common.yaw_rad
+    axes.append(yaw)
+    size = int(np.prod([len(axis) for axis in axes], dtype=float))
+    if size > MAX_GRASPS:
+        msg = f"the grid of {entry.name!r} has {size} grasps, more than {MAX_GRASPS}; thin it out"
+        raise RecipeError(msg)
+    points = list(itertools.product(*axes))
+    sample = own.sample or common.sample
+    if sample is None or sample >= size:
+        return points
+    rng = _rng(recipe.seed, _STREAM_SAMPLE, number)
+    return [points[i] for i in np.sort(rng.choice(size, sample, replace=False))]
+
+
+def _check_forces(recipe: Recipe, entry: ObjectEntry, forces_n: Sequence[float]) -> None:
+    too_high = [force for force in forces_n if force > recipe.robot.max_force_n]
+    if too_high:
+        msg = (
+            f"objects/{entry.name}: grasp force_n = {max(too_high):g} exceeds "
+            f"robot.max_force_n = {recipe.robot.max_force_n:g}; give grid.force_n in the recipe "
+            "or raise robot.max_force_n"
+        )
+        raise RecipeError(msg)
+
+
+def _splits(recipe: Recipe, number: int, count: int) -> list[str]:
+    """``train`` or ``test`` for each of ``count`` distinct configurations of one object."""
+    n_test = round(recipe.split.test_fraction * count)
+    order = _rng(recipe.seed, _STREAM_SPLIT, number).permutation(count)
+    tests = set(order[:n_test].tolist())
+    return ["test" if i in tests else "train" for i in range(count)]
+
+
+def _grasp_seed(seed: int, index: int) -> int:
+    sequence = np.random.SeedSequence(seed, spawn_key=(_STREAM_GRASP, index))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _rng(seed: int, *key: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -1,0 +1,275 @@
+"""One grasp from the plan to the sample that a shard holds: where the stages are joined."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.collection.grid import PlannedGrasp
+from tacgen.collection.randomize import (
+    Variation,
+    draw_variation,
+    vary_config,
+    vary_object,
+    with_friction,
+    with_mass,
+    with_scale,
+)
+from tacgen.collection.recipe import Contact, ObjectEntry, Recipe
+from tacgen.collection.scene import PICTURE_PX, grasp_picture
+from tacgen.contact.law import ContactLaw, load_law
+from tacgen.core.errors import TableError
+from tacgen.core.files import sha256_of
+from tacgen.core.records import (
+    LABEL_NOT_EXECUTED,
+    ContactFrame,
+    Estimate,
+    GraspObject,
+    GraspTrace,
+    frozen_array,
+)
+from tacgen.core.resources import contact_law_path
+from tacgen.dataset import DatasetSpec, GraspSample, PadSample
+from tacgen.objects import load_object
+from tacgen.optics import load_table
+from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
+from tacgen.sensor.description import load_sensor
+from tacgen.sensor.gel_response import deformation
+from tacgen.sensor.tactile_pad import Imprint, Pad
+
+# Streams of one grasp's random numbers.
+_STREAM_VARIATION, _STREAM_NOISE = range(2)
+_UNTOUCHED = Imprint(0.0, 0.0, False, (0, 0, 0, 0), np.zeros((0, 0), dtype=np.float32))
+_PADS = {"left": ("left",), "right": ("right",), "both": ("left", "right")}
+
+
+class GraspPipeline:
+    """A simulator and a sensor, kept open for many grasps of one recipe; a context manager.
+
+    A sample depends on the recipe and its place in the plan alone, not on the grasps before it.
+    """
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        self._frames = frame_request(recipe)
+        self._law = contact_law(recipe.contact)
+        self._pad = felt_pad(recipe)
+        self.simulator = GraspSimulator(recipe.robot.name)
+        self._object = lru_cache(maxsize=4)(recipe_object)
+
+    def __enter__(self) -> GraspPipeline:
+        self.simulator.__enter__()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.simulator.__exit__(*raised)
+
+    def sample(self, planned: PlannedGrasp) -> GraspSample:
+        """Simulate one grasp and what the pads feel of it."""
+        entry = self.recipe.objects[planned.entry]
+        variation = draw_variation(self.recipe.randomize, _rng(planned, _STREAM_VARIATION))
+        grasped = vary_object(self._object(entry), variation)
+        config = vary_config(planned.config, variation)
+        trace = run_grasp(
+            self.simulator, grasped, config, self.recipe.physics_settings, frames=self._frames
+        )
+        frame = grasp_frame(trace)
+        noise = _rng(planned, _STREAM_NOISE)
+        pads = {
+            pad: self._feel(grasped, frames, frame, planned.config.index, variation, noise)
+            for pad, frames in trace.frames.items()
+            if trace.status == "executed"
+        }
+        picture = None
+        if self.recipe.dataset.scene_pictures:
+            picture = grasp_picture(grasped, config, trace, frame)
+        return GraspSample(
+            config=planned.config,
+            seed=planned.seed,
+            split=planned.split,
+            status=trace.status,
+            label=trace.label,
+            failure_mode=trace.failure_mode,
+            pads=pads,
+            object_pose=trace.object_pose if trace.status == "executed" else None,
+            rise_mm=trace.rise_mm,
+            turn_rad=trace.turn_rad,
+            margin=trace.margin,
+            grasp_frame=frame,
+            picture=picture,
+            reason=trace.reason,
+        )
+
+    def _feel(
+        self,
+        grasped: GraspObject,
+        frames: tuple[ContactFrame, ...],
+        grasp_frame: int,
+        grasp_index: int,
+        variation: Variation,
+        noise: np.random.Generator,
+    ) -> PadSample:
+        """The images and depths of one pad over a grasp's frames."""
+        bulk = deformation(
+            self._law, frames, grasp_index=grasp_index, k_n_factor=variation.k_n_factor
+        )
+        felt = [
+            self._pad.feel(
+                grasped.surface,
+                frame.pose_gel_object,
+                volume_mm3=bulk.volume_mm3[k],
+                indentation_mm=bulk.depth_mm[k],
+                shear_sum_mm=bulk.shear_sum_mm[k],
+                turn_sum_mm2=bulk.turn_sum_mm2[k],
+                rng=noise if self.recipe.optics.noise else None,
+            )
+            for k, frame in enumerate(frames)
+        ]
+        kept = None
+        if self.recipe.dataset.depth:
+            depth_map = felt[grasp_frame].imprint.depth_map_mm(self._pad.sensor)
+            kept = depth_map.astype(np.float16)
+        return PadSample(
+            rgb=with_gain(np.stack([one.rgb for one in felt]), variation.gain_factor),
+            force_normal_n=np.array([frame.force_normal_n for frame in frames]),
+            force_shear_n=np.array([frame.force_shear_n for frame in frames]),
+            indentation_mm=np.array([one.imprint.indentation_mm for one in felt]),
+            depth_mm=kept,
+        )
+
+
+def grasp_frame(trace: GraspTrace) -> int:
+    """The frame of the moment of grasp: the first one at 95 % of the largest normal force."""
+    frames = next(iter(trace.frames.values()), ())
+    if not frames:
+        return 0
+    forces = np.array([frame.force_normal_n for frame in frames])
+    return int(np.argmax(forces >= 0.95 * forces.max()))
+
+
+def recipe_object(entry: ObjectEntry) -> GraspObject:
+    """The object of a recipe's entry, with the entry's own figures."""
+    grasped = load_object(entry.name)
+    if entry.scale != 1.0:
+        grasped = with_scale(grasped, entry.scale)
+    if entry.friction is not None:
+        grasped = with_friction(grasped, entry.friction)
+    if entry.mass_kg is not None:
+        grasped = with_mass(grasped, entry.mass_kg)
+    if entry.spinning_friction_mm is not None:
+        grasped = replace(grasped, spinning_friction_mm=entry.spinning_friction_mm)
+    moved = grasped.center_of_mass_mm + np.asarray(entry.center_of_mass_offset_mm)
+    return replace(grasped, center_of_mass_mm=frozen_array(moved))
+
+
+def contact_law(contact: Contact) -> ContactLaw:
+    """The law that a recipe names: a calibrated file, or its own figures.
+
+    Raises
+    ------
+    ContactError
+        If the file is not a contact law.
+    """
+    if contact.file is not None:
+        return load_law(contact_law_path(contact.file))
+    law = ContactLaw.linear(contact.k_n_mm3_per_n, contact.k_s_mm_per_n or math.nan)
+    if contact.law == "linear_depth":
+        k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
+        return replace(law, law="linear_depth", k_depth_mm_per_n=k_depth)
+    return law
+
+
+def felt_pad(recipe: Recipe) -> Pad:
+    """The tactile pad of a recipe with its table, ready to feel.
+
+    Raises
+    ------
+    TableError
+        If the table cannot be read, or is of another resolution than the sensor.
+    """
+    sensor = load_sensor(recipe.sensor)
+    table = load_table(sensor.table)
+    if table.shape_px != sensor.shape_px:
+        (rows, columns), (height, width) = table.shape_px, sensor.shape_px
+        msg = (
+            f"{sensor.table}: the table is of {columns}×{rows} pixels, the sensor {sensor.name!r} "
+            f"of {width}×{height}; give the table that was calibrated on it"
+        )
+        raise TableError(msg)
+    return Pad(
+        sensor,
+        table,
+        camera=recipe.contact.camera,
+        shadows=recipe.optics.shadows,
+        markers=recipe.optics.markers,
+    )
+
+
+def frame_request(recipe: Recipe) -> FrameRequest:
+    """The tactile frames that a recipe asks for."""
+    frames = recipe.frames
+    return FrameRequest(frames.mode, frames.count, frames.span_s)
+
+
+def frame_times_s(recipe: Recipe) -> tuple[float, ...]:
+    """Times of a grasp's frames from the start of closing on; 0 for the single one."""
+    frames = recipe.frames
+    if frames.mode == "single":
+        return (0.0,)
+    return tuple(np.linspace(0.0, frames.span_s, frames.count).tolist())
+
+
+def with_gain(rgb: NDArray[np.uint8], gain: float) -> NDArray[np.uint8]:
+    """Images (..., 3) of a camera whose gain is off by that factor."""
+    if gain == 1.0:
+        return rgb
+    return np.clip(np.rint(rgb * np.float32(gain)), 0, 255).astype(np.uint8)
+
+
+def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
+    """What all shards of a recipe's dataset have in common.
+
+    Raises
+    ------
+    TacgenError
+        If the sensor, its table or the contact law cannot be used.
+    """
+    sensor = load_sensor(recipe.sensor)
+    calibration = {"table": sha256_of(Path(sensor.table))}
+    if recipe.contact.file is not None:
+        contact_law(recipe.contact)
+        calibration["contact_law"] = sha256_of(contact_law_path(recipe.contact.file))
+    return DatasetSpec(
+        recipe=recipe.resolved(),
+        recipe_sha256=recipe.sha256(),
+        calibration=calibration,
+        sensor=sensor,
+        pads=_PADS[recipe.robot.tactile_pads],
+        time_s=frame_times_s(recipe),
+        n_grasps=n_grasps,
+        shard_size=recipe.dataset.shard_size,
+        reference_rgb=felt_pad(recipe).picture(_UNTOUCHED),
+        depth=recipe.dataset.depth,
+        picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
+    )
+
+
+def crashed_sample(planned: PlannedGrasp, reason: str) -> GraspSample:
+    """The record of a grasp that took the simulator down, or ran out of time."""
+    return GraspSample(
+        config=planned.config,
+        seed=planned.seed,
+        split=planned.split,
+        status="crashed",
+        label=LABEL_NOT_EXECUTED,
+        reason=reason,
+    )
+
+
+def _rng(planned: PlannedGrasp, stream: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(planned.seed, spawn_key=(stream,)))

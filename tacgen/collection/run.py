@@ -1,0 +1,234 @@
+"""Collecting a dataset: the plan's shards, worked through by watched processes."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from tqdm import tqdm
+
+from tacgen.collection.grid import PlannedGrasp, plan_recipe, shard_ranges
+from tacgen.collection.pipeline import GraspPipeline, crashed_sample, dataset_spec
+from tacgen.collection.recipe import Recipe
+from tacgen.core.workers import Event, Report, run_tasks
+from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
+from tacgen.dataset.card import write_card
+from tacgen.dataset.disk import disk_errors
+from tacgen.dataset.gallery import Card, CardMaker, write_gallery
+from tacgen.dataset.verify import verify
+
+CARDS_A_TASK = 5
+CARD_LIMIT_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a recipe asks for, and how much of it is there."""
+
+    recipe: str
+    out: str
+    objects: tuple[str, ...]
+    grasps: int
+    frames_a_grasp: int
+    shards: int
+    shards_done: int
+
+
+@dataclass(frozen=True, slots=True)
+class Collected:
+    """What a run of ``collect`` did: shards it made, found done, and left to other processes."""
+
+    made: tuple[int, ...]
+    found: tuple[int, ...]
+    left_to_others: tuple[int, ...]
+    labels: Mapping[int, int]
+    crashed: Mapping[int, str]
+
+    def summary(self) -> dict[str, int]:
+        """Counts to show."""
+        labels = list(self.labels.values())
+        return {
+            "shards_made": len(self.made),
+            "shards_found": len(self.found),
+            "shards_left_to_others": len(self.left_to_others),
+            "grasps_made": len(labels) + len(self.crashed),
+            "successes": labels.count(1),
+            "failures": labels.count(0),
+            "not_executed": labels.count(-1),
+            "crashed": len(self.crashed),
+        }
+
+
+def collect(
+    recipe: Recipe,
+    out: Path,
+    *,
+    workers: int = 1,
+    shards: Sequence[int] | None = None,
+    redo: Sequence[int] = (),
+    item_limit_s: float = 120.0,
+    progress: bool = True,
+) -> Collected:
+    """Make every shard of ``recipe`` that ``out`` does not hold yet.
+
+    Parameters
+    ----------
+    shards : sequence of int, optional
+        The share of this call; all by default.
+    redo : sequence of int
+        Shards to make anew although they are there (a repair).
+    item_limit_s : float
+        A grasp that takes longer is recorded as ``crashed``.
+
+    Raises
+    ------
+    DatasetError
+        If the folder cannot be written to or holds another dataset.
+    TacgenError
+        If three grasps in a row crash.
+    """
+    planned = plan_recipe(recipe)
+    spec = dataset_spec(recipe, len(planned))
+    folder = DatasetFolder(out)
+    folder.prepare(spec)
+    share = range(spec.n_shards) if shards is None else shards
+    found = tuple(shard for shard in share if shard not in redo and folder.is_done(shard))
+    pending = [shard for shard in share if shard not in found]
+    n_items = sum(len(spec.shard_range(shard)) for shard in pending)
+    make_job = partial(_shard_job, recipe, tuple(planned), folder.root, spec, frozenset(redo))
+    tally = _Tally()
+    with _progress_bar(n_items, enabled=progress) as show:
+        for event in run_tasks(pending, make_job, workers=workers, item_limit_s=item_limit_s):
+            tally.take(event)
+            show(event, tally)
+    result = tally.collected(found)
+    is_whole = len(folder.merge()) == spec.n_shards
+    if is_whole and (result.made or not folder.gallery_path.is_file()):
+        with disk_errors(folder.root):
+            write_card(folder.root)
+            write_gallery(folder.root, partial(_make_cards, folder.root, workers))
+    return result
+
+
+def describe(recipe: Recipe, out: Path) -> Plan:
+    """What ``collect`` would do, without doing it."""
+    planned = plan_recipe(recipe)
+    n_shards = len(shard_ranges(len(planned), recipe.dataset.shard_size))
+    folder = DatasetFolder(out)
+    done = sum(folder.is_done(shard) for shard in range(n_shards))
+    return Plan(
+        recipe=recipe.name,
+        out=str(out),
+        objects=tuple(entry.name for entry in recipe.objects),
+        grasps=len(planned),
+        frames_a_grasp=recipe.frames.count if recipe.frames.mode == "sequence" else 1,
+        shards=n_shards,
+        shards_done=done,
+    )
+
+
+def shards_to_repair(out: Path) -> list[int]:
+    """The finished shards of a dataset that do not pass ``verify``."""
+    return list(verify(out).bad_shards)
+
+
+@contextlib.contextmanager
+def _shard_job(
+    recipe: Recipe,
+    planned: tuple[PlannedGrasp, ...],
+    root: Path,
+    spec: DatasetSpec,
+    redo: frozenset[int],
+) -> Iterator[Callable[[int, Mapping[int, str], Report], bool]]:
+    """The work of one process: a simulator kept open, and a shard for each call.
+
+    The job returns False where another process has the shard.
+    """
+    folder = DatasetFolder(root)
+    with GraspPipeline(recipe) as pipeline:
+
+        def job(shard: int, crashed: Mapping[int, str], report: Report) -> bool:
+            def samples() -> Iterator[GraspSample]:
+                for index in spec.shard_range(shard):
+                    if index in crashed:
+                        yield crashed_sample(planned[index], crashed[index])
+                        continue
+                    report("start", index, None)
+                    sample = pipeline.sample(planned[index])
+                    yield sample
+                    report("item", index, sample.label)
+
+            with folder.claim(shard, redo=shard in redo) as mine:
+                if mine:
+                    folder.write_shard(shard, samples(), spec)
+                return mine
+
+        yield job
+
+
+def _make_cards(root: Path, workers: int, rows: Sequence[int]) -> list[Card]:
+    """The gallery's cards, made by several processes."""
+    batches = [rows[k : k + CARDS_A_TASK] for k in range(0, len(rows), CARDS_A_TASK)]
+    made: dict[int, list[Card]] = {}
+    make_job = partial(_card_job, root, batches)
+    for event in run_tasks(
+        range(len(batches)), make_job, workers=workers, item_limit_s=CARD_LIMIT_S
+    ):
+        if event.kind == "done":
+            made[event.task] = event.value
+    return [card for batch in sorted(made) for card in made[batch]]
+
+
+@contextlib.contextmanager
+def _card_job(
+    root: Path, batches: Sequence[Sequence[int]]
+) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Card]]]:
+    maker = CardMaker(root)
+    yield lambda batch, _crashed, _report: [maker.card(row) for row in batches[batch]]
+
+
+class _Tally:
+    """What happened so far."""
+
+    def __init__(self) -> None:
+        self.labels: dict[int, int] = {}
+        self.crashed: dict[int, str] = {}
+        self._made: list[int] = []
+        self._left: list[int] = []
+
+    def take(self, event: Event) -> None:
+        if event.kind == "item":
+            self.labels[event.item] = event.value
+        elif event.kind == "crashed":
+            self.crashed[event.item] = event.value
+        elif event.kind == "done":
+            (self._made if event.value else self._left).append(event.task)
+
+    @property
+    def successes(self) -> int:
+        return sum(label == 1 for label in self.labels.values())
+
+    def collected(self, found: tuple[int, ...]) -> Collected:
+        made, left = tuple(sorted(self._made)), tuple(sorted(self._left))
+        return Collected(made, found, left, dict(self.labels), dict(self.crashed))
+
+
+@contextlib.contextmanager
+def _progress_bar(n_items: int, *, enabled: bool) -> Iterator[Callable[[Event, _Tally], None]]:
+    """A bar with rate, time left and successes, on a terminal; nothing otherwise."""
+    quiet = not enabled or not sys.stderr.isatty() or n_items == 0
+    with tqdm(total=n_items, unit="grasp", disable=quiet, dynamic_ncols=True) as bar:
+
+        def show(event: Event, tally: _Tally) -> None:
+            bar.n = min(len(tally.labels) + len(tally.crashed), n_items)
+            bar.set_postfix_str(f"{tally.successes} succeeded", refresh=False)
+            if event.kind in ("crashed", "retried"):
+                what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
+                bar.write(f"{what} {event.kind}: {event.value}", file=sys.stderr)
+            bar.update(0)
+
+        yield show

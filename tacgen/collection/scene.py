@@ -1,0 +1,124 @@
+"""A picture of a grasp from outside: the object, the table and the fingers, on the processor alone.
+
+Shaded by tacgen's own rasteriser rather than by GL, so that a shard holds the same bytes on every
+machine.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
+from tacgen.objects.shading import shaded_view
+from tacgen.physics.frames import rotation_about_z, rotation_from_quaternion
+from tacgen.physics.gripper import (
+    FINGER_THICKNESS_MM,
+    PAD_DEPTH_MM,
+    PAD_HEIGHT_MM,
+    PAD_WIDTH_MM,
+)
+
+PICTURE_PX = (150, 200)
+VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
+
+_PAD_COLOR, _FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
+_PAD_MM = (PAD_DEPTH_MM, PAD_WIDTH_MM, PAD_HEIGHT_MM)
+# The fingers are cut off above, so that the object fills the picture.
+_FINGER_MM = (FINGER_THICKNESS_MM, PAD_WIDTH_MM, 75.0)
+_TABLE_RADIUS_MM = 78.0
+
+Triple = tuple[float, float, float]
+Part = tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int, int]]
+
+
+def grasp_picture(
+    grasped: GraspObject,
+    config: GraspConfig,
+    trace: GraspTrace,
+    frame: int,
+    size_px: tuple[int, int] = PICTURE_PX,
+) -> NDArray[np.uint8]:
+    """The scene at one frame, (h, w, 3) uint8; the object at rest where nothing was executed."""
+    pose = np.eye(4)
+    openings_mm = (55.0, 55.0)
+    if trace.frames and len(trace.object_pose):
+        pose = _pose_matrix(trace.object_pose[frame])
+        openings_mm = _openings_mm(config, trace, pose, frame)
+    vertices = grasped.surface.vertices_mm @ pose[:3, :3].T + pose[:3, 3]
+    parts: list[Part] = [(vertices, grasped.surface.faces.astype(np.int64), grasped.color_rgb)]
+    parts += [_table(), *_gripper(config, openings_mm)]
+    return _shade(parts, size_px)
+
+
+def _pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """x, y, z and a quaternion x, y, z, w as a 4×4 matrix."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_from_quaternion(pose[3:].tolist())
+    matrix[:3, 3] = pose[:3]
+    return matrix
+
+
+def _openings_mm(
+    config: GraspConfig, trace: GraspTrace, object_pose: NDArray[np.float64], frame: int
+) -> tuple[float, float]:
+    """Distance of the left and the right gel from the gripper's centre, along the closing axis.
+
+    A pad without a sensor stands as far out as the other: the fingers move symmetrically.
+    """
+    along = np.array([np.cos(config.yaw_rad), np.sin(config.yaw_rad), 0.0])
+    center = np.array([config.x_mm, config.y_mm, 0.0])
+    found = {}
+    for pad, frames in trace.frames.items():
+        gel_origin = object_pose @ np.linalg.inv(frames[frame].pose_gel_object)[:, 3]
+        found[pad] = abs(float((gel_origin[:3] - center) @ along))
+    left = found.get("left", found.get("right", 55.0))
+    return left, found.get("right", left)
+
+
+@lru_cache(maxsize=1)
+def _table() -> Part:
+    from trimesh import creation
+
+    disc = creation.cylinder(radius=_TABLE_RADIUS_MM, height=3.0, sections=48)
+    disc.apply_translation([0.0, 0.0, -1.6])
+    return np.array(disc.vertices), np.array(disc.faces), _TABLE_COLOR
+
+
+def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part]:
+    """Two fingers with their pads; the left one is on the −x side."""
+    boxes: list[tuple[Triple, Triple, tuple[int, int, int]]] = []
+    finger_z = (_FINGER_MM[2] - PAD_HEIGHT_MM) / 2
+    for side, opening_mm in zip((-1.0, 1.0), openings_mm, strict=True):
+        pad_x = side * (opening_mm + PAD_DEPTH_MM / 2)
+        finger_x = side * (opening_mm + PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2)
+        boxes.append((_PAD_MM, (pad_x, 0.0, 0.0), _PAD_COLOR))
+        boxes.append((_FINGER_MM, (finger_x, 0.0, finger_z), _FINGER_COLOR))
+    turn = rotation_about_z(config.yaw_rad)
+    corners, faces = _unit_box()
+    center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
+    return [
+        ((corners * extents + place) @ turn.T + center_mm, faces, color)
+        for extents, place, color in boxes
+    ]
+
+
+@lru_cache(maxsize=1)
+def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    from trimesh import creation
+
+    box = creation.box(extents=(1.0, 1.0, 1.0))
+    return np.array(box.vertices), np.array(box.faces)
+
+
+def _shade(parts: list[Part], size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    starts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    vertices = np.concatenate([vertices for vertices, _, _ in parts])
+    faces = np.concatenate(
+        [faces + start for (_, faces, _), start in zip(parts, starts, strict=False)]
+    )
+    colors = np.concatenate([np.tile(color, (len(faces), 1)) for _, faces, color in parts])
+    whole = Mesh(vertices, faces.astype(np.int32))
+    return shaded_view(whole, colors, size_px=size_px, **VIEW)

@@ -1,0 +1,74 @@
+"""What every YAML of tacgen is made of: sections without unknown keys, numbers, axes of a grid."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
+
+from tacgen.core.yaml_source import finite
+
+MAX_AXIS_VALUES = 10_000
+
+
+class Section(BaseModel):
+    """A part of a YAML file: frozen, and no key that is not known."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def _axis_values(given: Any) -> Any:
+    """``4.0``, ``[1, 2]``, ``{linspace: [a, b, n]}`` and the like as a list."""
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        return [given]
+    if not isinstance(given, dict):
+        return given
+    if len(given) != 1 or next(iter(given)) not in ("linspace", "geomspace", "range"):
+        msg = (
+            "is no list, {linspace: [start, stop, count]}, {geomspace: [start, stop, count]} "
+            "or {range: [start, stop, step]}"
+        )
+        raise ValueError(msg)
+    kind, arguments = next(iter(given.items()))
+    if not (isinstance(arguments, list) and len(arguments) == 3):
+        msg = f"{kind} takes three numbers, got {arguments!r}"
+        raise ValueError(msg)
+    if not all(isinstance(value, (int, float)) for value in arguments):
+        msg = f"{kind} takes three numbers, got {arguments!r}"
+        raise ValueError(msg)
+    start, stop, third = (float(argument) for argument in arguments)
+    if not np.isfinite([start, stop, third]).all():
+        msg = f"{kind} takes finite numbers, got {arguments!r}"
+        raise ValueError(msg)
+    if kind in ("linspace", "geomspace"):
+        count = int(third)
+        if count < 1 or count != third:
+            msg = f"{kind} takes a whole number of values, at least 1, got {arguments[2]!r}"
+            raise ValueError(msg)
+        if kind == "geomspace" and min(start, stop) <= 0:
+            msg = f"geomspace goes by equal factors between values above 0, got {arguments!r}"
+            raise ValueError(msg)
+    else:
+        if third == 0 or (stop - start) / third < 0:
+            msg = f"range from {start:g} to {stop:g} cannot be walked in steps of {third:g}"
+            raise ValueError(msg)
+        # A half step of slack keeps the end value in, whatever 0.05 is in binary.
+        count = int(np.floor((stop - start) / third + 1e-9)) + 1
+        stop = start + (count - 1) * third
+    if count > MAX_AXIS_VALUES:
+        msg = f"has {count} values, more than {MAX_AXIS_VALUES}"
+        raise ValueError(msg)
+    spaced = np.geomspace if kind == "geomspace" else np.linspace
+    return [round(float(value), 9) for value in spaced(start, stop, count)]
+
+
+def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:
+    if not values:
+        msg = "is empty; give at least one value"
+        raise ValueError(msg)
+    return tuple(dict.fromkeys(values))
+
+
+Finite = Annotated[float, AfterValidator(finite)]
+Axis = Annotated[tuple[Finite, ...], BeforeValidator(_axis_values), AfterValidator(_distinct)]

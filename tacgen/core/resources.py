@@ -1,0 +1,74 @@
+"""Recipes, sensors and objects by name: the user's own folder first, then what tacgen ships."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tacgen.core.errors import ObjectError, RecipeError
+from tacgen.core.files import is_file
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def packaged(folder: str) -> Path:
+    """The shipped ``recipes`` or ``objects`` folder, in the wheel or beside it in a checkout."""
+    inside = _PACKAGE / "shipped" / folder
+    return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+def find_recipe(name: str, *, beside: Path | None = None) -> Path:
+    """The YAML file that ``name`` means: a path, a file in ``./recipes``, or a shipped recipe.
+
+    ``beside`` is the folder of the file that mentions it, searched first.
+    """
+    return _find_yaml(name, "recipes", "recipe", beside)
+
+
+def sensor_path(name: str, *, beside: Path | None = None) -> Path:
+    """The YAML file of the sensor ``name``, found the same way in ``recipes/sensors``."""
+    return _find_yaml(name, "recipes/sensors", "sensor", beside)
+
+
+def contact_law_path(name: str) -> Path:
+    """The ``contact.yaml`` that a recipe names, found the same way."""
+    return _find_yaml(name, "recipes", "contact law", None)
+
+
+def _find_yaml(name: str, folder: str, kind: str, beside: Path | None) -> Path:
+    file = name if name.endswith((".yaml", ".yml")) else f"{name}.yaml"
+    places = [Path(file), Path(folder) / file, packaged("recipes").parent / folder / file]
+    if beside is not None:
+        places.insert(0, beside / file)
+    for place in places:
+        if is_file(place):
+            return place
+    shipped = sorted(path.stem for path in (packaged("recipes").parent / folder).glob("*.yaml"))
+    msg = f"no {kind} named {name!r}; give the path of a YAML file or one of {', '.join(shipped)}"
+    raise RecipeError(msg)
+
+
+def object_folders() -> dict[str, Path]:
+    """Every object that can be grasped here, by name; the user's own win."""
+    found: dict[str, Path] = {}
+    for root in (packaged("objects"), Path("objects")):
+        if root.is_dir():
+            found |= {
+                folder.name: folder
+                for folder in sorted(root.iterdir())
+                if (folder / "object.yaml").is_file()
+            }
+    return found
+
+
+def find_object_folder(name: str) -> Path:
+    """The folder of the object ``name``: a path, ``./objects/<name>``, or a shipped one."""
+    if is_file(Path(name) / "object.yaml"):
+        return Path(name)
+    folders = object_folders()
+    if name not in folders:
+        msg = (
+            f"no object named {name!r}; known: {', '.join(folders)}; "
+            "add your own mesh with `tacgen objects add`"
+        )
+        raise ObjectError(msg)
+    return folders[name]

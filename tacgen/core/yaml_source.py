@@ -1,0 +1,273 @@
+"""YAML files read safely, merged by ``extends:``, and checked with the line of every mistake."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from tacgen.core.errors import RecipeError, TacgenError
+
+MAX_BYTES = 1 << 20
+MAX_NODES = 200_000
+"""Bounds on a file's size and on what its aliases may unfold to."""
+
+_STANDARD_TAG = "tag:yaml.org,2002:"
+
+KeyPath = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class YamlSource:
+    """The content of a YAML file, and the file and line that each part of it came from."""
+
+    path: Path
+    data: dict[str, Any]
+    origins: dict[KeyPath, tuple[Path, int]] = field(default_factory=dict)
+
+    def where(self, key_path: KeyPath) -> str:
+        """``file:line`` of ``key_path``, or of the nearest part around it that is written down."""
+        for length in range(len(key_path), 0, -1):
+            if key_path[:length] in self.origins:
+                file, line = self.origins[key_path[:length]]
+                return f"{file}:{line}"
+        return str(self.path)
+
+    def problem(self, key_path: KeyPath, text: str) -> str:
+        """One line that says where ``key_path`` stands, its dotted name, and ``text``."""
+        return f"{self.where(key_path)}: {dotted(key_path)} {text}"
+
+
+def dotted(key_path: KeyPath) -> str:
+    """``("grid", "force_n", 2)`` as ``grid.force_n[2]``."""
+    text = ""
+    for key in key_path:
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
+    return text
+
+
+def read_yaml(path: Path) -> YamlSource:
+    """Read one YAML mapping; whatever it extends is merged below it.
+
+    Raises
+    ------
+    RecipeError
+        If the file cannot be read, is not a mapping, repeats a key, or extends itself.
+    """
+    return _read(Path(path), ())
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """The content of one YAML mapping within the same bounds, ``extends`` and all.
+
+    Raises
+    ------
+    RecipeError
+        If the file cannot be read, is not a mapping, or repeats a key.
+    """
+    return _parse(path).data
+
+
+def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
+    if path.resolve() in extended_by:
+        msg = f"{path}: extends itself; take it out of `extends:`"
+        raise RecipeError(msg)
+    own = _parse(path)
+    bases = own.data.pop("extends", [])
+    merged = YamlSource(path, {}, {})
+    bases = [bases] if isinstance(bases, str) else bases
+    if not isinstance(bases, list):
+        msg = f"{path}: extends = {bases!r} is no name of a recipe and no list of names"
+        raise RecipeError(msg)
+    for name in bases:
+        from tacgen.core.resources import find_recipe
+
+        base = _read(find_recipe(str(name), beside=path.parent), (*extended_by, path.resolve()))
+        _merge(merged, base)
+    _merge(merged, own)
+    return merged
+
+
+def _parse(path: Path) -> YamlSource:
+    try:
+        if path.exists() and not path.is_file():
+            msg = f"{path}: not a file; give a YAML file"
+            raise RecipeError(msg)
+        if path.stat().st_size > MAX_BYTES:
+            msg = f"{path}: larger than {MAX_BYTES >> 20} MiB; this is not a recipe"
+            raise RecipeError(msg)
+        root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+    except FileNotFoundError:
+        msg = f"{path}: no such file"
+        raise RecipeError(msg) from None
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{path}: cannot be read: {error}"
+        raise RecipeError(msg) from None
+    except RecursionError:
+        msg = f"{path}: nested too deeply; this is not a recipe"
+        raise RecipeError(msg) from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        msg = f"{path}{line}: not valid YAML: {getattr(error, 'problem', error)}"
+        raise RecipeError(msg) from None
+    if not isinstance(root, yaml.MappingNode):
+        msg = f"{path}: holds no `key: value` pairs"
+        raise RecipeError(msg)
+    source = YamlSource(path, {}, {})
+    source.data.update(_NodeReader(source).read(root, ()))
+    return source
+
+
+class _NodeReader:
+    """Turns nodes into plain data, noting lines and refusing what grows without bound."""
+
+    def __init__(self, source: YamlSource) -> None:
+        self._source = source
+        self._constructor = yaml.SafeLoader("")
+        self._nodes = 0
+
+    def read(self, node: yaml.Node, key_path: KeyPath) -> Any:
+        self._nodes += 1
+        if self._nodes > MAX_NODES or len(key_path) > 50:
+            msg = f"{self._source.path}: unfolds to too many parts; write it without aliases"
+            raise RecipeError(msg)
+        self._source.origins.setdefault(key_path, (self._source.path, node.start_mark.line + 1))
+        if not node.tag.startswith(_STANDARD_TAG) or node.tag.startswith(f"{_STANDARD_TAG}python"):
+            line = node.start_mark.line + 1
+            msg = (
+                f"{self._source.path}:{line}: {dotted(key_path)} has the tag {node.tag}; remove it"
+            )
+            raise RecipeError(msg)
+        if isinstance(node, yaml.MappingNode):
+            return self._mapping(node, key_path)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.read(item, (*key_path, i)) for i, item in enumerate(node.value)]
+        try:
+            return self._constructor.construct_object(node)
+        except (yaml.YAMLError, ValueError) as error:
+            line = node.start_mark.line + 1
+            msg = f"{self._source.path}:{line}: {dotted(key_path)} cannot be read: {error}"
+            raise RecipeError(msg) from None
+
+    def _mapping(self, node: yaml.MappingNode, key_path: KeyPath) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = str(key_node.value)
+            here = (*key_path, key)
+            if key in result:
+                line = key_node.start_mark.line + 1
+                msg = f"{self._source.path}:{line}: {dotted(here)} is given twice; keep one"
+                raise RecipeError(msg)
+            self._source.origins[here] = (self._source.path, key_node.start_mark.line + 1)
+            result[key] = self.read(value_node, here)
+        return result
+
+
+def _merge(below: YamlSource, above: YamlSource) -> None:
+    """Lay ``above`` over ``below``: mappings merge key by key, anything else replaces."""
+
+    def lay(target: dict[str, Any], data: Mapping[str, Any], key_path: KeyPath) -> None:
+        for key, value in data.items():
+            here = (*key_path, key)
+            if isinstance(value, dict) and isinstance(target.get(key), dict):
+                lay(target[key], value, here)
+                continue
+            target[key] = value
+            for origin in [path for path in below.origins if path[: len(here)] == here]:
+                del below.origins[origin]
+            below.origins.update(
+                {path: at for path, at in above.origins.items() if path[: len(here)] == here}
+            )
+
+    lay(below.data, above.data, ())
+
+
+def validate(
+    model: type[Model], source: YamlSource, error_type: type[TacgenError] = RecipeError
+) -> Model:
+    """``source`` as a ``model``; every problem there is, in one error."""
+    try:
+        return model.model_validate(source.data)
+    except ValidationError as error:
+        problems = [_describe(source, model, details) for details in error.errors()]
+        raise error_type.from_problems(list(dict.fromkeys(problems))) from None
+
+
+def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
+    key_path = _written_path(source.data, details["loc"])
+    kind, given = details["type"], details.get("input")
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        parent = _field_names(model, key_path[:-1])
+        known = f"; known here: {', '.join(parent)}" if parent else ""
+        return source.problem(key_path, f"is not a known key{known}")
+    if kind == "missing":
+        return source.problem(details["loc"], "is missing; add it")
+    if kind in ("model_type", "dataclass_type"):
+        return source.problem(key_path, f"= {given!r} must hold `key: value` pairs")
+    text = details["msg"].removeprefix("Value error, ")
+    if isinstance(given, (str, int, float, bool)):
+        return source.problem(key_path, f"= {given!r}: {text}")
+    return source.problem(key_path, f": {text}".lstrip() if not key_path else f"{text}")
+
+
+def _written_path(data: Any, location: tuple[str | int, ...]) -> KeyPath:
+    """The part of pydantic's location that exists in the file (union tags are not written)."""
+    path: list[str | int] = []
+    for key in location:
+        if isinstance(data, dict) and key in data:
+            data = data[key]
+        elif isinstance(data, list) and isinstance(key, int) and key < len(data):
+            data = data[key]
+        else:
+            continue
+        path.append(key)
+    return tuple(path)
+
+
+def _field_names(model: Any, key_path: KeyPath) -> list[str]:
+    """The keys a model knows at ``key_path``; empty where that cannot be told."""
+    for key in key_path:
+        if isinstance(key, int):
+            continue
+        annotation = _annotations(model).get(str(key))
+        if annotation is None:
+            return []
+        model = _model_within(annotation)
+    return sorted(_annotations(model))
+
+
+def _annotations(model: Any) -> dict[str, Any]:
+    """The fields of a pydantic model or a dataclass, with their types."""
+    if dataclasses.is_dataclass(model):
+        return {item.name: item.type for item in dataclasses.fields(model)}
+    fields = getattr(model, "model_fields", {})
+    return {name: info.annotation for name, info in fields.items()}
+
+
+def _model_within(annotation: Any) -> Any:
+    """The first model or dataclass inside a type such as ``Grid | None``."""
+    if isinstance(annotation, type) and (
+        issubclass(annotation, BaseModel) or dataclasses.is_dataclass(annotation)
+    ):
+        return annotation
+    for argument in getattr(annotation, "__args__", ()):
+        found = _model_within(argument)
+        if found is not None:
+            return found
+    return None
+
+
+def finite(value: float) -> float:
+    """``value``, if it is a finite number."""
+    if not math.isfinite(value):
+        msg = "must be a finite number"
+        raise ValueError(msg)
+    return value

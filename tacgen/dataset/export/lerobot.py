@@ -1,0 +1,289 @@
+"""Export to the LeRobot dataset format v3.0, images as PNG inside the Parquet files.
+
+Each executed grasp becomes an episode of T frames; the episodes of the train split come first.
+Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/info.json``,
+``meta/stats.json``, ``meta/tasks.parquet``, ``meta/episodes``, ``data``).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tacgen.core.errors import DatasetError
+from tacgen.dataset.disk import disk_errors
+from tacgen.dataset.export.lerobot_stats import ImageStats, VectorStats
+from tacgen.dataset.export.lerobot_table import arrow_schema, episode_table
+from tacgen.dataset.reader import Dataset
+from tacgen.dataset.samples import GraspSample
+from tacgen.dataset.schema import SPLITS
+
+CODEBASE_VERSION = "v3.0"
+CHUNKS_SIZE, DATA_FILES_SIZE_MB, VIDEO_FILES_SIZE_MB = 1000, 100, 200
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
+POSE = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+FELT = ("force_normal_n", "force_shear_x_n", "force_shear_y_n", "indentation_mm")
+_SCALARS = {
+    "label": "int64",
+    "time_s": "float32",
+    "next.done": "bool",
+    "next.success": "bool",
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+
+
+def export_dataset(root: Path | str, out: Path | str, format_name: str) -> str:
+    """Write the dataset in ``root`` to the new folder ``out``; a sentence on what was written.
+
+    Raises
+    ------
+    DatasetError
+        If the format is not known, ``out`` exists, or nothing there can be exported.
+    """
+    out = Path(out)
+    if format_name != "lerobot":
+        msg = f"--format {format_name}: not known; this version writes lerobot"
+        raise DatasetError(msg)
+    if out.exists():
+        msg = f"{out} exists already; give a new folder, or remove it"
+        raise DatasetError(msg)
+    dataset = Dataset(root)
+    partial = out.with_name(f".{out.name}.part")
+    with disk_errors(out):
+        shutil.rmtree(partial, ignore_errors=True)
+        try:
+            n_episodes = _Export(dataset, partial).run()
+            partial.rename(out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    left_out = len(dataset) - n_episodes
+    tail = f"; {left_out} grasps that were not executed are left out" if left_out else ""
+    return f"{out}: {n_episodes} episodes in LeRobot's format {CODEBASE_VERSION}{tail}"
+
+
+@dataclass(slots=True)
+class _DataFile:
+    """The Parquet file that is being written, and where it stands among the others."""
+
+    root: Path
+    schema: pa.Schema
+    number: int = -1
+    size: int = 0
+    writer: pq.ParquetWriter | None = None
+
+    def write(self, table: pa.Table) -> tuple[int, int]:
+        """Append one episode as one row group; (chunk index, file index) of where it went."""
+        if self.writer is None or self.size + table.nbytes > DATA_FILES_SIZE_MB << 20:
+            self.close()
+            self.number, self.size = self.number + 1, 0
+            path = self.root / DATA_PATH.format(
+                chunk_index=self.number // CHUNKS_SIZE, file_index=self.number % CHUNKS_SIZE
+            )
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.writer = pq.ParquetWriter(path, self.schema, compression="snappy")
+        self.writer.write_table(table)
+        self.size += table.nbytes
+        return self.number // CHUNKS_SIZE, self.number % CHUNKS_SIZE
+
+    def close(self) -> None:
+        """Finish the file, if there is one."""
+        if self.writer is not None:
+            self.writer.close()
+            self.writer = None
+
+
+@dataclass(slots=True)
+class _Export:
+    """One run of the export."""
+
+    dataset: Dataset
+    root: Path
+    tasks: dict[str, int] = field(default_factory=dict)
+    episodes: list[dict[str, Any]] = field(default_factory=list)
+    parts: dict[str, list[Any]] = field(default_factory=dict)
+
+    def run(self) -> int:
+        """Write everything; the number of episodes."""
+        columns = self.dataset.columns()
+        features = self._features()
+        order = [
+            int(index)
+            for split in SPLITS
+            for index in columns["index"][(columns["split"] == split) & (columns["label"] >= 0)]
+        ]
+        if not order:
+            msg = f"{self.dataset.root}: no grasp was executed, so there is nothing to export"
+            raise DatasetError(msg)
+        data = _DataFile(self.root, arrow_schema(features))
+        first_frame = 0
+        try:
+            for episode, index in enumerate(order):
+                first_frame += self._write_episode(
+                    data, features, self.dataset.read(index), episode, first_frame
+                )
+        finally:
+            data.close()
+        n_train = int(np.sum((columns["split"] == "train") & (columns["label"] >= 0)))
+        self._write_meta(features, len(order), n_train, first_frame)
+        return len(order)
+
+    def _features(self) -> dict[str, dict[str, Any]]:
+        height, width = self.dataset.shape_px
+        image = {
+            "dtype": "image",
+            "shape": [height, width, 3],
+            "names": ["height", "width", "channels"],
+        }
+        pads = self.dataset.pads
+        state = [name if len(pads) == 1 else f"{pad}.{name}" for pad in pads for name in FELT]
+        vectors = {
+            "observation.state": state,
+            "observation.environment_state": list(POSE),
+            "action": list(ACTION),
+        }
+        return (
+            {f"observation.images.{self._image_name(pad)}": dict(image) for pad in pads}
+            | {
+                name: {"dtype": "float32", "shape": [len(axes)], "names": axes}
+                for name, axes in vectors.items()
+            }
+            | {
+                name: {"dtype": dtype, "shape": [1], "names": None}
+                for name, dtype in _SCALARS.items()
+            }
+        )
+
+    def _image_name(self, pad: str) -> str:
+        pads = self.dataset.pads
+        return self.dataset.sensor if len(pads) == 1 else f"{self.dataset.sensor}_{pad}"
+
+    @property
+    def fps(self) -> int:
+        """Frames a second as a whole number, which the format asks for."""
+        time_s = self.dataset.time_s
+        span_s = float(time_s[-1] - time_s[0])
+        return max(1, round((len(time_s) - 1) / span_s)) if span_s > 0 else 1
+
+    def _write_episode(
+        self,
+        data: _DataFile,
+        features: Mapping[str, Mapping[str, Any]],
+        sample: GraspSample,
+        episode: int,
+        first_frame: int,
+    ) -> int:
+        """Write one grasp; its number of frames."""
+        n_frames = self.dataset.n_frames
+        name = sample.config.object.replace("_", " ")
+        task = self.tasks.setdefault(f"Grasp the {name} and lift it.", len(self.tasks))
+        values = self._values(sample) | {
+            "timestamp": np.arange(n_frames) / self.fps,
+            "frame_index": np.arange(n_frames),
+            "episode_index": np.full(n_frames, episode),
+            "index": np.arange(first_frame, first_frame + n_frames),
+            "task_index": np.full(n_frames, task),
+        }
+        stats = {
+            key: ImageStats.of(array) if array.dtype == np.uint8 else VectorStats.of(array)
+            for key, array in values.items()
+        }
+        for key, found in stats.items():
+            self.parts.setdefault(key, []).append(found)
+        chunk, number = data.write(episode_table(values, features, data.schema))
+        self.episodes.append(
+            {
+                "episode_index": episode,
+                "tasks": [f"Grasp the {name} and lift it."],
+                "length": n_frames,
+                "data/chunk_index": chunk,
+                "data/file_index": number,
+                "dataset_from_index": first_frame,
+                "dataset_to_index": first_frame + n_frames,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+                "grasp_index": sample.config.index,
+                "split": sample.split,
+                "failure_mode": sample.failure_mode,
+            }
+            | {f"stats/{key}/{k}": v for key, s in stats.items() for k, v in s.as_dict().items()}
+        )
+        return n_frames
+
+    def _values(self, sample: GraspSample) -> dict[str, NDArray]:
+        """What a grasp contributes to each feature, (T, …)."""
+        n_frames = self.dataset.n_frames
+        felt = [
+            np.column_stack([pad.force_normal_n, pad.force_shear_n, pad.indentation_mm])
+            for pad in sample.pads.values()
+        ]
+        images: dict[str, NDArray] = {
+            f"observation.images.{self._image_name(name)}": pad.rgb
+            for name, pad in sample.pads.items()
+        }
+        last = np.arange(n_frames) == n_frames - 1
+        asked = [getattr(sample.config, name) for name in ACTION]
+        return images | {
+            "observation.state": np.concatenate(felt, axis=1),
+            "observation.environment_state": np.asarray(sample.object_pose),
+            "action": np.tile(asked, (n_frames, 1)),
+            "label": np.full(n_frames, sample.label),
+            "time_s": self.dataset.time_s,
+            "next.done": last,
+            "next.success": last & (sample.label == 1),
+        }
+
+    def _write_meta(
+        self,
+        features: Mapping[str, Mapping[str, Any]],
+        n_episodes: int,
+        n_train: int,
+        n_frames: int,
+    ) -> None:
+        info = {
+            "codebase_version": CODEBASE_VERSION,
+            "robot_type": "wsg50",
+            "total_episodes": n_episodes,
+            "total_frames": n_frames,
+            "total_tasks": len(self.tasks),
+            "chunks_size": CHUNKS_SIZE,
+            "data_files_size_in_mb": DATA_FILES_SIZE_MB,
+            "video_files_size_in_mb": VIDEO_FILES_SIZE_MB,
+            "fps": self.fps,
+            "splits": {
+                name: f"{start}:{stop}"
+                for name, start, stop in (
+                    ("train", 0, n_train),
+                    ("test", n_train, n_episodes),
+                )
+                if stop > start
+            },
+            "data_path": DATA_PATH,
+            "video_path": None,
+            "features": features,
+        }
+        meta = self.root / "meta"
+        (meta / "episodes" / "chunk-000").mkdir(parents=True)
+        (meta / "info.json").write_text(json.dumps(info, indent=4), encoding="utf-8")
+        stats = {key: type(parts[0]).merged(parts).as_dict() for key, parts in self.parts.items()}
+        (meta / "stats.json").write_text(json.dumps(stats, indent=4), encoding="utf-8")
+        tasks = pd.DataFrame(
+            {"task_index": list(self.tasks.values())}, index=pd.Index(self.tasks, name="task")
+        )
+        tasks.to_parquet(meta / "tasks.parquet")
+        pq.write_table(pa.Table.from_pylist(self.episodes), self.root / EPISODES_PATH)

@@ -1,0 +1,170 @@
+"""Every effect and covariate that could explain a residual, as columns of a linear model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.contact.effects import Effect, Variant, all_effects
+from tacgen.contact.law import respond
+from tacgen.diagnose.contact.channel import TARGETS, ChannelData
+from tacgen.diagnose.contact.covariates import Nuisance, numeric_nuisances, text_nuisances
+from tacgen.diagnose.contact.model import Fit, Model, references_of
+
+CONTRACT_COLUMNS = frozenset(
+    {
+        *("trial", "time_s", "indenter", "radius_mm", "x_mm", "y_mm", "force_normal_n"),
+        *("force_shear_x_n", "force_shear_y_n", "volume_mm3", "shear_x_mm", "shear_y_mm"),
+        "temperature_c",
+    }
+)
+MAX_SHARE_BESIDE_LOAD = 0.4
+"""Part of a column's variation within trials that load, turn and time must leave, for the column
+to count as a condition of its own."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A variant of an effect, or a nuisance, and its reduced columns (R, M)."""
+
+    name: str
+    columns: NDArray[np.float64]
+    effect: Effect | None = None
+    variant: Variant | None = None
+    nuisance: Nuisance | None = None
+
+    @property
+    def is_effect(self) -> bool:
+        """Whether it is an effect of the list."""
+        return self.effect is not None
+
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        """Names of the parameters that a fit of an effect frees."""
+        return self.variant.free if self.variant is not None else ()
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters that a fit of it frees."""
+        if self.variant is not None:
+            return len(self.variant.free)
+        return self.nuisance.n_parameters if self.nuisance is not None else 0
+
+    @property
+    def label(self) -> str:
+        """In words."""
+        if self.variant is not None:
+            return f"{self.name}: {self.variant.label}"
+        return self.nuisance.label if self.nuisance is not None else self.name
+
+
+def usable_effects(data: ChannelData) -> list[Effect]:
+    """Effects of the channel whose columns the log has and in which it varies."""
+    return [e for e in all_effects() if e.channel == data.channel and _is_usable(e, data)]
+
+
+def _is_usable(effect: Effect, data: ChannelData) -> bool:
+    history = data.history
+    if not history.has(*effect.needs):
+        return False
+    if effect.name == "temperature":
+        return _varies(history.column("temperature_c"))
+    if effect.name == "position":
+        return _varies(history.column("x_mm")) or _varies(history.column("y_mm"))
+    if effect.name == "shear_coupling":
+        return history.shear_span_n > 0.01 * history.normal_span_n
+    if effect.name in ("drift", "conditioning"):
+        return history.n_trials >= 6
+    if effect.name == "hysteresis":
+        return bool(history.reversal(data.channel)[1].mean() > 0.02)
+    return True
+
+
+def _varies(values: NDArray[np.float64]) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(finite.size and np.ptp(finite) > 1e-9 * (1.0 + np.abs(finite).max()))
+
+
+def effect_candidates(
+    data: ChannelData, model: Model, effects: Sequence[Effect]
+) -> list[Candidate]:
+    """The variants of ``effects``, linearised at ``model`` by the difference each probe makes."""
+    acting = [(term.effect, term.values) for term in model.terms]
+    plain = data.reduce(respond(data.history, data.channel, model.compliance, acting))
+    candidates = []
+    for effect in effects:
+        references = references_of(effect, data)
+        for variant in effect.variants(data.history, references):
+            columns = []
+            for probe in variant.probes:
+                values = effect.complete({**references, **variant.shapes, **probe})
+                changed = respond(
+                    data.history, data.channel, model.compliance, [*acting, (effect, values)]
+                )
+                columns.append(data.reduce(changed) - plain)
+            stacked = np.stack(columns, axis=1)
+            if np.isfinite(stacked).all() and np.abs(stacked).max() > 0:
+                candidates.append(Candidate(effect.name, stacked, effect, variant))
+    return candidates
+
+
+def covariate_nuisances(data: ChannelData, skip: Sequence[str] = ()) -> list[Nuisance]:
+    """Nuisances of every column that the contract does not know."""
+    found: list[Nuisance] = []
+    for name, values in data.columns.items():
+        if name in CONTRACT_COLUMNS or name in skip or name in TARGETS[data.channel]:
+            continue
+        if np.issubdtype(np.asarray(values).dtype, np.number):
+            if not follows_load(data, name):
+                found += numeric_nuisances(name, data)
+        else:
+            found += text_nuisances(name, data)
+    return found
+
+
+def nuisance_candidates(
+    data: ChannelData, fit: Fit, nuisances: Sequence[Nuisance]
+) -> list[Candidate]:
+    """Their columns at the fitted law's response."""
+    response = fit.model.law_response(data)
+    return [
+        Candidate(
+            nuisance.covariate,
+            np.stack([data.reduce(c) for c in nuisance.columns(data, response)], axis=1),
+            nuisance=nuisance,
+        )
+        for nuisance in nuisances
+    ]
+
+
+def follows_load(data: ChannelData, name: str) -> bool:
+    """Whether a numeric column is, within trials, mostly a function of load, turn and time.
+
+    A depth or a gripper's width is another reading of the press, not a condition of it: the law
+    must not be excused by it.
+    """
+    history = data.history
+    values: NDArray[np.float64] = np.nan_to_num(history.column(name)).astype(np.float64)
+    load = history.force_normal_n / history.normal_span_n
+    _, unloading = history.reversal("normal")
+    time = history.time_in_trial_s / max(float(history.time_in_trial_s.max()), 1e-9)
+    basis = [load, load**2, load**3, unloading * 1.0, unloading * load, time, time**2]
+    design = np.stack(
+        [_within(np.asarray(b, dtype=np.float64), history.trial_index) for b in basis], axis=1
+    )
+    centred = _within(values.astype(np.float64), history.trial_index)
+    total = float(centred @ centred)
+    if total <= 1e-6 * float(((values - values.mean()) ** 2).sum()):
+        return False
+    share = np.linalg.lstsq(design, centred, rcond=None)[0]
+    left = centred - design @ share
+    return float(left @ left) < MAX_SHARE_BESIDE_LOAD * total
+
+
+def _within(values: NDArray[np.float64], trial_index: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Values less their trial's mean."""
+    mean: NDArray[np.float64] = np.bincount(trial_index, values) / np.bincount(trial_index)
+    return values - mean[trial_index]

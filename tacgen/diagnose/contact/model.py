@@ -1,0 +1,345 @@
+"""A contact law under fit: a compliance and effects, each in one variant, refitted jointly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.contact.effects import Effect, Variant
+from tacgen.contact.law import respond
+from tacgen.diagnose.contact.channel import ChannelData
+from tacgen.diagnose.contact.covariates import Nuisance
+
+MAX_STEPS = 25
+MAX_LOG_STEP = 0.5
+_GEOMETRIC = ("s", "N", "mm3", "trials")
+"""Units of shapes and limits that are searched on a logarithmic scale."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect in one variant, with the values of all of its parameters."""
+
+    effect: Effect
+    variant: Variant
+    values: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.effect.name
+
+
+@dataclass(frozen=True)
+class Model:
+    """A compliance, effects, and covariates that no effect explains but that must not mislead.
+
+    ``coefficients`` are those of the nuisances' columns, flattened.
+    """
+
+    compliance: float
+    terms: tuple[Term, ...] = ()
+    nuisances: tuple[Nuisance, ...] = ()
+    coefficients: tuple[float, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(term.name for term in self.terms)
+
+    def without(self, name: str) -> Model:
+        """The model less the effect ``name``."""
+        return replace(self, terms=tuple(t for t in self.terms if t.name != name))
+
+    def n_free(self) -> int:
+        """Number of fitted parameters, the compliance included."""
+        return 1 + sum(len(t.variant.free) for t in self.terms) + len(self.coefficients)
+
+    def law_response(self, data: ChannelData) -> NDArray[np.float64]:
+        """What the law alone predicts, (N, C), in the history's order."""
+        acting = [(term.effect, term.values) for term in self.terms]
+        return respond(data.history, data.channel, self.compliance, acting)
+
+    def response(self, data: ChannelData) -> NDArray[np.float64]:
+        """The law and the nuisances, (N, C)."""
+        result = self.law_response(data)
+        if not self.nuisances:
+            return result
+        law, position = result, 0
+        for nuisance in self.nuisances:
+            columns = nuisance.columns(data, law)
+            share = np.asarray(self.coefficients[position : position + len(columns)])
+            result = result + np.tensordot(share, np.stack(columns), axes=1)
+            position += len(columns)
+        return result
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model, its weighted residual (R,) and Jacobian (R, P), rows as ``reduce`` has.
+
+    The Jacobian is 0 for a parameter that its bound holds.
+    """
+
+    model: Model
+    residual: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+
+    @property
+    def loss(self) -> float:
+        """Weighted sum of squares."""
+        return float(self.residual @ self.residual)
+
+
+def references_of(effect: Effect, data: ChannelData) -> dict[str, float]:
+    """Reference values of an effect on this log."""
+    references = effect.references(data.history)
+    if effect.parameter("span_mm3") is not None:
+        references["span_mm3"] = data.span
+    return references
+
+
+def start_term(
+    effect: Effect, variant: Variant, data: ChannelData, scales: Sequence[float]
+) -> Term:
+    """A term at the probes' settings times ``scales``, one for each probe, within bounds."""
+    values = effect.complete({**references_of(effect, data), **variant.shapes})
+    for probe, scale in zip(variant.probes, scales, strict=True):
+        for name, value in probe.items():
+            parameter = effect.parameter(name)
+            assert parameter is not None  # a variant probes parameters of its own effect
+            scaled = value * scale if variant.scales else value
+            values[name] = float(np.clip(scaled, parameter.low, parameter.high))
+    return Term(effect, variant, values)
+
+
+def fit_model(data: ChannelData, start: Model) -> Fit:
+    """Least squares from ``start`` by Levenberg-Marquardt within the parameters' bounds."""
+    space = _Space(data, start)
+    vector = space.start
+    target = data.reduce(data.target)
+    residual = target - data.reduce(space.model(vector).response(data))
+    damping = 1e-3
+    jacobian = space.jacobian(vector, target - residual)
+    for _ in range(MAX_STEPS):
+        inner = space.inner(vector, jacobian.T @ residual)
+        open_jacobian = jacobian[:, inner]
+        normal, gradient = open_jacobian.T @ open_jacobian, open_jacobian.T @ residual
+        size = np.sqrt(np.diag(normal)) + 1e-12 * np.sqrt(np.trace(normal)) + 1e-150
+        normal, gradient = normal / np.outer(size, size), gradient / size
+        improved = False
+        for _ in range(6):
+            trial = vector.copy()
+            damped = normal + (damping + 1e-11) * np.eye(size.size)
+            step = np.linalg.solve(damped, gradient) / size
+            trial[inner] += np.clip(step, -space.reach[inner], space.reach[inner])
+            trial = space.clip(trial)
+            new = target - data.reduce(space.model(trial).response(data))
+            if new @ new < residual @ residual:
+                improved = True
+                break
+            damping *= 10.0
+        if not improved:
+            break
+        gain = 1.0 - float(new @ new) / max(float(residual @ residual), 1e-300)
+        vector, residual = trial, new
+        damping = max(damping / 10.0, 1e-9)
+        jacobian = space.jacobian(vector, target - residual)
+        if gain < 1e-5:
+            break
+    inner = space.inner(vector, jacobian.T @ residual)
+    felt = np.linalg.norm(jacobian, axis=0) > 1e-3 * np.linalg.norm(residual)
+    return Fit(space.model(vector), residual, jacobian * (inner & felt))
+
+
+def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
+    """The fit with the bias removed that noise of the force puts on least squares.
+
+    Each Gauss-Newton step solves the normal equations of products between the halves, as
+    instrumental variables do; a step that leads out of the neighbourhood is not taken.
+    """
+    space = _Space(data, fit.model)
+    target, vector, best = data.reduce(data.target), space.start, fit
+    for _ in range(steps):
+        open_ = np.flatnonzero(np.abs(best.jacobian).max(axis=0) > 0)
+        a, b, _ = data.halves(np.column_stack([best.jacobian[:, open_], best.residual]))
+        gram = 0.5 * (a.T @ b + b.T @ a)
+        scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
+        if np.linalg.eigvalsh(gram[:-1, :-1] / np.outer(scale, scale))[0] < 1e-6:
+            return best
+        trial = vector.copy()
+        trial[open_] += np.linalg.solve(gram[:-1, :-1], gram[:-1, -1])
+        trial = space.clip(trial)
+        residual = target - data.reduce(space.model(trial).response(data))
+        if residual @ residual > 1.02 * fit.loss:
+            return best
+        vector = trial
+        jacobian = space.jacobian(vector, target - residual)
+        kept = np.abs(best.jacobian).max(axis=0) > 0
+        best = Fit(space.model(vector), residual, jacobian * kept)
+    return best
+
+
+@dataclass(frozen=True)
+class StandardErrors:
+    """Standard errors of the compliance and of each effect's free parameters."""
+
+    compliance: float
+    effects: Mapping[str, Mapping[str, float]]
+
+
+def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
+    """Errors that hold for samples that are correlated within a trial (or part of one).
+
+    Source
+    ------
+    Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor.
+    """
+    space = _Space(data, fit.model)
+    unit = np.zeros(data.history.n_samples, dtype=np.int64)
+    unit[data.pairs[0]] = data.pair_unit
+    unit[data.pairs[1]] = data.pair_unit
+    rows = np.repeat(unit, data.n_outputs)
+    products = fit.jacobian * fit.residual[:, None]
+    sums = np.stack([np.bincount(rows, column) for column in products.T], axis=1)
+    inverse = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, rcond=1e-12, hermitian=True)
+    factor = data.n_units / max(data.n_units - fit.jacobian.shape[1], 1)
+    covariance = factor * inverse @ (sums.T @ sums) @ inverse
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * space.natural_scale(space.start)
+    effects: dict[str, dict[str, float]] = {term.name: {} for term in fit.model.terms}
+    for (index, name), error in zip(space.slot_names, spread[1:], strict=False):
+        effects[fit.model.terms[index].name][name] = float(error)
+    return StandardErrors(float(spread[0]), effects)
+
+
+class _Space:
+    """The free numbers of a model as one vector, in units of about their own size."""
+
+    def __init__(self, data: ChannelData, model: Model) -> None:
+        self._data = data
+        self._template = model
+        self._slots: list[tuple[int, str, float, bool]] = []
+        lows, highs, start = [0.0], [np.inf], [1.0]
+        self._compliance_scale = abs(model.compliance) or 1.0
+        lows[0] = 1e-3
+        for index, term in enumerate(model.terms):
+            for name in term.variant.free:
+                scale, logarithmic = _scale_of(term, name)
+                low, high = _bounds_of(term, name, data)
+                value = float(np.clip(term.values[name], low, high))
+                self._slots.append((index, name, scale, logarithmic))
+                mapped = [np.log(v) if logarithmic else v / scale for v in (value, low, high)]
+                start.append(mapped[0])
+                lows.append(mapped[1])
+                highs.append(mapped[2])
+        n_nuisance = sum(n.n_columns for n in model.nuisances)
+        coefficients = list(model.coefficients) or [0.0] * n_nuisance
+        start += coefficients
+        lows += [-np.inf] * n_nuisance
+        highs += [np.inf] * n_nuisance
+        self.start = np.asarray(start)
+        logarithmic_slots = [slot[3] for slot in self._slots]
+        self.reach = np.full(self.start.size, np.inf)
+        self.reach[1 : 1 + len(self._slots)] = np.where(logarithmic_slots, MAX_LOG_STEP, np.inf)
+        self._low, self._high = np.asarray(lows), np.asarray(highs)
+
+    @property
+    def slot_names(self) -> list[tuple[int, str]]:
+        """Term and parameter of each number after the first."""
+        return [(index, name) for index, name, _, _ in self._slots]
+
+    def natural_scale(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """d(parameter)/d(number) at ``vector``, in the parameters' own units."""
+        scale = np.ones(vector.size)
+        scale[0] = self._compliance_scale
+        for i, (_, _, size, logarithmic) in enumerate(self._slots, start=1):
+            scale[i] = np.exp(vector[i]) if logarithmic else size
+        return scale
+
+    def clip(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``vector`` within the bounds."""
+        return np.clip(vector, self._low, self._high)
+
+    def inner(
+        self, vector: NDArray[np.float64], gradient: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Which numbers no bound holds; ``gradient`` is the direction of descent."""
+        held_low = (vector <= self._low) & (gradient <= 0)
+        held_high = (vector >= self._high) & (gradient >= 0)
+        return ~(held_low | held_high)
+
+    def model(self, vector: NDArray[np.float64]) -> Model:
+        """The model that ``vector`` stands for."""
+        values: list[dict[str, float]] = [dict(t.values) for t in self._template.terms]
+        for number, (index, name, scale, logarithmic) in zip(vector[1:], self._slots, strict=False):
+            values[index][name] = float(np.exp(number) if logarithmic else number * scale)
+        terms = tuple(
+            replace(term, values=v) for term, v in zip(self._template.terms, values, strict=True)
+        )
+        coefficients = tuple(float(v) for v in vector[1 + len(self._slots) :])
+        compliance = float(vector[0]) * self._compliance_scale
+        return replace(
+            self._template, compliance=compliance, terms=terms, coefficients=coefficients
+        )
+
+    def jacobian(
+        self, vector: NDArray[np.float64], response: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """d(reduced response)/d(vector) (R, P) by forward differences, inwards at a bound."""
+        columns = []
+        for i in range(vector.size):
+            step = 1e-4 * max(1.0, abs(vector[i])) if i <= len(self._slots) else 1e-3
+            moved = vector.copy()
+            moved[i] += step if vector[i] + step <= self._high[i] else -step
+            changed = self._data.reduce(self.model(moved).response(self._data))
+            columns.append((changed - response) / (moved[i] - vector[i]))
+        return np.stack(columns, axis=1)
+
+
+def _scale_of(term: Term, name: str) -> tuple[float, bool]:
+    parameter = term.effect.parameter(name)
+    assert parameter is not None  # free parameters are the effect's own
+    is_limit = np.isinf(parameter.identity)
+    if parameter.low > 0 and (is_limit or parameter.unit in _GEOMETRIC):
+        return 1.0, True
+    for probe in term.variant.probes:
+        if name in probe:
+            return abs(probe[name]) or 1.0, False
+    return 1.0, False
+
+
+def _bounds_of(term: Term, name: str, data: ChannelData) -> tuple[float, float]:
+    parameter = term.effect.parameter(name)
+    assert parameter is not None  # free parameters are the effect's own
+    low, high = parameter.low, parameter.high
+    if name in ("tau_s", "tau_2_s"):
+        duration, period = trial_duration_s(data), data.history.sample_period_s
+        low, high = max(low, 4.0 * period, 0.02 * duration), min(high, 5.0 * duration)
+    if name == "limit_mm3":
+        low, high = 0.4 * data.span, 5.0 * data.span
+    if name == "gross_mu":
+        reference = term.values["ratio_reference"]
+        low, high = 0.2 * reference, 4.0 * reference
+    if name == "width_n":
+        span = term.values["span_n"]
+        low, high = 0.01 * span, 1.2 * span
+    if name == "trials":
+        high = min(high, max(5.0, 0.22 * session_trials(data)))
+    if name in ("delay_s", "lag_s"):
+        reach = max(0.2 * trial_duration_s(data), 4 * data.history.sample_period_s)
+        low, high = max(low, -reach), min(high, reach)
+    return low, high
+
+
+def trial_duration_s(data: ChannelData) -> float:
+    """Median duration of a trial."""
+    ends = data.history.time_in_trial_s[data.history.starts[1:] - 1]
+    return max(float(np.median(ends)), data.history.sample_period_s)
+
+
+def session_trials(data: ChannelData) -> float:
+    """Trials of the session by their numbers, those that are held out included."""
+    return float(np.ptp(data.history.trial)) + 1.0

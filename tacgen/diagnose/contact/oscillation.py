@@ -1,0 +1,163 @@
+"""Oscillations of a residual in the session's clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
+
+from tacgen.diagnose.contact.channel import MIN_TRIALS_AS_UNITS, ChannelData
+from tacgen.diagnose.contact.covariates import HOWS, How, Nuisance
+from tacgen.diagnose.contact.model import Fit, trial_duration_s
+
+MIN_CYCLES = 1.5
+"""Slower than this within the session is a drift, not an oscillation."""
+MAX_POINTS = 1 << 17
+"""Of the search's clock; a session that needs more is searched for slower oscillations only."""
+POINTS_PER_PERIOD = 8
+ROWS_PER_PERIOD = 4
+REFINED = 41
+"""Frequencies between the neighbours of the best one that are tried afterwards."""
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Times of rows on a regular clock, so that all frequencies are one Fourier transform."""
+
+    ticks: NDArray[np.int64]
+    tick_s: float
+    n_points: int
+    first: int
+    stop: int
+
+    def frequency_hz(self, number: float) -> float:
+        """Of a term of the transform."""
+        return number / (self.n_points * self.tick_s)
+
+
+def search_clock(data: ChannelData) -> _Clock:
+    """A clock for ``MIN_CYCLES`` a session up to periods of a few rows, half a cycle apart.
+
+    Where trials are few an oscillation must show in each of them: a slower one fits any few.
+    """
+    time = data.history.time_s - float(data.history.time_s.min())
+    session = max(float(time.max()), data.history.sample_period_s)
+    highest = 1.0 / (ROWS_PER_PERIOD * data.history.sample_period_s)
+    tick = max(1.0 / (POINTS_PER_PERIOD * highest), 2.0 * session / MAX_POINTS)
+    ticks = np.rint(time / tick).astype(np.int64)
+    n_points = next_fast_len(2 * int(ticks.max() + 1), real=True)
+    few = data.history.n_trials < MIN_TRIALS_AS_UNITS
+    slowest = trial_duration_s(data) if few else session
+    first = int(np.ceil(MIN_CYCLES * n_points * tick / slowest))
+    return _Clock(ticks, tick, n_points, first, n_points // POINTS_PER_PERIOD)
+
+
+def find_waves(data: ChannelData, fit: Fit, signs: NDArray[np.float64]) -> list[Nuisance]:
+    """The best frequency for an oscillation of the compliance, and for an added one.
+
+    ``signs`` (F, n_units) flip the residual of whole units; how high the highest of all peaks
+    then is says by how much the best one must stand out. None where the clock is too coarse.
+    """
+    clock = search_clock(data)
+    if clock.first >= clock.stop:
+        return []
+    time = data.history.time_s
+    start = float(time.min())
+    response = fit.model.law_response(data)
+    found = []
+    for how in HOWS:
+        parts = _products(data, fit, response, how)
+        signs_of_rows = _row_signs(data, signs)
+        power = np.sum([_powers(clock, *part, signs_of_rows) for part in parts], axis=0)
+        peaks = power.max(axis=0)
+        coarse = clock.first + int(np.argmax(power[:, 0]))
+        near = np.array([clock.frequency_hz(coarse + s) for s in np.linspace(-1, 1, REFINED)])
+        exact = np.sum([_power_at(near, time - start, *part) for part in parts], axis=0)
+        found.append(
+            Nuisance(
+                "time_s",
+                "wave",
+                how,
+                center=start,
+                frequency_hz=float(near[np.argmax(exact)]),
+                n_outputs=data.n_outputs,
+                p_search=_gumbel_p(peaks[0], peaks[1:]),
+            )
+        )
+    return found
+
+
+def _products(
+    data: ChannelData, fit: Fit, response: NDArray[np.float64], how: How
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Amplitude times residual, and its square, of each row (N,): added ones for each output."""
+    size = response if how == "gain" else np.full_like(response, 0.1 * data.span)
+    amplitude = data.reduce(size).reshape(-1, data.n_outputs)
+    product, square = fit.residual.reshape(-1, data.n_outputs) * amplitude, amplitude**2
+    if how == "gain":
+        return [(product.sum(axis=1), square.sum(axis=1))]
+    return [(product[:, k], square[:, k]) for k in range(data.n_outputs)]
+
+
+def _row_signs(data: ChannelData, signs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signs (N, F + 1) of every row, the first column without a flip."""
+    unit = np.zeros(data.history.n_samples, dtype=np.int64)
+    unit[data.pairs[0]] = data.pair_unit
+    unit[data.pairs[1]] = data.pair_unit
+    flips = np.vstack([np.ones(signs.shape[1]), signs])
+    return flips[:, unit].T
+
+
+def _powers(
+    clock: _Clock,
+    product: NDArray[np.float64],
+    square: NDArray[np.float64],
+    signs: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Sum of squares that a wave of each frequency takes, for each flip: (frequencies, F + 1)."""
+    wave = np.stack(
+        [_spectrum(clock, product * flip)[clock.first : clock.stop] for flip in signs.T]
+    )
+    double = _spectrum(clock, square)[2 * clock.first : 2 * clock.stop : 2]
+    return _taken(wave.T, double[:, None], float(square.sum()))
+
+
+def _spectrum(clock: _Clock, values: NDArray[np.float64]) -> NDArray[np.complex128]:
+    on_clock = np.bincount(clock.ticks, values, minlength=clock.n_points)
+    return rfft(on_clock)
+
+
+def _power_at(
+    frequencies: NDArray[np.float64],
+    time: NDArray[np.float64],
+    product: NDArray[np.float64],
+    square: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """``_powers`` at frequencies of one's own (F,), at the rows' exact times."""
+    phase = np.exp(-2j * np.pi * np.outer(frequencies, time))
+    return _taken(phase @ product, phase**2 @ square, float(square.sum()))
+
+
+def _taken(
+    wave: NDArray[np.complex128], double: NDArray[np.complex128], total: float
+) -> NDArray[np.float64]:
+    """What a cosine and a sine take together, from sums of products with both."""
+    cos_cos, sin_sin, cos_sin = (
+        (total + double.real) / 2,
+        (total - double.real) / 2,
+        -double.imag / 2,
+    )
+    a, b = wave.real, -wave.imag
+    determinant = np.maximum(cos_cos * sin_sin - cos_sin**2, 1e-3 * total**2)
+    return (sin_sin * a**2 - 2 * cos_sin * a * b + cos_cos * b**2) / determinant
+
+
+def _gumbel_p(observed: float, null: NDArray[np.float64]) -> float:
+    """Return the p of a largest value by the Gumbel law that has the null's moments."""
+    if null.size < 2:
+        return 1.0
+    scale = max(float(null.std()) * np.sqrt(6.0) / np.pi, 1e-300)
+    location = float(null.mean()) - 0.5772156649 * scale
+    return float(-np.expm1(-np.exp(np.clip(-(observed - location) / scale, -700.0, 50.0))))

@@ -1,0 +1,184 @@
+"""What a model leaves over: its noise floor, and what the residual still depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.diagnose.contact import scores
+from tacgen.diagnose.contact.candidates import CONTRACT_COLUMNS, follows_load
+from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, TARGETS, ChannelData
+from tacgen.diagnose.contact.model import Fit
+
+DEGREE = 3
+MAX_LEVELS = 12
+N_SHUFFLES = 1999
+N_FOLDS = 10
+
+
+FLOOR_LAGS = (1, 2, 4, 8)
+ROWS_PER_LAG = 10
+MAX_RISE = 1.1
+"""From one lag to twice it: noise that goes on for some samples rises less, and levels out; what
+a law leaves of a load's course goes on rising."""
+
+
+def noise_floor(residual: NDArray[np.float64], starts: NDArray[np.int64]) -> float:
+    """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
+
+    Second differences along each trial: what varies slowly is not seen. Noise that goes on from
+    one sample to the next is seen whole by differences over 2, 4 and 8 samples, which are taken
+    as long as they rise little. Single samples that stick out do not count.
+    """
+    floor = _difference_noise(residual, starts, 1)
+    if not np.isfinite(floor):
+        return float(residual.std())
+    shortest = float(np.median(np.diff(starts)))
+    for lag in FLOOR_LAGS[1:]:
+        wider = _difference_noise(residual, starts, lag)
+        if shortest < ROWS_PER_LAG * lag or not wider <= MAX_RISE * floor:
+            break
+        floor = max(wider, floor)
+    return floor
+
+
+def _difference_noise(residual: NDArray[np.float64], starts: NDArray[np.int64], lag: int) -> float:
+    """Noise by second differences over ``lag`` samples; NaN where no trial is long enough."""
+    parts = [
+        residual[first : stop - 2 * lag]
+        - 2.0 * residual[first + lag : stop - lag]
+        + residual[first + 2 * lag : stop]
+        for first, stop in pairwise(starts)
+        if stop - first > 2 * lag
+    ]
+    if not parts:
+        return float("nan")
+    square = (np.concatenate(parts) ** 2).mean(axis=1) / 6.0
+    typical = float(np.median(square)) / 0.455
+    return float(np.sqrt(square[square <= OUTLIER_SIGMAS**2 * typical].mean()))
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How strongly a residual follows a covariate.
+
+    ``p_value`` is corrected for the number of covariates; ``share`` is the part of the held-out
+    sum of squares (noise included) that a smooth function of the covariate takes away.
+    """
+
+    covariate: str
+    p_value: float
+    share: float
+
+
+def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDArray]:
+    """Everything a residual may follow, (N,) each: load, history, place, time, other columns."""
+    history = data.history
+    load = history.force_normal_n if data.channel == "normal" else history.shear_size_n
+    _, unloading = history.reversal(data.channel)
+    peak_row, _ = history.reversal("normal")
+    found: dict[str, NDArray] = {
+        "load": load,
+        "unloading": unloading.astype(np.float64),
+        "load_rate": _rate(load, history.time_s, history.starts),
+        "peak_so_far": history.normal_smooth_n[peak_row],
+        "time_in_trial_s": history.time_in_trial_s,
+        "time_s": history.time_s,
+        "trial": history.trial,
+    }
+    found = {name: values for name, values in found.items() if name not in skip}
+    if history.has("force_shear_x_n", "force_shear_y_n"):
+        found["shear_direction"] = np.arctan2(*history.force_shear_n.T[::-1])
+        found["shear_force" if data.channel == "normal" else "force_normal_n"] = (
+            history.shear_size_n if data.channel == "normal" else history.force_normal_n
+        )
+    for name, values in data.columns.items():
+        named = name in ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
+        other = name not in CONTRACT_COLUMNS and name not in TARGETS[data.channel]
+        if (named or other) and name not in skip and not _is_reading(data, name, other):
+            numeric = np.issubdtype(np.asarray(values).dtype, np.number)
+            found[name] = history.column(name) if numeric else history.text(name)
+    return found
+
+
+def _is_reading(data: ChannelData, name: str, other: bool) -> bool:
+    """Whether an extra column is another reading of the press."""
+    numeric = np.issubdtype(np.asarray(data.columns[name]).dtype, np.number)
+    return other and numeric and follows_load(data, name)
+
+
+def dependences(
+    data: ChannelData, fit: Fit, rng: np.random.Generator, skip: Sequence[str] = ()
+) -> tuple[Dependence, ...]:
+    """Test the residual of ``fit`` against every covariate, strongest first.
+
+    Units of resampling are trials (`scores.shuffle_statistics`); each covariate enters as a
+    cubic, or as levels, on the compliance and added.
+    """
+    response = fit.model.law_response(data)
+    added = 0.1 * data.span
+    names, blocks = [], []
+    for name, values in covariates_of(data, skip).items():
+        for basis in _basis(values):
+            functions = [f[:, None] * response for f in basis]
+            functions += [
+                f[:, None] * added * axis for axis in np.eye(data.n_outputs) for f in basis
+            ]
+            names.append(name)
+            blocks.append(np.stack([data.reduce(f) for f in functions], axis=1))
+    if not blocks:
+        return ()
+    start = fit.jacobian.shape[1]
+    groups, position = [], start
+    for block in blocks:
+        groups.append(list(range(position, position + block.shape[1])))
+        position += block.shape[1]
+    constant = data.reduce(np.ones_like(data.target))[:, None]
+    design = np.column_stack([fit.jacobian, *blocks, constant, fit.residual])
+    grams = scores.unit_grams(data, design)
+    base = list(range(start))
+    shuffled = scores.shuffles(data.n_units, N_SHUFFLES, rng)
+    statistics = scores.shuffle_statistics(grams, base, groups, shuffled, position)
+    p_values = np.minimum(scores.shuffle_p_values(statistics) * len(groups), 1.0)
+    folds = data.folds(N_FOLDS)
+    without = scores.cv_losses(grams, folds, [base]).sum()
+    losses = scores.losses_of_groups(grams, folds, base, groups).sum(axis=1)
+    total = data.noise_loss + max(float(without), 0.0)
+    found = [
+        Dependence(name, float(p), float(without - loss) / total)
+        for name, p, loss in zip(names, p_values, losses, strict=True)
+    ]
+    return tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
+
+
+def _basis(values: NDArray) -> list[list[NDArray[np.float64]]]:
+    """Functions (N,) of a covariate, one list; empty where it is constant or has no repeats."""
+    if not np.issubdtype(values.dtype, np.number):
+        levels, counts = np.unique(values, return_counts=True)
+        common = levels[np.argsort(-counts)][:MAX_LEVELS]
+        if levels.size < 2 or counts.max() < 2:
+            return []
+        return [[(values == level).astype(np.float64) for level in common[1:]]]
+    finite = np.isfinite(values)
+    spread = float(values[finite].std()) if finite.any() else 0.0
+    if spread <= 1e-9 * (1.0 + float(np.abs(values[finite]).max(initial=0.0))):
+        return []
+    scaled = np.nan_to_num((values - values[finite].mean()) / spread, nan=0.0)
+    degree = min(DEGREE, np.unique(scaled[:2000]).size - 1)
+    return [[np.clip(scaled, -3, 3) ** power for power in range(1, degree + 1)]]
+
+
+def _rate(
+    load: NDArray[np.float64], time_s: NDArray[np.float64], starts: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """d|load|/dt (N,), clipped to its bulk; 0 for trials of one sample."""
+    rate = np.zeros_like(load)
+    for first, stop in pairwise(starts):
+        if stop - first > 2 and np.all(np.diff(time_s[first:stop]) > 0):
+            rate[first:stop] = np.gradient(load[first:stop], time_s[first:stop])
+    bulk = np.quantile(np.abs(rate), 0.98) if rate.size else 0.0
+    return np.clip(rate, -bulk, bulk)

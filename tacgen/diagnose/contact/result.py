@@ -1,0 +1,246 @@
+"""What the loop says about a press log, and how it stands in ``diagnosis.json``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from tacgen.contact.law import ContactLaw
+from tacgen.diagnose.contact.attribution import Attribution
+from tacgen.diagnose.contact.channel import UNITS, ChannelData
+from tacgen.diagnose.contact.heldout import Errors
+from tacgen.diagnose.contact.model import Fit, StandardErrors
+from tacgen.diagnose.contact.residuals import Dependence
+
+SCHEMA = 1
+Verdict = Literal["sufficient", "effect_found", "unexplained"]
+
+
+@dataclass(frozen=True)
+class ChannelDiagnosis:
+    """What one channel's residual was traced to.
+
+    ``base`` and ``final`` are fits to all trials, whose parameters the law gets; ``before`` and
+    ``after`` are errors on trials that had no part in fitting or choosing. ``how`` says how the
+    trials were held out; ``floor`` is the standard deviation of one sample's noise.
+    """
+
+    data: ChannelData
+    attribution: Attribution
+    base: Fit
+    final: Fit
+    base_errors: StandardErrors
+    final_errors: StandardErrors
+    before: Errors
+    after: Errors
+    gain_interval: tuple[float, float]
+    floor: float
+    n_spikes: int
+    gp_rmse: float
+    n_fit: int
+    n_test: int
+    how: str
+    dependences_before: tuple[Dependence, ...]
+    dependences_after: tuple[Dependence, ...]
+    unexplained: tuple[Dependence, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """``unexplained`` if structure is left, whatever was found."""
+        if self.unexplained:
+            return "unexplained"
+        return "effect_found" if self.effect_names else "sufficient"
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Effects of the list, in the order in which they were added."""
+        return tuple(c.candidate.name for c in self.attribution.chosen if c.candidate.is_effect)
+
+    def p_value(self, p_value: float) -> float | None:
+        """``p_value``, but no less than the trials allow, however many samples they have.
+
+        Under the null each trial's sign is a coin's; n trials have 2^(n − 1) different outcomes.
+        """
+        n_seen = self.n_fit if self.n_test > 1 else self.data.history.n_trials
+        return _number(max(p_value, 0.5 ** (n_seen - 1)))
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one plain sentence."""
+        unit, what = UNITS[self.data.channel], _LAW_WORDS[self.data.channel]
+        before, after, floor = self.before.rmse, self.after.rmse, self.floor
+        held = "held-out trials" if self.n_test else "the fitted trials"
+        names = " and ".join(name.replace("_", " ") for name in self.effect_names)
+        error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
+        floor_words = f"noise floor {floor:.3g} {unit}"
+        if self.verdict == "sufficient":
+            return f"{what} is sufficient: {before:.3g} {unit} on {held}, {floor_words}."
+        left = ", ".join(d.covariate for d in self.unexplained)
+        if self.verdict == "effect_found":
+            return f"{what} lacks {names}: with it, {error} ({floor_words})."
+        if names:
+            return f"{what} lacks {names} ({error}), and something that follows {left} is left."
+        return (
+            f"{what} leaves structure that follows {left} and that no listed effect explains "
+            f"({before:.3g} {unit} on {held}, {floor_words})."
+        )
+
+
+_LAW_WORDS = {"normal": "V = k_n F_n", "shear": "D = k_s F_s"}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All channels of a log, the law that came of it, and what the reader should know."""
+
+    channels: Mapping[str, ChannelDiagnosis]
+    law: ContactLaw
+    notes: tuple[str, ...]
+
+    @property
+    def linear_law(self) -> ContactLaw:
+        """The law without effects, fitted to the same trials: what ``law`` is compared with."""
+        compliance = {name: found.base.model.compliance for name, found in self.channels.items()}
+        k_n = compliance.get("normal", self.law.k_n_mm3_per_n.value)
+        return ContactLaw.linear(k_n, compliance.get("shear", float("nan")))
+
+
+def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The content of ``diagnosis.json``: the contract's keys and further ones."""
+    return {
+        "schema": SCHEMA,
+        "notes": list(diagnosis.notes),
+        "channels": {name: _channel(d) for name, d in diagnosis.channels.items()},
+    }
+
+
+def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
+    unit = UNITS[found.data.channel]
+    terms = {term.name: term for term in found.final.model.terms}
+    effects = []
+    for chosen in found.attribution.chosen:
+        if not chosen.candidate.is_effect:
+            continue
+        term = terms[chosen.candidate.name]
+        effects.append(
+            {
+                "name": term.name,
+                "parameters": {
+                    name: {
+                        "value": _number(value),
+                        "stderr": _number(found.final_errors.effects[term.name].get(name, 0.0)),
+                        "unit": unit_of(term.effect, name),
+                    }
+                    for name, value in shown_parameters(term).items()
+                },
+                "heldout_gain": _number(chosen.gain),
+                "runner_up": chosen.runner_up,
+                "runner_up_margin": _number(chosen.runner_up_margin),
+                "runner_up_margin_in_se": _number(chosen.margin_in_se),
+                "confusable_with": list(chosen.confusable),
+                "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
+                "p_value": found.p_value(chosen.p_value),
+                "form": chosen.candidate.label,
+            }
+        )
+    return {
+        "verdict": found.verdict,
+        "sentence": found.sentence,
+        "effects": effects,
+        "unexplained": [
+            {
+                "covariate": d.covariate,
+                "p_value": found.p_value(d.p_value),
+                "share": _number(d.share),
+            }
+            for d in found.unexplained
+        ],
+        "error_before": _error(found.before, unit),
+        "error_after": _error(found.after, unit),
+        "noise_floor": {
+            "rmse": _number(found.floor),
+            "how": "second differences, over 1 to 8 samples of a trial, of what the law leaves",
+        },
+        "gain_interval_95": [_number(v) for v in found.gain_interval],
+        "gp_yardstick": {"rmse": _number(found.gp_rmse), "unit": unit},
+        "trials": {"fit": found.n_fit, "test": found.n_test},
+        "held_out": found.how,
+        "compliance": {
+            "before": _estimate(found.base.model.compliance, found.base_errors.compliance, unit),
+            "after": _estimate(found.final.model.compliance, found.final_errors.compliance, unit),
+        },
+        "ranking": [
+            {"candidate": label, "heldout_gain": _number(gain), "p_value": found.p_value(p)}
+            for label, gain, p in found.attribution.ranking[:12]
+        ],
+        "residual_before": _dependences(found, found.dependences_before),
+        "residual_after": _dependences(found, found.dependences_after),
+    }
+
+
+def shown_parameters(term: Any) -> dict[str, float]:
+    """Parameters that matter for a term: fitted ones, references, and shapes that are in use."""
+    kept = {}
+    for name, value in term.values.items():
+        parameter = term.effect.parameter(name)
+        fitted = name in term.variant.free
+        held = name in term.variant.shapes
+        if fitted or held or (parameter is not None and parameter.role == "reference"):
+            kept[name] = value
+    return kept
+
+
+def unit_of(effect: Any, name: str) -> str:
+    """Unit of an effect's parameter."""
+    parameter = effect.parameter(name)
+    return parameter.unit if parameter is not None else ""
+
+
+_ADVICE = {
+    frozenset(("drift", "conditioning")): "let the gel rest in mid-session: conditioning comes "
+    "back, drift does not",
+    frozenset(("drift", "temperature")): "warm or cool the gel in mid-session",
+    frozenset(("drift", "time_s")): "a longer session, with presses at even intervals",
+    frozenset(("creep", "latency")): "hold the load for several seconds: creep goes on, a delay "
+    "is over",
+    frozenset(("creep", "hysteresis")): "unload at two speeds: hysteresis does not depend on it",
+    frozenset(("latency", "hysteresis")): "load and unload at two speeds: a delay grows with it",
+    frozenset(("stiffening", "saturation")): "press harder: a limit stays, stiffening goes on",
+    frozenset(("stiffening", "zero_offset")): "record some seconds without contact",
+    frozenset(("stiffening", "geometry")): "press every ball with the same range of forces",
+    frozenset(("geometry", "saturation")): "press every ball with the same range of forces",
+    frozenset(("position", "geometry")): "press every ball at the same places",
+    frozenset(("slip", "normal_coupling")): "the same shear at several normal forces",
+    frozenset(("slip", "creep")): "hold the shear force for several seconds",
+}
+
+
+def advice(name: str, other: str) -> str:
+    """Which measurement would tell two effects apart."""
+    known = _ADVICE.get(frozenset((name, other)))
+    words = known or "more trials in which the one varies while the other does not"
+    return f"{name} or {other}: {words}"
+
+
+def _dependences(
+    found: ChannelDiagnosis, dependences: tuple[Dependence, ...]
+) -> list[dict[str, Any]]:
+    return [
+        {"covariate": d.covariate, "p_value": found.p_value(d.p_value), "share": _number(d.share)}
+        for d in dependences
+    ]
+
+
+def _estimate(value: float, stderr: float, unit: str) -> dict[str, Any]:
+    return {"value": _number(value), "stderr": _number(stderr), "unit": f"{unit}/N"}
+
+
+def _error(errors: Errors, unit: str) -> dict[str, Any]:
+    return {"rmse": _number(errors.rmse), "nrmse": _number(errors.nrmse), "unit": unit}
+
+
+def _number(value: float) -> float | None:
+    """A float that JSON knows; what is not finite becomes null."""
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,228 @@
+"""Cross-validation and sign-flip tests of linearised candidates, from sums over units alone.
+
+Everything here works on Gram matrices (U, P, P) of a design's columns, one for each unit (a
+trial), whose last column is the residual: no sample is touched again, so that hundreds of
+candidates and pairs cost milliseconds. The products are between the two halves of the data
+(`channel`), so that a loss is what is left of structure, without the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from tacgen.diagnose.contact.channel import ChannelData
+
+RIDGE = 1e-8
+"""Relative to the diagonal: enough to solve with columns that are equal but for noise."""
+LEAST_SEEN = 0.02
+"""Part of a column's sum of squares that must be in the units that are fitted."""
+IMPOSSIBLE = 0.25
+"""Part of the noise by which a sum of products between the halves may fall below nothing. Chance
+hardly brings it there; columns that only noise tells apart do."""
+
+TRIAL_LEVEL = 0.97
+"""Share of a column that must be constant, or follow the response, within trials."""
+
+GramArray = NDArray[np.float64]
+
+
+def unit_grams(data: ChannelData, columns: NDArray[np.float64]) -> GramArray:
+    """Sums over each unit of products of ``columns`` (R, P) between the halves: (U, P, P).
+
+    Symmetrised; in the mean free of noise, and so not positive definite where a column is noise.
+    """
+    a, b, unit = data.halves(columns)
+    bounds = np.searchsorted(unit, np.arange(data.n_units + 1))
+    grams = np.stack([a[i:j].T @ b[i:j] for i, j in pairwise(bounds)])
+    return 0.5 * (grams + grams.transpose(0, 2, 1))
+
+
+def cv_losses(
+    grams: GramArray, folds: NDArray[np.int64], sets: Sequence[Sequence[int]]
+) -> NDArray[np.float64]:
+    """Held-out sum of squares of every unit, for every set of columns: (S, U).
+
+    ``sets`` hold column numbers, all of the same length; the last column is the target.
+    """
+    index = np.asarray(sets, dtype=np.int64)
+    n_sets = index.shape[0]
+    total = grams.sum(axis=0)
+    losses = np.empty((n_sets, grams.shape[0]))
+    for fold in range(int(folds.max()) + 1):
+        out = folds == fold
+        kept = total - grams[out].sum(axis=0)
+        weights = _solve(kept, index, total)
+        held = grams[out]
+        cross = held[:, index, -1]
+        block = held[:, index[:, :, None], index[:, None, :]]
+        onto = (block @ weights[None, :, :, None])[..., 0]
+        change = ((onto - 2.0 * cross) * weights).sum(axis=-1)
+        losses[:, out] = held[:, -1, -1] + change.T
+    return losses
+
+
+def losses_of_groups(
+    grams: GramArray,
+    folds: NDArray[np.int64],
+    base: Sequence[int],
+    groups: Sequence[Sequence[int]],
+) -> NDArray[np.float64]:
+    """``cv_losses`` of the base with each group, which may differ in length: (groups, U)."""
+    losses = np.empty((len(groups), grams.shape[0]))
+    for size in {len(group) for group in groups}:
+        same = [i for i, group in enumerate(groups) if len(group) == size]
+        losses[same] = cv_losses(grams, folds, [[*base, *groups[i]] for i in same])
+    return losses
+
+
+def training_losses(total: NDArray[np.float64], sets: Sequence[Sequence[int]]) -> NDArray:
+    """Sum of squares left by each set of columns on all units: (S,)."""
+    index = np.asarray(sets, dtype=np.int64)
+    weights = _solve(total, index)
+    return total[-1, -1] - np.einsum("si,si->s", weights, total[index, -1])
+
+
+def believable(
+    losses: NDArray[np.float64], without: NDArray[np.float64], noise_loss: float
+) -> NDArray[np.float64]:
+    """``losses`` (S, U) of units; a set whose sum cannot be takes the losses ``without`` (U,) it.
+
+    Products between the halves are not positive definite, so that a set of columns that are
+    nearly the same can seem to leave less than nothing.
+    """
+    least = min(float(without.sum()), 0.0) - IMPOSSIBLE * noise_loss
+    impossible: NDArray[np.bool_] = ~(losses.sum(axis=1) >= least)
+    result: NDArray[np.float64] = np.where(impossible[:, None], without, losses)
+    return result
+
+
+def coefficients(total: NDArray[np.float64], columns: Sequence[int]) -> NDArray[np.float64]:
+    """Least-squares coefficients of ``columns`` for the target."""
+    return _solve(total, np.asarray([columns], dtype=np.int64))[0]
+
+
+def _solve(
+    gram: NDArray[np.float64], index: NDArray[np.int64], whole: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Coefficients (S, P) by the normal equations; 0 for what ``gram`` has hardly any of.
+
+    ``whole`` is of all units: a column that acts in few of them says nothing without those.
+    """
+    block = gram[index[:, :, None], index[:, None, :]]
+    own = np.abs(np.diagonal(block, axis1=1, axis2=2))
+    size = np.sqrt(np.maximum(own, 1e-12 * own.max(axis=1, keepdims=True)) + 1e-290)
+    scaled = block / (size[:, :, None] * size[:, None, :])
+    scaled = scaled + RIDGE * np.eye(index.shape[1])
+    if whole is not None:
+        lacking = np.diag(gram)[index] < LEAST_SEEN * np.diag(whole)[index]
+        scaled = scaled + 1e12 * lacking[:, :, None] * np.eye(index.shape[1])
+    right = gram[index, -1] / size
+    return np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / size
+
+
+@dataclass(frozen=True)
+class Shuffles:
+    """Sign flips and permutations of the units, (F + 1, U) each; row 0 changes nothing."""
+
+    signs: NDArray[np.float64]
+    orders: NDArray[np.int64]
+
+
+def shuffles(n_units: int, count: int, rng: np.random.Generator) -> Shuffles:
+    """``count`` random sign flips and permutations of ``n_units`` units."""
+    signs = rng.choice([-1.0, 1.0], size=(count + 1, n_units))
+    orders = rng.permuted(np.tile(np.arange(n_units), (count + 1, 1)), axis=1)
+    signs[0], orders[0] = 1.0, np.arange(n_units)
+    return Shuffles(signs, orders)
+
+
+def shuffle_statistics(
+    grams: GramArray,
+    base: Sequence[int],
+    groups: Sequence[Sequence[int]],
+    shuffled: Shuffles,
+    ones: int,
+) -> NDArray[np.float64]:
+    """−log p of the score of every group of columns under every shuffle: (F + 1, groups).
+
+    The score of a unit is the product of the group's columns, made orthogonal to the base, and
+    the residual. Two kinds of null are used. Where the columns are, within each unit, a constant
+    times the response (or a constant), what counts is one number a trial, and those numbers are
+    permuted. Otherwise each unit's score is given a random sign, which holds whatever the
+    correlations within the unit. A statistic is put on the scale of a χ² law so that groups of
+    different size compare; its level comes from the shuffles.
+
+    ``base[0]`` is the column of the compliance and ``ones`` that of a constant.
+    """
+    total = grams.sum(axis=0)
+    base = list(base)
+    weights = coefficients(total, base)
+    left = grams[:, :, -1] - grams[:, :, base] @ weights
+    statistics = np.empty((shuffled.signs.shape[0], len(groups)))
+    for number, group in enumerate(groups):
+        columns = list(group)
+        projection = np.linalg.lstsq(
+            total[np.ix_(base, base)], total[np.ix_(base, columns)], rcond=1e-10
+        )[0]
+        shape = _shape_within_units(grams, base[0], ones, columns)
+        if shape is None:
+            scores = left[:, columns] - left[:, base] @ projection
+            scores = scores / (np.sqrt((scores**2).sum(axis=0)) + 1e-300)
+            covariance = scores.T @ scores
+            sums = shuffled.signs @ scores
+        else:
+            information = _information(grams, shape)
+            per_unit = left[:, shape] / np.sqrt(information)
+            per_unit = per_unit / (per_unit.std() + 1e-300)
+            across = grams[:, shape, columns] - grams[:, shape, base] @ projection
+            across = across / np.sqrt(information)[:, None]
+            covariance = across.T @ across
+            sums = per_unit[shuffled.orders] @ across
+        size = np.sqrt(np.diag(covariance)) + 1e-150
+        scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
+        sums = sums / size
+        quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
+        statistics[:, number] = -chi2.logsf(np.maximum(quadratic, 0.0), len(columns))
+    return statistics
+
+
+def _shape_within_units(
+    grams: GramArray, compliance: int, ones: int, columns: Sequence[int]
+) -> int | None:
+    """The column that all of ``columns`` are proportional to within each unit, if any is."""
+    own = grams[:, columns, columns].sum()
+    for shape in (compliance, ones):
+        information = _information(grams, shape)
+        explained = (grams[:, shape, columns] ** 2 / information[:, None]).sum()
+        if explained > TRIAL_LEVEL * own:
+            return shape
+    return None
+
+
+def _information(grams: GramArray, shape: int) -> NDArray[np.float64]:
+    """Sum of squares of a column in each unit, with a floor for units that hardly have any."""
+    own = grams[:, shape, shape]
+    return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
+
+
+def shuffle_p_values(statistics: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the p of each group (columns) by its own shuffles.
+
+    Beyond the largest twentieth of the shuffles an exponential tail, fitted to that twentieth,
+    goes on where ranks end: the statistics are on a scale where that is their law's tail.
+    """
+    null = np.sort(statistics[1:], axis=0)
+    count = null.shape[0]
+    top = max(5, count // 20)
+    threshold = null[-top - 1]
+    excess = (null[-top:] - threshold).mean(axis=0) + 1e-12
+    observed = statistics[0]
+    by_rank = (1.0 + (null >= observed).sum(axis=0)) / (1.0 + count)
+    by_tail = top / count * np.exp(-np.maximum(observed - threshold, 0.0) / excess)
+    return np.where(observed > threshold, np.minimum(by_tail, by_rank), by_rank)

@@ -1,0 +1,198 @@
+"""What the tactile images of real grasps say about the force that was really delivered.
+
+The volume by which a pad's gel gives way grows with the normal force and with nothing else that a
+diagnosis of labels considers: V = k_n F. So how strongly a real image differs from the untouched
+one is compared with simulated images of the same grasp at several forces.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.collection.grid import PlannedGrasp
+from tacgen.collection.perturbed import declared_sha256, place_of
+from tacgen.collection.pipeline import GraspPipeline, dataset_spec
+from tacgen.collection.recipe import Randomize, Recipe
+from tacgen.core.files import sha256_of, write_text
+from tacgen.core.safe_io import read_bgr
+from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
+from tacgen.diagnose.grasps.hypothesis import NO_READING, ForceReading
+from tacgen.diagnose.grasps.perturbed_worlds import declared_object
+
+FORCES = (0.6, 0.8, 1.0, 1.25, 1.6)
+"""Simulated delivered forces over the declared one."""
+N_READ, LEAST_READ = 10, 3
+DECLARED_K_N_ERROR, CALIBRATED_K_N_ERROR = 0.15, 0.07
+"""Relative error of the gel's compliance, from which an image cannot tell the force apart."""
+MAX_IMAGE_BYTES = 64 << 20
+_WIDTH_PX = 160
+_NOISE_GREY = 2.0
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+def force_from_images(
+    recipe: Recipe, real: RealGrasps, kept: Path, show: Callable[[int, int], None]
+) -> tuple[ForceReading, str]:
+    """The delivered force over the declared one, as far as images tell, and words about it.
+
+    Successful grasps are read first: where an object slides, its imprint changes. What was
+    compared stands in the file ``kept``, and is not simulated again.
+    """
+    grasps = sorted((g for g in real.grasps if g.images), key=lambda grasp: -grasp.label)[:N_READ]
+    if len(grasps) < LEAST_READ:
+        return NO_READING, "no images to read the force from: labels alone decide"
+    measured, simulated = _kept_strengths(kept, recipe, real.folder, grasps, show)
+    readings = [
+        float(np.interp(one, curve, np.log(FORCES)))
+        for one, curve in zip(measured, simulated, strict=True)
+        if (np.diff(curve) > 0).all() and curve[0] <= one <= curve[-1]
+    ]
+    if len(readings) < LEAST_READ:
+        return NO_READING, (
+            f"the images of {len(grasps)} grasps do not compare with those of the recipe's sensor "
+            "at any force: labels alone decide"
+        )
+    middle = float(np.median(readings))
+    spread = 1.48 * float(np.median(np.abs(np.array(readings) - middle)))
+    k_n_error = CALIBRATED_K_N_ERROR if recipe.contact.file else DECLARED_K_N_ERROR
+    stderr = float(np.hypot(k_n_error, spread / np.sqrt(len(readings))))
+    return ForceReading(middle, stderr), (
+        f"the imprints of {len(readings)} grasps are those of {np.exp(middle):.2f} times the "
+        f"declared force, to {100 * stderr:.0f} % (the gel's compliance included)"
+    )
+
+
+def _kept_strengths(
+    kept: Path,
+    recipe: Recipe,
+    folder: Path,
+    grasps: Sequence[RealGrasp],
+    show: Callable[[int, int], None],
+) -> tuple[FloatArray, FloatArray]:
+    """``imprint_strengths``, read from ``kept`` if it was made of the same."""
+    made_of = _hash_of_all(recipe, folder, grasps)
+    try:
+        found = json.loads(kept.read_text(encoding="utf-8"))
+        if found["made_of"] == made_of:
+            return np.array(found["measured"], float), np.array(found["simulated"], float)
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # none yet, or cut short
+    measured, simulated = imprint_strengths(recipe, folder, grasps, show)
+    found = {"made_of": made_of, "measured": measured.tolist(), "simulated": simulated.tolist()}
+    write_text(kept, json.dumps(found) + "\n")
+    return measured, simulated
+
+
+def _hash_of_all(recipe: Recipe, folder: Path, grasps: Sequence[RealGrasp]) -> str:
+    """A hash of everything that the strengths of imprints depend on."""
+    names = dict.fromkeys(grasp.config.object for grasp in grasps)
+    images = [path for grasp in grasps for path in grasp.images]
+    parts = [
+        str(dataset_spec(recipe, len(grasps)).calibration),
+        *(declared_sha256(recipe, name) for name in names),
+        *(str(place_of(grasp.config)) for grasp in grasps),
+        *(sha256_of(path) for path in (folder / "background.png", *images) if path.is_file()),
+    ]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def imprint_strengths(
+    recipe: Recipe,
+    folder: Path,
+    grasps: Sequence[RealGrasp],
+    show: Callable[[int, int], None],
+) -> tuple[FloatArray, FloatArray]:
+    """How strong each grasp's imprint is: measured (N,), simulated (N, len(FORCES)).
+
+    Compared are the moments of grasp where the sequences are equally long, else the strongest
+    images. NaN where an image lacks.
+    """
+    measured = np.full(len(grasps), np.nan)
+    simulated = np.full((len(grasps), len(FORCES)), np.nan)
+    for column, factor in enumerate(FORCES):
+        world = _at_force(recipe, grasps, factor)
+        untouched = dataset_spec(world, len(grasps)).reference_rgb
+        names = [entry.name for entry in world.objects]
+        with GraspPipeline(world) as pipeline:
+            for row, grasp in enumerate(grasps):
+                entry = names.index(grasp.config.object)
+                sample = pipeline.sample(PlannedGrasp(grasp.config, entry, "test", 0, 0))
+                show(column * len(grasps) + row + 1, simulated.size)
+                if not sample.pads:
+                    continue
+                frames = next(iter(sample.pads.values())).rgb
+                moment = sample.grasp_frame if len(frames) == len(grasp.images) else None
+                simulated[row, column] = _strongest(frames, moment, untouched)
+                if factor == 1.0:
+                    measured[row] = _measured(grasp, folder, moment, untouched)
+    return measured, simulated
+
+
+def imprint_strength(image: Image, untouched: Image) -> float:
+    """Mean of |image − untouched| beyond the noise, grey levels.
+
+    The image is brought to the brightness of the untouched one first, so that a camera's gain
+    does not count; most of a gel is untouched.
+    """
+    small, base = _reduced(image), _reduced(untouched)
+    small *= np.median(base) / max(float(np.median(small)), 1.0)
+    return float(np.maximum(np.abs(small - base).mean(axis=2) - _NOISE_GREY, 0.0).mean())
+
+
+def _strongest(frames: Sequence[Image] | Image, moment: int | None, untouched: Image) -> float:
+    chosen = frames if moment is None else [frames[moment]]
+    return max(imprint_strength(frame, untouched) for frame in chosen)
+
+
+def _measured(grasp: RealGrasp, folder: Path, moment: int | None, expected: Image) -> float:
+    """The strength of a real imprint; NaN if an image cannot be read or is of another shape.
+
+    Untouched is ``background.png``, else the first image of a sequence, else as simulated.
+    """
+    frames = [_read(path) for path in grasp.images]
+    background = _read(folder / "background.png")
+    if background is None:
+        background = frames[0] if len(frames) > 1 else expected
+    usable = [f for f in frames if f is not None and f.shape == expected.shape]
+    if len(usable) < len(frames) or background is None or background.shape != expected.shape:
+        return float("nan")
+    return _strongest(usable, moment, background)
+
+
+def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Recipe:
+    """The recipe at another delivered force, without noise, naming every object."""
+    content = recipe.resolved()
+    known = {entry.name for entry in recipe.objects}
+    content["objects"] += [
+        declared_object(recipe, name).model_dump(mode="json")
+        for name in dict.fromkeys(grasp.config.object for grasp in grasps)
+        if name not in known
+    ]
+    content["physics"]["delivered_force_scale"] *= factor
+    content["optics"]["noise"] = False
+    content["dataset"]["scene_pictures"] = False
+    content["randomize"] = Randomize().model_dump(mode="json")
+    return Recipe.model_validate(content)
+
+
+def _reduced(image: Image) -> FloatArray:
+    """The image in a small size, which averages the camera's noise away."""
+    height, width = image.shape[:2]
+    size = _WIDTH_PX, max(1, round(height * _WIDTH_PX / width))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+
+
+def _read(path: Path) -> Image | None:
+    """An RGB image, or None where there is none that can be read."""
+    if not path.is_file() or path.stat().st_size > MAX_IMAGE_BYTES:
+        return None
+    found = read_bgr(path)
+    return None if found is None else np.ascontiguousarray(found[..., ::-1]).astype(np.uint8)

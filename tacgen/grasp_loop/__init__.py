@@ -1,1 +1,0 @@
-"""Real grasps against simulated worlds: the joint of physics, images and the loop on labels."""

@@ -1,0 +1,151 @@
+"""Training recipes: one YAML says the network, its input and how it is trained."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+)
+
+from tacgen.core.config import Section
+from tacgen.core.errors import LearningError
+from tacgen.core.resources import find_recipe
+from tacgen.core.yaml_source import finite, read_yaml, validate
+
+MIN_INPUT_PX = 32
+POOLED = "pooled"
+
+
+def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
+    if min(size_px) < MIN_INPUT_PX or max(size_px) > 2048:
+        msg = f"[height, width] must lie between {MIN_INPUT_PX} and 2048 pixels"
+        raise ValueError(msg)
+    return size_px
+
+
+class ModelOptions(Section):
+    """The network; its layers are the paper's and have no switches.
+
+    ``weights`` is ``none`` (from scratch), ``imagenet`` (from the cache of the hub or of
+    torchvision; an error where there is none), ``auto`` (``imagenet`` where they can be had,
+    else from scratch, said loudly), or the path of a ResNet-18 weight file.
+    """
+
+    kind: Literal["single", "sequence"] = "single"
+    weights: str = "auto"
+
+
+class InputOptions(Section):
+    """What the network sees: pad, image size, frames, and what is taken off each image.
+
+    ``image`` is ``difference`` to the gel at rest, ``change`` since the frame before (of the first
+    frame: since the gel at rest), or ``raw``. A grasp that holds changes nothing, so slip and turn
+    stand out in ``change``; to a single image it is the same as ``difference``.
+    """
+
+    pad: Literal["left", "right"] | None = None
+    size_px: Annotated[tuple[int, int], AfterValidator(_input_size)] = (120, 160)
+    image: Literal["difference", "change", "raw"] = "difference"
+    frames: Annotated[int, Field(ge=2, le=256)] | None = None
+    cache_mb: NonNegativeInt = 1024
+    loader_workers: Annotated[int, Field(ge=0, le=64)] = 0
+
+
+class Augmentation(Section):
+    """Changes drawn anew each epoch for each grasp, the same for all of its frames.
+
+    ``shift_fraction`` is the largest shift as a part of the image's sides, ``gain_relative`` and
+    ``noise_grey`` are standard deviations.
+    """
+
+    on: bool = False
+    shift_fraction: Annotated[float, Field(ge=0, le=0.5)] = 0.05
+    gain_relative: Annotated[float, Field(ge=0, le=0.5)] = 0.05
+    noise_grey: Annotated[float, Field(ge=0, le=64)] = 1.0
+
+
+class TrainingOptions(Section):
+    """How the network is trained. ``precision: auto`` is mixed precision on a GPU only.
+
+    ``average_epochs`` is over about how many of the latest epochs the weights of the kept model
+    are averaged; with 1 it is the latest itself.
+    """
+
+    epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
+    average_epochs: Annotated[int, Field(ge=1, le=10_000)] = 8
+    batch_size: Annotated[int, Field(ge=2, le=4096)] = 8
+    learning_rate: Annotated[PositiveFloat, AfterValidator(finite)] = 1e-4
+    backbone_rate_factor: Annotated[NonNegativeFloat, AfterValidator(finite)] = 0.8
+    weight_decay: Annotated[NonNegativeFloat, AfterValidator(finite)] = 5e-5
+    plateau_factor: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    plateau_patience: NonNegativeInt = 10
+    validation_fraction: Annotated[float, Field(gt=0, lt=0.9)] = 0.15
+    grasps: PositiveInt | None = None
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    precision: Literal["auto", "float32"] = "auto"
+    threads: Annotated[int, Field(ge=1, le=256)] = 1
+
+
+class TrainRecipe(Section):
+    """One training job.
+
+    ``per_object`` trains one model an object, as the paper does; otherwise one for all of them.
+    ``objects`` narrows the dataset down; left out, every object in it is taken.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    description: str = ""
+    seed: Annotated[int, Field(ge=0)] = 0
+    objects: tuple[str, ...] | None = None
+    per_object: bool = True
+    model: ModelOptions = ModelOptions()
+    input: InputOptions = InputOptions()
+    augmentation: Augmentation = Augmentation()
+    training: TrainingOptions = TrainingOptions()
+
+    def resolved(self) -> dict[str, Any]:
+        """Every setting, written or not, as plain data."""
+        return self.model_dump(mode="json")
+
+    def sha256(self) -> str:
+        """A hash of every setting, the same for recipes that mean the same."""
+        return hashlib.sha256(json.dumps(self.resolved(), sort_keys=True).encode()).hexdigest()
+
+
+def load_train_recipe(name: str | Path) -> TrainRecipe:
+    """Read and check the training recipe ``name`` (a path, or the name of a shipped one).
+
+    Raises
+    ------
+    TacgenError
+        Lists everything that is wrong, each with its file, line and mend.
+    """
+    source = read_yaml(find_recipe(str(name)))
+    if "grid" in source.data:
+        msg = (
+            f"{source.where(('grid',))}: this is a recipe for `tacgen collect`; "
+            "give one for training, such as train_single"
+        )
+        raise LearningError(msg)
+    recipe = validate(TrainRecipe, source, LearningError)
+    problems = []
+    if recipe.objects is not None and len(set(recipe.objects)) != len(recipe.objects):
+        problems.append(source.problem(("objects",), "names an object twice; keep one"))
+    if recipe.model.kind == "single" and recipe.input.frames is not None:
+        problems.append(
+            source.problem(
+                ("input", "frames"), "only matters to `model.kind: sequence`; take it out"
+            )
+        )
+    if problems:
+        raise LearningError.from_problems(problems)
+    return recipe

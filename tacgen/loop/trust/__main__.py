@@ -1,5 +1,0 @@
-"""``python -m tacgen.loop.trust``."""
-
-from tacgen.loop.trust.run import main
-
-main()

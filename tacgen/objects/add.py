@@ -1,0 +1,219 @@
+"""Add a mesh of one's own as an object: ``objects/<name>`` with its description and meshes."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+import yaml
+
+from tacgen.core.errors import ObjectError
+from tacgen.core.files import sha256_of, sync_directory, sync_file
+from tacgen.core.records import GraspObject, Mesh
+from tacgen.objects.decompose import convex_parts
+from tacgen.objects.description import NAME_PATTERN
+from tacgen.objects.grasp_ranges import collision_error_mm, suggest_ranges
+from tacgen.objects.load import load_object
+from tacgen.objects.mesh_files import write_parts
+from tacgen.objects.mesh_import import UP_AXES, import_surface
+from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
+
+DEFAULT_FRICTION = 0.4
+HERTZ_MM = 3 * np.pi / 16 * 5.0
+"""Moment per newton and per unit friction of a Hertzian patch of 5 mm radius."""
+DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005
+"""Osmium, and a little less than the lightest foam."""
+NOTED_ERROR_MM = 1.0
+NO_NAMES = {"textured", "nontextured", "model", "mesh", "object", "meshes", "untitled"}
+
+
+@dataclass(frozen=True, slots=True)
+class AddedObject:
+    """The new object and what its maker should know."""
+
+    object: GraspObject
+    notes: tuple[str, ...]
+
+
+def add_object(
+    mesh_path: Path,
+    *,
+    mass_kg: float,
+    scale: float = 1.0,
+    name: str | None = None,
+    friction: float = DEFAULT_FRICTION,
+    up: str = "z",
+    into: Path = Path("objects"),
+    force: bool = False,
+) -> AddedObject:
+    """Import a mesh into ``into/<name>``; the folder appears whole or not at all.
+
+    Raises
+    ------
+    ObjectError
+        If the arguments or the mesh cannot be used, or the object exists and not ``force``.
+    """
+    mesh_path, into = Path(mesh_path), Path(into)
+    name = object_name(mesh_path) if name is None else name
+    _check_arguments(name, mass_kg, scale, friction, up)
+    folder = into / name
+    _check_target(folder, force)
+
+    surface = import_surface(mesh_path, scale=scale, up=up)
+    notes = [*surface.notes, *_check_density(mesh_path, surface.mesh, mass_kg)]
+    parts = convex_parts(surface.mesh)
+    ranges, range_notes = suggest_ranges(surface.mesh, mass_kg=mass_kg, friction=friction)
+    description = describe(
+        name, mesh_path, surface.mesh, mass_kg=mass_kg, friction=friction, ranges=ranges
+    )
+    _write(folder, surface.mesh, parts, description, force)
+    notes += range_notes
+    off_mm = collision_error_mm(surface.mesh, parts, ranges)
+    if off_mm > NOTED_ERROR_MM:
+        notes.append(
+            f"where it is grasped the {len(parts)} convex parts are up to {off_mm:.1f} mm off "
+            "the surface; pictures are not affected, the fingers' opening is"
+        )
+    return AddedObject(load_object(folder), tuple(notes))
+
+
+def object_name(mesh_path: Path) -> str:
+    """A folder name from a file name; refused where the file name says nothing."""
+    stem = re.sub(r"[^A-Za-z0-9]+", "_", mesh_path.stem).strip("_").lower()
+    if not stem or stem in NO_NAMES:
+        msg = f"{mesh_path}: its file name is no name for an object; pass --name"
+        raise ObjectError(msg)
+    return stem
+
+
+def describe(
+    name: str,
+    mesh_path: Path,
+    surface: Mesh,
+    *,
+    mass_kg: float,
+    friction: float,
+    ranges: Mapping[str, tuple[float, ...]],
+) -> dict[str, object]:
+    """The content of ``object.yaml`` for an imported mesh."""
+    center = mass_properties([(surface, 1.0)], mass_kg).center_mm
+    extent = np.ptp(surface.vertices_mm, axis=0)
+    return {
+        "name": name,
+        "description": f"imported from {mesh_path.name}",
+        "shape": {
+            "mesh": "surface.ply",
+            "collision": "collision.npz",
+            "scale": 1.0,
+            "source": f"{mesh_path.name}, sha256 {sha256_of(mesh_path)}",
+        },
+        "mass_kg": {"value": mass_kg, "source": "given when the mesh was added"},
+        "center_of_mass_mm": {
+            "value": [round(float(value), 3) + 0.0 for value in center],
+            "source": "computed from the mesh, evenly filled; not measured",
+        },
+        "dimensions_mm": {
+            "value": [round(float(value), 3) for value in extent],
+            "source": "bounding box of the mesh",
+        },
+        "friction": {
+            "value": friction,
+            "source": "given when the mesh was added; calibrate it with `tacgen friction`",
+        },
+        "spinning_friction_mm": {
+            "value": round(HERTZ_MM * friction, 3),
+            "source": "3π/16 · μ · a of a Hertzian patch of radius a = 5 mm; assumed",
+        },
+        "grasp_ranges": {
+            **{axis: list(values) for axis, values in ranges.items()},
+            "source": "suggested from mass, friction and shape; edit them",
+        },
+    }
+
+
+def _check_arguments(name: str, mass_kg: float, scale: float, friction: float, up: str) -> None:
+    problems = []
+    if not re.fullmatch(NAME_PATTERN, name):
+        problems.append(
+            f"--name {name!r} is no plain folder name; use letters, digits, `_` and `-`"
+        )
+    if not (np.isfinite(mass_kg) and mass_kg > 0):
+        problems.append(f"--mass {mass_kg:g} is not above 0; weigh the object and give kg")
+    if not (np.isfinite(scale) and scale > 0):
+        problems.append(f"--scale {scale:g} is not above 0; give mm per unit of the mesh")
+    if not (np.isfinite(friction) and 0 <= friction <= 2):
+        problems.append(f"--friction {friction:g} is not in 0 to 2; give a Coulomb coefficient")
+    if up not in UP_AXES:
+        problems.append(f"--up {up!r} is no axis; give one of {', '.join(UP_AXES)}")
+    if problems:
+        raise ObjectError.from_problems(problems)
+
+
+def _check_target(folder: Path, force: bool) -> None:
+    if folder.is_symlink() or folder.parent.is_symlink():
+        msg = f"{folder}: is or lies in a link; tacgen writes only into a real folder"
+        raise ObjectError(msg)
+    if folder.exists() and not force:
+        msg = f"{folder}: exists already; pass --force to replace it, or another --name"
+        raise ObjectError(msg)
+    if folder.exists() and not (folder / "object.yaml").is_file():
+        msg = f"{folder}: is no object's folder, so it is not replaced; pass another --name"
+        raise ObjectError(msg)
+
+
+def _check_density(mesh_path: Path, surface: Mesh, mass_kg: float) -> list[str]:
+    density = 1e6 * mass_kg / volume_mm3(surface)
+    volume_cm3 = volume_mm3(surface) / 1000
+    text = f"{mesh_path}: {mass_kg:g} kg in {volume_cm3:.4g} cm³ is {density:.3g} g/cm³"
+    if density > DENSEST_G_CM3:
+        msg = f"{text}, denser than any metal; give --mass in kg and check --scale"
+        raise ObjectError(msg)
+    return [f"{text}; check --mass and --scale"] if density < LIGHTEST_G_CM3 else []
+
+
+def _write(
+    folder: Path,
+    surface: Mesh,
+    parts: tuple[Mesh, ...],
+    description: Mapping[str, object],
+    force: bool,
+) -> None:
+    """Write and read back a folder beside its place, then rename it there."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
+        try:
+            fresh = work / folder.name
+            fresh.mkdir()
+            (fresh / "surface.ply").write_bytes(_ply(surface))
+            write_parts(fresh / "collision.npz", parts)
+            text = yaml.safe_dump(
+                description, sort_keys=False, allow_unicode=True, default_flow_style=None, width=96
+            )
+            (fresh / "object.yaml").write_text(text, encoding="utf-8")
+            load_object(fresh)
+            for path in fresh.iterdir():
+                sync_file(path)
+            sync_directory(fresh)
+            if force and folder.exists():
+                os.replace(folder, work / "replaced")
+            os.replace(fresh, folder)
+            sync_directory(folder.parent)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+    except OSError as error:
+        msg = f"{folder}: cannot be written: {error.strerror or error}; check the folder and disk"
+        raise ObjectError(msg) from None
+
+
+def _ply(surface: Mesh) -> bytes:
+    loaded = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
+    exported = trimesh.exchange.ply.export_ply(loaded, encoding="binary")
+    return bytes(exported)

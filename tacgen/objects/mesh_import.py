@@ -1,0 +1,227 @@
+"""A user's mesh file as a closed surface in mm, standing on the table at the origin."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import manifold3d
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from tacgen.core.errors import ObjectError
+from tacgen.core.records import Mesh, frozen_array
+from tacgen.objects.mesh_files import MAX_FILE_BYTES
+from tacgen.objects.shapes.mass_properties import volume_mm3
+from tacgen.objects.shapes.shape import from_manifold, to_manifold
+
+UP_AXES = ("x", "y", "z")
+FORMATS = ("obj", "stl", "ply", "glb")
+STROKE_MM = 110.0
+"""Opening of the WSG-50 (datasheet)."""
+SMALLEST_MM, LARGEST_MM = 2.0, 1000.0
+MAX_TRIANGLES = 2_000_000
+MANY_TRIANGLES = 200_000
+MAX_HOLE_SHARE = 0.15
+"""A hole is filled if its rim is at most this share of the mesh's diagonal."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedSurface:
+    """The closed surface and what a user should know about how it came to be."""
+
+    mesh: Mesh
+    notes: tuple[str, ...]
+
+
+def import_surface(path: Path, *, scale: float = 1.0, up: str = "z") -> ImportedSurface:
+    """Read, check, repair and place a mesh.
+
+    Parameters
+    ----------
+    scale : float
+        mm that one unit of the file stands for: 1000 for a mesh in metres.
+    up : one of UP_AXES
+        The file's axis that points up; glTF's is y.
+
+    Raises
+    ------
+    ObjectError
+        If it is not a closed surface of a size that a gripper can hold, after what can safely
+        be repaired; the message says how to mend it.
+    """
+    path = Path(path)
+    loaded = _read(path)
+    vertices, faces = np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
+    _check_numbers(path, vertices, faces)
+    # What no triangle uses may lie anywhere, beyond any number that can be worked with too.
+    used, corners = np.unique(faces, return_inverse=True)
+    vertices, faces = _standing(vertices[used], up) * scale, corners.reshape(faces.shape)
+    _check_size(path, vertices, scale)
+    mesh, notes = _closed(path, vertices, faces)
+    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
+    footprint = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    placed = Mesh(frozen_array(mesh.vertices_mm - footprint), mesh.faces)
+    size = high - low
+    if size[0] > STROKE_MM:
+        notes.append(
+            f"{size[0]:.0f} mm along x, more than the gripper's {STROKE_MM:.0f} mm: "
+            "grasp it where it is narrower, or with yaw_rad: [1.5708]"
+        )
+    if len(mesh.faces) > MANY_TRIANGLES:
+        notes.append(
+            f"{len(mesh.faces)} triangles: frames take longer than with up to {MANY_TRIANGLES}; "
+            "a decimated mesh would do"
+        )
+    return ImportedSurface(placed, tuple(notes))
+
+
+def _read(path: Path) -> trimesh.Trimesh:
+    kind = path.suffix.lower().lstrip(".")
+    if path.is_symlink() or not path.is_file():
+        msg = f"{path}: no such file, or a link; give the mesh file itself"
+        raise ObjectError(msg)
+    if kind not in FORMATS:
+        msg = f"{path}: not a mesh tacgen reads; give one of {', '.join(FORMATS)}"
+        raise ObjectError(msg)
+    if path.stat().st_size > MAX_FILE_BYTES:
+        msg = f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; simplify the mesh first"
+        raise ObjectError(msg)
+    try:
+        # From memory, where a part that says it is larger than the file takes no more than that;
+        # without a resolver: nothing but this file is opened, whatever it refers to.
+        file = io.BytesIO(path.read_bytes())
+        loaded = trimesh.load(file, file_type=kind, force="mesh", process=False)
+    except Exception as error:
+        # The readers raise whatever a damaged file leads them to.
+        msg = f"{path}: cannot be read as {kind.upper()}: {error}; export it anew"
+        raise ObjectError(msg) from None
+    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+        msg = f"{path}: holds no triangles; export it as a triangle mesh"
+        raise ObjectError(msg)
+    return loaded
+
+
+def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray) -> None:
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        msg = f"{path}: its corners are not points in space; export it as a triangle mesh"
+        raise ObjectError(msg)
+    problems = []
+    bad = int((~np.isfinite(vertices).all(axis=1)).sum())
+    if bad:
+        problems.append(f"{path}: {bad} vertices have coordinates that are no numbers; export anew")
+    if len(faces) > MAX_TRIANGLES:
+        problems.append(
+            f"{path}: {len(faces)} triangles, more than {MAX_TRIANGLES}; decimate it, "
+            "for instance in MeshLab or Blender"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        problems.append(f"{path}: has triangles whose corners do not exist; export it anew")
+    if problems:
+        raise ObjectError.from_problems(problems)
+
+
+def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> None:
+    size = np.ptp(vertices_mm, axis=0)
+    shown = " × ".join(f"{extent:.4g}" for extent in size)
+    if size.min() <= 0:
+        msg = f"{path}: is {shown} mm, flat; give a solid object"
+        raise ObjectError(msg)
+    if size.max() < SMALLEST_MM:
+        msg = (
+            f"{path}: is {shown} mm; if the mesh is in metres, pass --scale {1000 * scale:g}, "
+            f"if in inches, --scale {25.4 * scale:g}"
+        )
+        raise ObjectError(msg)
+    if size.max() > LARGEST_MM or size.min() > STROKE_MM:
+        msg = (
+            f"{path}: is {shown} mm, too large for a gripper that opens {STROKE_MM:.0f} mm; "
+            f"if the mesh is in µm, pass --scale {0.001 * scale:g}, else check the scale"
+        )
+        raise ObjectError(msg)
+
+
+def _standing(vertices: NDArray[np.float64], up: str) -> NDArray[np.float64]:
+    """Turn the file's ``up`` axis to z by a cyclic change of axes, which mirrors nothing."""
+    return np.roll(vertices, {"x": -1, "y": 1, "z": 0}[up], axis=1)
+
+
+def _closed(path: Path, vertices_mm: NDArray[np.float64], faces: NDArray) -> tuple[Mesh, list[str]]:
+    """The surface with doubles merged, small holes filled and faces outward."""
+    notes = []
+    surface = trimesh.Trimesh(vertices_mm, faces, process=False)
+    surface.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=5)
+    if len(surface.faces):
+        surface.update_faces(surface.nondegenerate_faces())
+        surface.update_faces(surface.unique_faces())
+        surface.remove_unreferenced_vertices()
+    if len(surface.faces) == 0:
+        msg = f"{path}: holds no triangle that is more than a line; export it anew"
+        raise ObjectError(msg)
+    if not surface.is_watertight:
+        filled = _fill_small_holes(surface)
+        if filled:
+            notes.append(f"{filled} small hole(s) filled")
+    if not surface.is_watertight:
+        edges = surface.edges_sorted
+        _, counts = np.unique(edges, axis=0, return_counts=True)
+        msg = (
+            f"{path}: is not a closed surface: {int((counts == 1).sum())} open edges and "
+            f"{int((counts > 2).sum())} edges with more than two faces; close it, for instance by "
+            "MeshLab's `Close Holes` or Blender's `3D Print Toolbox: Make Manifold`"
+        )
+        raise ObjectError(msg)
+    if not surface.is_winding_consistent or surface.volume < 0:
+        trimesh.repair.fix_normals(surface, multibody=True)
+        notes.append("faces turned outward")
+    mesh = Mesh(frozen_array(surface.vertices), frozen_array(surface.faces, np.int32))
+    bodies = int(surface.body_count)
+    if bodies > 1:
+        mesh = _united(path, mesh)
+        notes.append(f"{bodies} separate bodies united")
+    if volume_mm3(mesh) <= 0:
+        msg = f"{path}: encloses no volume; give a solid object with its faces outward"
+        raise ObjectError(msg)
+    # The file keeps single precision: what is computed is computed from that.
+    return Mesh(frozen_array(mesh.vertices_mm.astype(np.float32)), mesh.faces), notes
+
+
+def _fill_small_holes(surface: trimesh.Trimesh) -> int:
+    """Close holes with short rims by a fan, in place; how many there were."""
+    limit_mm = MAX_HOLE_SHARE * float(np.linalg.norm(surface.extents))
+    open_edges = trimesh.grouping.group_rows(surface.edges_sorted, require_count=1)
+    if len(open_edges) == 0:
+        return 0
+    # An open edge runs one way round its hole; the fan's face runs the other way.
+    follow = {int(end): int(start) for start, end in surface.edges[open_edges]}
+    vertices, faces, filled = surface.vertices.tolist(), surface.faces.tolist(), 0
+    while follow:
+        start, at = follow.popitem()
+        rim = [start, at]
+        while at != start and at in follow:
+            at = follow.pop(at)
+            rim.append(at)
+        rim = rim[:-1]
+        points = surface.vertices[rim]
+        length_mm = float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
+        if at != start or len(rim) < 3 or length_mm > limit_mm:
+            continue
+        vertices.append(points.mean(axis=0).tolist())
+        middle = len(vertices) - 1
+        faces += [[rim[i], rim[(i + 1) % len(rim)], middle] for i in range(len(rim))]
+        filled += 1
+    surface.vertices, surface.faces = np.array(vertices), np.array(faces)
+    return filled
+
+
+def _united(path: Path, mesh: Mesh) -> Mesh:
+    """One surface around bodies that may overlap."""
+    whole = to_manifold(mesh)
+    if whole.status() != manifold3d.Error.NoError:
+        msg = f"{path}: its bodies cannot be united ({whole.status().name}); unite them in Blender"
+        raise ObjectError(msg)
+    return from_manifold(
+        manifold3d.Manifold.batch_boolean(whole.decompose(), manifold3d.OpType.Add)
+    )

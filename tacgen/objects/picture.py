@@ -1,0 +1,59 @@
+"""A picture of an object: how it looks, and the relief that a pad meets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tacgen.core.files import atomic_path
+from tacgen.core.records import GraspObject
+from tacgen.objects.shading import depth_view, shaded_view, view_axes
+
+WINDOW_PX, MM_PER_PX = (480, 640), 0.0295
+"""The window of the default sensor."""
+VIEWS = (("from the front", 35.0, 25.0), ("as the pad comes", 0.0, 0.0), ("from above", 0.0, 89.9))
+
+
+def write_picture(obj: GraspObject, path: Path) -> None:
+    """Write a PNG: three views of the object and the relief at three of its grasps."""
+    figure = Figure(figsize=(11.0, 7.0), layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 3)
+    for axis, (title, azimuth, elevation) in zip(axes[0], VIEWS, strict=True):
+        axis.imshow(
+            shaded_view(obj.surface, obj.color_rgb, azimuth_deg=azimuth, elevation_deg=elevation)
+        )
+        axis.set_title(title)
+        axis.set_axis_off()
+    y_mm, z_mm = obj.grasp_ranges["y_mm"], obj.grasp_ranges["z_mm"]
+    picks = [(y_mm[len(y_mm) // 2], z) for z in (z_mm[0], z_mm[len(z_mm) // 2])]
+    half_y, half_z = (side * MM_PER_PX / 2 for side in reversed(WINDOW_PX))
+    for axis, (y, z) in zip(axes[1], [*picks, (y_mm[-1], z_mm[-1])], strict=True):
+        axis.imshow(relief(obj, y, z), extent=(y - half_y, y + half_y, z - half_z, z + half_z))
+        axis.set(xlabel="y (mm)", ylabel="z (mm)", title=f"relief at y = {y:g}, z = {z:g} mm")
+    figure.suptitle(
+        f"{obj.name}: {1000 * obj.mass_kg:g} g, friction {obj.friction:g}, "
+        f"{len(obj.surface.faces)} triangles, {len(obj.collision)} convex part(s)"
+    )
+    with atomic_path(path) as partial:
+        canvas.print_figure(partial, format="png", dpi=100)
+
+
+def relief(obj: GraspObject, y_mm: float, z_mm: float) -> NDArray[np.uint8]:
+    """What lies in the sensor's window from +x, lit from the upper left, as grey (H, W, 3)."""
+    depth, _ = depth_view(
+        obj.surface, view_axes(0.0, 0.0), np.array([0.0, y_mm, z_mm]), WINDOW_PX, MM_PER_PX
+    )
+    seen = np.isfinite(depth)
+    if not seen.any():
+        return np.full((*WINDOW_PX, 3), 255, dtype=np.uint8)
+    nearest = depth[seen].max()
+    # The gel reaches little deeper than 1.5 mm behind the first touch.
+    depth = np.maximum(np.where(seen, depth, -np.inf), nearest - 1.5)
+    down, right = np.gradient(depth, MM_PER_PX)
+    shade = 150 + np.clip(150 * (right + down), -110, 90) + 30 * (depth - nearest)
+    return np.repeat(np.clip(shade, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)

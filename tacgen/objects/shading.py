@@ -1,0 +1,123 @@
+"""A small shaded orthographic view of a mesh, on the processor alone."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.core.records import Mesh
+
+LIGHTS = ((0.45, 0.55, 0.7, 0.75), (-0.7, 0.1, 0.7, 0.45))
+"""Direction towards each light in view axes (right, up, towards the viewer), and its strength."""
+
+
+@numba.njit(cache=True)
+def _nearest_face(
+    points: np.ndarray, faces: np.ndarray, height: int, width: int
+) -> tuple[np.ndarray, np.ndarray]:
+    depth = np.full((height, width), -np.inf)
+    face = np.full((height, width), -1, np.int64)
+    for f in range(faces.shape[0]):
+        ax, ay, az = points[faces[f, 0]]
+        bx, by, bz = points[faces[f, 1]]
+        cx, cy, cz = points[faces[f, 2]]
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if area == 0.0:
+            continue
+        first_row = max(0, int(np.ceil(min(ay, by, cy))))
+        last_row = min(height - 1, int(np.floor(max(ay, by, cy))))
+        first_column = max(0, int(np.ceil(min(ax, bx, cx))))
+        last_column = min(width - 1, int(np.floor(max(ax, bx, cx))))
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                u = ((bx - column) * (cy - row) - (cx - column) * (by - row)) / area
+                v = ((cx - column) * (ay - row) - (ax - column) * (cy - row)) / area
+                w = 1.0 - u - v
+                if u < -1e-9 or v < -1e-9 or w < -1e-9:
+                    continue
+                z = u * az + v * bz + w * cz
+                if z > depth[row, column]:
+                    depth[row, column] = z
+                    face[row, column] = f
+    return depth, face
+
+
+def view_axes(azimuth_deg: float, elevation_deg: float) -> NDArray[np.float64]:
+    """Rows (3, 3): the view's right, up and towards-the-viewer, for a viewer at those angles."""
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    towards = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def depth_view(
+    mesh: Mesh,
+    axes: NDArray[np.float64],
+    center_mm: NDArray[np.float64],
+    size_px: tuple[int, int],
+    mm_per_px: float,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Height towards the viewer, mm (−inf: nothing), and the face seen (−1), each (H, W)."""
+    height, width = size_px
+    seen = (mesh.vertices_mm - center_mm) @ axes.T
+    seen[:, 0] = seen[:, 0] / mm_per_px + (width - 1) / 2
+    seen[:, 1] = (height - 1) / 2 - seen[:, 1] / mm_per_px
+    depth, face = _nearest_face(seen, mesh.faces, height, width)
+    return depth, face
+
+
+def shaded_view(
+    mesh: Mesh,
+    color_rgb: tuple[int, int, int] | NDArray[np.floating],
+    *,
+    azimuth_deg: float,
+    elevation_deg: float,
+    size_px: tuple[int, int] = (480, 480),
+    fill: float = 0.92,
+) -> NDArray[np.uint8]:
+    """A shaded picture (H, W, 3) of the whole mesh on white, smoothed by 2 × 2 samples.
+
+    ``color_rgb`` is one colour, or one a face, (m, 3).
+    """
+    axes = view_axes(azimuth_deg, elevation_deg)
+    flat = mesh.vertices_mm @ axes.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    samples = (2 * size_px[0], 2 * size_px[1])
+    extent = (high - low)[:2]
+    mm_per_px = float(max(extent[0] / samples[1], extent[1] / samples[0]) / fill)
+    center = axes.T @ ((low + high) / 2)
+    _, face = depth_view(mesh, axes, center, samples, mm_per_px)
+
+    # Only faces that are seen need a shade: a few hundred of a fine mesh in a small picture.
+    is_shown = np.zeros(len(mesh.faces) + 1, dtype=bool)  # the last: −1, nothing
+    is_shown[face] = True
+    shown = np.flatnonzero(is_shown[:-1])
+    place = np.full(len(is_shown), len(shown))
+    place[shown] = np.arange(len(shown))
+    normals = _normals(mesh, shown) @ axes.T
+    light = np.full(len(shown), 0.25)
+    gloss = np.zeros(len(shown))
+    for *direction, strength in LIGHTS:
+        towards = np.array(direction) / np.linalg.norm(direction)
+        light += strength * np.clip(normals @ towards, 0, None)
+        half = towards + np.array([0.0, 0.0, 1.0])
+        gloss += 0.25 * strength * np.clip(normals @ (half / np.linalg.norm(half)), 0, None) ** 30
+    colors = np.broadcast_to(color_rgb, (len(mesh.faces), 3))[shown]
+    shade = colors * light[:, None] + 255 * gloss[:, None]
+    picture = np.vstack([shade, [255.0, 255.0, 255.0]])[place[face]]
+    picture = picture.reshape(size_px[0], 2, size_px[1], 2, 3).mean(axis=(1, 3))
+    return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+def _normals(mesh: Mesh, faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Unit normals (n, 3) of some faces."""
+    corners = mesh.vertices_mm[mesh.faces[faces]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

@@ -1,0 +1,181 @@
+"""What a builder of a procedural object returns, and the solids it is made of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from tacgen.core.records import Mesh, frozen_array
+
+Points = NDArray[np.float64]
+
+VERTEX_DECIMALS = 6
+"""Vertices are rounded to 1e-6 mm, so that the last bits of a sine do not reach the mesh."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A closed mesh of one material; several of them say how the mass is distributed."""
+
+    mesh: Mesh
+    density_kg_m3: float
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A procedural object in its rest pose, mm, footprint centre at the origin, table at z = 0.
+
+    Attributes
+    ----------
+    surface : Mesh
+        Watertight, faces counter-clockwise seen from outside.
+    collision : tuple of Mesh
+        Convex parts.
+    bodies : tuple of Body
+        Empty where one material fills the surface.
+    """
+
+    surface: Mesh
+    collision: tuple[Mesh, ...]
+    bodies: tuple[Body, ...] = ()
+
+
+def mesh(vertices_mm: Points, faces: NDArray) -> Mesh:
+    """A read-only mesh with its vertices on the grid of ``VERTEX_DECIMALS``."""
+    rounded = np.round(np.asarray(vertices_mm, dtype=np.float64), VERTEX_DECIMALS) + 0.0
+    return Mesh(frozen_array(rounded), frozen_array(faces, np.int32))
+
+
+def loft(rings_mm: Points) -> Mesh:
+    """The closed surface through rings of points, both ends closed by a fan.
+
+    Parameters
+    ----------
+    rings_mm : (k, n, 3) float64
+        Ring after ring from one end to the other, each counter-clockwise seen against the
+        direction of travel. The end rings must be star-shaped about their mean.
+    """
+    rings_mm = np.asarray(rings_mm, dtype=np.float64)
+    k, n, _ = rings_mm.shape
+    vertices = np.concatenate(
+        [rings_mm.reshape(-1, 3), rings_mm[0].mean(axis=0)[None], rings_mm[-1].mean(axis=0)[None]]
+    )
+    here = np.arange(n)
+    after = (here + 1) % n
+    row = n * np.arange(k - 1)[:, None]
+    a, b, c, d = row + here, row + after, row + n + after, row + n + here
+    walls = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=1)
+    first = np.stack([np.full(n, k * n), after, here], axis=-1)
+    last = np.stack([np.full(n, k * n + 1), n * (k - 1) + here, n * (k - 1) + after], axis=-1)
+    return mesh(vertices, np.concatenate([walls.reshape(-1, 3), first, last]))
+
+
+def revolve(profile_rz_mm: Points, segments: int) -> Points:
+    """Rings (k, segments, 3) of a profile (k, 2) of radius and height, turned about z."""
+    angles = angles_rad(segments)
+    radius, height = np.asarray(profile_rz_mm, dtype=np.float64).T[:, :, None]
+    x, y = radius * np.cos(angles), radius * np.sin(angles)
+    return np.stack([x, y, np.broadcast_to(height, x.shape)], axis=-1)
+
+
+def angles_rad(count: int) -> NDArray[np.float64]:
+    """``count`` angles around a turn, the first at 0."""
+    return 2 * np.pi * np.arange(count) / count
+
+
+def hull(points_mm: Points) -> Mesh:
+    """The convex hull of points (n, 3), faces outward."""
+    points_mm = np.round(np.asarray(points_mm, dtype=np.float64).reshape(-1, 3), VERTEX_DECIMALS)
+    found = ConvexHull(points_mm)
+    corners = points_mm[found.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ij,ij->i", normals, found.equations[:, :3]) < 0
+    faces = np.where(inward[:, None], found.simplices[:, ::-1], found.simplices)
+    used, faces = np.unique(faces, return_inverse=True)
+    return mesh(points_mm[used], faces.reshape(-1, 3))
+
+
+def slab_hulls(rings_mm: Points, breaks: Sequence[int], count: int = 32) -> tuple[Mesh, ...]:
+    """Convex hulls of the stretches of a loft between the rings ``breaks``.
+
+    Each ring is thinned to ``count`` points. A stretch must itself be convex but for detail
+    finer than what the physics should feel.
+    """
+    thinned = rings_mm[:, :: max(1, rings_mm.shape[1] // count)]
+    return tuple(hull(thinned[[start, end]]) for start, end in itertools.pairwise(breaks))
+
+
+def to_manifold(solid: Mesh) -> manifold3d.Manifold:
+    """``solid`` for boolean operations, in double precision."""
+    return manifold3d.Manifold(
+        manifold3d.Mesh64(
+            np.array(solid.vertices_mm, dtype=np.float64),
+            np.array(solid.faces, dtype=np.uint64),
+        )
+    )
+
+
+def from_manifold(solid: manifold3d.Manifold) -> Mesh:
+    """The mesh of a boolean's result."""
+    out = solid.to_mesh64()
+    return mesh(np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts))
+
+
+def union(solids: Sequence[Mesh]) -> Mesh:
+    """One watertight surface around all of ``solids``."""
+    manifolds = [to_manifold(solid) for solid in solids]
+    return from_manifold(manifold3d.Manifold.batch_boolean(manifolds, manifold3d.OpType.Add))
+
+
+def moved(solid: Mesh, *, turn: Points | None = None, shift_mm: Points | None = None) -> Mesh:
+    """``solid`` turned by a rotation matrix (3, 3), then shifted by (3,) mm."""
+    vertices = solid.vertices_mm
+    if turn is not None:
+        vertices = vertices @ np.asarray(turn, dtype=np.float64).T
+    if shift_mm is not None:
+        vertices = vertices + np.asarray(shift_mm, dtype=np.float64)
+    return mesh(vertices, solid.faces)
+
+
+def sweep(path_mm: Points, across: Points, sections_mm: Points) -> Points:
+    """Rings (k, n, 3) of plane sections carried along a path.
+
+    Parameters
+    ----------
+    path_mm : (k, 3)
+        Where each section's origin goes; its direction of travel is the section's normal.
+    across : (3,)
+        A direction perpendicular to the whole path: each section's first axis. The second is
+        travel × across, so that sections counter-clockwise in their plane face outward.
+    sections_mm : (k, n, 2) or (n, 2)
+    """
+    path_mm = np.asarray(path_mm, dtype=np.float64)
+    travel = np.gradient(path_mm, axis=0)
+    travel /= np.linalg.norm(travel, axis=1, keepdims=True)
+    first = np.broadcast_to(np.asarray(across, dtype=np.float64), path_mm.shape)
+    second = np.cross(travel, first)
+    sections = np.broadcast_to(sections_mm, (len(path_mm), *np.shape(sections_mm)[-2:]))
+    return (
+        path_mm[:, None]
+        + sections[:, :, :1] * first[:, None]
+        + sections[:, :, 1:] * second[:, None]
+    )
+
+
+def path_hulls(
+    rings_mm: Points, parts: int, count: int = 16, rings_each: int = 3
+) -> tuple[Mesh, ...]:
+    """Convex hulls of ``parts`` equal stretches of a sweep, each ring thinned to ``count``.
+
+    ``rings_each`` rings of a stretch belong to its hull, so that a bend is followed from outside.
+    """
+    thinned = rings_mm[:, :: max(1, rings_mm.shape[1] // count)]
+    steps = rings_each - 1
+    rows = np.linspace(0, len(rings_mm) - 1, steps * parts + 1).round().astype(int)
+    return tuple(hull(thinned[rows[i * steps : (i + 1) * steps + 1]]) for i in range(parts))

@@ -1,7 +1,0 @@
-"""Objects to grasp: ``object.yaml`` to ``GraspObject``, importing meshes, listing, pictures."""
-
-from __future__ import annotations
-
-from tacgen.objects_io.load import load_object
-
-__all__ = ["load_object"]

@@ -1,0 +1,228 @@
+"""Finding the contact circle of a ball press in its image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.optimize import least_squares
+
+from tacgen.presses.dots import coarse
+
+FloatArray = NDArray[np.floating]
+
+WORK_WIDTH_PX = 160
+"""Images are looked at this wide: a circle needs no more."""
+
+DARK_GREY = 25.0
+"""Change is measured against the light at its place, plus this much: in dark corners too, a grey
+level of noise is no contact."""
+
+CLEAR_SIGMAS = 8.0
+"""A contact stands out of the bare gel's scatter by at least this many standard deviations."""
+
+MIN_CHANGE_GREY = 6.0
+"""And by at least this many grey levels, so that a still camera does not make a press of dust."""
+
+PATCH_SHARE = 0.2
+"""Pixels that changed by at least this share of the most changed ones make up the patch."""
+
+EDGE_SHARE = 0.5
+"""The edge stands where a direction's change has fallen to this share of its own largest: lamps
+make some sides of a ball brighter than others, none of them wider."""
+
+RIM_SHARE = 0.9
+"""The contact ends where the mean of all directions, each on its own scale, is last this near to
+its largest: the gel is steepest at the rim and falls off beyond it."""
+
+N_DIRECTIONS = 96
+PROFILE_STEP_PX = 0.25
+MIN_EDGE_DIRECTIONS = 0.4
+"""Share of the directions in which an edge must be seen."""
+
+MAX_OUT_OF_ROUND = 0.15
+"""Largest median distance of the edge from the circle, in radii."""
+
+SECOND_CONTACT = 0.4
+"""A second patch with this share of the largest one's area is a second contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A contact circle in pixels of the image; ``problem`` says why it cannot be used.
+
+    ``radius_px`` is that of the rim, where the gel leaves the ball; ``edge_px`` is where the change
+    has fallen to half: about where the ball meets the level of the gel at rest, below which the
+    gel around the contact sinks.
+    """
+
+    center_px: FloatArray
+    radius_px: float
+    problem: str = ""
+    edge_px: float = float("nan")
+
+
+def find_circle(
+    image: NDArray, background: NDArray, hidden: NDArray[np.bool_] | None = None
+) -> Circle:
+    """The contact circle of a press from its image and the background, both (H, W, 3) RGB.
+
+    What changed against the background, relative to the light at its place, is thresholded low to
+    find the patch; from its middle, the edge is looked for in every direction on that direction's
+    own scale, and a circle is fitted robustly to these points. ``hidden`` (H, W) are pixels that
+    show no gel: printed dots.
+    """
+    height, width = image.shape[:2]
+    scale = min(1.0, WORK_WIDTH_PX / width)
+    size = (max(8, round(width * scale)), max(8, round(height * scale)))
+    seen, rest = coarse(image, size, hidden), coarse(background, size, hidden)
+    change = np.asarray(cv2.GaussianBlur(seen - rest, (0, 0), 1.0))
+    change = change - np.median(change, axis=(0, 1))
+    nothing = Circle(np.full(2, np.nan), float("nan"))
+    if _scatter_and_top(np.linalg.norm(change, axis=2))[2] < MIN_CHANGE_GREY:
+        return _with(nothing, "shows no contact")
+    light = cv2.GaussianBlur(rest, (0, 0), 0.05 * size[0])
+    strength = np.linalg.norm(change / (light + DARK_GREY), axis=2)
+    middle, scatter, top = _scatter_and_top(strength)
+    if top < CLEAR_SIGMAS * scatter:
+        return _with(nothing, "shows no contact")
+    strength = np.maximum(strength - middle, 0.0)
+    patch, others = _largest_patch(strength > max(PATCH_SHARE * top, 4.0 * scatter))
+    center, radius, edge, problem = _circle_around(patch, strength, 4.0 * scatter)
+    problem = problem or _problem(patch, others, center, radius)
+    return Circle((center + 0.5) / scale - 0.5, radius / scale, problem, edge / scale)
+
+
+def _with(circle: Circle, problem: str) -> Circle:
+    return Circle(circle.center_px, circle.radius_px, problem)
+
+
+def _scatter_and_top(strength: FloatArray) -> tuple[float, float, float]:
+    """Level and scatter of the bare gel, and how far the most changed pixels rise above it."""
+    middle = float(np.median(strength))
+    scatter = 1.4826 * float(np.median(np.abs(strength - middle))) + 1e-6
+    return middle, scatter, float(np.percentile(strength, 99.8)) - middle
+
+
+def _largest_patch(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The largest connected patch of ``mask``, closed and without holes; and the next largest."""
+    closed = ndimage.binary_closing(np.pad(mask, 4), iterations=3)[4:-4, 4:-4]
+    labels, count = ndimage.label(closed)
+    if count == 0:
+        return closed, closed
+    sizes = ndimage.sum_labels(closed, labels, np.arange(1, count + 1))
+    order = np.argsort(-sizes)
+    filled: NDArray[np.bool_] = ndimage.binary_fill_holes(labels == 1 + order[0])
+    second = labels == 1 + order[1] if count > 1 else np.zeros_like(filled)
+    return filled, second
+
+
+def _circle_around(
+    patch: NDArray[np.bool_], strength: FloatArray, least: float
+) -> tuple[FloatArray, float, float, str]:
+    """Centre (x, y) and radii of rim and edge, seen from the patch's middle; what is wrong."""
+    rows, columns = np.nonzero(patch)
+    radius = max(float(np.sqrt(len(rows) / np.pi)), 1.0)
+    center = np.array([columns.mean(), rows.mean()]) if len(rows) else np.full(2, np.nan)
+    if not len(rows):
+        return center, radius, radius, "shows no contact"
+    for _ in range(3):
+        points = _edge_points(strength, center, radius, least)
+        if len(points) < MIN_EDGE_DIRECTIONS * N_DIRECTIONS:
+            return center, radius, radius, "what changed is not round"
+        fitted, off = _fit_circle(points, np.array([*center, radius]))
+        center, radius = fitted[:2], float(abs(fitted[2]))
+    if off > MAX_OUT_OF_ROUND * radius:
+        return center, radius, radius, "what changed is not round"
+    return center, _rim_radius(strength, center, radius, least), radius, ""
+
+
+def _profiles(
+    strength: FloatArray, center: FloatArray, radius: float
+) -> tuple[FloatArray, FloatArray]:
+    """The change along each direction (n, k), NaN out of view; and its largest (n,)."""
+    angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
+    reach = np.arange(0.0, 2.2 * radius + 3.0, PROFILE_STEP_PX)
+    x = center[0] + np.cos(angle)[:, None] * reach
+    y = center[1] + np.sin(angle)[:, None] * reach
+    height, width = strength.shape
+    seen = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    profile = ndimage.map_coordinates(strength, [y, x], order=1, mode="nearest")
+    near = reach <= 1.5 * radius + 1.0
+    return np.where(seen, profile, np.nan), np.where(seen & near, profile, 0.0).max(axis=1)
+
+
+def _edge_points(
+    strength: FloatArray, center: FloatArray, radius: float, least: float
+) -> FloatArray:
+    """Where the change falls to half of its largest along each direction (n, 2).
+
+    Directions without a clear change, and those whose edge lies out of view, are left out.
+    """
+    profile, top = _profiles(strength, center, radius)
+    level = EDGE_SHARE * top
+    above = np.nan_to_num(profile, nan=np.inf) > level[:, None]
+    # The first fall beyond the highest point of a direction.
+    peak = np.argmax(np.nan_to_num(profile) == top[:, None], axis=1)
+    fallen = ~above & (np.arange(profile.shape[1]) > peak[:, None])
+    first = np.argmax(fallen, axis=1)
+    k = np.arange(N_DIRECTIONS)
+    clear = fallen.any(axis=1) & (top > least)
+    before, after = profile[k, first - 1], profile[k, first]
+    share = (before - level) / np.maximum(before - after, 1e-9)
+    edge = PROFILE_STEP_PX * (first - 1 + np.clip(share, 0.0, 1.0))
+    angle = 2 * np.pi * k / N_DIRECTIONS
+    points = center + edge[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(points[clear])
+
+
+def _rim_radius(strength: FloatArray, center: FloatArray, radius: float, least: float) -> float:
+    """Where the mean profile of all clear directions leaves its largest value for good."""
+    profile, top = _profiles(strength, center, radius)
+    clear = top > least
+    relative = profile[clear] / top[clear, None]
+    seen = np.isfinite(relative).sum(axis=0)
+    mean = np.nansum(relative, axis=0) / np.maximum(seen, 1)
+    mean[seen < 0.3 * clear.sum()] = 0.0
+    last = np.nonzero(mean >= RIM_SHARE * mean.max())[0][-1]
+    return float(PROFILE_STEP_PX * last)
+
+
+def _fit_circle(points: FloatArray, start: FloatArray) -> tuple[FloatArray, float]:
+    """Circle (x, y, radius) through points, robust to tails; and their median distance."""
+
+    def distance(circle: FloatArray) -> FloatArray:
+        return np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2]
+
+    scale = max(0.03 * float(start[2]), 0.3)
+    fitted = least_squares(distance, start, loss="soft_l1", f_scale=scale).x
+    return fitted, float(np.median(np.abs(distance(fitted))))
+
+
+def _problem(
+    patch: NDArray[np.bool_], second: NDArray[np.bool_], center: FloatArray, radius: float
+) -> str:
+    height, width = patch.shape
+    if radius < 2:
+        return "shows a change of less than 2 pixels across, too small for a contact"
+    if not (0 <= center[0] < width and 0 <= center[1] < height):
+        return "the contact's centre lies out of view"
+    if radius > 0.45 * min(height, width):
+        return "the change covers most of the image: the background does not match this press"
+    if second.sum() > SECOND_CONTACT * patch.sum():
+        return "shows more than one contact"
+    return ""
+
+
+def outside_share(center_px: FloatArray, radius_px: float, shape_px: tuple[int, int]) -> float:
+    """The share of a circle that lies outside the image, 0 to 1."""
+    height, width = shape_px
+    side = np.linspace(-1, 1, 81)
+    x, y = np.meshgrid(side, side)
+    disc = np.hypot(x, y) <= 1
+    column, row = center_px[0] + radius_px * x[disc], center_px[1] + radius_px * y[disc]
+    seen = (column > -0.5) & (column < width - 0.5) & (row > -0.5) & (row < height - 0.5)
+    return float(1 - seen.mean())

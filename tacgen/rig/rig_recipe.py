@@ -1,0 +1,205 @@
+"""The recipe of a virtual rig session, checked whole before anything is pressed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+)
+
+from tacgen.contact.effects import find_effect
+from tacgen.core.config import Finite, Section
+from tacgen.core.errors import ContactError, RecipeError
+from tacgen.core.resources import find_recipe, sensor_path
+from tacgen.core.yaml_source import YamlSource, read_yaml, validate
+from tacgen.sensor.description import SensorByName, SensorChoice
+
+
+def _ordered(values: tuple[float, float]) -> tuple[float, float]:
+    if values[1] < values[0]:
+        msg = f"runs from {values[0]:g} down to {values[1]:g}; put the smaller value first"
+        raise ValueError(msg)
+    return values
+
+
+def _from_zero(values: tuple[float, float]) -> tuple[float, float]:
+    if values[0] < 0:
+        msg = f"starts at {values[0]:g}; it cannot be negative"
+        raise ValueError(msg)
+    return values
+
+
+def _above_zero(values: tuple[float, float]) -> tuple[float, float]:
+    if values[0] <= 0:
+        msg = f"starts at {values[0]:g}; it must be positive"
+        raise ValueError(msg)
+    return values
+
+
+Range = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+RangeFromZero = Annotated[Range, AfterValidator(_from_zero)]
+PositiveRange = Annotated[Range, AfterValidator(_above_zero)]
+
+
+class Indenter(Section):
+    """A rigid ball."""
+
+    name: str
+    radius_mm: PositiveFloat
+
+
+class RigLaw(Section):
+    """The true law of the gel."""
+
+    k_n_mm3_per_n: PositiveFloat = 5.135
+    k_s_mm_per_n: NonNegativeFloat = 0.8
+
+
+class Schedule(Section):
+    """How often and how each press goes: load, hold, shear out and back, unload, rest.
+
+    Forces are drawn evenly from their range for every press; every phase's length varies by
+    ``jitter``.
+    """
+
+    presses: PositiveInt = 24
+    force_n: PositiveRange = (2.0, 10.0)
+    shear_ratio: RangeFromZero = (0.1, 0.3)
+    rate_hz: PositiveFloat = 20.0
+    load_s: PositiveFloat = 1.0
+    hold_s: NonNegativeFloat = 1.5
+    shear_s: NonNegativeFloat = 1.5
+    unload_s: PositiveFloat = 1.0
+    rest_s: NonNegativeFloat = 8.0
+    jitter: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    x_mm: Range = (-4.0, 4.0)
+    y_mm: Range = (-3.0, 3.0)
+
+
+class Noise(Section):
+    """Standard deviations: force gauge, volume, sum of marker motion, camera."""
+
+    force_n: NonNegativeFloat = 0.01
+    volume_mm3: NonNegativeFloat = 0.2
+    marker_sum_mm: NonNegativeFloat = 0.03
+    camera_grey: NonNegativeFloat = 1.0
+
+
+class Temperature(Section):
+    """The room: a slow swing about a mean, read by a thermometer."""
+
+    mean_c: Finite = 23.0
+    swing_c: NonNegativeFloat = 1.0
+    period_s: PositiveFloat = 400.0
+    noise_c: NonNegativeFloat = 0.02
+
+
+class RigEffect(Section):
+    """An effect of the registry, by its parameters or by its strength.
+
+    ``strength`` is the RMS of what the best linear law leaves over, in units of the channel's
+    noise; the amounts are then solved for, and ``parameters`` may fix shapes.
+    """
+
+    name: str
+    channel: Literal["normal", "shear"] = "normal"
+    strength: NonNegativeFloat | None = None
+    parameters: dict[str, Finite] = Field(default_factory=dict)
+
+
+class Images(Section):
+    """What the camera takes: so many images a press, at heights of the load spread evenly."""
+
+    per_press: PositiveInt = 1
+    markers: bool = False
+    labels: bool = True
+    blur_mm: NonNegativeFloat = 0.0
+    shadow: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+
+def _effect(given: Any) -> Any:
+    return {"name": given, "strength": 2.0} if isinstance(given, str) else given
+
+
+class RigRecipe(Section):
+    """One session on the virtual rig."""
+
+    name: str = "rig"
+    seed: NonNegativeInt = 0
+    output: Literal["log", "images", "both"] = "log"
+    sensor: SensorByName = SensorChoice()
+    indenters: tuple[Indenter, ...] = (
+        Indenter(name="ball_4mm", radius_mm=2.0),
+        Indenter(name="ball_8mm", radius_mm=4.0),
+        Indenter(name="ball_12mm", radius_mm=6.0),
+    )
+    law: RigLaw = RigLaw()
+    schedule: Schedule = Schedule()
+    noise: Noise = Noise()
+    temperature: Temperature | None = Temperature()
+    effects: tuple[Annotated[RigEffect, BeforeValidator(_effect)], ...] = ()
+    images: Images = Images()
+
+
+def load_rig_recipe(name: str | Path, changes: Mapping[str, Any] | None = None) -> RigRecipe:
+    """Read and check a rig recipe (a path, or the name of a shipped one).
+
+    ``changes`` replaces top-level keys, for repetitions that differ in their seed.
+
+    Raises
+    ------
+    RecipeError
+        Lists everything that is wrong, each with its file, line and mend.
+    """
+    source = read_yaml(find_recipe(str(name)))
+    source.data.update(changes or {})
+    recipe = validate(RigRecipe, source)
+    problems = [*_indenter_problems(recipe, source), *_effect_problems(recipe, source)]
+    try:
+        sensor_path(recipe.sensor.name, beside=source.path.parent)
+    except RecipeError as error:
+        problems.append(source.problem(("sensor",), f"= {recipe.sensor.name!r}: {error}"))
+    if problems:
+        raise RecipeError.from_problems(problems)
+    return recipe
+
+
+def _indenter_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
+    if not recipe.indenters:
+        yield source.problem(("indenters",), "is empty; give at least one ball")
+    names = [indenter.name for indenter in recipe.indenters]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            yield source.problem(("indenters", i), f"= {name!r} stands there twice; rename one")
+
+
+def _effect_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
+    for i, given in enumerate(recipe.effects):
+        where = ("effects", i)
+        try:
+            effect = find_effect(given.channel, given.name)
+        except ContactError as error:
+            yield source.problem(where, f"= {given.name!r}: {error}")
+            continue
+        for name in given.parameters:
+            if effect.parameter(name) is None:
+                known = ", ".join(p.name for p in effect.parameters)
+                yield source.problem(
+                    (*where, "parameters", name), f"is no parameter of it; known: {known}"
+                )
+        if given.strength is None and not given.parameters:
+            yield source.problem(where, "has neither strength nor parameters; give one of them")
+        if "temperature_c" in effect.needs and recipe.temperature is None:
+            yield source.problem(where, "needs a temperature; add a `temperature:` section")
+        repeated = [(e.channel, e.name) for e in recipe.effects[:i]]
+        if (given.channel, given.name) in repeated:
+            yield source.problem(where, f"= {given.name!r} stands there twice; keep one")

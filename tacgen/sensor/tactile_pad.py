@@ -1,0 +1,304 @@
+"""What a pad feels and sees: a posed mesh and a force's imprint in, the sensor's picture out.
+
+The joint of contact and optics, shared by collection, the virtual rig and the benchmark.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tacgen.contact.gap import GAP_GRAIN_MM, FeltGap, GapMapper, checked_mesh
+from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
+from tacgen.contact.indentation import solve_grains
+from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
+from tacgen.core.records import Mesh, Sensor
+from tacgen.optics.deform import Deformer
+from tacgen.optics.render import Renderer
+from tacgen.optics.smooth import Window
+from tacgen.optics.table import LookupTable
+
+USUAL_REACH_MM = 1.25
+"""Triangles this far beyond first touch are left out of the first look at a contact."""
+
+FIELD_POINTS = 1500
+"""Points of a contact patch that the markers' motion is worked out from."""
+
+_NOWHERE: Window = (0, 0, 0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Imprint:
+    """The mechanics of one contact.
+
+    Attributes
+    ----------
+    indentation_mm : float
+        δ beyond first touch; 0 where nothing is over the pad.
+    volume_mm3 : float
+        What the gel has really lost: less than asked for where it is saturated or nothing touches.
+    saturated : bool
+        The gel is pressed through to its backing: more force presses no deeper.
+    window : tuple of int
+        Top, bottom, left, right of the contact patch in pixels.
+    depth_mm : (h, w) float32
+        Indentation over ``window``.
+    motion : Motion or None
+        How far shear has moved the object along the gel.
+    """
+
+    indentation_mm: float
+    volume_mm3: float
+    saturated: bool
+    window: Window
+    depth_mm: NDArray[np.float32]
+    motion: Motion | None = None
+    field: MarkerField | None = None
+
+    def depth_map_mm(self, sensor: Sensor) -> NDArray[np.float32]:
+        """Indentation over the whole pad, (H, W)."""
+        whole = np.zeros(sensor.shape_px, dtype=np.float32)
+        top, bottom, left, right = self.window
+        whole[top:bottom, left:right] = self.depth_mm
+        return whole
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """One tactile frame: the picture (H, W, 3) uint8 and the imprint it shows."""
+
+    rgb: NDArray[np.uint8]
+    imprint: Imprint
+
+
+@njit(cache=True, nogil=True)
+def _patch_bounds(grains: NDArray[np.int32], delta: float) -> tuple[int, int, int, int]:
+    """Half-open rectangle of the pixels closer than ``delta`` grains."""
+    n_rows, width = grains.shape
+    top, bottom = n_rows, 0
+    nearest = np.full(width, 2**30, np.int32)
+    for r in range(n_rows):
+        row = grains[r]
+        smallest = np.int32(2**30)
+        for k in range(width):
+            nearest[k] = min(nearest[k], row[k])
+            smallest = min(smallest, row[k])
+        if smallest < delta:
+            top, bottom = min(top, r), r + 1
+    left, right = width, 0
+    for k in range(width):
+        if nearest[k] < delta:
+            left, right = min(left, k), k + 1
+    return top, bottom, left, right
+
+
+@njit(cache=True, nogil=True)
+def _fill_depth(
+    grains: NDArray[np.int32],
+    delta: float,
+    bounds: tuple[int, int, int, int],
+    grain_mm: float,
+    depth_mm: NDArray[np.float32],
+) -> None:
+    top, bottom, left, right = bounds
+    for r in range(top, bottom):
+        row, out = grains[r, left:right], depth_mm[r - top]
+        for k in range(right - left):
+            out[k] = max(0.0, (delta - row[k]) * grain_mm)
+
+
+class Pad:
+    """One tactile pad, made ready for frame after frame.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    table : LookupTable
+        Of the sensor's resolution.
+    camera : {"raster", "pyrender"}
+        Which camera takes the gap map.
+    shadows, markers : bool
+        Switches of the recipe.
+
+    Raises
+    ------
+    ContactError, TableError
+        If the camera cannot be used, or the table does not fit the sensor.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        table: LookupTable,
+        *,
+        camera: str = "raster",
+        shadows: bool = False,
+        markers: bool = False,
+    ) -> None:
+        self.sensor = sensor
+        self.table = table
+        self._mapper = GapMapper(sensor, camera)
+        self._deformer = Deformer(sensor.mm_per_px)
+        draws = markers and sensor.markers is not None
+        self._renderer = Renderer(
+            table,
+            gel_map_mm(sensor),
+            shadows=shadows,
+            leds=sensor.leds,
+            marker_radius_mm=sensor.markers.radius_mm if draws and sensor.markers else 0.0,
+        )
+        self._points_mm = marker_grid_mm(sensor)
+        self._x_mm, self._y_mm = pixel_centers_mm(sensor)
+        self._markers_drawn = draws
+
+    def press(
+        self,
+        mesh: Mesh,
+        pose_gel_object: NDArray[np.floating],
+        *,
+        volume_mm3: float | None = None,
+        indentation_mm: float | None = None,
+        shear_sum_mm: NDArray[np.floating] | tuple[float, float] = (0.0, 0.0),
+        turn_sum_mm2: float = 0.0,
+    ) -> Imprint:
+        """The imprint of a posed object: by the gel's lost volume, or by depth.
+
+        Where along z the object stands does not matter: it is taken to first touch, and from
+        there pressed in until the gel has lost ``volume_mm3`` (V = k_n F_n) or to
+        ``indentation_mm`` (TACTO's law, depth = c F_n).
+
+        Parameters
+        ----------
+        mesh : Mesh
+        pose_gel_object : (4, 4)
+            Object to gel frame, mm.
+        volume_mm3, indentation_mm : float
+            One of the two.
+        shear_sum_mm : (2,)
+            D = k_s F_s, the sum of the markers' shear motion; the object moves with them.
+        turn_sum_mm2 : float
+            k_s times the moment about the gel's normal: the sum of r × motion.
+        """
+        vertices_mm, faces, pose = checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object)
+        imprint = self._indent(vertices_mm, faces, pose, volume_mm3, indentation_mm)
+        shear = np.asarray(shear_sum_mm, dtype=np.float64)
+        moves = bool(np.any(shear)) or turn_sum_mm2 != 0.0
+        if imprint.indentation_mm <= 0 or not (moves or self._markers_drawn):
+            return imprint
+        motion = self._field(imprint).motion(shear, turn_sum_mm2)
+        if moves:
+            imprint = self._indent(
+                vertices_mm, faces, motion.moved(pose), volume_mm3, indentation_mm
+            )
+        field = self._field(imprint) if self._markers_drawn and imprint.depth_mm.size else None
+        return Imprint(
+            imprint.indentation_mm,
+            imprint.volume_mm3,
+            imprint.saturated,
+            imprint.window,
+            imprint.depth_mm,
+            motion,
+            field,
+        )
+
+    def picture(
+        self, imprint: Imprint, *, rng: np.random.Generator | None = None
+    ) -> NDArray[np.uint8]:
+        """The sensor's picture (H, W, 3) of an imprint; ``rng`` draws the camera's noise."""
+        deformation, window = self._deformation(imprint)
+        markers_mm = None
+        if self._markers_drawn:
+            markers_mm = self._points_mm
+            if imprint.field is not None and imprint.motion is not None:
+                markers_mm = imprint.field.displaced_mm(imprint.motion)
+        return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng)
+
+    def feel(
+        self,
+        mesh: Mesh,
+        pose_gel_object: NDArray[np.floating],
+        *,
+        volume_mm3: float | None = None,
+        indentation_mm: float | None = None,
+        shear_sum_mm: NDArray[np.floating] | tuple[float, float] = (0.0, 0.0),
+        turn_sum_mm2: float = 0.0,
+        rng: np.random.Generator | None = None,
+    ) -> Felt:
+        """``press`` and ``picture`` in one."""
+        imprint = self.press(
+            mesh,
+            pose_gel_object,
+            volume_mm3=volume_mm3,
+            indentation_mm=indentation_mm,
+            shear_sum_mm=shear_sum_mm,
+            turn_sum_mm2=turn_sum_mm2,
+        )
+        return Felt(self.picture(imprint, rng=rng), imprint)
+
+    def height_map_mm(self, imprint: Imprint) -> NDArray[np.float32]:
+        """The deformed gel surface (H, W), gel frame, that ``picture`` shows."""
+        height = gel_map_mm(self.sensor).astype(np.float32)
+        deformation, (top, bottom, left, right) = self._deformation(imprint)
+        height[top:bottom, left:right] -= deformation
+        return height
+
+    def _indent(
+        self,
+        vertices_mm: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        pose: NDArray[np.float64],
+        volume_mm3: float | None,
+        indentation_mm: float | None,
+    ) -> Imprint:
+        sensor = self.sensor
+        deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
+        grain_mm3 = GAP_GRAIN_MM * sensor.pixel_area_mm2
+        reach_mm = min(USUAL_REACH_MM, sensor.gel_depth_mm)
+        while True:
+            gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=reach_mm)
+            delta = 0.0
+            if gap.touches and volume_mm3 is not None:
+                delta = solve_grains(gap.grains, volume_mm3 / grain_mm3, deepest)
+            elif gap.touches and indentation_mm is not None:
+                delta = min(max(0.0, indentation_mm / GAP_GRAIN_MM), deepest)
+            # What lies beyond the reach could only have made the gel give less: δ is a bound.
+            if delta * GAP_GRAIN_MM <= reach_mm:
+                return self._imprint_at(gap, delta, saturated=delta >= deepest)
+            reach_mm = delta * GAP_GRAIN_MM
+
+    def _imprint_at(self, gap: FeltGap, delta: float, *, saturated: bool) -> Imprint:
+        if delta <= 0:
+            return Imprint(0.0, 0.0, False, _NOWHERE, np.zeros((0, 0), dtype=np.float32))
+        bounds = _patch_bounds(gap.grains, delta)
+        top, bottom, left, right = bounds
+        depth_mm = np.empty((bottom - top, right - left), dtype=np.float32)
+        _fill_depth(gap.grains, delta, bounds, GAP_GRAIN_MM, depth_mm)
+        row, column = gap.window[0], gap.window[2]
+        window = (row + top, row + bottom, column + left, column + right)
+        volume_mm3 = float(depth_mm.sum(dtype=np.float64)) * self.sensor.pixel_area_mm2
+        return Imprint(delta * GAP_GRAIN_MM, volume_mm3, saturated, window, depth_mm)
+
+    def _field(self, imprint: Imprint) -> MarkerField:
+        top, bottom, left, right = imprint.window
+        # Enough points to tell the patch's shape and weight: the field is smooth.
+        every = max(1, int((imprint.depth_mm.size / FIELD_POINTS) ** 0.5))
+        depth_mm = imprint.depth_mm[every // 2 :: every, every // 2 :: every]
+        rows, columns = np.nonzero(depth_mm)
+        if rows.size == 0:
+            every, depth_mm = 1, imprint.depth_mm
+            rows, columns = np.nonzero(depth_mm)
+        x_mm = self._x_mm[left:right][every // 2 :: every][columns]
+        y_mm = self._y_mm[top:bottom][every // 2 :: every][rows]
+        return MarkerField(
+            self._points_mm,
+            np.stack([x_mm, y_mm], axis=1),
+            depth_mm[rows, columns],
+            self.sensor.pixel_area_mm2 * every**2,
+        )
+
+    def _deformation(self, imprint: Imprint) -> tuple[NDArray[np.float32], Window]:
+        """Deformation of the gel, and the window that it fills."""
+        return self._deformer.deform(imprint.depth_mm, imprint.window, self.sensor.shape_px)

@@ -1,0 +1,183 @@
+"""Studies: one YAML that collects, trains and tests variants, for a table of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from tacgen.collection.recipe import Recipe
+from tacgen.core.config import Section
+from tacgen.core.errors import RecipeError
+from tacgen.core.resources import find_recipe
+from tacgen.core.yaml_source import YamlSource, read_yaml, validate
+from tacgen.learning.training_recipe import TrainRecipe
+
+_OWN_KEYS = ("name", "description", "objects")
+
+
+class Published(Section):
+    """What the paper reports for a row: accuracy on simulated and on real grasps."""
+
+    sim: float | None = None
+    real: float | None = None
+
+
+class Variant(Section):
+    """What to say otherwise than the study: objects, parts of ``data`` and of ``train``."""
+
+    objects: tuple[Any, ...] | None = None
+    data: dict[str, Any] = Field(default_factory=dict)
+    train: dict[str, Any] = Field(default_factory=dict)
+
+
+class Row(Variant):
+    """A row of the table.
+
+    ``calibrate_friction`` fits μ to real grasps before it collects; ``calibrate_contact`` takes
+    the contact law that was calibrated on the real sensor.
+    """
+
+    name: str = Field(min_length=1)
+    published: Published = Published()
+    calibrate_friction: bool = False
+    calibrate_contact: bool = False
+
+
+class Study(Section):
+    """Variants of one experiment.
+
+    ``data`` is a recipe for ``tacgen collect`` and ``train`` one for ``tacgen train``, both
+    without name and objects; each row changes parts of them, and ``quick`` changes all rows for a
+    reduced version.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    description: str = ""
+    objects: tuple[Any, ...] = Field(min_length=1)
+    data: dict[str, Any] = Field(default_factory=dict)
+    train: dict[str, Any] = Field(default_factory=dict)
+    rows: tuple[Row, ...] = Field(min_length=1)
+    quick: Variant = Variant()
+    notes: tuple[str, ...] = ()
+
+    def data_recipe(self, row: Row, *, quick: bool) -> Recipe:
+        """The recipe of the row's dataset."""
+        merged: dict[str, Any] = {}
+        for part in (self.data, row.data, self.quick.data if quick else {}):
+            merged = merged_mapping(merged, part)
+        objects = list(row.objects or self.objects)
+        if quick and self.quick.objects is not None and row.objects is None:
+            chosen = object_names(self.quick.objects)
+            objects = [entry for entry in objects if object_names([entry])[0] in chosen]
+        return Recipe.model_validate({"name": self.name, **merged, "objects": objects})
+
+    def train_recipe(self, row: Row, *, quick: bool) -> TrainRecipe:
+        """The training recipe of the row."""
+        merged: dict[str, Any] = {}
+        for part in (self.train, row.train, self.quick.train if quick else {}):
+            merged = merged_mapping(merged, part)
+        return TrainRecipe.model_validate({"name": self.name, **merged})
+
+
+def load_study(name: str | Path) -> Study:
+    """Read and check the study ``name`` (a path, or the name of a shipped one).
+
+    Raises
+    ------
+    RecipeError
+        Lists everything that is wrong; what a row turns the recipes into is checked too.
+    """
+    source = read_yaml(find_recipe(str(name)))
+    study = validate(Study, source)
+    problems = [*_misplaced(study, source)]
+    names = [row.name for row in study.rows]
+    problems += [
+        source.problem(("rows", i, "name"), f"= {name!r} is given twice; rename one")
+        for i, name in enumerate(names)
+        if name in names[:i]
+    ]
+    folders = [run_folder_name(name) for name in names]
+    problems += [
+        source.problem(
+            ("rows", i, "name"),
+            f"= {names[i]!r} would be kept in the folder of {names[folders.index(folder)]!r}, "
+            f"{folder}; tell the names apart by letters or digits",
+        )
+        for i, folder in enumerate(folders)
+        if folder in folders[:i] and names[i] not in names[:i]
+    ]
+    for i, row in enumerate(study.rows):
+        for make in (study.data_recipe, study.train_recipe):
+            for quick in (False, True):
+                try:
+                    make(row, quick=quick)
+                except ValueError as error:
+                    text = " ".join(str(error).split())[:300]
+                    problems.append(source.problem(("rows", i), f"cannot be used: {text}"))
+    if problems:
+        raise RecipeError.from_problems(list(dict.fromkeys(problems)))
+    return study
+
+
+def run_folder_name(row_name: str) -> str:
+    """The folder of a row's run: its name in small letters and digits; signs become words."""
+    words = re.sub(r"(?<!\w)[-−](?=\d)", "minus ", row_name.lower()).replace("+", "plus ")
+    return re.sub(r"[^a-z0-9]+", "_", words).strip("_")
+
+
+def with_rows(study: Study, names: Sequence[str]) -> Study:
+    """The study with these rows alone; all of them where none is named.
+
+    Raises
+    ------
+    RecipeError
+        Lists the names that no row has, and those there are.
+    """
+    known = [row.name for row in study.rows]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        msg = (
+            f"{study.name}: has no row {', '.join(map(repr, unknown))}; "
+            f"its rows are {', '.join(map(repr, known))}"
+        )
+        raise RecipeError(msg)
+    if not names:
+        return study
+    return study.model_copy(update={"rows": tuple(row for row in study.rows if row.name in names)})
+
+
+def merged_mapping(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """``above`` laid over ``below``: mappings key by key, anything else as a whole."""
+    merged = dict(below)
+    for key, value in above.items():
+        old = merged.get(key)
+        merged[key] = (
+            merged_mapping(old, value)
+            if isinstance(old, Mapping) and isinstance(value, Mapping)
+            else value
+        )
+    return merged
+
+
+def _misplaced(study: Study, source: YamlSource) -> list[str]:
+    parts: list[tuple[tuple[str | int, ...], Mapping[str, Any]]] = [
+        (("data",), study.data),
+        (("train",), study.train),
+    ]
+    for i, row in enumerate(study.rows):
+        parts += [(("rows", i, "data"), row.data), (("rows", i, "train"), row.train)]
+    return [
+        source.problem((*path, key), "belongs to the study or its row; move it there")
+        for path, part in parts
+        for key in _OWN_KEYS
+        if key in part
+    ]
+
+
+def object_names(objects: Sequence[Any]) -> list[str]:
+    """The names of a study's object entries, which are names or mappings with one."""
+    return [str(entry.get("name") if isinstance(entry, Mapping) else entry) for entry in objects]

@@ -1,0 +1,237 @@
+"""From a press log to contact.yaml, as a user runs it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from tacgen.calibrate.contact.channel_fit import agreement_of
+from tacgen.calibrate.contact.identifiability import limits_of
+from tacgen.calibrate.contact.law_fit import fit_contact
+from tacgen.calibrate.contact.slope_fit import fit_slope
+from tacgen.cli import app
+from tacgen.contact.law import load_law
+from tacgen.core.errors import PressError
+from tacgen.presses.ball import ball_depth_mm, ball_volume_mm3, cap_volume_from_circle_mm3
+from tacgen.presses.press_log import read_press_log
+
+K_N, K_S = 5.0, 0.8
+COLUMNS = ("force_normal_n", "volume_mm3", "trial")
+
+
+def session(seed=0, n_trials=16, k_by_ball=(K_N, K_N)) -> pd.DataFrame:
+    """Load, hold, shear and unload with two balls over the gel."""
+    rng = np.random.default_rng(seed)
+    course_s = np.linspace(0.0, 4.0, 50)
+    shape = np.interp(course_s, [0.0, 1.0, 3.0, 4.0], [0.0, 1.0, 1.0, 0.0])
+    slide = np.interp(course_s, [0.0, 1.2, 2.0, 2.8, 4.0], [0.0, 0.0, 1.0, 0.0, 0.0])
+    parts = []
+    for trial in range(n_trials):
+        ball = trial % 2
+        force, angle = rng.uniform(3.0, 8.0) * shape, rng.uniform(-np.pi, np.pi)
+        shear = 2.0 * slide[:, None] * [np.cos(angle), np.sin(angle)]
+        noise = rng.standard_normal((50, 6))
+        parts.append(
+            pd.DataFrame(
+                {
+                    "trial": trial,
+                    "time_s": 10.0 * trial + course_s,
+                    "indenter": ["small", "large"][ball],
+                    "radius_mm": [2.0, 4.0][ball],
+                    "x_mm": rng.uniform(-4, 4),
+                    "y_mm": rng.uniform(-4, 4),
+                    "force_normal_n": force + 0.02 * noise[:, 0],
+                    "force_shear_x_n": shear[:, 0] + 0.01 * noise[:, 1],
+                    "force_shear_y_n": shear[:, 1] + 0.01 * noise[:, 2],
+                    "volume_mm3": k_by_ball[ball] * force + 0.2 * noise[:, 3],
+                    "shear_x_mm": K_S * shear[:, 0] + 0.02 * noise[:, 4],
+                    "shear_y_mm": K_S * shear[:, 1] + 0.02 * noise[:, 5],
+                }
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def write(frame: pd.DataFrame, folder: Path) -> Path:
+    path = folder / "log.csv"
+    frame.to_csv(path, index=False)
+    return path
+
+
+def calibrate(*arguments: object):
+    return CliRunner().invoke(app, ["calibrate", "contact", *map(str, arguments)])
+
+
+def test_the_law_is_recovered_and_loads(tmp_path):
+    log, out = write(session(), tmp_path), tmp_path / "contact.yaml"
+    result = calibrate(log, "--out", out, "--report", tmp_path / "report", "--marker-pitch-mm", 1.5)
+    assert result.exit_code == 0, result.output
+    law = load_law(out)
+    assert abs(law.k_n_mm3_per_n.value - K_N) < 3.0 * law.k_n_mm3_per_n.stderr < 0.1
+    assert abs(law.k_s_mm_per_n.value - K_S) < 3.0 * law.k_s_mm_per_n.stderr < 0.1
+    assert law.marker_pitch_mm == 1.5
+    provenance = yaml.safe_load(out.read_text())["provenance"]
+    assert provenance["trials"] == {"fit": 16, "left_out": 0}
+    assert len(provenance["data"]["log.csv"]) == 64
+    assert provenance["held_out_error"]["normal"]["rmse"] == pytest.approx(0.22, rel=0.1), (
+        "volume noise 0.2 and gauge noise 0.02 N × 5 mm³/N"
+    )
+    page = (tmp_path / "report" / "contact.html").read_text()
+    assert "data:image/png" in page
+    assert "://" not in page.replace("http://www.w3.org", "")
+
+
+def test_the_law_predicts_the_log_it_came_from(tmp_path):
+    frame = session()
+    fit = fit_contact(read_press_log(write(frame, tmp_path)))
+    volume, shear = fit.law.predict(frame)
+    assert np.std(frame["volume_mm3"] - volume) == pytest.approx(0.22, rel=0.1)
+    assert np.std(frame["shear_x_mm"] - shear[:, 0]) == pytest.approx(0.0215, rel=0.1)
+
+
+def test_balls_that_agree_and_balls_that_do_not(tmp_path):
+    same = fit_contact(read_press_log(write(session(), tmp_path))).normal
+    assert same.by == "indenter"
+    assert same.agreement.p_value > 0.05
+    other = fit_contact(read_press_log(write(session(k_by_ball=(5.0, 5.5)), tmp_path)))
+    assert other.normal.agreement.p_value < 1e-6
+    assert other.normal.agreement.spread == pytest.approx(0.095, abs=0.02)
+    assert other.normal.groups["large"].value == pytest.approx(5.5, rel=0.01)
+    assert any("k differs between values of 'indenter'" in text for text in other.warnings)
+
+
+def test_agreement_is_rejected_as_often_as_it_says():
+    """5 % of 100 true hypotheses, within 3.5 standard deviations of the binomial."""
+    rejected = 0
+    for seed in range(100):
+        frame = session(seed, n_trials=10)
+        groups = {
+            name: fit_slope(*(ball[column].to_numpy() for column in COLUMNS))
+            for name, ball in frame.groupby("indenter")
+        }
+        rejected += agreement_of(groups, K_N).p_value < 0.05
+    assert rejected <= 0.05 * 100 + 3.5 * np.sqrt(100 * 0.05 * 0.95)
+
+
+def test_held_out_trials_had_no_part(tmp_path):
+    """A press of twice the compliance is predicted by the others' law, not by its own."""
+    frame = session()
+    odd = frame["trial"] == 5
+    frame.loc[odd, "volume_mm3"] *= 2.0
+    held = fit_contact(read_press_log(write(frame, tmp_path))).normal.held_out
+    force = frame.loc[odd, "force_normal_n"]
+    assert held.by_trial[5] == pytest.approx(K_N * np.sqrt((force**2).mean()), rel=0.03)
+
+
+def test_too_few_presses(tmp_path):
+    result = calibrate(write(session(n_trials=2), tmp_path), "--out", tmp_path / "c.yaml")
+    assert isinstance(result.exception, PressError)
+    assert "2 presses that can be used, fewer than 3" in str(result.exception)
+    assert not (tmp_path / "c.yaml").exists()
+
+
+def test_left_out_presses_are_said_where_the_user_looks(tmp_path):
+    frame = session()
+    frame.loc[120, "time_s"] -= 9.0
+    result = calibrate(write(frame, tmp_path), "--out", tmp_path / "c.yaml", "--json")
+    assert result.exit_code == 0
+    assert "trial 2 is left out: time_s goes backwards at row 122" in result.stderr
+    content = json.loads(result.stdout)
+    assert [entry["trial"] for entry in content["left_out"]] == [2]
+    assert content["trials"] == {"fit": 15, "left_out": 1}
+
+
+def test_one_ball_only_says_what_cannot_be_told(tmp_path):
+    frame = session().assign(indenter="small", radius_mm=2.0)
+    result = calibrate(write(frame, tmp_path), "--out", tmp_path / "c.yaml")
+    assert result.exit_code == 0
+    assert "one ball only" in result.stderr
+    assert "press a second ball" in result.stderr
+
+
+def test_a_log_without_shear_has_no_k_s(tmp_path):
+    frame = session().drop(columns=["shear_x_mm", "shear_y_mm"])
+    result = calibrate(write(frame, tmp_path), "--out", tmp_path / "c.yaml")
+    assert np.isnan(load_law(tmp_path / "c.yaml").k_s_mm_per_n.value)
+    assert "k_s cannot be told" in result.stderr
+
+
+def test_what_a_schedule_leaves_open(tmp_path):
+    full = read_press_log(write(session(), tmp_path))
+    assert limits_of(full) == ()
+    rising = session().query("time_s % 10 < 0.9")[
+        ["trial", "time_s", "force_normal_n", "volume_mm3"]
+    ]
+    subjects = {limit.subject for limit in limits_of(read_press_log(write(rising, tmp_path)))}
+    assert subjects == {"geometry", "shear", "unloading", "hold", "position"}
+
+
+def test_signs_that_cannot_be(tmp_path):
+    frame = session()
+    frame["volume_mm3"] *= -1.0
+    with pytest.raises(PressError, match="does not grow with the load"):
+        fit_contact(read_press_log(write(frame, tmp_path)))
+
+
+def test_structure_that_a_line_leaves_over_is_said(tmp_path):
+    clean = fit_contact(read_press_log(write(session(), tmp_path)))
+    assert clean.warnings == ()
+    assert clean.normal.noise == pytest.approx(0.22, rel=0.15)
+    frame = session()
+    frame["volume_mm3"] *= 1.0 - 0.03 * frame["force_normal_n"]
+    bent = fit_contact(read_press_log(write(frame, tmp_path)))
+    assert any("an effect is missing; `tacgen diagnose" in text for text in bent.warnings)
+
+
+def test_an_unknown_group(tmp_path):
+    with pytest.raises(PressError, match="no column 'colour' to group by; there are trial"):
+        fit_contact(read_press_log(write(session(), tmp_path)), by="colour")
+
+
+def test_ball_volumes_against_closed_forms():
+    assert ball_volume_mm3(2.0, 2.0) == pytest.approx(2.0 / 3.0 * np.pi * 8.0)
+    assert ball_volume_mm3(3.0, 2.0) == pytest.approx(2.0 / 3.0 * np.pi * 8.0 + np.pi * 4.0)
+    assert ball_volume_mm3(-1.0, 2.0) == 0.0
+    depths = np.linspace(0.0, 5.0, 40)
+    np.testing.assert_allclose(ball_depth_mm(ball_volume_mm3(depths, 2.5), 2.5), depths, atol=1e-12)
+    height = 0.5
+    circle = np.sqrt(2.0 * 4.0 * height - height**2)
+    assert cap_volume_from_circle_mm3(circle, 4.0) == pytest.approx(ball_volume_mm3(height, 4.0))
+
+
+def test_a_free_contact_point_is_found(tmp_path):
+    """Three curves whose depths were counted from 0.05, −0.03 and 0.02 mm off."""
+    parts = []
+    for trial, late_mm in enumerate((0.05, -0.03, 0.02)):
+        true = np.r_[np.zeros(10), np.linspace(0.0, 0.8, 60)]
+        logged = np.maximum(true - late_mm, 0.0)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "trial": trial,
+                    "time_s": np.arange(70) * 0.1 + 20 * trial,
+                    "radius_mm": 2.5,
+                    "force_normal_n": ball_volume_mm3(true, 2.5) / 0.3 - 0.04,
+                    "depth_mm": logged,
+                    "volume_mm3": ball_volume_mm3(logged, 2.5),
+                }
+            )
+        )
+    fit = fit_contact(read_press_log(write(pd.concat(parts), tmp_path)))
+    shifts = [point.depth_mm for point in fit.contact_points]
+    np.testing.assert_allclose(shifts, (0.05, -0.03, 0.02), atol=2e-3)
+    assert fit.normal.pooled.value == pytest.approx(0.3, rel=0.01)
+
+
+def test_measured_ball_indentations(measured_data, tmp_path):
+    path = measured_data / "asmi_ball_indentation" / "press_log.csv"
+    fit = fit_contact(read_press_log(path))
+    assert fit.normal.by == "sample"
+    assert all(group.r_squared >= 0.999 for group in fit.normal.groups.values())
+    assert len(fit.normal.groups) == 3

@@ -1,0 +1,98 @@
+"""The plan: every grasp once, the same for the same seed, train and test apart."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tacgen.collection.grid import plan_grasps, shard_ranges
+from tacgen.collection.recipe import Recipe
+from tacgen.core.errors import RecipeError
+
+RANGES = {
+    "can": {"force_n": (5.0, 10.0, 20.0), "x_mm": (0.0,), "y_mm": (-5.0, 5.0), "z_mm": (40.0,)},
+    "box": {"force_n": (2.0,), "x_mm": (0.0,), "y_mm": (0.0,), "z_mm": (10.0, 20.0, 30.0)},
+}
+
+
+def recipe(**sections):
+    return Recipe.model_validate({"name": "r", "objects": ["can", "box"], **sections})
+
+
+def plan(**sections):
+    return plan_grasps(recipe(**sections), RANGES.__getitem__)
+
+
+def points(planned):
+    return [(g.config.object, g.config.force_n, g.config.y_mm, g.config.z_mm) for g in planned]
+
+
+def test_an_axis_left_out_comes_from_the_object():
+    assert points(plan()) == [
+        ("can", force, y, 40.0) for force in (5.0, 10.0, 20.0) for y in (-5.0, 5.0)
+    ] + [("box", 2.0, 0.0, z) for z in (10.0, 20.0, 30.0)]
+
+
+def test_the_recipes_own_axis_goes_before_the_objects_and_the_entrys_before_both():
+    planned = plan(
+        objects=["can", {"name": "box", "grid": {"force_n": 7}}], grid={"force_n": [1, 2]}
+    )
+    assert {g.config.force_n for g in planned if g.config.object == "can"} == {1.0, 2.0}
+    assert {g.config.force_n for g in planned if g.config.object == "box"} == {7.0}
+
+
+def test_an_axis_given_nowhere_is_named():
+    with pytest.raises(RecipeError, match=r"grid.y_mm is given neither .* object 'can'"):
+        plan_grasps(recipe(), lambda _: {"force_n": (1.0,), "x_mm": (0.0,)})
+
+
+def test_an_objects_own_force_beyond_the_gripper_is_refused():
+    with pytest.raises(RecipeError, match="force_n = 20 exceeds robot.max_force_n = 15"):
+        plan(robot={"max_force_n": 15})
+
+
+def test_a_sample_is_drawn_without_repeats_and_by_the_seed():
+    wide = {"force_n": {"linspace": [1, 10, 20]}, "z_mm": {"linspace": [1, 5, 20]}}
+    draws = [plan(grid=wide | {"sample": 50}, seed=seed) for seed in (1, 1, 2)]
+    assert points(draws[0]) == points(draws[1]) != points(draws[2])
+    assert len(set(points(draws[0]))) == len(draws[0]) == 100
+
+
+def test_adding_an_object_leaves_the_others_grasps_as_they_are():
+    grid = {"force_n": {"linspace": [1, 10, 20]}, "sample": 7}
+    both = plan(grid=grid)
+    alone = plan(grid=grid, objects=["can"])
+    assert alone == both[: len(alone)]
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    fraction=st.floats(0, 0.9),
+    seed=st.integers(0, 1000),
+    forces=st.lists(st.integers(1, 30), min_size=1, max_size=12),
+)
+def test_no_configuration_is_on_both_sides_of_the_split(fraction, seed, forces):
+    planned = plan(grid={"force_n": forces}, split={"test_fraction": fraction}, seed=seed)
+    sides = {"train": set(), "test": set()}
+    for grasp in planned:
+        config = grasp.config
+        sides[grasp.split].add((config.object, config.force_n, config.y_mm, config.z_mm))
+    assert not sides["train"] & sides["test"]
+    assert len(sides["train"]) + len(sides["test"]) == len(planned)
+    for name in RANGES:
+        own = [g for g in planned if g.config.object == name]
+        assert sum(g.split == "test" for g in own) == round(fraction * len(own))
+
+
+@given(n=st.integers(0, 500), size=st.integers(1, 60))
+def test_shards_cover_every_grasp_once_in_order(n, size):
+    ranges = shard_ranges(n, size)
+    assert [i for part in ranges for i in part] == list(range(n))
+    assert all(len(part) == size for part in ranges[:-1])
+
+
+def test_shard_seed_and_index_agree_with_the_position():
+    planned = plan(dataset={"shard_size": 4})
+    assert [g.config.index for g in planned] == list(range(9))
+    assert [g.shard for g in planned] == [0, 0, 0, 0, 1, 1, 1, 1, 2]
+    assert len({g.seed for g in planned}) == 9
+    assert all(0 <= g.seed < 2**63 for g in planned)

@@ -1,0 +1,40 @@
+"""Joining the stages: the law, the object and the calibration files that a recipe names."""
+
+import pytest
+
+from tacgen.collection.pipeline import contact_law, dataset_spec, felt_pad, recipe_object
+from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
+from tacgen.core.errors import RecipeError, TableError
+from tacgen.core.resources import packaged
+
+
+def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recipe = load_recipe("worlds/other")
+    assert contact_law(recipe.contact).effects
+    assert set(dataset_spec(recipe, 10).calibration) == {"table", "contact_law"}
+
+
+def test_a_law_that_is_not_there_is_named():
+    with pytest.raises(RecipeError, match="no contact law named 'nowhere.yaml'"):
+        contact_law(Contact(file="nowhere.yaml"))
+
+
+def test_a_table_of_another_resolution_is_named_with_both():
+    choice = {"name": "digit", "table": str(packaged("recipes") / "sensors/gelsight.table.npz")}
+    recipe = Recipe.model_validate({"name": "r", "objects": ["cup"], "sensor": choice})
+    with pytest.raises(TableError, match=r"gelsight.table.npz: .* 640×480 .* 'digit' of 240×320"):
+        felt_pad(recipe)
+
+
+def test_a_recipe_overrides_what_the_object_says():
+    plain = recipe_object(ObjectEntry(name="sugar_box"))
+    entry = ObjectEntry(
+        name="sugar_box", friction=0.2, mass_kg=1.0, center_of_mass_offset_mm=(0, 0, 20)
+    )
+    changed = recipe_object(entry)
+    assert (changed.friction, changed.mass_kg) == (0.2, 1.0)
+    assert changed.center_of_mass_mm[2] - plain.center_of_mass_mm[2] == pytest.approx(20)
+    # What a patch holds about its normal is proportional to μ.
+    ratio = changed.spinning_friction_mm / plain.spinning_friction_mm
+    assert ratio == pytest.approx(0.2 / plain.friction)

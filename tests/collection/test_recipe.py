@@ -1,0 +1,170 @@
+"""Recipes: what a user writes is what runs, and every mistake is named at once."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter, ValidationError
+
+from tacgen.collection.recipe import Recipe, load_recipe
+from tacgen.core.config import Axis
+from tacgen.core.errors import RecipeError
+from tacgen.core.resources import packaged
+from tacgen.sensor.description import load_sensor
+
+AXIS = TypeAdapter(Axis)
+OTHER_KINDS = ("rig", "train", "paper")
+SHIPPED = sorted(
+    path for path in packaged("recipes").glob("*.yaml") if not path.stem.startswith(OTHER_KINDS)
+)
+SENSORS = sorted(packaged("recipes").glob("sensors/*.yaml"))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A user's folder with an object and a sensor of their own."""
+    for name in ("can", "box"):
+        (tmp_path / "objects" / name).mkdir(parents=True)
+        (tmp_path / "objects" / name / "object.yaml").write_text("")
+    sensors = tmp_path / "recipes" / "sensors"
+    sensors.mkdir(parents=True)
+    (sensors / "mine.yaml").write_text(
+        "name: mine\nheight_px: 48\nwidth_px: 64\nmm_per_px: 0.3\ngel_depth_mm: 2\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def recipe_of(folder: Path, text: str) -> Recipe:
+    path = folder / "r.yaml"
+    path.write_text(f"name: r\nsensor: mine\n{text}")
+    return load_recipe(path)
+
+
+@pytest.mark.parametrize(
+    ("given_axis", "values"),
+    [
+        (4, (4.0,)),
+        ([3, 1, 3], (3.0, 1.0)),
+        ({"linspace": [0, 1, 3]}, (0.0, 0.5, 1.0)),
+        ({"geomspace": [1, 16, 5]}, (1.0, 2.0, 4.0, 8.0, 16.0)),
+        ({"range": [0, 0.15, 0.05]}, (0.0, 0.05, 0.1, 0.15)),
+        ({"range": [0, 0.17, 0.05]}, (0.0, 0.05, 0.1, 0.15)),
+        ({"range": [2, 0, -1]}, (2.0, 1.0, 0.0)),
+    ],
+)
+def test_an_axis_is_a_number_a_list_a_linspace_or_a_range(given_axis, values):
+    assert AXIS.validate_python(given_axis) == pytest.approx(values, abs=1e-9)
+
+
+@given(
+    start=st.integers(-100, 100), count=st.integers(1, 200), step=st.sampled_from([0.05, 0.1, 2.5])
+)
+def test_a_range_keeps_its_end_whatever_the_step_is_in_binary(start, count, step):
+    stop = start + (count - 1) * step
+    values = AXIS.validate_python({"range": [start, stop, step]})
+    assert len(values) == count
+    assert values[-1] == pytest.approx(stop, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [],
+        {},
+        {"linspace": [0, 1]},
+        {"linspace": [0, 1, 2.5]},
+        {"linspace": [0, 1, 0]},
+        {"geomspace": [0, 1, 3]},
+        {"geomspace": [1, 2, 2.5]},
+        {"range": [0, 1, -0.1]},
+        {"range": [0, 1, 0]},
+        {"range": [0, 1, 1e-9]},
+        {"steps": [0, 1, 2]},
+        [float("nan")],
+        [float("inf")],
+        "5 N",
+    ],
+)
+def test_an_axis_that_means_nothing_is_refused(wrong):
+    with pytest.raises(ValidationError):
+        AXIS.validate_python(wrong)
+
+
+def test_every_mistake_is_listed_at_once_with_its_line(folder):
+    with pytest.raises(RecipeError) as caught:
+        recipe_of(folder, "objects: [can]\ngrid: {force: 3, x_mm: 5 mm}\nphysics: {hold: 1}\n")
+    text = str(caught.value)
+    assert "r.yaml:4: grid.force is not a known key; known here: force_n" in text
+    assert "r.yaml:4: grid.x_mm = '5 mm'" in text
+    assert "r.yaml:5: physics.hold is not a known key" in text
+
+
+def test_names_and_ranges_are_checked_against_what_there_is(folder):
+    with pytest.raises(RecipeError) as caught:
+        recipe_of(
+            folder,
+            "objects: [can, cann, can]\nrobot: {max_force_n: 40}\n"
+            "grid: {force_n: [5, 20, 80.0, -1]}\n",
+        )
+    text = str(caught.value)
+    assert "objects[1] = 'cann' is not an object here" in text
+    assert "objects[2] = 'can' stands there twice" in text
+    assert (
+        "r.yaml:5: grid.force_n[2] = 80 exceeds robot.max_force_n = 40; "
+        "lower it or raise robot.max_force_n"
+    ) in text
+    assert "grid.force_n[3] = -1 is no force to grip with" in text
+
+
+def test_what_belongs_to_the_robot_is_not_taken_elsewhere(folder):
+    with pytest.raises(RecipeError, match="max_force_n: belongs to the section `robot`"):
+        recipe_of(folder, "objects: [can]\nphysics: {max_force_n: 5}\n")
+
+
+def test_an_unknown_sensor_is_named(folder):
+    path = folder / "r.yaml"
+    path.write_text("name: r\nobjects: [can]\nsensor: geelsight\n")
+    with pytest.raises(RecipeError, match=r"r.yaml:3: sensor = 'geelsight'"):
+        load_recipe(path)
+
+
+def test_a_sensor_without_a_table_says_how_to_get_one(folder):
+    with pytest.raises(RecipeError, match="tacgen calibrate lookup"):
+        load_sensor("mine")
+    assert load_sensor("mine", needs_table=False).table == ""
+
+
+def test_the_hash_is_of_what_is_meant_not_of_how_it_is_written(folder):
+    plain = recipe_of(folder, "objects: [can]\ngrid: {force_n: [1, 2, 3]}\n")
+    other = recipe_of(folder, "grid:\n  force_n: {linspace: [1, 3, 3]}\nobjects:\n- name: can\n")
+    changed = recipe_of(folder, "objects: [can]\ngrid: {force_n: [1, 2, 4]}\n")
+    assert plain.sha256() == other.sha256() != changed.sha256()
+
+
+def test_the_resolved_recipe_is_itself_a_recipe(folder):
+    recipe = recipe_of(folder, "objects: [can]\ngrid: {force_n: [1, 2, 3]}\n")
+    assert Recipe.model_validate(recipe.resolved()) == recipe
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_shipped_recipe_loads(path):
+    assert load_recipe(path).name == path.stem
+
+
+@pytest.mark.parametrize("path", SENSORS, ids=lambda path: path.stem)
+def test_every_shipped_sensor_loads(path):
+    sensor = load_sensor(path.stem)
+    assert sensor.name == path.stem
+    assert Path(sensor.table).is_file()
+
+
+def test_a_sensor_whose_table_has_an_endless_name_is_told(tmp_path):
+    (tmp_path / "odd.yaml").write_text(
+        (packaged("recipes") / "sensors" / "digit.yaml")
+        .read_text()
+        .replace("digit.table.npz", "t" * 3000)
+    )
+    with pytest.raises(RecipeError, match="there is no table"):
+        load_sensor(str(tmp_path / "odd.yaml"))

@@ -1,0 +1,191 @@
+"""The supervisor: nothing is lost when a worker dies, hangs or fails."""
+
+import contextlib
+import os
+import signal
+import time
+from pathlib import Path
+
+import cv2
+import numba
+import pytest
+
+from tacgen.core import workers
+from tacgen.core.errors import TacgenError
+from tacgen.core.workers import run_tasks
+
+ITEMS_PER_TASK = 4
+
+
+class Script:
+    """A job whose items misbehave as told, once or always."""
+
+    def __init__(self, folder: Path, acts: dict[int | str, str]) -> None:
+        self.folder, self.acts = folder, acts
+
+    @contextlib.contextmanager
+    def __call__(self):
+        yield self.job
+
+    def job(self, task, crashed, report):
+        done = []
+        for item in range(task * ITEMS_PER_TASK, (task + 1) * ITEMS_PER_TASK):
+            if item in crashed:
+                continue
+            report("start", item, None)
+            self.act(self.acts.get(item, ""), item)
+            report("item", item, os.getpid())
+            self.act(self.acts.get(f"after {item}", ""), f"after {item}")
+            done.append(item)
+        return done
+
+    def act(self, what, item):
+        marker = self.folder / f"{item}.seen"
+        first = not marker.exists()
+        marker.touch()
+        if what == "segfault":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        elif what == "killed_once" and first:
+            os.kill(os.getpid(), signal.SIGKILL)
+        elif what == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        elif what == "hang" or (what == "hang_once" and first):
+            time.sleep(60)
+        elif what == "brief":
+            time.sleep(0.01)
+        elif what == "slow":
+            time.sleep(0.5)
+        elif what == "wrong_input":
+            raise TacgenError("item 5 is wrong; mend it")
+        elif what == "bug":
+            raise ZeroDivisionError
+
+
+def results(folder, acts, n_tasks=3, workers=2, limit_s=20.0):
+    events = list(
+        run_tasks(range(n_tasks), Script(folder, acts), workers=workers, item_limit_s=limit_s)
+    )
+    done = {event.task: event.value for event in events if event.kind == "done"}
+    return done, events
+
+
+def items_of(task):
+    return list(range(task * ITEMS_PER_TASK, (task + 1) * ITEMS_PER_TASK))
+
+
+def test_every_task_is_done_once(tmp_path):
+    done, _ = results(tmp_path, {})
+    assert done == {task: items_of(task) for task in range(3)}
+
+
+def test_an_item_that_takes_its_process_down_is_left_out(tmp_path):
+    done, events = results(tmp_path, {5: "segfault"})
+    assert done == {0: items_of(0), 1: [4, 6, 7], 2: items_of(2)}
+    assert [event.value for event in events if event.kind == "crashed"] == [
+        "the simulator died of SIGSEGV"
+    ]
+
+
+def test_an_item_that_hangs_is_left_out(tmp_path):
+    done, events = results(tmp_path, {6: "hang"}, limit_s=3.0)
+    assert done[1] == [4, 5, 7]
+    assert [event.item for event in events if event.kind == "crashed"] == [6]
+
+
+def test_a_worker_killed_from_outside_costs_nothing(tmp_path):
+    done, events = results(tmp_path, {5: "killed_once"})
+    assert done == {task: items_of(task) for task in range(3)}
+    assert [event.task for event in events if event.kind == "retried"] == [1]
+
+
+def test_a_worker_that_falls_silent_between_items_is_replaced_and_nothing_is_lost(
+    tmp_path, monkeypatch
+):
+    """Stopped by a hand, or held by a file system: no grasp's fault."""
+    monkeypatch.setattr(workers, "SILENCE_LIMIT_S", 3.0)
+    done, events = results(tmp_path, {"after 5": "hang_once"}, workers=1, limit_s=3.0)
+    assert done == {task: items_of(task) for task in range(3)}
+    assert [event.kind for event in events if event.kind not in ("item", "done")] == ["retried"]
+
+
+def test_a_worker_that_dies_between_two_looks_loses_no_task(tmp_path, monkeypatch):
+    look = workers._end_if_hung
+    killed = []
+
+    def look_and_kill(worker, progress, limit_s):
+        yield from look(worker, progress, limit_s)
+        if worker.item == 5 and not killed:
+            worker.process.kill()
+            worker.process.join()
+            killed.append(worker.task)
+
+    monkeypatch.setattr(workers, "_end_if_hung", look_and_kill)
+    done, events = results(tmp_path, {5: "slow"}, workers=1)
+    assert killed == [1]
+    assert done == {task: items_of(task) for task in range(3)}
+    assert [event.task for event in events if event.kind == "retried"] == [1]
+
+
+def test_a_task_whose_worker_is_always_killed_stops_the_run_with_the_cause(tmp_path):
+    with pytest.raises(TacgenError, match="out of memory"):
+        results(tmp_path, {5: "killed"}, workers=1)
+
+
+@pytest.mark.parametrize("items", [(4, 5, 6), (6, 7, 8)])
+def test_three_crashes_in_a_row_stop_the_run_with_the_cause(tmp_path, items):
+    """Of one task, or of two that follow each other."""
+    with pytest.raises(TacgenError, match=r"3 grasps in a row crashed.*SIGSEGV"):
+        results(tmp_path, dict.fromkeys(items, "segfault"))
+
+
+def test_wrong_input_ends_the_run_with_its_own_words(tmp_path):
+    with pytest.raises(TacgenError, match="^item 5 is wrong; mend it$"):
+        results(tmp_path, {5: "wrong_input"})
+
+
+def test_a_bug_is_not_hidden(tmp_path):
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        results(tmp_path, {5: "bug"})
+
+
+def test_leaving_early_ends_every_process(tmp_path):
+    events = run_tasks(range(3), Script(tmp_path, {}), workers=1, item_limit_s=20.0)
+    pid = next(event.value for event in events if event.kind == "item")
+    events.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+class Surroundings:
+    """A job that tells what its process was given."""
+
+    @contextlib.contextmanager
+    def __call__(self):
+        yield lambda _task, _crashed, _report: (
+            os.environ["OMP_NUM_THREADS"],
+            os.environ.get("TACGEN_TOLD"),
+            cv2.getNumThreads(),
+            numba.get_num_threads(),
+        )
+
+
+def test_a_worker_has_todays_environment_and_one_thread_a_library(tmp_path, monkeypatch):
+    """Though the process that it is a copy of started earlier, and this one may use four."""
+    results(tmp_path, {})
+    monkeypatch.setenv("OMP_NUM_THREADS", "4")
+    monkeypatch.setenv("TACGEN_TOLD", "now")
+    events = list(run_tasks(range(1), Surroundings(), workers=1, item_limit_s=20.0))
+    assert [event.value for event in events] == [("1", "now", 1, 1)]
+    assert os.environ["OMP_NUM_THREADS"] == "4"
+
+
+def test_workers_that_cannot_start_are_told_of(tmp_path, monkeypatch):
+    """The process that they are copied from dies at once, whenever it is started."""
+
+    def refused(*_):
+        raise ConnectionRefusedError(111, "Connection refused")
+
+    monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", refused)
+    monkeypatch.setattr("tacgen.core.processes._START_PAUSE_S", 0.0)
+    with pytest.raises(TacgenError, match=r"no worker process could be started with .*python"):
+        results(tmp_path, {})

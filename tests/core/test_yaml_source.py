@@ -1,0 +1,94 @@
+"""YAML: merging, the line of every mistake, and files that mean harm."""
+
+import pytest
+from pydantic import BaseModel, ConfigDict
+
+from tacgen.core.errors import RecipeError
+from tacgen.core.yaml_source import dotted, read_yaml, validate
+
+
+class Inner(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    force_n: float
+    name: str = "x"
+
+
+class Outer(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    inner: Inner
+    items: tuple[Inner, ...] = ()
+
+
+def write(folder, name, text):
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_dotted_names_read_like_the_file():
+    assert dotted(("grid", "force_n", 2)) == "grid.force_n[2]"
+
+
+def test_every_problem_is_listed_with_its_line(tmp_path):
+    path = write(tmp_path, "a.yaml", "inner:\n  force_n: ten\n  nmae: y\nitems:\n  - name: z\n")
+    with pytest.raises(RecipeError) as caught:
+        validate(Outer, read_yaml(path))
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith(f"{path}:2: inner.force_n = 'ten'")
+    assert f"{path}:3: inner.nmae is not a known key; known here: force_n, name" in lines
+    assert any(line.startswith(f"{path}:5: items[0].force_n is missing") for line in lines)
+
+
+def test_extends_lays_the_file_over_its_base_key_by_key(tmp_path):
+    write(tmp_path, "base.yaml", "inner:\n  force_n: 1\n  name: base\n")
+    path = write(tmp_path, "a.yaml", "extends: base.yaml\ninner:\n  force_n: 2\n")
+    assert validate(Outer, read_yaml(path)).inner == Inner(force_n=2, name="base")
+
+
+def test_a_mistake_in_the_base_names_the_base(tmp_path):
+    base = write(tmp_path, "base.yaml", "inner:\n  name: base\n  force_n: ten\n")
+    path = write(tmp_path, "a.yaml", "extends: base.yaml\nitems: []\n")
+    with pytest.raises(RecipeError, match=f"^{base}:3: inner.force_n"):
+        validate(Outer, read_yaml(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: 1\na: 2\n", "2: a is given twice"),
+        ("- 1\n", "holds no `key: value` pairs"),
+        ("", "holds no `key: value` pairs"),
+        ("a: [1\n", "not valid YAML"),
+        ("a: !!python/object/apply:os.getcwd []\n", "1: a has the tag"),
+        ("extends: a.yaml\n", "extends itself"),
+    ],
+)
+def test_a_file_that_cannot_be_used_says_why(tmp_path, text, words):
+    path = write(tmp_path, "a.yaml", text)
+    with pytest.raises(RecipeError, match="a") as caught:
+        validate(Outer, read_yaml(path))
+    assert words in str(caught.value)
+
+
+def test_no_code_runs_from_a_tag(tmp_path):
+    marker = tmp_path / "ran"
+    path = write(
+        tmp_path, "a.yaml", f"inner: !!python/object/apply:pathlib.Path.touch ['{marker}']\n"
+    )
+    with pytest.raises(RecipeError):
+        validate(Outer, read_yaml(path))
+    assert not marker.exists()
+
+
+def test_aliases_that_unfold_without_bound_are_refused(tmp_path):
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)]
+    path = write(tmp_path, "bomb.yaml", "\n".join(lines))
+    with pytest.raises(RecipeError, match="unfolds to too many parts"):
+        read_yaml(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(RecipeError, match="none.yaml: no such file"):
+        read_yaml(tmp_path / "none.yaml")

@@ -1,0 +1,178 @@
+"""The loop on logs whose truth is known, by formulas other than those that are fitted."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from tacgen.cli import app
+from tacgen.contact.law import load_law
+from tacgen.core.errors import PressError
+from tacgen.diagnose.contact.command import diagnose
+from tacgen.diagnose.contact.result import diagnosis_record
+from validation.contact.cases import blank_log, make_case
+
+
+def case(effects, strength=1.5, seed=3, n_trials=48, n_samples=60):
+    rng = np.random.default_rng(seed)
+    return make_case(effects, strength, rng, blank_log(rng, n_trials, n_samples))
+
+
+def few_columns(columns, *names):
+    """The contract's required columns and ``names``: quicker, where a test needs no more."""
+    kept = ("trial", "time_s", "force_normal_n", "volume_mm3", *names)
+    return {name: columns[name] for name in kept}
+
+
+def names(channel):
+    return [effect["name"] for effect in channel["effects"]]
+
+
+def test_a_clean_log_is_sufficient_in_both_channels():
+    columns, noise = case([])
+    record = diagnosis_record(diagnose(columns))
+    for channel in ("normal", "shear"):
+        found = record["channels"][channel]
+        assert (found["verdict"], found["effects"], found["unexplained"]) == ("sufficient", [], [])
+        assert found["noise_floor"]["rmse"] == pytest.approx(noise[channel], rel=0.1)
+        assert found["error_after"]["rmse"] < 1.1 * noise[channel]
+
+
+@pytest.mark.parametrize(
+    ("effect", "columns"),
+    [
+        (("normal", "creep", 0), ()),
+        (("normal", "zero_offset", 1), ()),
+        (("normal", "latency", 0), ()),
+        (("normal", "hysteresis", 1), ()),
+        (("normal", "drift", 1), ()),
+        (("normal", "conditioning", 0), ()),
+        (("normal", "temperature", 1), ("temperature_c",)),
+        (("normal", "geometry", 1), ("radius_mm", "indenter")),
+    ],
+)
+def test_one_effect_is_named_and_brings_the_error_down_to_the_noise(effect, columns):
+    made, noise = case([effect], strength=2.0)
+    found = diagnosis_record(diagnose(few_columns(made, *columns)))["channels"]["normal"]
+    assert (found["verdict"], names(found)) == ("effect_found", [effect[1]])
+    few_show_it = effect[1] == "conditioning"  # one of the first four presses is held out
+    assert found["error_before"]["rmse"] > (1.2 if few_show_it else 1.5) * noise["normal"]
+    assert found["error_after"]["rmse"] < 1.12 * noise["normal"]
+    assert found["gain_interval_95"][0] > (0.05 if few_show_it else 0.2)
+    assert found["trials"] == {"fit": 36, "test": 12}
+
+
+def test_a_slipping_contact_is_found_in_the_shear_channel_alone():
+    made, _ = case([("shear", "slip", 0)], strength=3.0)
+    channels = diagnosis_record(diagnose(made))["channels"]
+    assert names(channels["shear"]) == ["slip"]
+    assert channels["normal"]["verdict"] == "sufficient"
+
+
+@pytest.mark.parametrize(("covariate", "form"), [("operator", 0), ("time_s", 0)])
+def test_what_no_effect_explains_is_named_by_its_covariate(covariate, form):
+    made, _ = case([("outside", covariate, form)], strength=2.0)
+    columns = few_columns(made, "operator", "x_mm", "y_mm")
+    found = diagnosis_record(diagnose(columns))["channels"]["normal"]
+    assert (found["verdict"], names(found)) == ("unexplained", [])
+    assert [entry["covariate"] for entry in found["unexplained"]] == [covariate]
+
+
+def test_the_extended_law_predicts_trials_that_nothing_saw(tmp_path):
+    made, noise = case([("normal", "creep", 2)], strength=3.0, n_trials=60)
+    frame = pd.DataFrame(few_columns(made))
+    seen = frame[frame["trial"] < 40]
+    seen.to_csv(tmp_path / "log.csv", index=False)
+    result = CliRunner().invoke(
+        app, ["diagnose", "contact", str(tmp_path / "log.csv"), "--out", str(tmp_path / "out")]
+    )
+    assert result.exit_code == 0, result.output
+    record = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    promised = record["channels"]["normal"]["error_after"]["rmse"]
+    law = load_law(tmp_path / "out" / "contact.yaml")
+    later = frame[frame["trial"] >= 40]
+    left = later["volume_mm3"] - law.predict(later)[0]
+    assert np.sqrt((left**2).mean()) < 1.1 * promised
+    assert promised < 1.1 * noise["normal"]
+    assert "<svg" not in (tmp_path / "out" / "report.html").read_text()[:200]
+    assert "creep" in result.output
+
+
+def test_parameters_of_a_linear_law_are_covered_by_their_errors():
+    inside = 0
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        truth = blank_log(rng, 30, 40)
+        k_n = float(truth.volume_mm3.max() / truth.force_n.max())
+        columns, _ = make_case([], 0.0, rng, truth)
+        found = diagnose(few_columns(columns)).channels["normal"]
+        inside += abs(found.final.model.compliance - k_n) < 2.2 * found.final_errors.compliance
+    assert inside >= 10
+
+
+def test_two_trials_are_left_out_in_turn_and_said_to_be_few():
+    columns, _ = case([], n_trials=40)
+    two = {name: values[columns["trial"] < 2] for name, values in few_columns(columns).items()}
+    diagnosis = diagnose(two)
+    assert any("too few to set some aside" in note for note in diagnosis.notes)
+    assert diagnosis.channels["normal"].verdict == "sufficient"
+
+
+def test_columns_that_cannot_be_compared_are_said():
+    columns, _ = case([])
+    n = columns["trial"].size
+    log = few_columns(columns) | {
+        "shift": np.full(n, "day"),
+        "note": np.arange(n).astype(str),
+        "clock": columns["time_s"].copy(),
+    }
+    notes = "\n".join(diagnose(log).notes)
+    assert "column 'shift' is constant" in notes
+    assert "column 'note' has" in notes
+    assert "'time_s' and 'clock' are equal" in notes
+    assert "shear channel: not diagnosed" in notes
+
+
+def test_rows_without_shear_do_not_stop_the_shear_channel():
+    columns, _ = case([])
+    gone = columns["trial"] < 10
+    for name in ("shear_x_mm", "shear_y_mm", "force_shear_x_n", "force_shear_y_n"):
+        columns[name] = np.where(gone, np.nan, columns[name])
+    diagnosis = diagnose(columns)
+    assert diagnosis.channels["shear"].data.history.n_trials == 38
+    assert any("rows without a finite value" in note for note in diagnosis.notes)
+
+
+def test_forces_of_the_wrong_sign_are_said_and_not_fitted():
+    columns, _ = case([], n_trials=10, n_samples=40)
+    turned = few_columns(columns) | {"volume_mm3": -columns["volume_mm3"]}
+    with pytest.raises(PressError, match="falls as the force grows; check the signs"):
+        diagnose(turned)
+    against = columns | {f"shear_{axis}_mm": -columns[f"shear_{axis}_mm"] for axis in "xy"}
+    diagnosis = diagnose(against)
+    assert list(diagnosis.channels) == ["normal"]
+    assert any("shear channel: not diagnosed" in note for note in diagnosis.notes)
+
+
+def test_a_p_value_is_no_less_than_so_few_trials_allow():
+    columns, _ = case([("normal", "latency", 0)], strength=3.0)
+    four = {name: values[columns["trial"] < 4] for name, values in few_columns(columns).items()}
+    found = diagnosis_record(diagnose(four))["channels"]["normal"]
+    values = [entry["p_value"] for entry in (*found["effects"], *found["ranking"])]
+    assert values
+    assert min(values) >= 0.5**3
+
+
+def test_samples_that_stick_out_spoil_neither_the_fit_nor_the_errors():
+    columns, noise = case([])
+    log = few_columns(columns)
+    struck = np.random.default_rng(5).choice(log["trial"].size, 60, replace=False)
+    log["volume_mm3"] = log["volume_mm3"].copy()
+    log["volume_mm3"][struck] += 40.0 * noise["normal"]
+    diagnosis = diagnose(log)
+    found = diagnosis.channels["normal"]
+    assert found.verdict == "sufficient"
+    assert found.after.rmse < 1.1 * noise["normal"]
+    assert any("stick out" in note for note in diagnosis.notes)

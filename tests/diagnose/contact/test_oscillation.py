@@ -1,0 +1,53 @@
+"""Oscillations in the session's clock are found at any period, and not where there are none."""
+
+import numpy as np
+import pytest
+
+from tacgen.diagnose.contact.channel import channel_data
+from tacgen.diagnose.contact.model import Model, fit_model
+from tacgen.diagnose.contact.oscillation import find_waves
+from tacgen.diagnose.contact.scores import shuffles
+
+K_N = 4.0
+
+
+def log(period_s, amplitude, n_trials=30, n_samples=50, seed=0):
+    """Half-sine presses of 5 s, 20 s apart, whose compliance oscillates by ``amplitude``."""
+    rng = np.random.default_rng(seed)
+    phase = np.linspace(0.0, 5.0, n_samples)
+    time = (np.arange(n_trials)[:, None] * 20.0 + rng.uniform(0, 5, (n_trials, 1)) + phase).ravel()
+    force = np.tile(8.0 * np.sin(np.pi * phase / 5.0), n_trials)
+    volume = K_N * force * (1.0 + amplitude * np.sin(2 * np.pi * time / period_s + 0.7))
+    return {
+        "trial": np.repeat(np.arange(n_trials), n_samples),
+        "time_s": time,
+        "force_normal_n": force,
+        "volume_mm3": volume + 0.3 * rng.standard_normal(time.size),
+    }
+
+
+def best_wave(columns):
+    data = channel_data(columns, "normal")
+    flips = shuffles(data.n_units, 40, np.random.default_rng(1)).signs[1:]
+    waves = find_waves(data, fit_model(data, Model(K_N)), flips)
+    return min(waves, key=lambda wave: wave.p_search) if waves else None
+
+
+@pytest.mark.parametrize("period_s", [1.3, 4.0, 17.0, 90.0, 300.0])
+def test_the_period_is_found_whether_shorter_than_a_press_or_as_long_as_the_session(period_s):
+    wave = best_wave(log(period_s, 0.03))
+    session_s = 30 * 20.0
+    within = 0.1 * period_s**2 / session_s  # a tenth of a cycle over the session
+    assert 1.0 / wave.frequency_hz == pytest.approx(period_s, abs=max(within, 0.01 * period_s))
+    assert wave.p_search < 1e-3
+
+
+def test_noise_alone_has_no_period_that_stands_out():
+    found = [best_wave(log(50.0, 0.0, seed=seed)).p_search for seed in range(8)]
+    assert sum(p < 0.02 for p in found) <= 1
+
+
+def test_a_session_over_nights_is_no_reason_to_fail():
+    columns = log(50.0, 0.0, n_trials=9)
+    columns["time_s"] = columns["time_s"] + 3e5 * (columns["trial"] > 4)
+    assert best_wave(columns) is None

@@ -1,0 +1,125 @@
+"""The statistics that the choice rests on: free of noise, right level, enough power."""
+
+import numpy as np
+import pytest
+
+from tacgen.diagnose.contact import scores
+from tacgen.diagnose.contact.channel import channel_data
+from tacgen.diagnose.contact.residuals import noise_floor
+
+N_TRIALS, N_SAMPLES = 40, 40
+
+
+def log(rng, force_noise=0.3, volume_noise=0.5, bend=0.0):
+    """Ramps up and down, noise in both; a quarter of each trial is without load."""
+    shape = np.interp(np.linspace(0, 1, N_SAMPLES), [0.25, 0.6, 1.0], [0.0, 1.0, 0.0])
+    force = (rng.uniform(3, 9, N_TRIALS)[:, None] * shape).ravel()
+    volume = 4.0 * force + bend * force**2
+    return {
+        "trial": np.repeat(np.arange(N_TRIALS), N_SAMPLES),
+        "time_s": np.arange(N_TRIALS * N_SAMPLES) * 0.05,
+        "force_normal_n": force + force_noise * rng.normal(size=force.size),
+        "volume_mm3": volume + volume_noise * rng.normal(size=force.size),
+    }
+
+
+def grams_of(columns):
+    """Gram matrices of force, force² and volume less k·force."""
+    data = channel_data(columns, "normal")
+    force = data.history.force_normal_n[:, None]
+    load = data.reduce(force)
+    target = data.reduce(data.target)
+    k = (load @ target) / (load @ load)
+    ones = data.reduce(np.ones_like(force))
+    design = np.column_stack([load, data.reduce(force**2), ones, target - k * load])
+    return data, scores.unit_grams(data, design), k
+
+
+def test_the_compliance_is_not_diluted_by_noise_of_the_force():
+    rng = np.random.default_rng(0)
+    diluted, free = [], []
+    for _ in range(20):
+        _, grams, k = grams_of(log(rng, force_noise=1.5))
+        diluted.append(k)
+        free.append(k + scores.coefficients(grams.sum(axis=0), [0])[0])
+    assert np.mean(diluted) < 3.85
+    assert np.mean(free) == pytest.approx(4.0, abs=0.03)
+
+
+def test_a_loss_between_halves_holds_structure_and_no_noise():
+    rng = np.random.default_rng(1)
+    left = [grams_of(log(rng))[1][:, -1, -1].sum() for _ in range(20)]
+    data, _, _ = grams_of(log(rng))
+    assert abs(np.mean(left)) < 0.02 * data.noise_loss
+
+
+def test_the_noise_floor_is_that_of_volume_and_force_together():
+    data, _, _ = grams_of(log(np.random.default_rng(2)))
+    assert data.noise == pytest.approx(np.hypot(0.5, 4.0 * 0.3), rel=0.08)
+
+
+def test_shuffles_keep_their_level_and_see_a_bend():
+    rng = np.random.default_rng(3)
+    shuffled = scores.shuffles(N_TRIALS, 499, rng)
+
+    def p_value(bend):
+        _, grams, _ = grams_of(log(rng, bend=bend))
+        statistics = scores.shuffle_statistics(grams, [0], [[1]], shuffled, 2)
+        return scores.shuffle_p_values(statistics)[0]
+
+    null = np.array([p_value(0.0) for _ in range(150)])
+    assert 0.0 <= np.mean(null < 0.1) < 0.2
+    assert p_value(0.05) < 1e-4
+
+
+def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
+    _, grams, _ = grams_of(log(np.random.default_rng(4), bend=0.02))
+    folds = np.arange(N_TRIALS) % 5
+    quick = scores.cv_losses(grams, folds, [[0, 1]])[0]
+    for fold in range(5):
+        kept = grams[folds != fold].sum(axis=0)
+        weights = np.linalg.solve(kept[:2, :2], kept[:2, -1])
+        extended = np.append(-weights, [0.0, 1.0])
+        slow = np.einsum("i,uij,j->u", extended, grams[folds == fold], extended)
+        np.testing.assert_allclose(quick[folds == fold], slow, rtol=1e-5, atol=1e-6)
+
+
+def test_groups_of_different_size_are_scored_as_they_are_alone():
+    _, grams, _ = grams_of(log(np.random.default_rng(5)))
+    folds = np.arange(N_TRIALS) % 4
+    both = scores.losses_of_groups(grams, folds, [0], [[1], [1, 2]])
+    np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]])[0])
+    np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]])[0])
+
+
+def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
+    without = np.array([3.0, 2.0, 1.0])
+    losses = np.array([[1.0, 0.5, -0.2], [-60.0, -50.0, 3.0], [np.nan, 1.0, 1.0]])
+    kept = scores.believable(losses, without, 10.0)
+    np.testing.assert_array_equal(kept, [losses[0], without, without])
+
+
+def test_a_column_that_acts_in_one_unit_says_nothing_without_it():
+    _, grams, _ = grams_of(log(np.random.default_rng(6)))
+    alone = grams.copy()
+    alone[1:, 1, :], alone[1:, :, 1] = 1e-9 * grams[1:, 1, :], 1e-9 * grams[1:, :, 1]
+    folds = np.arange(N_TRIALS) % 5
+    with_it = scores.cv_losses(alone, folds, [[0, 1]])[0]
+    without = scores.cv_losses(alone, folds, [[0]])[0]
+    assert with_it[0] == pytest.approx(without[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.4, 0.6])
+def test_the_noise_floor_sees_noise_that_goes_on_and_not_what_a_law_leaves(memory):
+    rng = np.random.default_rng(8)
+    parts = []
+    for _ in range(40):
+        white, slow = rng.standard_normal((2, 120))
+        for i in range(1, 120):
+            slow[i] = memory * slow[i - 1] + np.sqrt(1 - memory**2) * slow[i]
+        parts.append(np.sqrt(0.6) * white + np.sqrt(0.4) * slow)
+    noise = np.concatenate(parts)[:, None]
+    starts = np.arange(0, 4801, 120)
+    assert noise_floor(noise, starts) == pytest.approx(1.0, rel=0.06)
+    left = noise + 6.0 * np.sin(2 * np.pi * np.arange(4800) / 60)[:, None]
+    assert noise_floor(left, starts) < 1.25

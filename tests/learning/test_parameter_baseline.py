@@ -1,0 +1,70 @@
+"""What force and place tell of the outcome, on tables whose rule is known."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from tacgen import cli
+from tacgen.learning.grasps import GraspTable
+from tacgen.learning.parameter_baseline import told_lines, told_scores
+
+AXES_TOLD = ("force_n", "y_mm", "z_mm")
+
+
+def table_of(label_of, n: int = 150, split: str = "train") -> GraspTable:
+    rng = np.random.default_rng(0)
+    force_n, y_mm, z_mm = rng.uniform(1, 20, n), rng.uniform(-10, 10, n), rng.uniform(20, 60, n)
+    return GraspTable(
+        ids=np.arange(n).astype(str),
+        objects=np.full(n, "can"),
+        label=label_of(force_n, y_mm, z_mm, rng).astype(np.int64),
+        split=np.full(n, split),
+        force_n=force_n,
+        x_mm=np.zeros(n),
+        y_mm=y_mm,
+        z_mm=z_mm,
+        yaw_rad=np.zeros(n),
+        grasp_frame=np.ones(n, np.int64),
+    )
+
+
+def test_an_outcome_that_force_decides_is_found_from_force():
+    scores = told_scores(table_of(lambda f, y, z, rng: f > 10))["can"]
+    assert list(scores["told"]) == ["force_n, y_mm, z_mm", *(f"all but {a}" for a in AXES_TOLD)]
+    assert scores["told"]["force_n, y_mm, z_mm"] > 0.95
+    # Without the force nothing is left; three standard deviations of a guess on 150 are 0.12.
+    assert scores["told"]["all but force_n"] < 0.5 + 0.13
+
+
+def test_a_height_that_decides_and_is_not_told_costs_accuracy():
+    told = told_scores(table_of(lambda f, y, z, rng: f > 10 * (z > 40)))["can"]["told"]
+    assert told["force_n, y_mm, z_mm"] > 0.93
+    assert told["all but z_mm"] < told["force_n, y_mm, z_mm"] - 0.1
+
+
+def test_chance_is_not_learnt():
+    scores = told_scores(table_of(lambda f, y, z, rng: rng.random(len(f)) < 0.5))["can"]
+    assert abs(scores["told"]["force_n, y_mm, z_mm"] - 0.5) < 0.13
+
+
+def test_one_outcome_alone_is_said_to_teach_nothing():
+    scores = told_scores(table_of(lambda f, y, z, rng: f > 0))
+    assert scores["can"]["always"] == 1.0
+    assert "nothing to learn from" in "\n".join(told_lines(scores))
+
+
+def test_the_test_side_is_not_looked_at():
+    scores = told_scores(table_of(lambda f, y, z, rng: f > 10, split="test"))
+    assert (scores["can"]["n"], scores["can"]["told"]) == (0, {})
+
+
+def test_the_command_tells_each_object(toy, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["tacgen", "told", str(toy), "--json"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
+    scores = json.loads(capsys.readouterr().out)
+    assert sorted(scores) == ["can", "cup"]
+    assert all(one["n"] >= one["successes"] > 0 for one in scores.values())

@@ -1,0 +1,173 @@
+"""The solids that the builders are made of, against closed forms."""
+
+import hashlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
+from tacgen.objects.shapes.profiles import (
+    angles_rad,
+    circle,
+    rounded_polygon,
+    rounded_rectangle,
+    superellipse_radius,
+)
+from tacgen.objects.shapes.rest import resting_tilt_rad, settled
+from tacgen.objects.shapes.shape import Shape, hull, loft, moved, revolve, sweep, union
+
+
+def as_trimesh(mesh):
+    return trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False)
+
+
+def polygon_area(points):
+    x, y = points.T
+    return 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+
+
+def box(x, y, z):
+    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
+    return hull(signs * np.array([x, y, z]) / 2)
+
+
+def test_turned_cylinder_is_closed_outward_and_has_the_volume_of_its_polygon():
+    n, radius, height = 96, 10.0, 30.0
+    solid = loft(revolve(np.array([[radius, 0.0], [radius, height]]), n))
+    prism = 0.5 * n * radius**2 * np.sin(2 * np.pi / n) * height
+    assert as_trimesh(solid).is_watertight
+    assert as_trimesh(solid).is_winding_consistent
+    assert volume_mm3(solid) == pytest.approx(prism, rel=1e-6)  # vertices are rounded to 1e-6
+
+
+def test_swept_arc_has_the_volume_of_pappus():
+    turn = np.linspace(0, np.pi, 400)
+    path = 50 * np.stack([np.zeros_like(turn), np.cos(turn), np.sin(turn)], axis=-1)
+    solid = loft(sweep(path, np.array([1.0, 0.0, 0.0]), circle(4.0, 200)))
+    assert as_trimesh(solid).is_watertight
+    assert volume_mm3(solid) == pytest.approx(np.pi * 4**2 * np.pi * 50, rel=2e-3)
+
+
+def test_hull_faces_outward():
+    assert volume_mm3(box(2.0, 3.0, 4.0)) == pytest.approx(24.0)
+
+
+def test_union_counts_the_overlap_once():
+    a = box(10.0, 10.0, 10.0)
+    both = union([a, moved(a, shift_mm=np.array([4.0, 3.0, 2.0]))])
+    assert as_trimesh(both).is_watertight
+    assert volume_mm3(both) == pytest.approx(2000.0 - 6.0 * 7.0 * 8.0)
+
+
+def test_moved_turns_then_shifts():
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    solid = moved(box(2.0, 4.0, 6.0), turn=quarter, shift_mm=np.array([10.0, 0.0, 0.0]))
+    np.testing.assert_allclose(solid.vertices_mm.max(axis=0), [12.0, 1.0, 3.0], atol=1e-6)
+
+
+def test_rounded_rectangle_area_and_normals():
+    points, normals = rounded_rectangle(20.0, 30.0, 5.0, 0.05)
+    assert polygon_area(points) == pytest.approx(40 * 60 - (4 - np.pi) * 5**2, rel=1e-4)
+    larger, _ = rounded_rectangle(22.0, 32.0, 7.0, 0.05)
+    assert polygon_area(points + 2 * normals) == pytest.approx(polygon_area(larger), rel=1e-4)
+
+
+def test_rounded_polygon_area_and_normals():
+    square = np.array([[-10, -10], [10, -10], [10, 10], [-10, 10]])
+    points, normals = rounded_polygon(square, 3.0, steps=60, spacing_mm=1.0)
+    assert polygon_area(points) == pytest.approx(400 - (4 - np.pi) * 3**2, rel=1e-4)
+    shrunk = polygon_area(points - 3 * normals)
+    assert shrunk == pytest.approx(14.0**2, rel=1e-6)
+
+
+def test_superellipse_of_power_two_is_an_ellipse():
+    angle = angles_rad(50)
+    radius = superellipse_radius(angle, 3.0, 5.0, 2.0)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    np.testing.assert_allclose((x / 3) ** 2 + (y / 5) ** 2, 1.0, rtol=1e-12)
+
+
+def test_inertia_of_a_box_away_from_the_origin():
+    solid = moved(box(20.0, 30.0, 60.0), shift_mm=np.array([100.0, -50.0, 7.0]))
+    found = mass_properties([(solid, 3.0)], 2.0)
+    x, y, z = 20.0**2, 30.0**2, 60.0**2
+    np.testing.assert_allclose(found.center_mm, [100.0, -50.0, 7.0], atol=1e-9)
+    expected = np.diag([y + z, x + z, x + y]) * 2.0 / 12
+    np.testing.assert_allclose(found.inertia_kg_mm2, expected, atol=1e-6)
+
+
+def test_inertia_of_a_ball():
+    ball = trimesh.creation.icosphere(subdivisions=6, radius=10.0)
+    solid = hull(np.asarray(ball.vertices))
+    inertia = mass_properties([(solid, 1.0)], 0.5).inertia_kg_mm2
+    np.testing.assert_allclose(inertia, 0.4 * 0.5 * 100 * np.eye(3), rtol=1e-3, atol=1e-6)
+
+
+def test_two_materials_pull_the_centre_to_the_denser():
+    light = box(10.0, 10.0, 10.0)
+    heavy = moved(light, shift_mm=np.array([20.0, 0.0, 0.0]))
+    found = mass_properties([(light, 1.0), (heavy, 3.0)], 4.0)
+    np.testing.assert_allclose(found.center_mm, [15.0, 0.0, 0.0], atol=1e-9)
+    # Cubes of 1 and 3 kg, 15 and 5 mm from the common centre.
+    yy = 4.0 * 200 / 12 + 1 * 15**2 + 3 * 5**2
+    assert found.inertia_kg_mm2[1, 1] == pytest.approx(yy)
+
+
+def test_a_cone_comes_to_rest_on_its_flank():
+    radius, height = 10.0, 40.0
+    lying = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    cone = loft(revolve(np.array([[radius, 0.0], [1e-3, height]]), 64))
+    rested = settled(Shape(moved(cone, turn=lying), (moved(cone, turn=lying),)))
+    vertices = rested.surface.vertices_mm
+    half = np.arctan(radius / height)
+    # On its flank the cone's axis slants by the half angle, and its whole flank is on the table.
+    assert np.ptp(vertices[:, 2]) == pytest.approx(2 * radius * np.cos(half), rel=1e-4)
+    touching = vertices[vertices[:, 2] < 0.01]
+    assert np.ptp(touching[:, 1]) == pytest.approx(np.hypot(radius, height), rel=1e-3)
+    np.testing.assert_allclose(rested.collision[0].vertices_mm, vertices, atol=1e-5)
+
+
+def test_a_block_tips_off_its_edge_to_the_nearer_face():
+    corners = np.array([[-20, -10], [20, -10], [20, 10], [-20, 10.0]])
+    for given in (0.3, -0.3, 0.9):
+        c, s = np.cos(given), np.sin(given)
+        tilt = resting_tilt_rad(corners @ np.array([[c, s], [-s, c]]), np.zeros(2))
+        nearest = -given if abs(given) < np.pi / 4 else np.pi / 2 - given
+        assert tilt == pytest.approx(nearest)
+
+
+HASHES = """
+import hashlib
+from tacgen.objects import load_object
+from tacgen.core.resources import object_folders, packaged
+digest = hashlib.sha256()
+for folder in sorted(packaged("objects").iterdir()):
+    if not (folder / "object.yaml").is_file():
+        continue
+    obj = load_object(folder)
+    for mesh in (obj.surface, *obj.collision):
+        digest.update(mesh.vertices_mm.tobytes() + mesh.faces.tobytes())
+    digest.update(obj.inertia_kg_mm2.tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_every_object_is_the_same_bit_for_bit_in_another_process():
+    found = set()
+    for seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "OMP_NUM_THREADS": seed}
+        found.add(
+            subprocess.run(
+                [sys.executable, "-c", HASHES],
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+        )
+    assert len(found) == 1
+    assert len(found.pop().strip()) == 2 * hashlib.sha256().digest_size

@@ -1,0 +1,75 @@
+"""Circles found in pictures, against a generator that shares no code with the package."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tacgen.presses.circles import find_circle
+from tacgen.presses.dots import dots_in, printed_dots
+from validation.blind.press_images import digit, draw_presses, gelsight_mini
+
+PLAIN = gelsight_mini(4, dots=False)
+
+CASES = {
+    "three lamps": (gelsight_mini(3, dots=False), {}),
+    "four lamps": (PLAIN, {}),
+    "uneven light": (digit(), {}),
+    "at the border": (PLAIN, {"margin": 0.1}),
+    "deep": (PLAIN, {"depth_share": (0.75, 0.93)}),
+    "light": (PLAIN, {"depth_share": (0.15, 0.35)}),
+    "coarse": (gelsight_mini(4, dots=False, shape=(60, 80)), {}),
+    "noisy": (replace(PLAIN, noise_grey=4.0), {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_centre_and_rim_are_found(case):
+    """To a tenth of the radius at worst; the rim that is seen lies a little outside the contact."""
+    sensor, settings = CASES[case]
+    session = draw_presses(sensor, 31, count=10, **settings)
+    for press in session.presses:
+        circle = find_circle(press.image, session.background)
+        assert circle.problem == ""
+        off = np.hypot(*(circle.center_px - np.array(press.center_px)))
+        assert off < 0.1 * press.contact_px + 0.3
+        assert 0.95 < circle.radius_px / press.contact_px < 1.2
+        assert circle.edge_px > circle.radius_px
+
+
+def test_printed_dots_do_not_move_the_circle():
+    session = draw_presses(gelsight_mini(4), 32, count=6)
+    at_rest = printed_dots(session.background)
+    assert at_rest is not None
+    for press in session.presses:
+        circle = find_circle(press.image, session.background, dots_in(press.image, at_rest))
+        off = np.hypot(*(circle.center_px - np.array(press.center_px)))
+        assert off < 0.1 * press.contact_px
+
+
+def test_dots_are_seen_only_where_there_are_some():
+    dotted = draw_presses(gelsight_mini(3), 33, count=0).background
+    at_rest = printed_dots(dotted)
+    # 7 × 9 dots of 0.25 mm radius cover 4.6 % of 18.6 × 14 mm; the mask takes their edges too.
+    assert at_rest is not None
+    assert 0.046 < at_rest.mean() < 0.16
+    for sensor in (gelsight_mini(3, dots=False), digit()):
+        assert printed_dots(draw_presses(sensor, 34, count=0).background) is None
+
+
+@pytest.mark.parametrize("noise_grey", [0.3, 1.0, 5.0])
+def test_noise_is_no_contact(noise_grey):
+    sensor = replace(digit(), noise_grey=noise_grey)
+    first, second = (draw_presses(sensor, seed, count=0).background for seed in (1, 2))
+    assert find_circle(second, first).problem == "shows no contact"
+
+
+def test_two_balls_are_no_circle():
+    session = draw_presses(PLAIN, 35, count=8, margin=0.2)
+    first = min(session.presses, key=lambda press: press.center_px[0])
+    second = max(session.presses, key=lambda press: press.center_px[0])
+    change = second.image.astype(int) - session.background
+    both = np.clip(first.image + change, 0, 255).astype(np.uint8)
+    assert find_circle(both, session.background).problem == "shows more than one contact"

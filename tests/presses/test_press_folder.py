@@ -1,0 +1,189 @@
+"""Press folders and dataPacks: what is read, and what is said when they are wrong."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tacgen.core.errors import PressError, TacgenError
+from tacgen.presses.press_folder import read_presses
+from tacgen.presses.screening import usable_presses
+from tests.virtual_presses import virtual_presses
+
+
+def write_folder(folder, presses, *, columns=("file", "radius_mm"), drop=()):
+    folder.mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "background.png"), presses.background[..., ::-1])
+    lines = [",".join(columns)]
+    for k, name in enumerate(presses.names):
+        cv2.imwrite(str(folder / name), presses.images[k][..., ::-1])
+        values = {
+            "file": name,
+            "radius_mm": f"{presses.ball_radius_mm[k]}",
+            "center_x_px": f"{presses.center_px[k, 0]:.3f}",
+            "center_y_px": f"{presses.center_px[k, 1]:.3f}",
+            "contact_radius_px": f"{presses.radius_px[k]:.3f}",
+        }
+        lines.append(",".join(values[c] for c in columns))
+    (folder / "presses.csv").write_text("\n".join(lines) + "\n")
+    (folder / "sensor.yaml").write_text(f"name: test\nmm_per_px: {presses.mm_per_px}\n")
+    for name in drop:
+        (folder / name).unlink()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def presses():
+    return virtual_presses(1, count=6)
+
+
+ALL = ("file", "radius_mm", "center_x_px", "center_y_px", "contact_radius_px")
+
+
+def test_a_folder_is_read_as_it_was_written(tmp_path, presses):
+    read = read_presses(write_folder(tmp_path / "p", presses, columns=ALL))
+    assert np.array_equal(read.images, presses.images)
+    assert np.array_equal(read.background, presses.background)
+    assert read.center_px == pytest.approx(presses.center_px, abs=1e-3)
+    assert read.labelled.all()
+    assert read.mm_per_px == presses.mm_per_px
+
+
+def test_a_datapack_is_bgr(tmp_path, presses):
+    np.savez(
+        tmp_path / "dataPack.npz",
+        f0=presses.background[..., ::-1],
+        imgs=presses.images[..., ::-1],
+        touch_center=presses.center_px,
+        touch_radius=presses.radius_px,
+        names=np.array(["a", 1, 2, 3, 4, None], dtype=object),
+        img_size=np.array(presses.images.shape[1:]),
+    )
+    read = read_presses(tmp_path / "dataPack.npz", mm_per_px=0.2, ball_radius_mm=3.0)
+    assert np.array_equal(read.images, presses.images)
+    assert read.mm_per_px == 0.2
+    assert set(read.ball_radius_mm) == {3.0}
+    assert read.names[0] == "imgs[0]"  # names as Python objects are not unpickled
+
+
+def test_every_missing_file_is_said_at_once(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses, drop=("background.png", "sensor.yaml", "2.png"))
+    with pytest.raises(PressError) as error:
+        read_presses(folder)
+    text = str(error.value)
+    assert "background.png: missing" in text
+    assert "sensor.yaml: missing; write `mm_per_px" in text
+    assert "2.png: missing (row 4 of presses.csv)" in text
+
+
+def test_a_missing_column_names_the_mend(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses, columns=("file",))
+    with pytest.raises(PressError, match="column radius_mm missing"):
+        read_presses(folder)
+
+
+def test_wrong_cells_name_their_row(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses)
+    (folder / "presses.csv").write_text("file,radius_mm\n0.png,two\n1.png,\n1.png,2.0\n")
+    with pytest.raises(PressError) as error:
+        read_presses(folder)
+    text = str(error.value)
+    assert "row 2: radius_mm = 'two' is no number" in text
+    assert "row 3: radius_mm is empty" in text
+    assert "row 4: 1.png is listed twice" in text
+
+
+def test_images_of_unequal_size(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses)
+    cv2.imwrite(str(folder / "3.png"), np.zeros((10, 20, 3), np.uint8))
+    with pytest.raises(PressError, match=r"3.png: \(row 5\) is 20×10 px, the background 128×96"):
+        read_presses(folder)
+
+
+def test_a_press_with_no_contact_is_left_out_and_said(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses)
+    cv2.imwrite(str(folder / "4.png"), presses.background[..., ::-1])
+    used = usable_presses(read_presses(folder))
+    assert len(used) == 5
+    assert "4.png (row 6): shows no contact; left out" in str(used.doubtful[0])
+
+
+def test_saturated_out_of_view_and_impossible_presses_are_left_out(presses):
+    images, center, radius = (
+        presses.images.copy(),
+        presses.center_px.copy(),
+        presses.radius_px.copy(),
+    )
+    rows, columns = np.indices(presses.shape_px)
+    disc = np.hypot(columns - center[0, 0], rows - center[0, 1]) < radius[0]
+    images[0][disc] = 255
+    center[1] = [0.0, 40.0]
+    radius[2] = 60.0
+    from dataclasses import replace
+
+    used = usable_presses(replace(presses, images=images, center_px=center, radius_px=radius))
+    reasons = "\n".join(str(press) for press in used.doubtful)
+    assert "0.png (row 2): 100% of its contact is saturated" in reasons
+    assert "1.png (row 3): " in reasons
+    assert "of its contact lies out of view" in reasons
+    assert "2.png (row 4): the labelled contact radius of 60.0 px" in reasons
+    assert len(used) == 3
+
+
+def test_copies_and_labels_of_something_else_are_left_out(presses):
+    from dataclasses import replace
+
+    images, center = presses.images.copy(), presses.center_px.copy()
+    images[5], center[5] = images[0], center[0]
+    # Labelled half way off the contact: its rim still changes there.
+    center[3] += [0.9 * presses.radius_px[3], 0.0]
+    used = usable_presses(replace(presses, images=images, center_px=center))
+    reasons = "\n".join(str(press) for press in used.doubtful)
+    assert "5.png (row 7): is the same picture as 0.png; left out: list each press once" in reasons
+    assert "3.png (row 5): its labelled centre is " in reasons
+    assert len(used) == 4
+
+
+def test_radius_and_scale_in_another_unit(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses)
+    text = (folder / "presses.csv").read_text().replace(",2.0", ",2000")
+    (folder / "presses.csv").write_text(text)
+    (folder / "sensor.yaml").write_text("mm_per_px: 140.0\n")
+    with pytest.raises(PressError) as error:
+        read_presses(folder)
+    assert "row 2: radius_mm = 2000 is no ball that a gel can feel; give the" in str(error.value)
+    assert "mm_per_px = 140 makes the picture 1.79e+04 mm wide" in str(error.value)
+
+
+def test_grey_pictures_are_said(presses):
+    from dataclasses import replace
+
+    def grey(image):
+        return np.repeat(image[..., :1], 3, axis=-1)
+
+    used = usable_presses(
+        replace(presses, images=grey(presses.images), background=grey(presses.background))
+    )
+    assert "the pictures are grey" in "\n".join(used.warnings)
+
+
+def test_another_gels_background(presses):
+    from dataclasses import replace
+
+    other = replace(presses, background=np.full_like(presses.background, 255))
+    with pytest.raises(PressError, match="background is .* grey levels away"):
+        usable_presses(other)
+
+
+def test_fewer_than_three_presses(presses):
+    with pytest.raises(PressError, match="2 usable presses, at least 3 are needed"):
+        usable_presses(presses.select(np.arange(2)))
+
+
+def test_nothing_there(tmp_path):
+    with pytest.raises(PressError, match="there are no presses"):
+        read_presses(tmp_path / "nowhere")
+    (tmp_path / "x.npz").write_bytes(b"not a zip")
+    with pytest.raises(PressError, match="cannot be read as a dataPack"):
+        read_presses(tmp_path / "x.npz")
+    with pytest.raises(TacgenError, match="mm_per_px = -1 must be a positive number"):
+        read_presses(tmp_path / "x.npz", mm_per_px=-1.0)

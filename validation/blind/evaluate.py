@@ -1,0 +1,245 @@
+"""Run the diagnosis on many blind logs and print what it got right, by class.
+
+    python tests/blind/evaluate.py --cases 40 --classes single pair clean unlisted --seed 0
+    python tests/blind/evaluate.py --only normal:creep shear:slip --strength 1.5 2
+
+Each case is written as CSV, less a fifth of its trials, and read and diagnosed as ``tacgen
+diagnose contact`` does; what is found is compared with what was put in, and the law is tried on
+the trials that it never saw. Wrong cases are listed with the seed that makes them again; ``--out``
+keeps a line of JSON a case.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from validation.blind.blind_forms import ALL_NORMAL, ALL_SHEAR, ALL_UNLISTED
+from validation.blind.generator import Case, draw_case
+
+Wanted = list[tuple[str, float]]
+INSEPARABLE = {
+    frozenset(pair)
+    for pair in (("drift", "conditioning"), ("stiffening", "saturation"), ("slip", "saturation"))
+}
+"""Pairs that are one thing in a log: both follow the order of the presses, or bend the curve."""
+CLASSES = ("single", "pair", "cross", "clean", "unlisted")
+LEAST_REACHED = 0.9
+
+
+def draw_wanted(kind: str, strengths: list[float], rng: np.random.Generator) -> dict[str, Wanted]:
+    """The effects of one case, by channel; a ``cross`` pair has one in each channel."""
+    if kind == "clean":
+        return {}
+    listed = {"normal": sorted(ALL_NORMAL), "shear": sorted(ALL_SHEAR)}
+    if kind == "cross":
+        return {
+            channel: [(str(rng.choice(names)), float(rng.choice(strengths)))]
+            for channel, names in listed.items()
+        }
+    channel = "normal" if rng.random() < len(ALL_NORMAL) / 18 else "shear"
+    if kind == "unlisted":
+        names = [str(rng.choice(sorted(ALL_UNLISTED)))]
+    else:
+        names = [str(n) for n in rng.choice(listed[channel], 1 + (kind == "pair"), replace=False)]
+        if frozenset(names) in INSEPARABLE:
+            return draw_wanted(kind, strengths, rng)
+    return {channel: [(name, float(rng.choice(strengths))) for name in names]}
+
+
+def cases(arguments: argparse.Namespace) -> Iterator[tuple[str, int, dict[str, Wanted]]]:
+    """(class, seed, effects) of every case asked for."""
+    if arguments.only:
+        for index in range(arguments.cases):
+            wanted: dict[str, Wanted] = {}
+            rng = np.random.default_rng([arguments.seed, index])
+            for text in arguments.only:
+                channel, name = text.split(":")
+                strength = float(rng.choice(arguments.strength))
+                wanted.setdefault(channel, []).append((name, strength))
+            yield "+".join(arguments.only), arguments.seed + index, wanted
+        return
+    for index in range(arguments.cases):
+        for kind in arguments.classes:
+            number = CLASSES.index(kind)
+            rng = np.random.default_rng([arguments.seed, number, index])
+            yield (
+                kind,
+                arguments.seed + 10_000 * number + index,
+                draw_wanted(kind, arguments.strength, rng),
+            )
+
+
+def split(frame: pd.DataFrame, seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The log that the tool gets, and a fifth of the trials, never the first, that it does not."""
+    trials = np.sort(frame["trial"].unique())
+    later = np.random.default_rng(seed).choice(trials[1:], max(1, trials.size // 5), replace=False)
+    away = frame["trial"].isin(later)
+    return frame[~away], frame[away]
+
+
+def run(case: Case, seed: int) -> dict[str, Any]:
+    """The diagnosis of a case, as its JSON, with the law's error on trials kept from it."""
+    from tacgen.diagnose.contact.command import diagnose
+    from tacgen.diagnose.contact.notes import log_notes
+    from tacgen.diagnose.contact.result import diagnosis_record
+    from tacgen.presses.press_log import read_press_log
+
+    given, later = split(case.frame, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        given.to_csv(Path(folder) / "log.csv", index=False)
+        log = read_press_log(Path(folder) / "log.csv")
+    found = diagnose(log.columns, notes=log_notes(log), session_clock=log.session_clock)
+    record = diagnosis_record(found)
+    volume, shear = found.law.predict(later)
+    record["later"] = {"normal": _rms(later["volume_mm3"].to_numpy() - volume)}
+    if "shear" in record["channels"]:
+        record["later"]["shear"] = _rms(later[["shear_x_mm", "shear_y_mm"]].to_numpy() - shear)
+    return record
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def judge(case: Case, diagnosis: dict[str, Any]) -> dict[str, str]:
+    """What is wrong, by channel; nothing where it is right."""
+    wrong = {}
+    for channel, true in (("normal", case.normal), ("shear", case.shear)):
+        hidden = case.unexplained[channel]
+        found = diagnosis["channels"].get(channel)
+        if found is None:
+            if true or hidden:
+                wrong[channel] = "missing"
+            continue
+        names = {effect["name"] for effect in found["effects"]}
+        said = [entry["covariate"] for entry in found["unexplained"]]
+        expected = "unexplained" if hidden else "effect_found" if true else "sufficient"
+        named = said == [hidden] if hidden else not said
+        if names != set(true) or found["verdict"] != expected or not named:
+            wrong[channel] = f"{sorted(true) or hidden} taken for {sorted(names)}, left {said}"
+    return wrong
+
+
+def ratios(case: Case, diagnosis: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """error_after over floors, the Gaussian process and the error on later trials, by channel."""
+    found = {}
+    for channel, noise in (("normal", case.floor_mm3), ("shear", case.floor_mm)):
+        if channel in diagnosis["channels"] and noise > 0:
+            record = diagnosis["channels"][channel]
+            after = record["error_after"]["rmse"]
+            found[channel] = {
+                "after_over_true_noise": after / noise,
+                "after_over_floor": after / record["noise_floor"]["rmse"],
+                "floor_over_true_noise": record["noise_floor"]["rmse"] / noise,
+                "after_over_gp": after / (record["gp_yardstick"]["rmse"] or np.nan),
+                "later_over_after": diagnosis["later"][channel] / after,
+            }
+    return found
+
+
+def evaluate(kind: str, seed: int, wanted: dict[str, Wanted]) -> dict[str, Any]:
+    """One case: what was put in, what was said, what is wrong, and the error's ratios."""
+    case = draw_case(seed, **wanted)
+    start = time.process_time()
+    said, wrong, measured = {}, {}, {}
+    try:
+        diagnosis = run(case, seed)
+        wrong, measured = judge(case, diagnosis), ratios(case, diagnosis)
+        said = {name: found["sentence"] for name, found in diagnosis["channels"].items()}
+    except Exception as error:
+        wrong = {"crash": repr(error)}
+    return {
+        "kind": kind,
+        "seed": seed,
+        "wanted": wanted,
+        "forms": case.form_names,
+        "schedules": case.schedules,
+        "trials": int(case.frame["trial"].nunique()),
+        "rows": len(case.frame),
+        "reached": all(
+            case.reached[channel, name] >= LEAST_REACHED * strength
+            for channel, effects in wanted.items()
+            for name, strength in effects
+        ),
+        "wrong": wrong,
+        "said": said,
+        "ratios": measured,
+        "cpu_s": round(time.process_time() - start, 2),
+    }
+
+
+def summary(results: list[dict[str, Any]]) -> str:
+    """A line a class and a line a ratio."""
+    right: Counter[str] = Counter()
+    total: Counter[str] = Counter()
+    clean: Counter[bool] = Counter()
+    values: dict[str, list[float]] = defaultdict(list)
+    for result in results:
+        total[result["kind"]] += 1
+        right[result["kind"]] += not result["wrong"]
+        for channel, measured in result["ratios"].items():
+            if not result["wanted"].get(channel):
+                clean[channel not in result["wrong"]] += 1
+            for name, value in measured.items():
+                values[name].append(value)
+    lines = [
+        f"{kind:24s} {right[kind]}/{total[kind]} = {100 * right[kind] / total[kind]:.1f} %"
+        for kind in total
+    ]
+    if clean:
+        share = 100 * clean[True] / clean.total()
+        lines.append(
+            f"{'channels without effect':24s} {clean[True]}/{clean.total()} = {share:.1f} %"
+        )
+    for name, found in values.items():
+        low, middle, high = np.nanquantile(found, [0.05, 0.5, 0.95])
+        limit = 1.05 if name == "after_over_gp" else 1.10
+        within = 100 * np.mean(np.nan_to_num(found) <= limit)
+        lines.append(
+            f"{name:24s} {low:.3f} {middle:.3f} {high:.3f} (5 50 95 %), ≤ {limit}: {within:.1f} %"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Run, print a line a wrong case, and the summary."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--cases", type=int, default=20, help="cases a class")
+    parser.add_argument("--classes", nargs="+", default=list(CLASSES), choices=CLASSES)
+    parser.add_argument("--only", nargs="+", help="channel:effect, all of them in every case")
+    parser.add_argument("--strength", nargs="+", type=float, default=[1.5, 2.0, 3.0])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="a line of JSON a case")
+    arguments = parser.parse_args()
+    results = []
+    for kind, seed, wanted in cases(arguments):
+        result = evaluate(kind, seed, wanted)
+        if not result["reached"]:
+            continue
+        results.append(result)
+        if arguments.out:
+            with arguments.out.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(result) + "\n")
+        if result["wrong"]:
+            shown = {
+                name: value for name, value in result.items() if name not in ("said", "ratios")
+            }
+            sys.stdout.write(f"WRONG {shown}\n")
+            sys.stdout.flush()
+    sys.stdout.write(summary(results))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

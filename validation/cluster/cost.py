@@ -1,0 +1,65 @@
+"""What a grasp of a recipe costs here: ``python -m validation.cluster.cost RECIPE``, as JSON.
+
+Processor time of one thread, so that a busy machine changes little.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.pipeline import GraspPipeline, dataset_spec
+from tacgen.collection.recipe import Recipe, load_recipe
+from tacgen.dataset import DatasetFolder
+
+Result = TypeVar("Result")
+
+GRASPS = 10
+WRITES = 3
+
+
+def cost_of(recipe: Recipe) -> dict[str, float]:
+    """Seconds and bytes of a grasp, over ten of the plan's that are spread evenly.
+
+    ``write_s`` is the least of three writes of one shard: compression, hash and check.
+    """
+    options = recipe.dataset.model_copy(update={"shard_size": GRASPS})
+    recipe = recipe.model_copy(update={"dataset": options})
+    planned = plan_recipe(recipe)
+    chosen = [planned[k] for k in np.linspace(0, len(planned) - 1, GRASPS).astype(int)]
+    with GraspPipeline(recipe) as pipeline:
+        pipeline.sample(chosen[0])
+        grasp_s, samples = _processor_s(lambda: [pipeline.sample(one) for one in chosen])
+    samples = [replace(s, config=replace(s.config, index=k)) for k, s in enumerate(samples)]
+    spec = dataset_spec(recipe, GRASPS)
+    with tempfile.TemporaryDirectory() as root:
+        folder = DatasetFolder(root)
+        folder.prepare(spec)
+        runs = [_processor_s(lambda: folder.write_shard(0, samples, spec)) for _ in range(WRITES)]
+    line = runs[0][1]
+    return {
+        "grasps": len(planned),
+        "frames": line.frames,
+        "grasp_s": grasp_s / GRASPS,
+        "write_s": min(run[0] for run in runs) / GRASPS,
+        "bytes": line.bytes / GRASPS,
+        "raw_bytes": line.raw_bytes / GRASPS,
+    }
+
+
+def _processor_s(work: Callable[[], Result]) -> tuple[float, Result]:
+    before_s = time.process_time()
+    result = work()
+    return time.process_time() - before_s, result
+
+
+if __name__ == "__main__":
+    sys.stdout.write(f"{json.dumps(cost_of(load_recipe(sys.argv[1])))}\n")

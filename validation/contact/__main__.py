@@ -1,0 +1,5 @@
+"""``python -m validation.contact``."""
+
+from validation.contact.run import main
+
+main()
