@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import contact_depth
-from tacgen.core.records import FloatArray, Sensor
+from tacgen.core.arrays import FloatArray
+from tacgen.core.records import Sensor
 from tacgen.core.resources import packaged
 from tacgen.optics.deform import deform
 from tacgen.optics.sampled_table import with_reference

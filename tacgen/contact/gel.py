@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError
-from tacgen.core.records import FloatArray, Sensor
+from tacgen.core.records import Sensor
 
 
 def pixel_centers_mm(sensor: Sensor) -> tuple[FloatArray, FloatArray]:

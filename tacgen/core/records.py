@@ -15,8 +15,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating]
-
 Status = Literal["executed", "unreachable", "no_contact", "crashed"]
 FailureMode = Literal["", "translational_slip", "rotational_slip"]
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from tacgen.core.records import FloatArray, Sensor
+from tacgen.core.arrays import FloatArray
+from tacgen.core.records import Sensor
 
 KNEE = 0.9
 """Share of full scale at which the camera begins to saturate."""

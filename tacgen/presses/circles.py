@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import least_squares
 
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.dots import coarse
-
-FloatArray = NDArray[np.floating]
 
 WORK_WIDTH_PX = 160
 """Images are looked at this wide: a circle needs no more."""

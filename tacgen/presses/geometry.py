@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-FloatArray = NDArray[np.floating]
+from tacgen.core.arrays import FloatArray
 
 MAX_RADIUS_SHARE = 0.98
 """Largest contact radius as a share of the ball's radius: at 1 the gel would stand upright."""

@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.dots import coarse, filled_in
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 BARE_BEYOND = 2.2
 """Pixels farther from a contact's centre than this many contact radii count as bare gel."""

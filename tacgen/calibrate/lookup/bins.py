@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.press_fit import JointFit, Sample
 from tacgen.calibrate.lookup.smooth_model import N_FEATURES, position_costs
-
-FloatArray = NDArray[np.floating]
+from tacgen.core.arrays import FloatArray
 
 BIN_COUNTS = ((6, 12), (12, 24), (24, 48))
 HELD_PRESSES = (1.0, 4.0, 16.0)

@@ -23,9 +23,8 @@ from tacgen.calibrate.lookup.press_fit import (
     sample_design,
 )
 from tacgen.calibrate.lookup.smooth_model import N_FEATURES, n_terms, solve_ridge
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 DEGREES = (3, 5, 7)
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)

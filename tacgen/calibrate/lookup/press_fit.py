@@ -24,10 +24,9 @@ from tacgen.calibrate.lookup.smooth_model import (
     normal_parts,
     solve_ridge,
 )
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, rest_slope
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 REACH = 1.5
 """Pixels up to this many label radii from the centre are looked at."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.samples import Pixels, place_mm
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.geometry import (
     Membrane,
     press_height,
@@ -18,8 +19,6 @@ from tacgen.presses.geometry import (
     rest_slope,
 )
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 _TEN_MM = 10.0
 

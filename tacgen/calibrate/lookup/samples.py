@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.smooth_model import position_terms
-
-FloatArray = NDArray[np.floating]
+from tacgen.core.arrays import FloatArray
 
 BLOCK_PX = 8
 """Side of the blocks that take turns in estimating and scoring."""

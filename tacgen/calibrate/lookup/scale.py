@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tacgen.calibrate.lookup.background import (
@@ -31,10 +30,9 @@ from tacgen.calibrate.lookup.press_fit import (
     gather,
     sample_design,
 )
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.dots import dot_centers
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 MIN_RULER_PRESSES = 4
 CLEAR_SIGMAS = 3.0

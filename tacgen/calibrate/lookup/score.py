@@ -16,13 +16,12 @@ from tacgen.calibrate.lookup.press_fit import (
 )
 from tacgen.calibrate.lookup.press_model import PressModel, label_mm, plain_press_model
 from tacgen.calibrate.lookup.samples import Pixels, disc_pixels, place_mm
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import MAX_RADIUS_SHARE
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 _MARGIN_PX = 3
 _STEPS = 10

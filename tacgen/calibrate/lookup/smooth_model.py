@@ -15,10 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.optics.table import N_FEATURES
-
-FloatArray = NDArray[np.floating]
-
 
 STEP_SINE = 0.1
 """Sine of the slope at which the step term is half way up."""

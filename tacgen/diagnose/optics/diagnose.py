@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.table_fit import camera_noise_grey
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.diagnose.optics.extended_table import first_state, reference_of
 from tacgen.diagnose.optics.fit import Problem
@@ -22,8 +23,6 @@ from tacgen.diagnose.optics.selection import Selection, select
 from tacgen.diagnose.optics.surface import Profiles
 from tacgen.optics.table import LookupTable
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 TEST_EVERY = 4
 """Every fourth press is kept from fitting and choosing."""

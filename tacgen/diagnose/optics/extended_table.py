@@ -17,6 +17,7 @@ from tacgen.calibrate.lookup.press_model import LabelModel, PressModel
 from tacgen.calibrate.lookup.samples import place_mm
 from tacgen.calibrate.lookup.smooth_model import SmoothModel
 from tacgen.calibrate.lookup.table_fit import N_DIRECTION, N_SLOPE, camera_noise_grey, without_rest
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.diagnose.optics.model import DEGREE, Optics, PlainTable, skin_of, surface_slopes
 from tacgen.diagnose.optics.model_comparison import Entry
@@ -25,8 +26,6 @@ from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import Membrane, rest_height
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 SMOOTH = 0.03
 """Width, as a share of the image's, that the background is smoothed with: its noise is no effect

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.model import GivenTable, Optics, PlainTable, render
 from tacgen.diagnose.optics.pixels import PressPixels
 from tacgen.diagnose.optics.surface import Profiles
-
-FloatArray = NDArray[np.floating]
 
 RIDGE = 1e-4
 """Of the plain table, relative to the mean of its normal matrix."""

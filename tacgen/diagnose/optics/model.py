@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.smooth_model import exponents, monomials, n_terms, normal_parts
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.pixels import PressPixels
 from tacgen.diagnose.optics.surface import Profiles, Skin
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, rest_slope
-
-FloatArray = NDArray[np.floating]
 
 DEGREE = 6
 """Of the plain table's polynomial in the surface normal."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from tacgen.calibrate.lookup.model_choice import fold_of
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.candidates import DECAY, Candidate
 from tacgen.diagnose.optics.fit import (
     Knob,
@@ -26,8 +27,6 @@ from tacgen.diagnose.optics.model import Optics, PlainTable
 from tacgen.diagnose.optics.occlusion import with_shadow
 from tacgen.diagnose.optics.pixels import PressPixels
 from tacgen.diagnose.optics.surface import FORMS
-
-FloatArray = NDArray[np.floating]
 
 FOLDS = 4
 MOST_OF_GAIN = 0.8

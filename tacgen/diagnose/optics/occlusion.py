@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.fit import Problem
 from tacgen.diagnose.optics.model import GivenTable, Optics, geometry_of, render, skin_of
 from tacgen.optics.shadow import cast_shadow, leds_of_table
 from tacgen.presses.geometry import rest_height
-
-FloatArray = NDArray[np.floating]
 
 LENGTHS_MM = (1.0, 2.0, 4.0, 7.0)
 """Shadows of 1 mm of relief that are tried: lights 45° to 8° above the gel."""

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis
 from tacgen.diagnose.optics.extended_table import first_state
 from tacgen.diagnose.optics.model import render
 from tacgen.diagnose.optics.model_comparison import Entry, own_of_others, with_shade_of
 from tacgen.diagnose.optics.pixels import gather_pixels
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 CONTRAST = 3.0
 

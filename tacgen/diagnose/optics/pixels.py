@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.press_model import label_mm
 from tacgen.calibrate.lookup.samples import disc_pixels
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.press_images import PressImages
-
-FloatArray = NDArray[np.floating]
 
 REACH = 1.6
 """Pixels up to this many contact radii from a centre are looked at: shade falls outside too."""

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.model import geometry_of, render
 from tacgen.diagnose.optics.model_comparison import Entry, gain_p_value, typical_rmse
 from tacgen.diagnose.optics.pixels import PressPixels
-
-FloatArray = NDArray[np.floating]
 
 FALSE_ALARM = 0.01
 LEAST_GAIN = 0.05

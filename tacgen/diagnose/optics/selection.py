@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.candidates import candidates
 from tacgen.diagnose.optics.fit import Problem
 from tacgen.diagnose.optics.model import Optics
 from tacgen.diagnose.optics.model_comparison import Contest, Entry, gain_p_value, is_as_good
 from tacgen.diagnose.optics.residuals import left_over
-
-FloatArray = NDArray[np.floating]
 
 FALSE_ALARM = 0.01
 """Chance, over all candidates, of taking an effect on presses that have none."""

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ive
 
+from tacgen.core.arrays import FloatArray
 from tacgen.optics.deform import FINAL_SIGMA_MM, FIRM_CONTACT, PYRAMID_SIGMA_MM
 from tacgen.presses.geometry import MAX_RADIUS_SHARE
-
-FloatArray = NDArray[np.floating]
 
 FORMS = ("skirt", "pyramid", "elastic")
 """How the gel goes on outside the contact: an exponential tail of fitted length, the simulation's
