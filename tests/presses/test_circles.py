@@ -9,7 +9,7 @@ import pytest
 
 from tacgen.presses.circles import find_circle
 from tacgen.presses.dots import dots_in, printed_dots
-from validation.blind.press_images import digit, draw_presses, gelsight_mini
+from validation.optics.press_images import digit, draw_presses, gelsight_mini
 
 PLAIN = gelsight_mini(4, dots=False)
 

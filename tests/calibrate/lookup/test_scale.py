@@ -12,7 +12,7 @@ from tacgen.calibrate.lookup.press_fit import FitSettings, fit_jointly
 from tacgen.calibrate.lookup.scale import scale_evidence
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
-from validation.blind.press_images import draw_presses, gelsight_mini, write_folder
+from validation.optics.press_images import draw_presses, gelsight_mini, write_folder
 
 SENSOR = gelsight_mini(3, shape=(120, 160))
 MM_PER_PX = SENSOR.mm_per_px

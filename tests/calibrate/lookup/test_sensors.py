@@ -14,7 +14,7 @@ from tacgen.optics import load_table, render_rgb
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
-from validation.blind.press_images import digit, draw_presses, gelsight_mini, write_folder
+from validation.optics.press_images import digit, draw_presses, gelsight_mini, write_folder
 
 SMALL = (120, 160)
 

@@ -12,7 +12,7 @@ from tacgen.diagnose.optics.extended_table import extended_table
 from tacgen.optics import render_rgb
 from tacgen.presses.press_images import PressImages
 from tests.virtual_presses import virtual_presses
-from validation.blind.optics_images import make
+from validation.optics.optics_images import make
 
 
 def presses(kind, effect="", strength=1.0, seed=0, count=24):

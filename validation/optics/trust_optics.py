@@ -1,6 +1,6 @@
 """How far ``tacgen diagnose optics`` can be trusted: effects by other formulas put in, and counted.
 
-    python tests/blind/trust_optics.py --kept FOLDER --out docs/trust_optics.md
+    python -m validation.optics.trust_optics --kept FOLDER --out docs/trust_optics.md
 
 Results are kept in FOLDER, one line a case, so that a run goes on where it stopped.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from tacgen.diagnose.optics.diagnose import diagnose_optics
 from tacgen.presses.press_images import PressImages
-from validation.blind.optics_images import SENSORS, STRENGTHS, make
+from validation.optics.optics_images import SENSORS, STRENGTHS, make
 
 COUNT = 28
 EFFECTS = tuple(name for name in STRENGTHS if name != "cross_talk")
@@ -91,9 +91,9 @@ def page(records: list[dict]) -> str:
     """The counts as Markdown."""
     lines = ["# How far `tacgen diagnose optics` can be trusted", ""]
     lines += [
-        f"Made by `python tests/blind/trust_optics.py`: {COUNT} presses a case, two sensors (three "
+        f"Made by `python -m validation.optics.trust_optics`: {COUNT} presses a case, two sensors (three "
         "lamps, four lamps; other noise, ball, skin and resolution), pictures by "
-        "`tests/blind/optics_images.py`, which shares no code or formula with the diagnosis. "
+        "`validation/optics/optics_images.py`, which shares no code or formula with the diagnosis. "
         "Nominal strengths: "
         + ", ".join(f"{name} {STRENGTHS[name]}" for name in EFFECTS)
         + " (units in that file). Every fourth press is a test press.",
