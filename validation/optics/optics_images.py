@@ -9,12 +9,16 @@ by cos⁴, saturation soft at its knee, colours mixed in the camera.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.special import k0, k1
 
-SENSORS = {
+Floats = NDArray[np.float64]
+
+SENSORS: dict[str, dict[str, Any]] = {
     "three": {
         "shape": (120, 160), "mm_per_px": 0.12, "ball_mm": 2.0, "skin_mm": 0.35, "noise": 1.2,
         "lamps": (((0.87, 0.0), (95, 8, 6)), ((-0.43, 0.75), (6, 90, 8)),
@@ -44,10 +48,10 @@ STRENGTHS = {
 
 @dataclass(frozen=True)
 class Presses:
-    images: np.ndarray
-    background: np.ndarray
-    center_px: np.ndarray
-    radius_px: np.ndarray
+    images: NDArray[np.uint8]
+    background: NDArray[np.uint8]
+    center_px: Floats
+    radius_px: Floats
     ball_mm: float
     mm_per_px: float
 
@@ -62,7 +66,7 @@ def make(kind: str, effect: str, strength: float, seed: int, count: int = 28) ->
     ball, scale = made["ball_mm"], made["mm_per_px"]
     x, y = (columns - (width - 1) / 2) * scale, (rows - (height - 1) / 2) * scale
 
-    def photograph(surface, gain, extra=None):
+    def photograph(surface: Floats, gain: Any, extra: Floats | None = None) -> Floats:
         grey = _light(made, x, y, surface, effect, size)
         if extra is not None:
             grey = grey + extra
@@ -82,7 +86,7 @@ def make(kind: str, effect: str, strength: float, seed: int, count: int = 28) ->
         return grey * gain
 
     rest = photograph(0 * x, 1.0)
-    centers, radii, pictures = [], [], []
+    at_px, radii_px, pictures = [], [], []
     for k in range(count):
         cx, cy = rng.uniform(0.2, 0.8) * width, rng.uniform(0.2, 0.8) * height
         contact = ball * rng.uniform(0.45, 0.72)
@@ -106,27 +110,29 @@ def make(kind: str, effect: str, strength: float, seed: int, count: int = 28) ->
             pictures.append(rest + (photograph(surface, 1.0) - rest) * fade)
         else:
             pictures.append(photograph(surface, gain, extra))
-        centers.append(np.array([cx, cy]))
-        radii.append(contact / scale)
+        at_px.append(np.array([cx, cy]))
+        radii_px.append(contact / scale)
     images = np.array(pictures)
     background = rest
     if effect == "saturation":
         rest_level = max(made["base"])
         level = rest_level + (1 - size) * (np.quantile(np.array(pictures), 0.9999) - rest_level)
-        images, background = (level - 2 * np.logaddexp(0, (level - a) / 2) for a in (images, rest))
-    centers, radii = np.array(centers), np.array(radii)
+        images, background = (
+            np.asarray(level - 2 * np.logaddexp(0, (level - a) / 2)) for a in (images, rest)
+        )
+    centers, radii = np.array(at_px), np.array(radii_px)
     if effect == "press_center":
         centers = centers + size * radii[:, None] * rng.normal(size=centers.shape)
     if effect == "scale":
         radii = radii * (1 + size)
 
-    def shot(a):
+    def shot(a: Floats) -> NDArray[np.uint8]:
         return np.rint(np.clip(a + rng.normal(0, made["noise"], a.shape), 0, 255)).astype(np.uint8)
 
     return Presses(shot(images), shot(background), centers, radii, ball, scale)
 
 
-def _dent(dx, dy, contact, ball, skin):
+def _dent(dx: Floats, dy: Floats, contact: float, ball: float, skin: float) -> Floats:
     r = np.hypot(dx, dy)
     rim = contact / np.sqrt(ball**2 - contact**2)
     edge = -rim * skin * k0(contact / skin) / k1(contact / skin)
@@ -136,7 +142,9 @@ def _dent(dx, dy, contact, ball, skin):
     return np.where(r < contact, inside, outside)
 
 
-def _light(made, x, y, surface, effect, size):
+def _light(
+    made: dict[str, Any], x: Floats, y: Floats, surface: Floats, effect: str, size: float
+) -> Floats:
     scale = made["mm_per_px"]
     slope_y, slope_x = np.gradient(surface, scale)
     length = np.sqrt(1 + slope_x**2 + slope_y**2)
@@ -157,7 +165,7 @@ def _light(made, x, y, surface, effect, size):
     return grey
 
 
-def _hidden(surface, scale, lx, ly, lz):
+def _hidden(surface: Floats, scale: float, lx: float, ly: float, lz: float) -> Floats:
     flat = np.hypot(lx, ly)
     rows, columns = np.indices(surface.shape, dtype=float)
     worst = np.zeros(surface.shape)

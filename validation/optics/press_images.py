@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -71,7 +72,9 @@ class Session:
     presses: list[Press] = field(default_factory=list)
 
 
-def gelsight_mini(lights: int = 3, *, dots: bool = True, shape: tuple[int, int] = (240, 320)):
+def gelsight_mini(
+    lights: int = 3, *, dots: bool = True, shape: tuple[int, int] = (240, 320)
+) -> Sensor:
     """A flat gel with printed dots and three or four lamps at its sides."""
     places = {
         3: (((0, -16, -7), (0.1, 0.3, 1.6)), ((15, 9, -7), (0.15, 1.5, 0.2)),
@@ -89,7 +92,7 @@ def gelsight_mini(lights: int = 3, *, dots: bool = True, shape: tuple[int, int] 
     )
 
 
-def digit(shape: tuple[int, int] = (320, 240)):
+def digit(shape: tuple[int, int] = (320, 240)) -> Sensor:
     """A portrait picture of a slightly domed gel under strong lamps close by, dark corners."""
     lights = (
         Light((0.0, 14.0, -4.0), (1.9, 0.1, 0.1)),
@@ -186,7 +189,7 @@ def _dent(sensor: Sensor, at_mm: tuple[float, float], contact_mm: float, ball_mm
     length = sensor.skin_mm
     bend = 1 / sensor.dome_mm if sensor.dome_mm else 0.0
 
-    def cap(s):
+    def cap(s: Any) -> Any:
         return ball_mm - np.sqrt(ball_mm**2 - s**2) + 0.5 * bend * s**2
 
     edge_slope = contact_mm / np.sqrt(ball_mm**2 - contact_mm**2) + bend * contact_mm
@@ -228,7 +231,8 @@ def _light(sensor: Sensor, x: Floats, y: Floats, surface: Floats) -> Floats:
         strength = (place @ place) / distance[..., 0] ** 2
         answer = strength * (sensor.matt * np.maximum(facing, 0) + sensor.gloss * glint)
         light += answer[..., None] * np.array(lamp.rgb)
-    off = np.hypot(x, y) / np.hypot(*(s * sensor.mm_per_px / 2 for s in sensor.shape))
+    half_mm = [size * sensor.mm_per_px / 2 for size in sensor.shape]
+    off = np.hypot(x, y) / np.hypot(half_mm[0], half_mm[1])
     dim = 1 - sensor.vignetting * off**2
     return 255 * (sensor.exposure / 255 * light * dim[..., None]) ** (1 / sensor.gamma)
 

@@ -12,7 +12,9 @@ import json
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +27,7 @@ EFFECTS = tuple(name for name in STRENGTHS if name != "cross_talk")
 OUTSIDE = {"scratch": "place_on_gel", "ageing": "image_number"}
 
 
-def cases():
+def cases() -> Iterator[tuple[str, str, float, int]]:
     """(kind, effect, strength, seed): each effect once, then nothing, then other strengths."""
     for kind in SENSORS:
         yield from ((kind, effect, 1.0, 0) for effect in (*EFFECTS, *OUTSIDE))
@@ -36,7 +38,7 @@ def cases():
             yield from ((kind, effect, strength, seed) for effect in EFFECTS)
 
 
-def run(kind, effect, strength, seed):
+def run(kind: str, effect: str, strength: float, seed: int) -> dict[str, Any]:
     """One case, as a record."""
     made = make(kind, "" if effect == "none" else effect, strength, seed + 100, COUNT)
     presses = PressImages(
@@ -62,13 +64,13 @@ def run(kind, effect, strength, seed):
     }
 
 
-def kept_in(file: Path) -> dict[str, dict]:
+def kept_in(file: Path) -> dict[str, dict[str, Any]]:
     """The cases that are done."""
     lines = file.read_text().splitlines() if file.exists() else []
     return {json.dumps(json.loads(line)["case"]): json.loads(line) for line in lines}
 
 
-def collect(kept: Path, *, backwards: bool = False) -> list[dict]:
+def collect(kept: Path, *, backwards: bool = False) -> list[dict[str, Any]]:
     """Every case, run where it is not kept already; two runs may meet from both ends."""
     kept.mkdir(parents=True, exist_ok=True)
     file = kept / "optics.jsonl"
@@ -80,19 +82,19 @@ def collect(kept: Path, *, backwards: bool = False) -> list[dict]:
     return finished(file)
 
 
-def finished(file: Path) -> list[dict]:
+def finished(file: Path) -> list[dict[str, Any]]:
     """The records that are there, in the order of the cases."""
     known = kept_in(file)
     keys = [json.dumps(list(case)) for case in cases()]
     return [known[key] for key in keys if key in known]
 
 
-def page(records: list[dict]) -> str:
+def page(records: list[dict[str, Any]]) -> str:
     """The counts as Markdown."""
     lines = ["# How far `tacgen diagnose optics` can be trusted", ""]
     lines += [
-        f"Made by `python -m validation.optics.trust_optics`: {COUNT} presses a case, two sensors (three "
-        "lamps, four lamps; other noise, ball, skin and resolution), pictures by "
+        f"Made by `python -m validation.optics.trust_optics`: {COUNT} presses a case, two sensors "
+        "(three lamps, four lamps; other noise, ball, skin and resolution), pictures by "
         "`validation/optics/optics_images.py`, which shares no code or formula with the diagnosis. "
         "Nominal strengths: "
         + ", ".join(f"{name} {STRENGTHS[name]}" for name in EFFECTS)
@@ -131,7 +133,7 @@ def page(records: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _others(group: list[dict], right: list[str]) -> str:
+def _others(group: list[dict[str, Any]], right: list[str]) -> str:
     told = []
     for record in group:
         if record["found"] != right:
