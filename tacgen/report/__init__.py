@@ -2,8 +2,10 @@
 
 from tacgen.report.page import (
     Section,
+    facts_section,
     figure_section,
     image_section,
+    pictures_section,
     table_section,
     text_section,
     write_page,
@@ -11,8 +13,10 @@ from tacgen.report.page import (
 
 __all__ = [
     "Section",
+    "facts_section",
     "figure_section",
     "image_section",
+    "pictures_section",
     "table_section",
     "text_section",
     "write_page",

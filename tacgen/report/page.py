@@ -2,106 +2,134 @@
 
 from __future__ import annotations
 
-import base64
-import html
+import functools
 import io
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from tacgen.core.errors import TacgenError
 from tacgen.core.files import write_text
+from tacgen.report.formatting import fixed, number, typeset
+from tacgen.report.images import Image, encode_png, jpeg_uri, png_uri
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-_NUMBER = ' class="number"'
-_FIGURE = re.compile(r"[-+−]?\d+(\.\d+)?|–")
+FIGURE_DPI = 110
+_NUMBER_TEXT = re.compile(r"[-+−]?\d+(\.\d+)?(·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( %)?|–")
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading and what stands under it; ``body`` is HTML that is safe to embed."""
+    """A heading and what stands under it, as HTML."""
 
     title: str
-    body: str
+    body: Markup
 
 
 def text_section(title: str, *paragraphs: str) -> Section:
     """Plain paragraphs; markup in them is shown, not interpreted."""
-    return Section(title, "".join(f"<p>{html.escape(text)}</p>" for text in paragraphs))
+    return _section(title, "paragraphs", [typeset(text) for text in paragraphs])
 
 
 def table_section(
     title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
 ) -> Section:
-    """A table; columns of numbers align right, their headings too."""
-    numeric = [all(_is_number(row[k]) for row in rows) and bool(rows) for k in range(len(header))]
-    head = "".join(
-        f"<th{_NUMBER if number else ''}>{html.escape(name)}</th>"
-        for name, number in zip(header, numeric, strict=True)
-    )
-    body = "".join("<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in rows)
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    return Section(title, table + _note(note))
+    """A table; a column's floats have as many decimals, columns of numbers align right."""
+    columns = [_column([row[k] for row in rows]) for k in range(len(header))]
+    cells = [[column[place] for column in columns] for place in range(len(rows))]
+    heads = [
+        (typeset(name), bool(rows) and all(numeric for _, numeric in column))
+        for name, column in zip(header, columns, strict=True)
+    ]
+    return _section(title, "table", heads, cells, typeset(note))
+
+
+def facts_section(title: str, facts: Iterable[tuple[str, object]], note: str = "") -> Section:
+    """Names with their values, one pair a line."""
+    pairs = [(typeset(name), _column([value])[0][0]) for name, value in facts]
+    return _section(title, "facts", pairs, typeset(note))
 
 
 def figure_section(title: str, figure: Figure, note: str = "") -> Section:
     """A matplotlib figure as an embedded PNG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
-    return Section(title, _img(buffer.getvalue(), title) + _note(note))
+    figure.savefig(buffer, format="png", dpi=FIGURE_DPI, bbox_inches="tight")
+    width_px = round(figure.get_figwidth() * 96)
+    return _section(title, "image", png_uri(buffer.getvalue()), title, width_px, typeset(note))
 
 
-def image_section(title: str, rgb: np.ndarray, note: str = "", *, width_px: int = 0) -> Section:
+def image_section(title: str, rgb: Image, note: str = "", *, width_px: int = 0) -> Section:
     """An RGB uint8 image (H, W, 3) as an embedded PNG, shown ``width_px`` wide (0: as it is)."""
-    return Section(title, _img(encode_png(rgb), title, width_px) + _note(note))
+    return _section(title, "image", png_uri(encode_png(rgb)), title, width_px, typeset(note))
 
 
-def encode_png(rgb: np.ndarray) -> bytes:
-    """The bytes of an RGB uint8 image (H, W, 3) as PNG."""
-    done, encoded = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
-    if not done:
-        msg = f"an image of shape {rgb.shape} and type {rgb.dtype} cannot be encoded as PNG"
-        raise TacgenError(msg)
-    return encoded.tobytes()
+def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str = "") -> Section:
+    """Captions with their RGB images, in as many columns as the page has room for."""
+    captioned = [(typeset(caption), jpeg_uri(rgb)) for caption, rgb in items]
+    return _section(title, "pictures", captioned, typeset(note))
 
 
-def write_page(path: Path, title: str, sections: Sequence[Section], *, summary: str = "") -> None:
-    """Write the page to ``path``, whole or not at all; it needs no network."""
-    environment = Environment(
+def write_page(
+    path: Path, title: str, sections: Sequence[Section], *, summary: str = "", verdict: str = ""
+) -> None:
+    """Write the page to ``path``, whole or not at all; it needs no network.
+
+    ``summary`` is the result in a sentence or two; ``verdict`` colours it: ``sufficient`` and
+    ``unexplained`` stand out.
+    """
+    text = (
+        environment()
+        .get_template("page.html")
+        .render(title=title, summary=typeset(summary), verdict=verdict, sections=sections)
+    )
+    write_text(path, text)
+
+
+@functools.cache
+def environment() -> Environment:
+    """The templates of the pages, which escape what is put into them."""
+    return Environment(
         loader=PackageLoader("tacgen.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    template = environment.get_template("page.html")
-    safe = [(section.title, Markup(section.body)) for section in sections]
-    write_text(path, template.render(title=title, summary=summary, sections=safe))
 
 
-def _cell(value: object) -> str:
-    text = f"{value:.4g}" if isinstance(value, (float, np.floating)) else str(value)
-    return f"<td{_NUMBER if _is_number(value) else ''}>{html.escape(text)}</td>"
+def _section(title: str, macro: str, *arguments: Any) -> Section:
+    macros: Any = environment().get_template("macros.html").module
+    return Section(typeset(title), Markup(getattr(macros, macro)(*arguments)))
 
 
-def _is_number(value: object) -> bool:
-    """Whether it is a number, or the text of one."""
-    if isinstance(value, (int, float, np.integer, np.floating)):
-        return not isinstance(value, bool)
-    return isinstance(value, str) and _FIGURE.fullmatch(value) is not None
+def _column(values: Sequence[object]) -> list[tuple[str, bool]]:
+    """Text of each value, and whether it is a number."""
+    floats = [float(v) for v in values if isinstance(v, (float, np.floating)) and math.isfinite(v)]
+    decimals = _shared_decimals(floats)
+    return [_cell(value, decimals) for value in values]
 
 
-def _img(png: bytes, alt: str, width_px: int = 0) -> str:
-    width = f' width="{width_px}"' if width_px else ""
-    data = base64.b64encode(png).decode()
-    return f'<img alt="{html.escape(alt)}"{width} src="data:image/png;base64,{data}">'
+def _shared_decimals(values: Sequence[float]) -> int | None:
+    """Decimals that show four digits of the largest value, without zeros that all end in."""
+    largest = max((abs(value) for value in values), default=0.0)
+    power = math.floor(math.log10(largest)) if largest > 0 else 0
+    if not -4 <= power < 6:
+        return None
+    decimals = max(0, 3 - power)
+    while decimals and all(fixed(value, decimals).endswith("0") for value in values):
+        decimals -= 1
+    return decimals
 
 
-def _note(note: str) -> str:
-    return f'<p class="note">{html.escape(note)}</p>' if note else ""
+def _cell(value: object, decimals: int | None) -> tuple[str, bool]:
+    if isinstance(value, (float, np.floating)):
+        text = number(float(value)) if decimals is None else fixed(float(value), decimals)
+        return text, True
+    text = typeset(str(value))
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
+        return text, True
+    return text, _NUMBER_TEXT.fullmatch(text) is not None

@@ -1,14 +1,28 @@
-"""The report page: a table's numbers stand in line, under their headings."""
+"""The report page: a table's numbers stand in line, text is escaped, nothing is fetched."""
 
 import re
 
-from tacgen.report.page import table_section
+import numpy as np
+
+from tacgen.report import (
+    facts_section,
+    image_section,
+    pictures_section,
+    table_section,
+    text_section,
+    write_page,
+)
+from tacgen.report.images import difference, evenly, side_by_side
+
+
+def cells_of(body):
+    cells = re.findall(r"<t[hd]( class=\"number\")?>([^<]*)</t[hd]>", body)
+    return [(text, bool(number)) for number, text in cells]
 
 
 def test_columns_of_numbers_align_with_their_headings_and_text_is_escaped():
     body = table_section("T", ("name", "share", "n"), [("<a>", "0.960", 7), ("b", "–", 12)]).body
-    cells = re.findall(r"<t[hd]( class=\"number\")?>([^<]*)</t[hd]>", body)
-    assert [(text, bool(number)) for number, text in cells] == [
+    assert cells_of(body) == [
         ("name", False),
         ("share", True),
         ("n", True),
@@ -25,3 +39,39 @@ def test_a_column_with_words_in_it_keeps_its_heading_to_the_left():
     body = table_section("T", ("AUROC",), [("one class",), (0.98,)]).body
     assert "<th>AUROC</th>" in body
     assert '<td class="number">0.98</td>' in body
+
+
+def test_floats_of_a_column_have_as_many_decimals():
+    body = table_section("T", ("k, mm3/N", "F"), [(5.13512, 10.0), (0.5, 20.0)]).body
+    assert [text for text, _ in cells_of(body)] == ["k, mm³/N", "F", "5.135", "10", "0.500", "20"]
+
+
+def test_a_page_is_whole_and_needs_no_network(tmp_path):
+    rgb = np.full((4, 6, 3), 90, np.uint8)
+    sections = [
+        text_section("Words", "<b>5 mm3</b>"),
+        facts_section("Facts", [("k", 1.5), ("by", "ball")], "A note."),
+        image_section("Image", rgb),
+        pictures_section("Pictures", [("a", rgb), ("b", rgb)]),
+    ]
+    write_page(tmp_path / "p.html", "Title", sections, summary="3 mm2", verdict="sufficient")
+    page = (tmp_path / "p.html").read_text()
+    assert "&lt;b&gt;5 mm³&lt;/b&gt;" in page
+    assert '<p class="summary sufficient">3 mm²</p>' in page
+    assert page.count("data:image/") == 3
+    assert "://" not in page
+
+
+def test_a_difference_is_about_middle_grey():
+    before = np.full((2, 2, 3), 100, np.uint8)
+    assert (difference(before, before, 4) == 128).all()
+    assert (difference(before + 10, before, 4) == 168).all()
+    assert (difference(before, before + 100, 4) == 0).all()
+
+
+def test_a_strip_holds_its_images_at_the_asked_width():
+    image = np.zeros((30, 40, 3), np.uint8)
+    assert side_by_side([image, image, image]).shape == (30, 128, 3)
+    assert side_by_side([image, image], 20).shape == (15, 44, 3)
+    assert evenly(3, 5) == [0, 1, 2]
+    assert evenly(100, 3) == [0, 50, 99]

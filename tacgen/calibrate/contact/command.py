@@ -17,9 +17,14 @@ from tacgen.calibrate.contact.depth_curves import (
     is_depth_table,
     read_depth_curves,
 )
-from tacgen.calibrate.contact.depth_summary import depth_dict, depth_text, depth_warnings
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact
-from tacgen.calibrate.contact.summary import summary_dict, summary_text
+from tacgen.calibrate.contact.summary import (
+    depth_dict,
+    depth_text,
+    depth_warnings,
+    summary_dict,
+    summary_text,
+)
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of
@@ -137,12 +142,10 @@ def _table_of(folder: Path) -> LookupTable | None:
 def result_text(result: ContactCalibration, *, json_output: bool) -> str:
     """What the command prints."""
     if isinstance(result.fit, ContactFit):
-        return (
-            json.dumps(summary_dict(result.fit), indent=2)
-            if json_output
-            else summary_text(result.fit)
-        )
-    return json.dumps(depth_dict(result.fit), indent=2) if json_output else depth_text(result.fit)
+        record, text = summary_dict(result.fit), summary_text
+    else:
+        record, text = depth_dict(result.fit), depth_text
+    return json.dumps(record, indent=2) if json_output else text(record)
 
 
 def _explain_depths(
@@ -170,7 +173,7 @@ def _explain_depths(
     )
     save_law(law, out)
     if report is not None:
-        from tacgen.calibrate.contact.depth_report import write_depth_page
+        from tacgen.calibrate.contact.report import write_depth_page
 
         write_depth_page(found, curves, warnings, report)
     return ContactCalibration(found, law, warnings)

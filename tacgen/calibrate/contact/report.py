@@ -1,156 +1,189 @@
-"""A contact calibration as a page with pictures."""
+"""The pages of a contact calibration: of a press log, and of force–depth curves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.contact.channel_fit import ChannelFit, channel_arrays
-from tacgen.calibrate.contact.identifiability import limits_of
+from tacgen.calibrate.contact.channel_fit import channel_arrays
+from tacgen.calibrate.contact.depth_curves import DepthCurve, DepthReport
 from tacgen.calibrate.contact.law_fit import ContactFit
-from tacgen.calibrate.contact.slope_fit import SlopeFit
-from tacgen.calibrate.contact.summary import SYMBOLS, UNITS, agreement_words
+from tacgen.calibrate.contact.summary import (
+    SYMBOLS,
+    agreement_text,
+    depth_dict,
+    depth_text,
+    half_width,
+    summary_dict,
+)
+from tacgen.presses.ball import ball_volume_mm3
+from tacgen.presses.press_log import PressLog
 from tacgen.report import Section, figure_section, table_section, text_section, write_page
+from tacgen.report import figures as plots
+from tacgen.report.formatting import interval, number, percent, unit_text, with_error
 
-MAX_POINTS = 20_000
-"""Samples drawn in a scatter plot; more only make the page heavy."""
 MAX_WORST = 8
+"""Presses in the table of the largest held-out errors."""
 RESPONSES = {"normal": "V", "shear": "D"}
-COLORS = ("#1f6f8b", "#c8553d", "#588157", "#8d6a9f", "#e09f3e", "#5c677d", "#9c6644", "#2b2d42")
 
 
 def write_report(fit: ContactFit, folder: Path) -> Path:
     """Write ``contact.html`` into ``folder``; it needs no network."""
+    result = summary_dict(fit)
+    channels = result["channels"]
     sections: list[Section] = []
-    for channel in (fit.normal, fit.shear):
-        if channel is not None:
-            sections += _channel_sections(fit, channel)
-    if fit.contact_points:
+    for name, channel in channels.items():
+        sections += _channel_sections(name, channel, fit.log)
+    if result["contact_points"]:
+        points = result["contact_points"]
         sections.append(
             table_section(
                 "Contact points",
-                ("trial", "depth zero, mm", "force zero, N"),
-                [(p.trial, p.depth_mm, p.force_n) for p in fit.contact_points],
-                "Added to the logged depth, taken from the logged force.",
+                ("press", "depth zero, mm", "force zero, N"),
+                [(p["trial"], p["depth_mm"], p["force_n"]) for p in points],
+                "Added to the logged depth, subtracted from the logged force.",
             )
         )
-    warnings = [text.replace(f"{fit.log.path}: ", "") for text in fit.warnings]
+    warnings = [text.replace(f"{fit.log.path}: ", "") for text in result["warnings"]]
+    limits = zip(result["cannot_tell"], result["press_next"], strict=True)
+    advice = [f"{cannot_tell}; {press_next}" for cannot_tell, press_next in limits]
     sections.append(text_section("Warnings", *(warnings or ["None."])))
-    nexts = [str(limit) for limit in limits_of(fit.log)]
-    sections.append(text_section("What to press next", *(nexts or ("Nothing is missing.",))))
+    sections.append(text_section("What to press next", *(advice or ["Nothing is missing."])))
     path = Path(folder) / "contact.html"
-    write_page(path, "Contact calibration", sections, summary=_headline(fit))
+    verdict = "; ".join(_verdict(name, channel) for name, channel in channels.items())
+    write_page(path, "Contact calibration", sections, summary=f"{fit.log.path.name}: {verdict}.")
     return path
 
 
-def _headline(fit: ContactFit) -> str:
-    parts = [
-        f"{SYMBOLS[c.channel]} = {c.pooled.value:.4g} ± {1.96 * c.pooled.stderr:.2g} "
-        f"{UNITS[c.channel][1]} (95 %), held-out error {100 * c.held_out.nrmse:.2f} %"
-        for c in (fit.normal, fit.shear)
-        if c is not None
-    ]
-    return f"{fit.log.path.name}: " + "; ".join(parts) + "."
+def _verdict(name: str, channel: Mapping[str, Any]) -> str:
+    pooled = channel[SYMBOLS[name]]
+    value = with_error(pooled["value"], half_width(pooled), channel["unit"])
+    error = percent(channel["held_out"]["nrmse"], 2)
+    return f"{SYMBOLS[name]} = {value} (95 %), error on held-out presses {error}"
 
 
-def _channel_sections(fit: ContactFit, channel: ChannelFit) -> list[Section]:
-    symbol, (unit, _) = SYMBOLS[channel.channel], UNITS[channel.channel]
-    log = fit.log if channel.channel == "normal" else fit.log.with_shear()
-    load, response = channel_arrays(log, channel.channel)
-    held = channel.held_out
-    worst = sorted(held.by_trial.items(), key=lambda item: -item[1])[:MAX_WORST]
-    title = "Normal" if channel.channel == "normal" else "Shear"
+def _channel_sections(name: str, channel: Mapping[str, Any], log: PressLog) -> list[Section]:
+    if name == "shear":
+        log = log.with_shear()
+    title, symbol, by, held = name.capitalize(), SYMBOLS[name], channel["by"], channel["held_out"]
+    unit, response_unit = unit_text(channel["unit"]), unit_text(held["unit"])
+    groups = {symbol: channel[symbol], **channel["groups"]}
+    worst = sorted(held["by_trial"].items(), key=lambda item: -item[1])[:MAX_WORST]
     return [
         figure_section(
             f"{title}: fit and residual",
-            _fit_figure(channel, load, response, log[channel.by]),
-            "Left: what was measured and the pooled line. Right: what the line leaves over; a "
-            "pattern here is an effect that the linear law lacks (tacgen diagnose contact).",
+            _fit_figure(name, channel, log),
+            "Left: the measurement and the pooled fit. Right: the residual; a pattern in it is an "
+            "effect that the linear law lacks (tacgen diagnose contact).",
         ),
         figure_section(
-            f"{title}: {symbol} by {channel.by}",
-            _agreement_figure(channel),
-            f"95 % intervals; the band is the pooled one. In short: {agreement_words(channel)}.",
-        ),
-        figure_section(
-            f"{title}: held out by trial",
-            _held_out_figure(held.by_trial, held.rmse, unit),
-            f"Each press predicted by a fit to the other folds ({held.folds} folds). RMSE "
-            f"{held.rmse:.4g} {unit}, {100 * held.nrmse:.2f} % of the RMS response.",
+            f"{title}: {symbol} by {by}",
+            plots.intervals(
+                {
+                    group: (fit["value"], half_width(fit) or 0.0)
+                    for group, fit in channel["groups"].items()
+                },
+                (channel[symbol]["value"], half_width(channel[symbol]) or 0.0),
+                f"{symbol}, {unit}",
+            ),
+            f"95 % intervals; the band is the pooled one: {agreement_text(name, channel)}.",
         ),
         table_section(
-            f"{title}: presses with the largest held-out error",
-            ("trial", "first row", f"RMSE, {unit}"),
-            [(trial, int(log.rows[log["trial"] == trial][0]), rmse) for trial, rmse in worst],
+            f"{title}: {symbol} in numbers",
+            (by, f"{symbol} ± 95 %, {unit}", "R²", "presses", "samples", "outliers"),
+            [
+                (
+                    "all" if group == symbol else group,
+                    with_error(fit["value"], half_width(fit)),
+                    f"{fit['r_squared']:.5f}",
+                    fit["trials"],
+                    fit["samples"],
+                    fit["outliers"],
+                )
+                for group, fit in groups.items()
+            ],
+        ),
+        figure_section(
+            f"{title}: error of held-out presses",
+            plots.columns(held["by_trial"], held["rmse"], ("press", f"RMSE, {response_unit}")),
+            f"Each press predicted by a fit to the other folds ({held['folds']} folds). RMSE "
+            f"{number(held['rmse'])} {response_unit}, {percent(held['nrmse'], 2)} of the RMS "
+            "response (line).",
+        ),
+        table_section(
+            f"{title}: largest held-out errors",
+            ("press", "first row", f"RMSE, {response_unit}"),
+            [
+                (trial, int(log.rows[log["trial"] == int(trial)][0]), error)
+                for trial, error in worst
+            ],
             "Rows as a spreadsheet counts them.",
         ),
     ]
 
 
-def _fit_figure(
-    channel: ChannelFit, load: np.ndarray, response: np.ndarray, group: np.ndarray
-) -> Figure:
-    symbol, unit = RESPONSES[channel.channel], UNITS[channel.channel][0]
-    load, response, group = _drawn(load, response, group)
-    step = max(1, len(load) // MAX_POINTS)
-    load, response, group = load[::step], response[::step], group[::step]
-    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for name, color in _colors(channel.groups).items():
-        rows = group.astype(str) == name
-        label = name if len(channel.groups) <= len(COLORS) else None
-        left.plot(load[rows], response[rows], ".", ms=2.5, alpha=0.4, color=color, label=label)
-        residual = response[rows] - channel.pooled.value * load[rows]
-        right.plot(load[rows], residual, ".", ms=2.5, alpha=0.4, color=color)
-    ends = np.array([load.min(), load.max()])
-    left.plot(ends, channel.pooled.value * ends, color="#111111", lw=1.2, label="pooled fit")
-    right.axhline(0.0, color="#111111", lw=1.0)
-    for axes, what in ((left, symbol), (right, f"{symbol} − {SYMBOLS[channel.channel]} F")):
-        axes.set_xlabel("force, N")
-        axes.set_ylabel(f"{what}, {unit}")
-    left.legend(frameon=False, markerscale=4, fontsize=8)
-    return figure
-
-
-def _drawn(
-    load: np.ndarray, response: np.ndarray, group: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _fit_figure(name: str, channel: Mapping[str, Any], log: PressLog) -> Figure:
     """Components one after the other: x and y of the shear share one line."""
-    return load.T.ravel(), response.T.ravel(), np.tile(group, load.shape[1])
+    load, response = channel_arrays(log, name)
+    group = np.tile(log[channel["by"]].astype(str), load.shape[1])
+    symbol, unit = RESPONSES[name], unit_text(channel["held_out"]["unit"])
+    residual = f"{symbol} − {SYMBOLS[name]} F"
+    return plots.fit_and_residual(
+        load.T.ravel(), response.T.ravel(), group, channel[SYMBOLS[name]]["value"],
+        ("force, N", f"{symbol}, {unit}", f"{residual}, {unit}"),
+    )  # fmt: skip
 
 
-def _agreement_figure(channel: ChannelFit) -> Figure:
-    names = list(channel.groups)
-    figure = Figure(figsize=(7.5, 0.6 + 0.32 * max(3, len(names))), layout="constrained")
-    axes = figure.subplots()
-    low, high = channel.pooled.interval
-    axes.axvspan(low, high, color="#1f6f8b", alpha=0.18, lw=0)
-    axes.axvline(channel.pooled.value, color="#1f6f8b", lw=1.0)
-    for index, name in enumerate(names):
-        group = channel.groups[name]
-        half = 1.96 * group.stderr if np.isfinite(group.stderr) else 0.0
-        axes.errorbar(group.value, index, xerr=half, fmt="o", ms=4, color="#111111", capsize=3)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_xlabel(f"{SYMBOLS[channel.channel]}, {UNITS[channel.channel][1]}")
+def write_depth_page(
+    report: DepthReport, curves: Sequence[DepthCurve], warnings: Sequence[str], folder: Path
+) -> Path:
+    """Write ``contact.html`` of force–depth curves into ``folder``; it needs no network."""
+    result = depth_dict(report)
+    path = Path(folder) / "contact.html"
+    header = ("curve", "radius, mm", "95 %", "k_n, mm³/N", "95 %", "contact point, mm", "R²",
+              "RMSE, N", "RMSE with one k_n, N", "log-log exponent", "samples")  # fmt: skip
+    rows = [
+        (name, fit["radius_mm"], interval(fit["radius_interval_mm"]), fit["k_n"],
+         interval(fit["k_interval"]), fit["contact_point_mm"], f"{fit['r_squared']:.5f}",
+         fit["rmse_n"], fit["with_shared_k_n"]["rmse_n"], f"{fit['log_log_exponent']:.2f}",
+         fit["samples"])
+        for name, fit in result["curves"].items()
+    ]  # fmt: skip
+    sections = [
+        figure_section(
+            "Force against depth",
+            _depth_figure(result["curves"], curves),
+            "Dots: measured. Lines: the ball and k_n that fit each curve best. Right: residual.",
+        ),
+        table_section("Fitted balls", header, rows, "95 %: profile intervals, all else refitted."),
+        text_section("Warnings", *(text.partition(": ")[2] for text in warnings)),
+    ]
+    verdict = depth_text(result).splitlines()[-1].strip()
+    write_page(path, "Force–depth curves", sections, summary=f"{verdict[0].upper()}{verdict[1:]}.")
+    return path
+
+
+def _depth_figure(fits: Mapping[str, Mapping[str, Any]], curves: Sequence[DepthCurve]) -> Figure:
+    figure, grid = plots.new_figure(10.5, 3.6 * len(curves), len(curves), 2)
+    for (left, right), curve in zip(grid, curves, strict=True):
+        fit = fits[curve.name]
+        left.plot(curve.depth_mm, curve.force_n, ".", color=plots.INK, ms=4, label="measured")
+        fine = np.linspace(0.0, curve.depth_mm.max(), 200)
+        label = f"R = {fit['radius_mm']:.3g} mm, k_n = {fit['k_n']:.3g} mm³/N"
+        left.plot(fine, _force_n(fine, fit), color=plots.ACCENT, lw=1.2, label=label)
+        left.set(title=curve.name, ylabel="force, N", xlabel="depth, mm")
+        left.legend(frameon=False, fontsize=8)
+        residual = curve.force_n - _force_n(curve.depth_mm, fit)
+        right.plot(curve.depth_mm, residual, ".", color=plots.BAD, ms=4)
+        right.axhline(0.0, color=plots.INK, lw=1.0)
+        right.set(ylabel="measured − fitted, N", xlabel="depth, mm")
     return figure
 
 
-def _held_out_figure(by_trial: Mapping[int, float], rmse: float, unit: str) -> Figure:
-    figure = Figure(figsize=(9.5, 2.8), layout="constrained")
-    axes = figure.subplots()
-    places = np.arange(len(by_trial))
-    axes.bar(places, list(by_trial.values()), color="#1f6f8b", width=0.8)
-    axes.axhline(rmse, color="#c8553d", lw=1.2)
-    every = max(1, len(by_trial) // 24)
-    axes.set_xticks(places[::every], [str(trial) for trial in by_trial][::every])
-    axes.set_xlabel("trial")
-    axes.set_ylabel(f"RMSE, {unit}")
-    return figure
-
-
-def _colors(groups: Mapping[str, SlopeFit]) -> dict[str, str]:
-    return {name: COLORS[index % len(COLORS)] for index, name in enumerate(groups)}
+def _force_n(depth_mm: np.ndarray, fit: Mapping[str, Any]) -> np.ndarray:
+    volume = ball_volume_mm3(depth_mm + fit["contact_point_mm"], fit["radius_mm"])
+    return np.asarray(volume / fit["k_n"])

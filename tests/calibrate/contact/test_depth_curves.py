@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.calibrate.contact.depth_curves import DepthCurve, explain_curves, read_depth_curves
-from tacgen.calibrate.contact.depth_summary import depth_warnings
+from tacgen.calibrate.contact.summary import depth_warnings
 from tacgen.cli import app
 from tacgen.core.errors import PressError
 from tacgen.presses.ball import ball_volume_mm3
