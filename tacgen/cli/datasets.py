@@ -152,3 +152,45 @@ def _looks_whole(out: Path) -> bool:
         return len(list(out.glob("shards/shard-*.json"))) >= plan["n_shards"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
+
+
+@app.command("import", rich_help_panel="Calibration and diagnosis")
+def import_(
+    format_name: Annotated[
+        str,
+        typer.Argument(
+            metavar="FORMAT",
+            help="gs-sdk, py3dcal, 9dtact or gelsight-mini-pretrain (ball presses); poseit or "
+            "feeling-of-success (real grasps).",
+        ),
+    ],
+    source: Annotated[Path, typer.Argument(help="The folder or file of the other project.")],
+    out: Annotated[Path, typer.Option(help="A new folder, in tacgen's own layout.")],
+    mm_per_px: Annotated[
+        float | None, typer.Option(help="Size of a pixel, where the files do not state it.")
+    ] = None,
+    ball_radius_mm: Annotated[
+        float | None, typer.Option(help="Radius of the ball, where the files do not state it.")
+    ] = None,
+) -> None:
+    """Rewrite the ball presses or real grasps of another project in tacgen's layout."""
+    from tacgen.dataset.import_formats import GRASP_FORMATS, import_grasps
+    from tacgen.presses.import_formats import PRESS_FORMATS, Options, import_presses
+
+    if format_name in PRESS_FORMATS:
+        options = Options(mm_per_px, ball_radius_mm)
+        found = import_presses(format_name, source, out, options)
+        count, notes, kind = len(found.presses), found.notes, "presses"
+        follow = f"tacgen calibrate lookup {out} --out table.npz"
+    elif format_name in GRASP_FORMATS:
+        count, notes = import_grasps(format_name, source, out)
+        kind, follow = "grasps", f"tacgen eval RUN --real {out}"
+    else:
+        from tacgen.core.errors import DatasetError
+
+        known = ", ".join((*PRESS_FORMATS, *GRASP_FORMATS))
+        msg = f"FORMAT {format_name!r} is not known; known are {known}"
+        raise DatasetError(msg)
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo(f"{out}: {count} {kind}. Next: {follow}")

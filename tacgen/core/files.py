@@ -6,9 +6,13 @@ import contextlib
 import hashlib
 import json
 import os
+import shutil
 import socket
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+from tacgen.core.errors import TacgenError
 
 
 @contextlib.contextmanager
@@ -29,6 +33,32 @@ def atomic_path(path: Path) -> Iterator[Path]:
         sync_directory(path.parent)
     finally:
         partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Yield an empty folder beside ``path``; renamed to it on success, removed on failure.
+
+    Raises
+    ------
+    TacgenError
+        If ``path`` exists already.
+    """
+    path = Path(path)
+    if path.exists():
+        msg = f"{path} exists already; give a new folder, or remove it"
+        raise TacgenError(msg)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+    try:
+        partial.chmod(0o755)
+        yield partial
+        for file in partial.rglob("*"):
+            sync_file(file)
+        os.replace(partial, path)
+        sync_directory(path.parent)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def sync_file(path: Path) -> None:

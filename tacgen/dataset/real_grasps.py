@@ -12,7 +12,9 @@ import pandas as pd
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import FailureMode, GraspConfig
 
-REQUIRED = ("grasp_id", "object", "force_n", "x_mm", "y_mm", "z_mm", "label")
+REQUIRED = ("grasp_id", "object", "label")
+CONFIGURATION = ("force_n", "x_mm", "y_mm", "z_mm")
+"""What a grasp must say to be simulated again; networks do without."""
 FAILURE_MODES: tuple[FailureMode, ...] = ("", "translational_slip", "rotational_slip")
 MAX_BYTES = 256 << 20
 MAX_PROBLEMS_SHOWN = 20
@@ -46,7 +48,12 @@ class RealGrasps:
         }
 
 
-def read_real_grasps(folder: Path | str, *, known_objects: Sequence[str] = ()) -> RealGrasps:
+def read_real_grasps(
+    folder: Path | str,
+    *,
+    known_objects: Sequence[str] = (),
+    needs: Sequence[str] = CONFIGURATION,
+) -> RealGrasps:
     """Read and check a folder of real grasps.
 
     Exact repeats of a configuration are kept (they are evidence); repeats whose labels contradict
@@ -56,6 +63,9 @@ def read_real_grasps(folder: Path | str, *, known_objects: Sequence[str] = ()) -
     ----------
     known_objects : sequence of str
         Names an object may have; any name if empty.
+    needs : sequence of str
+        Columns beside ``grasp_id``, ``object`` and ``label`` that every grasp must fill; what is
+        neither needed nor given is NaN.
 
     Raises
     ------
@@ -64,8 +74,8 @@ def read_real_grasps(folder: Path | str, *, known_objects: Sequence[str] = ()) -
     """
     folder = Path(folder)
     path = folder / "grasps.csv"
-    table = _read_table(path)
-    problems = list(_problems(table, path, known_objects))
+    table = _read_table(path, needs)
+    problems = list(_problems(table, path, known_objects, needs))
     if problems:
         shown = problems[:MAX_PROBLEMS_SHOWN]
         if len(problems) > len(shown):
@@ -77,7 +87,7 @@ def read_real_grasps(folder: Path | str, *, known_objects: Sequence[str] = ()) -
     return RealGrasps(folder, grasps, tuple(_warnings(grasps, path)))
 
 
-def _read_table(path: Path) -> pd.DataFrame:
+def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:
     try:
         if path.stat().st_size > MAX_BYTES:
             msg = f"{path}: larger than {MAX_BYTES >> 20} MiB; this is not a list of grasps"
@@ -90,9 +100,13 @@ def _read_table(path: Path) -> pd.DataFrame:
         msg = f"{path}: cannot be read as CSV: {error}"
         raise DatasetError(msg) from None
     table.columns = [str(name).strip() for name in table.columns]
-    missing = [name for name in REQUIRED if name not in table.columns]
+    missing = [name for name in (*REQUIRED, *needs) if name not in table.columns]
     if missing:
-        msg = f"{path}: has no column {', '.join(missing)}; it needs {', '.join(REQUIRED)}"
+        why = "; without force and place a grasp cannot be simulated" if needs else ""
+        msg = (
+            f"{path}: has no column {', '.join(missing)}; "
+            f"this needs {', '.join((*REQUIRED, *needs))}{why}"
+        )
         raise DatasetError(msg)
     if table.empty:
         msg = f"{path}: holds no grasps"
@@ -100,17 +114,20 @@ def _read_table(path: Path) -> pd.DataFrame:
     return table
 
 
-def _problems(table: pd.DataFrame, path: Path, known_objects: Sequence[str]) -> list[str]:
+def _problems(
+    table: pd.DataFrame, path: Path, known_objects: Sequence[str], needs: Sequence[str]
+) -> list[str]:
     problems = []
-    numbers = ("force_n", "x_mm", "y_mm", "z_mm", *(["yaw_rad"] if "yaw_rad" in table else []))
+    numbers = [name for name in (*CONFIGURATION, "yaw_rad") if name in table]
     for row, record in enumerate(table.to_dict("records")):
         where = f"{path}:{row + 2}"
         for name in numbers:
-            if not np.isfinite(_number(record[name])):
+            empty = record[name] == "" and name not in needs
+            if not empty and not np.isfinite(_number(record[name])):
                 problems.append(
                     f"{where}: {name} = {record[name]!r} is no number; give it or drop the row"
                 )
-        if _number(record["force_n"]) <= 0:
+        if _number(record.get("force_n", "")) <= 0:
             problems.append(f"{where}: force_n = {record['force_n']} is no force to grip with")
         if _number(record["label"]) not in (0.0, 1.0):
             problems.append(
@@ -151,11 +168,11 @@ def _grasp(folder: Path, number: int, record: Mapping[str, str]) -> RealGrasp:
     config = GraspConfig(
         index=number,
         object=record["object"],
-        force_n=float(record["force_n"]),
-        x_mm=float(record["x_mm"]),
-        y_mm=float(record["y_mm"]),
-        z_mm=float(record["z_mm"]),
-        yaw_rad=float(record.get("yaw_rad", 0.0)),
+        force_n=_number(record.get("force_n", "")),
+        x_mm=_number(record.get("x_mm", "")),
+        y_mm=_number(record.get("y_mm", "")),
+        z_mm=_number(record.get("z_mm", "")),
+        yaw_rad=float(record.get("yaw_rad") or 0.0),
     )
     mode = next(mode for mode in FAILURE_MODES if mode == record.get("failure_mode", ""))
     return RealGrasp(

@@ -84,8 +84,11 @@ def scores_by_value(
 ) -> dict[str, Any]:
     """Scores of (N,) grasps by each of their values, or by ranges where there are many.
 
-    Ranges hold about as many grasps each; their names are their ends.
+    Ranges hold about as many grasps each; their names are their ends. Grasps whose value is not
+    known (NaN) are in none.
     """
+    known = np.isfinite(values)
+    values, labels, probabilities = values[known], labels[known], probabilities[known]
     distinct = np.unique(values)
     if len(distinct) <= MAX_GROUPS:
         groups = [(f"{value:g}", values == value) for value in distinct]

@@ -39,7 +39,7 @@ class RealGraspImages:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
-        found = read_real_grasps(self.folder)
+        found = read_real_grasps(self.folder, needs=())
         self.warnings = found.warnings
         about = _about(self.folder)
         self.simulated = about.get("simulated") is True
