@@ -17,8 +17,8 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 
-from tacgen.contact.effects import STAGES, Effect, LoadHistory, find_effect
-from tacgen.contact.law_checks import law_problems, require_columns
+from tacgen.contact.effects import STAGES, Channel, Effect, LoadHistory, find_effect
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
@@ -78,7 +78,7 @@ class ContactLaw:
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        problems = law_problems(self)
+        problems = _law_problems(self)
         if problems:
             raise ContactError.from_problems(problems)
 
@@ -123,12 +123,13 @@ class ContactLaw:
         """
         history = LoadHistory(columns)
         if not simulate:
-            require_columns(self, history)
+            _require_columns(self, history)
         volume = history.unsorted(self._respond(history, "normal", simulate))[:, 0]
         shear = history.unsorted(self._respond(history, "shear", simulate))
-        return np.maximum(volume, 0.0) if simulate else volume, shear
+        volume = np.maximum(volume, 0.0) if simulate else volume
+        return volume.astype(np.float64, copy=False), shear.astype(np.float64, copy=False)
 
-    def predict_depth(self, columns: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+    def predict_depth(self, columns: Mapping[str, ArrayLike]) -> FloatArray:
         """Indentation (N,) in mm of a ``linear_depth`` law, for a simulated grasp.
 
         Raises
@@ -146,10 +147,10 @@ class ContactLaw:
     def _respond(
         self,
         history: LoadHistory,
-        channel: str,
+        channel: Channel,
         simulate: bool,
         compliance: float | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         acting = []
         for fitted in self.effects:
             effect = find_effect(fitted.channel, fitted.name)
@@ -164,19 +165,16 @@ class ContactLaw:
 
 def respond(
     history: LoadHistory,
-    channel: str,
+    channel: Channel,
     compliance: float,
     effects: Sequence[tuple[Effect, Mapping[str, float]]],
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Volume (N, 1) or shear motion (N, 2) of a history's samples, in the history's order.
 
     ``effects`` act in the order of their stages, whatever the order they are given in; every
     parameter must be given.
     """
-    if channel == "normal":
-        load = history.force_normal_n[:, None]
-    else:
-        load = history.force_shear_n
+    load = history.load(channel)
     acting = sorted(effects, key=lambda pair: STAGES.index(pair[0].stage))
     for effect, parameters in acting:
         if effect.stage != "output":
@@ -186,6 +184,63 @@ def respond(
         if effect.stage == "output":
             result = effect.apply(result, history, parameters)
     return result
+
+
+def _law_problems(law: ContactLaw) -> list[str]:
+    """Everything that is wrong with a law."""
+    problems = []
+    if law.law not in LAWS:
+        problems.append(f"law = {law.law!r} is unknown; there are {', '.join(LAWS)}")
+    if not (math.isfinite(law.k_n_mm3_per_n.value) and law.k_n_mm3_per_n.value > 0):
+        problems.append(f"k_n_mm3_per_n = {law.k_n_mm3_per_n.value} is not a positive number")
+    if not math.isnan(law.k_s_mm_per_n.value) and not law.k_s_mm_per_n.value > 0:
+        problems.append(f"k_s_mm_per_n = {law.k_s_mm_per_n.value} is not a positive number")
+    if law.law == "linear_depth":
+        depth = law.k_depth_mm_per_n
+        if depth is None or not (math.isfinite(depth.value) and depth.value > 0):
+            problems.append("linear_depth needs a positive k_depth_mm_per_n (mm of depth per N)")
+    seen = set()
+    for index, fitted in enumerate(law.effects):
+        where = f"effects[{index}] ({fitted.name})"
+        if (fitted.channel, fitted.name) in seen:
+            problems.append(f"{where} stands twice")
+        seen.add((fitted.channel, fitted.name))
+        problems += _effect_problems(where, fitted)
+    return problems
+
+
+def _effect_problems(where: str, fitted: FittedEffect) -> list[str]:
+    try:
+        effect = find_effect(fitted.channel, fitted.name)
+    except ContactError as error:
+        return [f"{where}: {error}"]
+    problems = []
+    for name, estimate in fitted.parameters.items():
+        parameter = effect.parameter(name)
+        if parameter is None:
+            known = ", ".join(p.name for p in effect.parameters)
+            problems.append(f"{where}: parameter {name!r} is unknown; there are {known}")
+        elif math.isnan(estimate.value) or not (parameter.low <= estimate.value <= parameter.high):
+            problems.append(
+                f"{where}: {name} = {estimate.value:g} is not in "
+                f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
+            )
+    return problems
+
+
+def _require_columns(law: ContactLaw, history: LoadHistory) -> None:
+    """Raise a ``ContactError`` for columns that the law's effects need and the log lacks."""
+    problems = []
+    for fitted in law.effects:
+        effect = find_effect(fitted.channel, fitted.name)
+        lacking = [name for name in effect.needs if not history.has(name)]
+        if lacking:
+            problems.append(
+                f"the law's effect {fitted.name!r} needs the column {', '.join(lacking)}, "
+                "which the log lacks; add it, or predict with simulate=True to leave it neutral"
+            )
+    if problems:
+        raise ContactError.from_problems(problems)
 
 
 def save_law(law: ContactLaw, path: Path) -> None:

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, LoadHistory, find_effect
 from tacgen.contact.law import ContactLaw, FittedEffect, respond
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import Estimate
 from tacgen.rig.rig_recipe import RigEffect, RigRecipe
-
-Floats = NDArray[np.float64]
 
 MAX_DOUBLINGS = 40
 LARGEST_START = 1e-3
@@ -26,8 +25,8 @@ class SessionTruth:
     """The law that the gel really has in a session, and the response without noise."""
 
     law: ContactLaw
-    volume_mm3: Floats
-    shear_mm: Floats
+    volume_mm3: FloatArray
+    shear_mm: FloatArray
 
 
 def true_response(recipe: RigRecipe, columns: Mapping[str, NDArray[Any]]) -> SessionTruth:
@@ -81,7 +80,7 @@ def _solve_strength(
     variant = variants[0]
     shaped = {**fixed, **variant.shapes, **given.parameters}
     probe = {k: v for k, v in variant.probes[0].items() if k not in given.parameters}
-    load = history.force_normal_n[:, None] if effect.channel == "normal" else history.force_shear_n
+    load = history.load(effect.channel)
     if wanted == 0.0 or not probe:
         return dict(shaped)
 

@@ -19,7 +19,6 @@ from tacgen.rig.images import rig_sensor, write_images
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import noise_rng, true_session
 
-Floats = NDArray[np.float64]
 DECIMALS = 6
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.rig.rig_recipe import RigRecipe, Schedule, Temperature
 
-Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 
 _PRESS, _NOISE, _CAMERA, _ORDER = range(4)
@@ -77,7 +77,9 @@ def _turn_of(recipe: RigRecipe, press: int) -> int:
     return int(order[place])
 
 
-def _course(schedule: Schedule, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+def _course(
+    schedule: Schedule, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Time, share of the peak normal force, and share of the peak shear force."""
     lengths = np.array([schedule.load_s, schedule.hold_s, 0.5 * schedule.shear_s,
                         0.5 * schedule.shear_s, schedule.unload_s])  # fmt: skip
@@ -89,6 +91,6 @@ def _course(schedule: Schedule, rng: np.random.Generator) -> tuple[Floats, Float
     return time_s, normal, sheared
 
 
-def _room(temperature: Temperature, time_s: Floats) -> Floats:
+def _room(temperature: Temperature, time_s: FloatArray) -> FloatArray:
     swing = np.sin(2.0 * np.pi * time_s / temperature.period_s)
     return temperature.mean_c + temperature.swing_c * swing

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
+
 Columns = dict[str, NDArray[Any]]
-Array = NDArray[np.float64]
+Array = FloatArray
 
 
 @dataclass(frozen=True)

@@ -1,48 +1,50 @@
-"""What a linear contact law can lack: one module an effect, one registry."""
+"""What a linear contact law can lack: one module an effect, one registry.
 
-from tacgen.contact.effects import (  # noqa: F401  (importing a module registers its effects)
-    anisotropy,
-    conditioning,
-    creep,
-    drift,
-    geometry,
-    hysteresis,
-    latency,
-    normal_coupling,
-    position,
-    saturation,
-    shear_coupling,
-    slip,
-    stiffening,
-    temperature,
-    zero_offset,
-)
-from tacgen.contact.effects.history import LoadHistory
-from tacgen.contact.effects.registry import (
+Every module of this folder is imported, and those of effects register themselves.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+from tacgen.contact.effects.base import (
     CHANNELS,
     STAGES,
     Channel,
     Effect,
+    FittedForm,
+    LoadHistory,
     Parameter,
     Stage,
+    Tie,
     Variant,
     all_effects,
     effect_names,
     find_effect,
+    lead_in_se,
     register,
+    separating_measurement,
+    unregister,
 )
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")
 
 __all__ = [
     "CHANNELS",
     "STAGES",
     "Channel",
     "Effect",
+    "FittedForm",
     "LoadHistory",
     "Parameter",
     "Stage",
+    "Tie",
     "Variant",
     "all_effects",
     "effect_names",
     "find_effect",
+    "lead_in_se",
     "register",
+    "separating_measurement",
+    "unregister",
 ]

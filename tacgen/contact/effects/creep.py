@@ -1,32 +1,17 @@
 """Creep: the gel goes on yielding while the load stays."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects import kernels
-from tacgen.contact.effects.history import LoadHistory
-from tacgen.contact.effects.registry import (
-    Channel,
-    Effect,
-    Parameters,
-    Variant,
-    amount,
-    no_references,
-    register,
-    shape,
-    variant,
-)
+from tacgen.contact.effects import base, kernels
 
 TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
 
 
 def _apply(
-    load: NDArray[np.float64], history: LoadHistory, p: Parameters, channel: Channel
-) -> NDArray[np.float64]:
+    load: base.FloatArray, history: base.LoadHistory, p: base.Parameters, channel: base.Channel
+) -> base.FloatArray:
     """Load plus one or two Prony terms.
 
     A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew;
@@ -53,12 +38,17 @@ def _apply(
     return result
 
 
-def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
-    duration = float(np.median(history.time_in_trial_s[history.starts[1:] - 1]))
-    duration = max(duration, 4 * history.sample_period_s)
+def _tau_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+    """Slower than sampling and faster than some trials: else it is no creep that a log shows."""
+    duration_s = history.trial_duration_s
+    return max(4.0 * history.sample_period_s, 0.02 * duration_s), 5.0 * duration_s
+
+
+def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
+    duration = max(history.trial_duration_s, 4 * history.sample_period_s)
     taus = [share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5)]
     single = [
-        variant(
+        base.variant(
             f"{kind}, tau {tau:.3g} s",
             [{"amount": 0.05}],
             {"tau_s": tau, "recovery": recovery},
@@ -68,7 +58,7 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
         for kind, recovery in (("recovering", 1.0), ("with the load", 0.0))
     ]
     double = [
-        variant(
+        base.variant(
             f"two terms, {kind}",
             [{"amount": 0.05}, {"amount_2": 0.05}],
             {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration, "recovery": recovery},
@@ -76,31 +66,34 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
         )
         for kind, recovery in (("recovering", 1.0), ("with the load", 0.0))
     ]
-    fitted = [Variant(v.label, v.probes, ("amount", "tau_s"), v.shapes) for v in single]
+    fitted = [base.Variant(v.label, v.probes, ("amount", "tau_s"), v.shapes) for v in single]
     return (
         *fitted,
-        *(Variant(v.label, v.probes, (*v.free, "tau_s", "tau_2_s"), v.shapes) for v in double),
+        *(base.Variant(v.label, v.probes, (*v.free, "tau_s", "tau_2_s"), v.shapes) for v in double),
     )
 
 
-def _effect(channel: Channel) -> Effect:
-    return Effect(
-        name="creep",
-        channel=channel,
-        stage="memory",
-        about="the gel goes on yielding under a held load",
-        parameters=(
-            amount("amount", -0.9, 10.0),
-            amount("amount_2", -0.9, 10.0),
-            shape("tau_s", 1e-3, 1e5, 1.0, "s"),
-            shape("tau_2_s", 1e-3, 1e5, 10.0, "s"),
-            shape("recovery", 0.0, 1.0, 1.0),
-        ),
-        apply=partial(_apply, channel=channel),
-        references=no_references,
-        variants=_variants,
+for _channel in base.CHANNELS:
+    base.register(
+        base.Effect(
+            name="creep",
+            channel=_channel,
+            stage="memory",
+            about="the gel goes on yielding under a held load",
+            parameters=(
+                base.amount("amount", -0.9, 10.0),
+                base.amount("amount_2", -0.9, 10.0),
+                base.shape("tau_s", 1e-3, 1e5, 1.0, "s", _tau_bounds),
+                base.shape("tau_2_s", 1e-3, 1e5, 10.0, "s", _tau_bounds),
+                base.shape("recovery", 0.0, 1.0, 1.0),
+            ),
+            apply=partial(_apply, channel=_channel),
+            variants=_variants,
+            kind="memory",
+            shown_against="time_in_trial_s",
+            separated_by={
+                "latency": "hold the load for several seconds: creep goes on, a delay is over",
+                "hysteresis": "unload at two speeds: hysteresis does not depend on it",
+            },
+        )
     )
-
-
-register(_effect("normal"))
-register(_effect("shear"))

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tacgen.contact.effects import kernels
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import ContactError
+
+Channel = Literal["normal", "shear"]
+CHANNELS: tuple[Channel, ...] = ("normal", "shear")
 
 REQUIRED = ("trial", "time_s", "force_normal_n")
 SHEAR_FORCE = ("force_shear_x_n", "force_shear_y_n")
+CONTACT_SHARE = 0.05
+"""Share of the log's span above which a load counts as contact, and by which it must fall to count
+as unloading: above the noise of any usable gauge."""
 
 
 class LoadHistory:
@@ -35,6 +43,8 @@ class LoadHistory:
         _require_usable(arrays)
         self.order = np.lexsort((arrays["time_s"], arrays["trial"]))
         self._columns = arrays
+        self._reversals: dict[Channel, tuple[NDArray[np.int64], BoolArray]] = {}
+        self._since_contact: dict[Channel, FloatArray] = {}
         trial = arrays["trial"][self.order]
         self.starts: NDArray[np.int64] = np.concatenate(
             [[0], np.flatnonzero(trial[1:] != trial[:-1]) + 1, [trial.size]]
@@ -56,7 +66,7 @@ class LoadHistory:
         """Whether every one of these columns is there."""
         return all(name in self._columns for name in names)
 
-    def column(self, name: str) -> NDArray[np.float64]:
+    def column(self, name: str) -> FloatArray:
         """A numeric column (N,), sorted."""
         try:
             return self._columns[name][self.order].astype(np.float64)
@@ -68,19 +78,19 @@ class LoadHistory:
         """A text column (N,), sorted."""
         return self._columns[name][self.order].astype(str)
 
-    def unsorted(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unsorted(self, values: FloatArray) -> FloatArray:
         """``values`` (N, …) back in the order of the rows that were given."""
         result = np.empty_like(values)
         result[self.order] = values
         return result
 
     @cached_property
-    def time_s(self) -> NDArray[np.float64]:
+    def time_s(self) -> FloatArray:
         """Session clock."""
         return self.column("time_s")
 
     @cached_property
-    def trial(self) -> NDArray[np.float64]:
+    def trial(self) -> FloatArray:
         """Number of the trial, as the log has it."""
         return self.column("trial")
 
@@ -90,31 +100,31 @@ class LoadHistory:
         return np.repeat(np.arange(self.n_trials), np.diff(self.starts))
 
     @cached_property
-    def time_in_trial_s(self) -> NDArray[np.float64]:
+    def time_in_trial_s(self) -> FloatArray:
         """Time since the first sample of the trial."""
         first = self.time_s[self.starts[:-1]] if self.n_samples else np.zeros(0)
         return self.time_s - np.repeat(first, np.diff(self.starts))
 
     @cached_property
-    def force_normal_n(self) -> NDArray[np.float64]:
+    def force_normal_n(self) -> FloatArray:
         """Force into the gel (N,)."""
         return self.column("force_normal_n")
 
     @cached_property
-    def force_shear_n(self) -> NDArray[np.float64]:
+    def force_shear_n(self) -> FloatArray:
         """Force along the gel (N, 2); 0 where it was not measured."""
         if not self.has(*SHEAR_FORCE):
             return np.zeros((self.n_samples, 2))
         return np.nan_to_num(np.stack([self.column(name) for name in SHEAR_FORCE], axis=1))
 
     @cached_property
-    def shear_size_n(self) -> NDArray[np.float64]:
+    def shear_size_n(self) -> FloatArray:
         """|F_s| of a lightly smoothed shear force (N,)."""
-        smooth = [kernels.moving_mean(self.force_shear_n[:, k], self.starts, 2) for k in (0, 1)]
-        return np.hypot(*smooth)
+        x, y = (kernels.moving_mean(self.force_shear_n[:, k], self.starts, 2) for k in (0, 1))
+        return np.hypot(x, y)
 
     @cached_property
-    def normal_smooth_n(self) -> NDArray[np.float64]:
+    def normal_smooth_n(self) -> FloatArray:
         """A lightly smoothed normal force (N,), for what noise would bias: peaks and ratios."""
         return kernels.moving_mean(self.force_normal_n, self.starts, 2)
 
@@ -128,44 +138,52 @@ class LoadHistory:
         """A high quantile of |shear force|."""
         return _span(self.shear_size_n)
 
-    def reversal(self, channel: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def load(self, channel: Channel) -> FloatArray:
+        """The force that drives a channel: (N, 1) normal, or (N, 2) shear."""
+        return self.force_shear_n if channel == "shear" else self.force_normal_n[:, None]
+
+    def span_n(self, channel: Channel) -> float:
+        """A high quantile of the force that drives a channel."""
+        return self.shear_span_n if channel == "shear" else self.normal_span_n
+
+    def _smooth_n(self, channel: Channel) -> FloatArray:
+        return self.shear_size_n if channel == "shear" else self.normal_smooth_n
+
+    def reversal(self, channel: Channel) -> tuple[NDArray[np.int64], BoolArray]:
         """Row of the largest load so far in the trial, and whether the load has turned back.
 
-        The load is taken to have turned once it is below its last local maximum by more than a
-        twentieth of the log's span, so that noise on a hold is not taken for unloading.
+        The load counts as turned once it is below its last local maximum by more than a twentieth
+        of the log's span, so that noise on a hold is not taken for unloading.
         """
-        if channel == "shear":
-            return self._reversal_shear
-        return self._reversal_normal
+        if channel not in self._reversals:
+            margin = CONTACT_SHARE * self.span_n(channel)
+            found = kernels.reversal(self._smooth_n(channel), self.starts, margin)
+            self._reversals[channel] = found
+        return self._reversals[channel]
 
-    @cached_property
-    def _reversal_normal(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        return kernels.reversal(self.normal_smooth_n, self.starts, 0.05 * self.normal_span_n)
-
-    @cached_property
-    def _reversal_shear(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        return kernels.reversal(self.shear_size_n, self.starts, 0.05 * self.shear_span_n)
-
-    def time_since_contact_s(self, channel: str) -> NDArray[np.float64]:
+    def time_since_contact_s(self, channel: Channel) -> FloatArray:
         """Time since the load first stood above a twentieth of the log's span, trial by trial (N,).
 
         0 before, and in trials where it never did.
         """
-        return self._since_contact_shear if channel == "shear" else self._since_contact_normal
+        if channel not in self._since_contact:
+            loaded = self._smooth_n(channel) > CONTACT_SHARE * self.span_n(channel)
+            start = np.full(self.n_trials, np.inf)
+            np.minimum.at(start, self.trial_index[loaded], self.time_s[loaded])
+            since = np.maximum(self.time_s - start[self.trial_index], 0.0)
+            self._since_contact[channel] = since
+        return self._since_contact[channel]
 
     @cached_property
-    def _since_contact_normal(self) -> NDArray[np.float64]:
-        return self._since(self.normal_smooth_n > 0.05 * self.normal_span_n)
+    def trial_duration_s(self) -> float:
+        """Median duration of a trial, at least one sampling period."""
+        ends = self.time_in_trial_s[self.starts[1:] - 1]
+        return max(float(np.median(ends)), self.sample_period_s)
 
     @cached_property
-    def _since_contact_shear(self) -> NDArray[np.float64]:
-        return self._since(self.shear_size_n > 0.05 * self.shear_span_n)
-
-    def _since(self, loaded: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Time since the first of the rows of its trial in which ``loaded`` holds."""
-        start = np.full(self.n_trials, np.inf)
-        np.minimum.at(start, self.trial_index[loaded], self.time_s[loaded])
-        return np.maximum(self.time_s - start[self.trial_index], 0.0)
+    def session_trials(self) -> float:
+        """Trials of the session by their numbers, those that are held out included."""
+        return float(np.ptp(self.trial)) + 1.0
 
     @cached_property
     def sample_period_s(self) -> float:
@@ -177,18 +195,23 @@ class LoadHistory:
         return float(np.median(steps)) if steps.size else 1.0
 
 
-def _span(load: NDArray[np.float64]) -> float:
+def _span(load: FloatArray) -> float:
     if not load.size:
         return 1.0
     return float(np.quantile(np.abs(load), 0.99)) or 1.0
 
 
-def _require_usable(arrays: Mapping[str, NDArray]) -> None:
+def _require_usable(arrays: Mapping[str, NDArray[Any]]) -> None:
     missing = [name for name in REQUIRED if name not in arrays]
     if missing:
         msg = f"the log lacks {', '.join(missing)}; a contact law needs {', '.join(REQUIRED)}"
         raise ContactError(msg)
-    problems = _shape_problems(arrays)
+    length = arrays["trial"].size
+    problems = [
+        f"column {name!r} has shape {array.shape}, not ({length},) as 'trial' has"
+        for name, array in arrays.items()
+        if array.shape != (length,)
+    ]
     problems += [
         f"column {name!r} holds a value that is not a finite number; drop those rows"
         for name in REQUIRED
@@ -196,12 +219,3 @@ def _require_usable(arrays: Mapping[str, NDArray]) -> None:
     ]
     if problems:
         raise ContactError.from_problems(problems)
-
-
-def _shape_problems(arrays: Mapping[str, NDArray]) -> list[str]:
-    length = arrays["trial"].size
-    return [
-        f"column {name!r} has shape {array.shape}, not ({length},) as 'trial' has"
-        for name, array in arrays.items()
-        if array.shape != (length,)
-    ]

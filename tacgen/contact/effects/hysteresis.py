@@ -1,31 +1,20 @@
 """Hysteresis: at the same load the gel is deformed otherwise on the way back, however slow."""
 
-from __future__ import annotations
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects import kernels
-from tacgen.contact.effects.history import LoadHistory
-from tacgen.contact.effects.registry import (
-    Channel,
-    Effect,
-    Parameters,
-    Variant,
-    amount,
-    reference,
-    register,
-    shape,
-    variant,
-)
+from tacgen.contact.effects import base, kernels
 
 SPREAD = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Widths of the Prandtl-Ishlinskii operator's plays, as shares of its largest."""
+MIN_UNLOADING_SHARE = 0.02
+"""Rows of unloading that a log must have for a way back to show."""
 
 
 def _apply(
-    load: NDArray[np.float64], history: LoadHistory, p: Parameters, channel: Channel
-) -> NDArray[np.float64]:
+    load: base.FloatArray, history: base.LoadHistory, p: base.Parameters, channel: base.Channel
+) -> base.FloatArray:
     """Load plus what the way back adds.
 
     With P the load at its peak so far: ``residual``·(P − F) at any time, ``loop``·F(1 − |F|/|P|)
@@ -63,38 +52,41 @@ def _apply(
     return result
 
 
-def _below(load: NDArray[np.float64], peak: NDArray[np.float64]) -> NDArray[np.float64]:
+def _below(load: base.FloatArray, peak: base.FloatArray) -> base.FloatArray:
     """0 at the peak, where noise alone separates the two, rising to 1 a little below it."""
     size = np.linalg.norm(peak, axis=1, keepdims=True) + 1e-9
     gap = np.linalg.norm(peak - load, axis=1, keepdims=True) / size
     return np.clip(gap / 0.05, 0.0, 1.0)
 
 
-def _apply_normal(
-    load: NDArray[np.float64], history: LoadHistory, p: Parameters
-) -> NDArray[np.float64]:
-    return _apply(load, history, p, "normal")
+def _references(history: base.LoadHistory, channel: base.Channel) -> dict[str, float]:
+    return {"span_n": history.span_n(channel)}
 
 
-def _apply_shear(
-    load: NDArray[np.float64], history: LoadHistory, p: Parameters
-) -> NDArray[np.float64]:
-    return _apply(load, history, p, "shear")
+def _unloads(history: base.LoadHistory, channel: base.Channel) -> bool:
+    return bool(history.reversal(channel)[1].mean() > MIN_UNLOADING_SHARE)
 
 
-def _variants(span_n: float) -> tuple[Variant, ...]:
+def _width_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+    return 0.01 * p["span_n"], 1.2 * p["span_n"]
+
+
+def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
+    span_n = references["span_n"]
     plays = [
-        variant(f"play of {share:g} of the load", [{"play": 0.05}], {"width_n": share * span_n})
+        base.variant(
+            f"play of {share:g} of the load", [{"play": 0.05}], {"width_n": share * span_n}
+        )
         for share in (0.05, 0.2)
     ]
     plays += [
-        variant(
+        base.variant(
             f"plays up to {share:g} of the load", [{"spread": 0.05}], {"width_n": share * span_n}
         )
         for share in (0.3, 0.6, 1.0)
     ]
     frictions = [
-        variant(
+        base.variant(
             f"friction over {share:g} of the load",
             [{"friction": 0.05}],
             {"width_n": share * span_n},
@@ -102,64 +94,37 @@ def _variants(span_n: float) -> tuple[Variant, ...]:
         for share in (0.04, 0.1, 0.25)
     ]
     return (
-        variant("residual", [{"residual": 0.05}]),
-        variant("loop", [{"loop": 0.05}]),
-        variant("jump", [{"jump": 0.05}]),
-        variant("residual and loop", [{"residual": 0.05}, {"loop": 0.05}]),
-        variant("loop and jump", [{"loop": 0.05}, {"jump": 0.05}]),
+        base.variant("residual", [{"residual": 0.05}]),
+        base.variant("loop", [{"loop": 0.05}]),
+        base.variant("jump", [{"jump": 0.05}]),
+        base.variant("residual and loop", [{"residual": 0.05}, {"loop": 0.05}]),
+        base.variant("loop and jump", [{"loop": 0.05}, {"jump": 0.05}]),
         *plays,
         *frictions,
     )
 
 
-def _normal_variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
-    return _variants(history.normal_span_n)
-
-
-def _shear_variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
-    return _variants(history.shear_span_n)
-
-
-def _normal_references(history: LoadHistory) -> dict[str, float]:
-    return {"span_n": history.normal_span_n}
-
-
-def _shear_references(history: LoadHistory) -> dict[str, float]:
-    return {"span_n": history.shear_span_n}
-
-
-_PARAMETERS = (
-    amount("residual", -1.0, 3.0),
-    amount("loop", -1.0, 3.0),
-    amount("jump", -1.0, 3.0),
-    amount("play", -3.0, 3.0),
-    amount("spread", -3.0, 3.0),
-    amount("friction", -3.0, 3.0),
-    shape("width_n", 1e-4, 1e3, 1.0, "N"),
-    reference("span_n", "N"),
-)
-
-register(
-    Effect(
-        name="hysteresis",
-        channel="normal",
-        stage="memory",
-        about="the way back differs from the way in",
-        parameters=_PARAMETERS,
-        apply=_apply_normal,
-        references=_normal_references,
-        variants=_normal_variants,
+for _channel in base.CHANNELS:
+    base.register(
+        base.Effect(
+            name="hysteresis",
+            channel=_channel,
+            stage="memory",
+            about="the way back differs from the way in",
+            parameters=(
+                base.amount("residual", -1.0, 3.0),
+                base.amount("loop", -1.0, 3.0),
+                base.amount("jump", -1.0, 3.0),
+                base.amount("play", -3.0, 3.0),
+                base.amount("spread", -3.0, 3.0),
+                base.amount("friction", -3.0, 3.0),
+                base.shape("width_n", 1e-4, 1e3, 1.0, "N", _width_bounds),
+                base.reference("span_n", "N"),
+            ),
+            apply=partial(_apply, channel=_channel),
+            references=partial(_references, channel=_channel),
+            variants=_variants,
+            kind="memory",
+            is_identifiable=partial(_unloads, channel=_channel),
+        )
     )
-)
-register(
-    Effect(
-        name="hysteresis",
-        channel="shear",
-        stage="memory",
-        about="the way back differs from the way in",
-        parameters=_PARAMETERS,
-        apply=_apply_shear,
-        references=_shear_references,
-        variants=_shear_variants,
-    )
-)

@@ -10,15 +10,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import BoolArray, FloatArray
+
 
 @njit(cache=True)
 def low_pass(
-    values: NDArray[np.float64],
-    time_s: NDArray[np.float64],
+    values: FloatArray,
+    time_s: FloatArray,
     starts: NDArray[np.int64],
     tau_s: float,
     from_rest: bool,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Solution q of τ q' = values − q, exact for values linear between samples.
 
     q starts at 0 (``from_rest``: nothing had been loaded before) or at the first value.
@@ -40,11 +42,11 @@ def low_pass(
 
 @njit(cache=True)
 def delayed(
-    values: NDArray[np.float64],
-    time_s: NDArray[np.float64],
+    values: FloatArray,
+    time_s: FloatArray,
     starts: NDArray[np.int64],
     delay_s: float,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """values(t − delay) by linear interpolation, the ends of each trial held."""
     result = np.empty(values.size)
     for k in range(starts.size - 1):
@@ -56,9 +58,7 @@ def delayed(
 
 
 @njit(cache=True)
-def play(
-    values: NDArray[np.float64], starts: NDArray[np.int64], width: float
-) -> NDArray[np.float64]:
+def play(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
     """The play (backlash) operator of half-width ``width``, starting at rest.
 
     Source
@@ -75,9 +75,7 @@ def play(
 
 
 @njit(cache=True)
-def dahl(
-    values: NDArray[np.float64], starts: NDArray[np.int64], width: float
-) -> NDArray[np.float64]:
+def dahl(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
     """Friction that saturates at ±width exponentially with the way since the last turn.
 
     Source
@@ -97,9 +95,7 @@ def dahl(
 
 
 @njit(cache=True)
-def moving_mean(
-    values: NDArray[np.float64], starts: NDArray[np.int64], reach: int
-) -> NDArray[np.float64]:
+def moving_mean(values: FloatArray, starts: NDArray[np.int64], reach: int) -> FloatArray:
     """Mean over the samples from i − reach to i + reach, symmetric and narrower at the ends."""
     result = np.empty(values.size)
     for k in range(starts.size - 1):
@@ -112,8 +108,8 @@ def moving_mean(
 
 @njit(cache=True)
 def reversal(
-    load: NDArray[np.float64], starts: NDArray[np.int64], margin: float
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    load: FloatArray, starts: NDArray[np.int64], margin: float
+) -> tuple[NDArray[np.int64], BoolArray]:
     """Row of the largest load so far in the trial, and whether the load is on its way back."""
     peak_row = np.empty(load.size, dtype=np.int64)
     unloading = np.zeros(load.size, dtype=np.bool_)

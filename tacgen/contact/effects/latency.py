@@ -1,24 +1,11 @@
 """Latency: the camera's clock and the gauge's are apart, or one of them lags."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects import kernels
-from tacgen.contact.effects.history import LoadHistory
-from tacgen.contact.effects.registry import (
-    Effect,
-    Parameters,
-    Variant,
-    amount,
-    no_references,
-    register,
-    variant,
-)
+from tacgen.contact.effects import base, kernels
 
 
-def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
+def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """The load that the volume answers to: F(t − delay), then a first-order lag."""
     times, starts = history.time_s, history.starts
     values = np.ascontiguousarray(load[:, 0])
@@ -29,28 +16,35 @@ def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> ND
     return values[:, None]
 
 
-def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
+def _bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+    reach_s = max(0.2 * history.trial_duration_s, 4 * history.sample_period_s)
+    return -reach_s, reach_s
+
+
+def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     period = history.sample_period_s
     return (
-        variant("lead or delay", [{"delay_s": period}]),
-        variant("first-order lag", [{"lag_s": period}]),
-        variant("delay and lag", [{"delay_s": period}, {"lag_s": period}]),
+        base.variant("lead or delay", [{"delay_s": period}]),
+        base.variant("first-order lag", [{"lag_s": period}]),
+        base.variant("delay and lag", [{"delay_s": period}, {"lag_s": period}]),
     )
 
 
-register(
-    Effect(
+base.register(
+    base.Effect(
         name="latency",
         channel="normal",
         stage="input",
         about="the volume comes later (or earlier) than the force",
         parameters=(
-            amount("delay_s", -2.0, 2.0, "s"),
-            amount("lag_s", 0.0, 2.0, "s"),
+            base.amount("delay_s", -2.0, 2.0, "s", bounds=_bounds),
+            base.amount("lag_s", 0.0, 2.0, "s", bounds=_bounds),
         ),
         apply=_apply,
-        references=no_references,
         variants=_variants,
+        kind="memory",
         in_simulation=False,
+        shown_against="load_rate",
+        separated_by={"hysteresis": "load and unload at two speeds: a delay grows with it"},
     )
 )

@@ -1,24 +1,13 @@
 """Saturation: there is a volume beyond which the sensor shows no more."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects.history import LoadHistory
-from tacgen.contact.effects.registry import (
-    Effect,
-    Parameters,
-    Variant,
-    amount,
-    reference,
-    register,
-    shape,
-    variant,
-)
+from tacgen.contact.effects import base
 
 
-def _apply(volume: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
+def _apply(
+    volume: base.FloatArray, history: base.LoadHistory, p: base.Parameters
+) -> base.FloatArray:
     """V / (1 + |V/limit|^sharpness)^(1/sharpness): the limit itself for a sharp one."""
     if not np.isfinite(p["limit_mm3"]):
         return volume.copy()
@@ -28,15 +17,15 @@ def _apply(volume: NDArray[np.float64], history: LoadHistory, p: Parameters) -> 
     return volume * damp
 
 
-def _references(history: LoadHistory) -> dict[str, float]:
-    return {}
+def _limit_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+    return 0.4 * p["span_mm3"], 5.0 * p["span_mm3"]
 
 
-def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
-    """Limits are shares of the largest volume, which the fit knows as ``span_mm3``."""
+def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
+    """Limits are shares of the span of the volume."""
     span = references["span_mm3"]
     return tuple(
-        variant(
+        base.variant(
             f"limit at {share:g} of the range, sharpness {sharpness:g}",
             [{"limit_mm3": share * span}],
             {"sharpness": sharpness},
@@ -53,19 +42,18 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
     )
 
 
-register(
-    Effect(
+base.register(
+    base.Effect(
         name="saturation",
         channel="normal",
         stage="output",
         about="the volume does not grow beyond a limit",
         parameters=(
-            amount("limit_mm3", 1e-6, np.inf, "mm3", identity=np.inf),
-            shape("sharpness", 1.5, 60.0, 6.0),
-            reference("span_mm3", "mm3"),
+            base.amount("limit_mm3", 1e-6, np.inf, "mm3", np.inf, _limit_bounds),
+            base.shape("sharpness", 1.5, 60.0, 6.0),
+            base.reference("span_mm3", "mm3", of_response=True),
         ),
         apply=_apply,
-        references=_references,
         variants=_variants,
     )
 )

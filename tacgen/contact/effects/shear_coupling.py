@@ -1,25 +1,14 @@
 """Shear coupling: pulling sideways changes the volume that the same normal force presses in."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects.history import LoadHistory
-from tacgen.contact.effects.registry import (
-    Effect,
-    Parameters,
-    Variant,
-    amount,
-    reference,
-    register,
-    shape,
-    variant,
-)
-from tacgen.contact.effects.shapes import with_gain
+from tacgen.contact.effects import base
+
+MIN_SHEAR_SHARE = 0.01
+"""A shear force below this share of the normal one is the gauge's misalignment."""
 
 
-def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
+def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Gain by a power of |F_s|/F_n, by a power of |F_s|, and force leaking from |F_s|, x and y."""
     shear = history.shear_size_n
     relative = np.zeros(history.n_samples)
@@ -30,10 +19,10 @@ def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> ND
     if p["size"] != 0.0:
         relative = relative + p["size"] * (shear / p["reference_n"]) ** p["exponent"]
     leak = p["leak"] * shear + history.force_shear_n @ np.array([p["leak_x"], p["leak_y"]])
-    return with_gain(load, relative) + leak[:, None]
+    return base.with_gain(load, relative) + leak[:, None]
 
 
-def _references(history: LoadHistory) -> dict[str, float]:
+def _references(history: base.LoadHistory) -> dict[str, float]:
     floor = 0.05 * history.normal_span_n
     ratio = history.shear_size_n / np.maximum(history.normal_smooth_n, floor)
     high = float(np.quantile(ratio, 0.98)) if ratio.size else 1.0
@@ -44,37 +33,39 @@ def _references(history: LoadHistory) -> dict[str, float]:
     }
 
 
-def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
+def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     return (
-        variant("ratio", [{"ratio": 0.05}], {"exponent": 1.0}),
-        variant("ratio squared", [{"ratio": 0.05}], {"exponent": 2.0}),
-        variant("shear", [{"size": 0.05}], {"exponent": 1.0}),
-        variant("shear squared", [{"size": 0.05}], {"exponent": 2.0}),
-        variant("added", [{"leak": 0.02}]),
-        variant("leaking from x and y", [{"leak_x": 0.02}, {"leak_y": 0.02}]),
+        base.variant("ratio", [{"ratio": 0.05}], {"exponent": 1.0}),
+        base.variant("ratio squared", [{"ratio": 0.05}], {"exponent": 2.0}),
+        base.variant("shear", [{"size": 0.05}], {"exponent": 1.0}),
+        base.variant("shear squared", [{"size": 0.05}], {"exponent": 2.0}),
+        base.variant("added", [{"leak": 0.02}]),
+        base.variant("leaking from x and y", [{"leak_x": 0.02}, {"leak_y": 0.02}]),
     )
 
 
-register(
-    Effect(
+base.register(
+    base.Effect(
         name="shear_coupling",
         channel="normal",
         stage="gain",
         about="shear changes the volume",
         parameters=(
-            amount("ratio", -3.0, 5.0),
-            amount("size", -3.0, 5.0),
-            amount("leak", -3.0, 3.0),
-            amount("leak_x", -3.0, 3.0),
-            amount("leak_y", -3.0, 3.0),
-            shape("exponent", 0.5, 4.0, 2.0),
-            reference("ratio_reference", "1"),
-            reference("reference_n", "N"),
-            reference("floor_n", "N"),
+            base.amount("ratio", -3.0, 5.0),
+            base.amount("size", -3.0, 5.0),
+            base.amount("leak", -3.0, 3.0),
+            base.amount("leak_x", -3.0, 3.0),
+            base.amount("leak_y", -3.0, 3.0),
+            base.shape("exponent", 0.5, 4.0, 2.0),
+            base.reference("ratio_reference", "1"),
+            base.reference("reference_n", "N"),
+            base.reference("floor_n", "N"),
         ),
         apply=_apply,
         references=_references,
         variants=_variants,
         needs=("force_shear_x_n", "force_shear_y_n"),
+        is_identifiable=lambda h: h.shear_span_n > MIN_SHEAR_SHARE * h.normal_span_n,
+        shown_against="shear_force",
     )
 )

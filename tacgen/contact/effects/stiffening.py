@@ -1,25 +1,14 @@
 """Stiffening: the compliance changes with the load, either way."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects.history import LoadHistory
-from tacgen.contact.effects.registry import (
-    Effect,
-    Parameters,
-    Variant,
-    amount,
-    reference,
-    register,
-    shape,
-    variant,
-)
-from tacgen.contact.effects.shapes import power_shape, with_gain
+from tacgen.contact.effects import base
+
+LIMIT_EXPONENT = 1.5
+"""Softening by a higher power of the load is a limit: half-way between a line and a parabola."""
 
 
-def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> NDArray[np.float64]:
+def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Compliance 1 + amount·b + curvature·b², b the power shape of |F| / reference.
 
     Source
@@ -27,21 +16,21 @@ def _apply(load: NDArray[np.float64], history: LoadHistory, p: Parameters) -> ND
     A finite layer under a ball and a hyperelastic gel both bend V(F) by a power of the load;
     Johnson 1985, Contact Mechanics, §5.8.
     """
-    bend = power_shape(np.abs(load[:, 0]) / p["reference_n"], p["exponent"])
-    return with_gain(load, p["amount"] * bend + p["curvature"] * bend**2)
+    bend = base.power_shape(np.abs(load[:, 0]) / p["reference_n"], p["exponent"])
+    return base.with_gain(load, p["amount"] * bend + p["curvature"] * bend**2)
 
 
-def _references(history: LoadHistory) -> dict[str, float]:
+def _references(history: base.LoadHistory) -> dict[str, float]:
     return {"reference_n": history.normal_span_n}
 
 
-def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
+def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     single = [
-        variant(f"power {exponent:g}", [{"amount": 0.05}], {"exponent": exponent})
+        base.variant(f"power {exponent:g}", [{"amount": 0.05}], {"exponent": exponent})
         for exponent in (-0.2, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0)
     ]
     curved = [
-        variant(
+        base.variant(
             f"power {exponent:g}, curved",
             [{"amount": 0.05}, {"curvature": 0.05}],
             {"exponent": exponent},
@@ -52,20 +41,43 @@ def _variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ..
     return (*single, *curved)
 
 
-register(
-    Effect(
+def _or_saturation(tie: base.Tie) -> base.FittedForm:
+    """Where stiffening and saturation predict equally well, decide by where the bend sits.
+
+    A limit bends the curve at its end: as a change of compliance it goes with a higher power of
+    the load than ``LIMIT_EXPONENT``; a softening that is spread over the range does not.
+    """
+    bends, limits = tie.forms("stiffening"), tie.forms("saturation")
+    powers = [form for form in bends if "exponent" in form.fitted]
+    if not powers or not limits:
+        return tie.found
+    power, bend, limit = (min(f, key=lambda form: form.loss) for f in (powers, bends, limits))
+    if abs(limit.lead_in_se(bend)) > tie.max_lead_in_se:
+        return tie.found
+    is_limit = power.values["amount"] < 0 and power.values["exponent"] > LIMIT_EXPONENT
+    return limit if is_limit else bend
+
+
+base.register(
+    base.Effect(
         name="stiffening",
         channel="normal",
         stage="elastic",
         about="the compliance changes with the load",
         parameters=(
-            amount("amount", -3.0, 5.0),
-            amount("curvature", -5.0, 5.0),
-            shape("exponent", -0.4, 5.0, 1.0),
-            reference("reference_n", "N"),
+            base.amount("amount", -3.0, 5.0),
+            base.amount("curvature", -5.0, 5.0),
+            base.shape("exponent", -0.4, 5.0, 1.0),
+            base.reference("reference_n", "N"),
         ),
         apply=_apply,
         references=_references,
         variants=_variants,
+        separated_by={
+            "saturation": "press harder: a limit stays, stiffening goes on",
+            "zero_offset": "record some seconds without contact",
+            "geometry": "press every ball with the same range of forces",
+        },
+        tie_breaks={"saturation": _or_saturation},
     )
 )

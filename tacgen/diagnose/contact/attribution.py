@@ -15,9 +15,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
-from tacgen.diagnose.contact.exchanges import Exchanger, best_of_each, lead_in_se
+from tacgen.diagnose.contact.exchanges import Exchanger, best_of_each
 from tacgen.diagnose.contact.model import Model
 from tacgen.diagnose.contact.ranking import (
     ALPHA,
@@ -82,15 +83,15 @@ class Tracer(Exchanger):
             if current.key in visited:
                 break
             visited.add(current.key)
-        current = self._first_presses(self._bend_or_limit(self._prune(current)))
+        current = self._break_ties(self._prune(current))
         return Attribution(base, current, self._describe(current), ranking or (), left)
 
     def _extend(
         self,
         current: Ranked,
         pool: list[Candidate],
-        p_values: NDArray[np.float64],
-        losses: NDArray[np.float64],
+        p_values: FloatArray,
+        losses: FloatArray,
     ) -> Ranked | None:
         """The best model with one or two members more; None if nothing is significant."""
         order = np.argsort(losses.sum(axis=1))
@@ -185,7 +186,7 @@ class Tracer(Exchanger):
         return ranked
 
     def _best_covariate(
-        self, current: Ranked, pool: list[Candidate], losses: NDArray[np.float64]
+        self, current: Ranked, pool: list[Candidate], losses: FloatArray
     ) -> tuple[str, float]:
         """Name and share of the best candidate that is no effect."""
         gains = (current.loss - losses.sum(axis=1)) / self._total(current)
@@ -197,8 +198,8 @@ class Tracer(Exchanger):
         self,
         current: Ranked,
         pool: list[Candidate],
-        p_values: NDArray[np.float64],
-        losses: NDArray[np.float64],
+        p_values: FloatArray,
+        losses: FloatArray,
     ) -> tuple[tuple[str, float, float], ...]:
         """(label, gain of held-out RMSE, p) of the best variant of each name, best first."""
         seen: set[str] = set()
@@ -222,7 +223,7 @@ class Tracer(Exchanger):
             ]
             rivals.sort(key=lambda r: r.loss)
             runner = rivals[0] if rivals else None
-            close = [r.members[-1].name for r in rivals if lead_in_se(final, r) < 2.0]
+            close = [r.members[-1].name for r in rivals if final.lead_in_se(r) < 2.0]
             confusable = tuple(dict.fromkeys(close))
             described.append(
                 Chosen(
@@ -235,7 +236,7 @@ class Tracer(Exchanger):
                         if runner
                         else np.inf
                     ),
-                    margin_in_se=lead_in_se(final, runner) if runner else np.inf,
+                    margin_in_se=final.lead_in_se(runner) if runner else np.inf,
                     confusable=confusable,
                 )
             )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, Variant, all_effects
 from tacgen.contact.law import respond
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.covariates import Nuisance, numeric_nuisances, text_nuisances
 from tacgen.diagnose.contact.model import Fit, Model, references_of
@@ -31,7 +32,7 @@ class Candidate:
     """A variant of an effect, or a nuisance, and its reduced columns (R, M)."""
 
     name: str
-    columns: NDArray[np.float64]
+    columns: FloatArray
     effect: Effect | None = None
     variant: Variant | None = None
     nuisance: Nuisance | None = None
@@ -63,29 +64,11 @@ class Candidate:
 
 def usable_effects(data: ChannelData) -> list[Effect]:
     """Effects of the channel whose columns the log has and in which it varies."""
-    return [e for e in all_effects() if e.channel == data.channel and _is_usable(e, data)]
-
-
-def _is_usable(effect: Effect, data: ChannelData) -> bool:
-    history = data.history
-    if not history.has(*effect.needs):
-        return False
-    if effect.name == "temperature":
-        return _varies(history.column("temperature_c"))
-    if effect.name == "position":
-        return _varies(history.column("x_mm")) or _varies(history.column("y_mm"))
-    if effect.name == "shear_coupling":
-        return history.shear_span_n > 0.01 * history.normal_span_n
-    if effect.name in ("drift", "conditioning"):
-        return history.n_trials >= 6
-    if effect.name == "hysteresis":
-        return bool(history.reversal(data.channel)[1].mean() > 0.02)
-    return True
-
-
-def _varies(values: NDArray[np.float64]) -> bool:
-    finite = values[np.isfinite(values)]
-    return bool(finite.size and np.ptp(finite) > 1e-9 * (1.0 + np.abs(finite).max()))
+    return [
+        effect
+        for effect in all_effects()
+        if effect.channel == data.channel and effect.can_act_on(data.history)
+    ]
 
 
 def effect_candidates(
@@ -147,7 +130,7 @@ def follows_load(data: ChannelData, name: str) -> bool:
     must not be excused by it.
     """
     history = data.history
-    values: NDArray[np.float64] = np.nan_to_num(history.column(name)).astype(np.float64)
+    values: FloatArray = np.nan_to_num(history.column(name)).astype(np.float64)
     load = history.force_normal_n / history.normal_span_n
     _, unloading = history.reversal("normal")
     time = history.time_in_trial_s / max(float(history.time_in_trial_s.max()), 1e-9)
@@ -164,7 +147,7 @@ def follows_load(data: ChannelData, name: str) -> bool:
     return float(left @ left) < MAX_SHARE_BESIDE_LOAD * total
 
 
-def _within(values: NDArray[np.float64], trial_index: NDArray[np.int64]) -> NDArray[np.float64]:
+def _within(values: FloatArray, trial_index: NDArray[np.int64]) -> FloatArray:
     """Values less their trial's mean."""
-    mean: NDArray[np.float64] = np.bincount(trial_index, values) / np.bincount(trial_index)
+    mean: FloatArray = np.bincount(trial_index, values) / np.bincount(trial_index)
     return values - mean[trial_index]

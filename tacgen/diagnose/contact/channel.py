@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tacgen.contact.effects import Channel, LoadHistory
 from tacgen.contact.effects.kernels import moving_mean
+from tacgen.core.arrays import BoolArray, FloatArray
 
 TARGETS: dict[Channel, tuple[str, ...]] = {
     "normal": ("volume_mm3",),
@@ -63,10 +64,10 @@ class ChannelData:
     channel: Channel
     history: LoadHistory
     columns: Columns
-    target: NDArray[np.float64]
+    target: FloatArray
     noise: float
     n_samples: int
-    weight: NDArray[np.float64]
+    weight: FloatArray
     pairs: NDArray[np.int64]
     pair_unit: NDArray[np.int64]
 
@@ -99,13 +100,11 @@ class ChannelData:
         """Sum of squares of the noise alone, on the scale of a sum over pairs."""
         return 0.5 * self.noise**2 * self.n_samples * self.n_outputs
 
-    def reduce(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reduce(self, values: FloatArray) -> FloatArray:
         """``values`` (N, C) times the root of their weight, as (N·C,)."""
         return (values * np.sqrt(self.weight)[:, None]).ravel()
 
-    def halves(
-        self, reduced: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    def halves(self, reduced: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """Rows A and B of ``reduced`` (N·C, …), each (M·C, …), and the unit of each."""
         shaped = reduced.reshape(-1, self.n_outputs, *reduced.shape[1:])
         flat = (-1, *reduced.shape[1:])
@@ -137,8 +136,8 @@ def channel_data(columns: Columns, channel: Channel, *, rows_per_trial: int = 0)
 
 
 def _thinned(
-    columns: Columns, history: LoadHistory, precision: NDArray[np.float64], rows: int
-) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64]]:
+    columns: Columns, history: LoadHistory, precision: FloatArray, rows: int
+) -> tuple[dict[str, NDArray[Any]], FloatArray]:
     """Means over neighbouring samples so that a trial has at most ``rows`` rows, in order."""
     starts = [
         np.arange(first, stop, max(1, int(np.ceil((stop - first) / rows))), dtype=np.int64)
@@ -174,8 +173,8 @@ def _pairs(starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def noise_and_weight(
-    rough: NDArray[np.float64], load: NDArray[np.float64], starts: NDArray[np.int64]
-) -> tuple[float, NDArray[np.float64]]:
+    rough: FloatArray, load: FloatArray, starts: NDArray[np.int64]
+) -> tuple[float, FloatArray]:
     """Noise of one sample, and each sample's precision, from differences along each trial.
 
     Second differences do not see what varies slowly. Their square is fitted by a + b·load², so
@@ -198,9 +197,7 @@ def noise_and_weight(
     return max(noise, 1e-12), weight
 
 
-def _precision(
-    square: NDArray[np.float64], load: NDArray[np.float64], everywhere: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _precision(square: FloatArray, load: FloatArray, everywhere: FloatArray) -> FloatArray:
     """1/variance by a + b·load², the mean at 1 and the ratio of extremes at most 25."""
     from scipy.optimize import nnls
 
@@ -213,9 +210,7 @@ def _precision(
     return weight / weight.mean()
 
 
-def _spikes(
-    rough: NDArray[np.float64], starts: NDArray[np.int64], noise: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _spikes(rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray) -> BoolArray:
     """Single samples far from the median of their neighbours on both sides."""
     sticks = np.zeros(rough.shape[0], dtype=bool)
     for first, stop in pairwise(starts):
@@ -231,7 +226,7 @@ def _spikes(
     return sticks
 
 
-def _smoothed(values: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
+def _smoothed(values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
     """Means (N, C) over nine neighbouring samples of a trial."""
     parts = [
         moving_mean(np.ascontiguousarray(values[:, k]), starts, 4) for k in range(values.shape[1])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 
 MAX_LEVELS_IF_FEW = 4
@@ -57,7 +57,7 @@ class Nuisance:
         power = f", degree {self.degree}" if self.kind == "polynomial" else ""
         return f"{self.covariate} ({self.how}{power})"
 
-    def basis(self, data: ChannelData) -> list[NDArray[np.float64]]:
+    def basis(self, data: ChannelData) -> list[FloatArray]:
         """Functions of the covariate, each (N,)."""
         if self.kind == "levels":
             text = data.history.text(self.covariate)
@@ -69,9 +69,7 @@ class Nuisance:
         scaled = np.nan_to_num((values - self.center) / self.scale, nan=0.0)
         return [scaled**power for power in range(1, self.degree + 1)]
 
-    def columns(
-        self, data: ChannelData, response: NDArray[np.float64]
-    ) -> list[NDArray[np.float64]]:
+    def columns(self, data: ChannelData, response: FloatArray) -> list[FloatArray]:
         """Columns (N, C) of the linear model, scaled by the response or by its span."""
         if self.how == "gain":
             return [basis[:, None] * response for basis in self.basis(data)]

@@ -6,10 +6,10 @@ It is a yardstick and never the answer: it has no physics, and its error is only
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.residuals import covariates_of
 
@@ -17,7 +17,7 @@ MAX_ROWS = 700
 LENGTHS = (1.0, 2.0, 4.0)
 
 
-def features(data: ChannelData) -> NDArray[np.float64]:
+def features(data: ChannelData) -> FloatArray:
     """Numeric covariates (N, D) and text ones as levels; NaN as the mean."""
     columns = []
     for values in covariates_of(data).values():
@@ -31,9 +31,9 @@ def features(data: ChannelData) -> NDArray[np.float64]:
 
 def gp_rmse(
     fit_data: ChannelData,
-    fit_residual: NDArray[np.float64],
+    fit_residual: FloatArray,
     test_data: ChannelData,
-    test_residual: NDArray[np.float64],
+    test_residual: FloatArray,
     rng: np.random.Generator,
 ) -> float:
     """RMS that is left of the test residual after a GP learned the fit residual.
@@ -55,9 +55,7 @@ def gp_rmse(
     return float(np.sqrt((left**2).mean()))
 
 
-def _predict(
-    x: NDArray[np.float64], y: NDArray[np.float64], test: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _predict(x: FloatArray, y: FloatArray, test: FloatArray) -> FloatArray:
     squared = cdist(x, x, "sqeuclidean")
     best, chosen = -np.inf, None
     variance = float(y.var()) or 1e-12

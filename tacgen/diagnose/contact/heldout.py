@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import Columns
 
 TEST_SHARE = 4
@@ -23,7 +24,7 @@ class Errors:
 
     rmse: float
     nrmse: float
-    squares: NDArray[np.float64]
+    squares: FloatArray
     counts: NDArray[np.int64]
 
 
@@ -46,12 +47,12 @@ def test_trials(columns: Columns, rng: np.random.Generator) -> NDArray[Any]:
     return np.asarray(chosen)
 
 
-def select(columns: Columns, mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+def select(columns: Columns, mask: BoolArray) -> dict[str, NDArray[Any]]:
     """The rows of ``columns`` where ``mask`` holds."""
     return {name: np.asarray(values)[mask] for name, values in columns.items()}
 
 
-def errors(residual: NDArray[np.float64], trial: NDArray[np.float64], scale: float) -> Errors:
+def errors(residual: FloatArray, trial: FloatArray, scale: float) -> Errors:
     """Errors of a residual (N, C): RMS over samples and outputs, and the same over ``scale``."""
     square = (residual**2).mean(axis=1)
     _, inverse = np.unique(trial, return_inverse=True)

@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects import Effect, Variant
+from tacgen.contact.effects import Effect, Parameter, Variant
 from tacgen.contact.law import respond
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import Nuisance
 
 MAX_STEPS = 25
 MAX_LOG_STEP = 0.5
-_GEOMETRIC = ("s", "N", "mm3", "trials")
-"""Units of shapes and limits that are searched on a logarithmic scale."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +56,12 @@ class Model:
         """Number of fitted parameters, the compliance included."""
         return 1 + sum(len(t.variant.free) for t in self.terms) + len(self.coefficients)
 
-    def law_response(self, data: ChannelData) -> NDArray[np.float64]:
+    def law_response(self, data: ChannelData) -> FloatArray:
         """What the law alone predicts, (N, C), in the history's order."""
         acting = [(term.effect, term.values) for term in self.terms]
         return respond(data.history, data.channel, self.compliance, acting)
 
-    def response(self, data: ChannelData) -> NDArray[np.float64]:
+    def response(self, data: ChannelData) -> FloatArray:
         """The law and the nuisances, (N, C)."""
         result = self.law_response(data)
         if not self.nuisances:
@@ -85,8 +83,8 @@ class Fit:
     """
 
     model: Model
-    residual: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
+    residual: FloatArray
+    jacobian: FloatArray
 
     @property
     def loss(self) -> float:
@@ -96,10 +94,8 @@ class Fit:
 
 def references_of(effect: Effect, data: ChannelData) -> dict[str, float]:
     """Reference values of an effect on this log."""
-    references = effect.references(data.history)
-    if effect.parameter("span_mm3") is not None:
-        references["span_mm3"] = data.span
-    return references
+    of_response = {p.name: data.span for p in effect.parameters if p.of_response}
+    return effect.references(data.history) | of_response
 
 
 def start_term(
@@ -227,8 +223,10 @@ class _Space:
         lows[0] = 1e-3
         for index, term in enumerate(model.terms):
             for name in term.variant.free:
-                scale, logarithmic = _scale_of(term, name)
-                low, high = _bounds_of(term, name, data)
+                parameter = _parameter(term, name)
+                logarithmic = parameter.is_logarithmic
+                scale = 1.0 if logarithmic else _probed(term, name)
+                low, high = parameter.bounds_on(data.history, term.values)
                 value = float(np.clip(term.values[name], low, high))
                 self._slots.append((index, name, scale, logarithmic))
                 mapped = [np.log(v) if logarithmic else v / scale for v in (value, low, high)]
@@ -251,7 +249,7 @@ class _Space:
         """Term and parameter of each number after the first."""
         return [(index, name) for index, name, _, _ in self._slots]
 
-    def natural_scale(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def natural_scale(self, vector: FloatArray) -> FloatArray:
         """d(parameter)/d(number) at ``vector``, in the parameters' own units."""
         scale = np.ones(vector.size)
         scale[0] = self._compliance_scale
@@ -259,19 +257,17 @@ class _Space:
             scale[i] = np.exp(vector[i]) if logarithmic else size
         return scale
 
-    def clip(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def clip(self, vector: FloatArray) -> FloatArray:
         """``vector`` within the bounds."""
         return np.clip(vector, self._low, self._high)
 
-    def inner(
-        self, vector: NDArray[np.float64], gradient: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
+    def inner(self, vector: FloatArray, gradient: FloatArray) -> BoolArray:
         """Which numbers no bound holds; ``gradient`` is the direction of descent."""
         held_low = (vector <= self._low) & (gradient <= 0)
         held_high = (vector >= self._high) & (gradient >= 0)
         return ~(held_low | held_high)
 
-    def model(self, vector: NDArray[np.float64]) -> Model:
+    def model(self, vector: FloatArray) -> Model:
         """The model that ``vector`` stands for."""
         values: list[dict[str, float]] = [dict(t.values) for t in self._template.terms]
         for number, (index, name, scale, logarithmic) in zip(vector[1:], self._slots, strict=False):
@@ -285,9 +281,7 @@ class _Space:
             self._template, compliance=compliance, terms=terms, coefficients=coefficients
         )
 
-    def jacobian(
-        self, vector: NDArray[np.float64], response: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def jacobian(self, vector: FloatArray, response: FloatArray) -> FloatArray:
         """d(reduced response)/d(vector) (R, P) by forward differences, inwards at a bound."""
         columns = []
         for i in range(vector.size):
@@ -299,47 +293,15 @@ class _Space:
         return np.stack(columns, axis=1)
 
 
-def _scale_of(term: Term, name: str) -> tuple[float, bool]:
+def _parameter(term: Term, name: str) -> Parameter:
     parameter = term.effect.parameter(name)
     assert parameter is not None  # free parameters are the effect's own
-    is_limit = np.isinf(parameter.identity)
-    if parameter.low > 0 and (is_limit or parameter.unit in _GEOMETRIC):
-        return 1.0, True
+    return parameter
+
+
+def _probed(term: Term, name: str) -> float:
+    """The size at which a parameter is probed: that of a number of its kind."""
     for probe in term.variant.probes:
         if name in probe:
-            return abs(probe[name]) or 1.0, False
-    return 1.0, False
-
-
-def _bounds_of(term: Term, name: str, data: ChannelData) -> tuple[float, float]:
-    parameter = term.effect.parameter(name)
-    assert parameter is not None  # free parameters are the effect's own
-    low, high = parameter.low, parameter.high
-    if name in ("tau_s", "tau_2_s"):
-        duration, period = trial_duration_s(data), data.history.sample_period_s
-        low, high = max(low, 4.0 * period, 0.02 * duration), min(high, 5.0 * duration)
-    if name == "limit_mm3":
-        low, high = 0.4 * data.span, 5.0 * data.span
-    if name == "gross_mu":
-        reference = term.values["ratio_reference"]
-        low, high = 0.2 * reference, 4.0 * reference
-    if name == "width_n":
-        span = term.values["span_n"]
-        low, high = 0.01 * span, 1.2 * span
-    if name == "trials":
-        high = min(high, max(5.0, 0.22 * session_trials(data)))
-    if name in ("delay_s", "lag_s"):
-        reach = max(0.2 * trial_duration_s(data), 4 * data.history.sample_period_s)
-        low, high = max(low, -reach), min(high, reach)
-    return low, high
-
-
-def trial_duration_s(data: ChannelData) -> float:
-    """Median duration of a trial."""
-    ends = data.history.time_in_trial_s[data.history.starts[1:] - 1]
-    return max(float(np.median(ends)), data.history.sample_period_s)
-
-
-def session_trials(data: ChannelData) -> float:
-    """Trials of the session by their numbers, those that are held out included."""
-    return float(np.ptp(data.history.trial)) + 1.0
+            return abs(probe[name]) or 1.0
+    return 1.0

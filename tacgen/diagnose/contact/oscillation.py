@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import MIN_TRIALS_AS_UNITS, ChannelData
 from tacgen.diagnose.contact.covariates import HOWS, How, Nuisance
-from tacgen.diagnose.contact.model import Fit, trial_duration_s
+from tacgen.diagnose.contact.model import Fit
 
 MIN_CYCLES = 1.5
 """Slower than this within the session is a drift, not an oscillation."""
@@ -49,12 +50,12 @@ def search_clock(data: ChannelData) -> _Clock:
     ticks = np.rint(time / tick).astype(np.int64)
     n_points = next_fast_len(2 * int(ticks.max() + 1), real=True)
     few = data.history.n_trials < MIN_TRIALS_AS_UNITS
-    slowest = trial_duration_s(data) if few else session
+    slowest = data.history.trial_duration_s if few else session
     first = int(np.ceil(MIN_CYCLES * n_points * tick / slowest))
     return _Clock(ticks, tick, n_points, first, n_points // POINTS_PER_PERIOD)
 
 
-def find_waves(data: ChannelData, fit: Fit, signs: NDArray[np.float64]) -> list[Nuisance]:
+def find_waves(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Nuisance]:
     """The best frequency for an oscillation of the compliance, and for an added one.
 
     ``signs`` (F, n_units) flip the residual of whole units; how high the highest of all peaks
@@ -90,8 +91,8 @@ def find_waves(data: ChannelData, fit: Fit, signs: NDArray[np.float64]) -> list[
 
 
 def _products(
-    data: ChannelData, fit: Fit, response: NDArray[np.float64], how: How
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    data: ChannelData, fit: Fit, response: FloatArray, how: How
+) -> list[tuple[FloatArray, FloatArray]]:
     """Amplitude times residual, and its square, of each row (N,): added ones for each output."""
     size = response if how == "gain" else np.full_like(response, 0.1 * data.span)
     amplitude = data.reduce(size).reshape(-1, data.n_outputs)
@@ -101,7 +102,7 @@ def _products(
     return [(product[:, k], square[:, k]) for k in range(data.n_outputs)]
 
 
-def _row_signs(data: ChannelData, signs: NDArray[np.float64]) -> NDArray[np.float64]:
+def _row_signs(data: ChannelData, signs: FloatArray) -> FloatArray:
     """Signs (N, F + 1) of every row, the first column without a flip."""
     unit = np.zeros(data.history.n_samples, dtype=np.int64)
     unit[data.pairs[0]] = data.pair_unit
@@ -112,10 +113,10 @@ def _row_signs(data: ChannelData, signs: NDArray[np.float64]) -> NDArray[np.floa
 
 def _powers(
     clock: _Clock,
-    product: NDArray[np.float64],
-    square: NDArray[np.float64],
-    signs: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    product: FloatArray,
+    square: FloatArray,
+    signs: FloatArray,
+) -> FloatArray:
     """Sum of squares that a wave of each frequency takes, for each flip: (frequencies, F + 1)."""
     wave = np.stack(
         [_spectrum(clock, product * flip)[clock.first : clock.stop] for flip in signs.T]
@@ -124,17 +125,17 @@ def _powers(
     return _taken(wave.T, double[:, None], float(square.sum()))
 
 
-def _spectrum(clock: _Clock, values: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _spectrum(clock: _Clock, values: FloatArray) -> NDArray[np.complex128]:
     on_clock = np.bincount(clock.ticks, values, minlength=clock.n_points)
     return rfft(on_clock)
 
 
 def _power_at(
-    frequencies: NDArray[np.float64],
-    time: NDArray[np.float64],
-    product: NDArray[np.float64],
-    square: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    frequencies: FloatArray,
+    time: FloatArray,
+    product: FloatArray,
+    square: FloatArray,
+) -> FloatArray:
     """``_powers`` at frequencies of one's own (F,), at the rows' exact times."""
     phase = np.exp(-2j * np.pi * np.outer(frequencies, time))
     return _taken(phase @ product, phase**2 @ square, float(square.sum()))
@@ -142,7 +143,7 @@ def _power_at(
 
 def _taken(
     wave: NDArray[np.complex128], double: NDArray[np.complex128], total: float
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """What a cosine and a sine take together, from sums of products with both."""
     cos_cos, sin_sin, cos_sin = (
         (total + double.real) / 2,
@@ -154,7 +155,7 @@ def _taken(
     return (sin_sin * a**2 - 2 * cos_sin * a * b + cos_cos * b**2) / determinant
 
 
-def _gumbel_p(observed: float, null: NDArray[np.float64]) -> float:
+def _gumbel_p(observed: float, null: FloatArray) -> float:
     """Return the p of a largest value by the Gumbel law that has the null's moments."""
     if null.size < 2:
         return 1.0

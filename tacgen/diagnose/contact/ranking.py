@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.contact.effects import Effect
+from tacgen.contact.effects import Effect, lead_in_se
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
@@ -38,7 +38,6 @@ PAIRS_FITTED = 8
 FORM_SHARE, OTHER_SHARE = 0.06, 0.02
 """An effect worth less than this share of another of the same kind, a quarter in amplitude, is not
 told from that other one's true form being a little different; less for one of another kind."""
-MEMORY = frozenset({"creep", "hysteresis", "latency"})
 THIRD_MEMORY_SHARE = 0.15
 """The same for one of these beside both others: what follows the course of the load in three ways
 at once is, more often, two whose true forms are others."""
@@ -52,10 +51,6 @@ CLEAR_SHARE, CLEAR_GAIN, CLEAR_ALPHA = 0.5, 0.2, 0.02
 believed at a p of 0.02 before correction: shuffles of a dozen trials cannot say less."""
 COEFFICIENTS_PER_TRIAL = 1 / 3
 """Most coefficients of a candidate that has one number a trial, for each trial."""
-BETWEEN_TRIALS = frozenset(
-    {"drift", "conditioning", "temperature", "position", "geometry", "time_s"}
-)
-LIMIT_EXPONENT = 1.5
 TIE_IN_SE = 2.5
 PAIRS_SCORED = 60
 PAIR_SHARE = 0.85
@@ -70,7 +65,7 @@ class Ranked:
 
     members: tuple[Candidate, ...]
     fit: Fit
-    unit_losses: NDArray[np.float64]
+    unit_losses: FloatArray
 
     @property
     def loss(self) -> float:
@@ -81,6 +76,10 @@ class Ranked:
     def key(self) -> frozenset[str]:
         """Names of the members."""
         return frozenset(member.name for member in self.members)
+
+    def lead_in_se(self, other: Ranked) -> float:
+        """By how many standard errors over units it predicts better than ``other``."""
+        return lead_in_se(self.unit_losses, other.unit_losses)
 
 
 class Ranker:
@@ -96,7 +95,7 @@ class Ranker:
     ) -> None:
         self.data = data
         self.effects: list[Effect] = [
-            e for e in cand.usable_effects(data) if session_clock or e.name != "drift"
+            e for e in cand.usable_effects(data) if session_clock or not e.needs_session_clock
         ]
         self.nuisances: list[Nuisance] = cand.covariate_nuisances(data, skip)
         self.session_clock = session_clock
@@ -134,7 +133,7 @@ class Ranker:
 
     def _pool(
         self, current: Ranked, *, new_waves: bool = False
-    ) -> tuple[list[Candidate], NDArray[np.float64]]:
+    ) -> tuple[list[Candidate], FloatArray]:
         """Candidates beside ``current`` and the losses they leave on held-out units."""
         fit, taken = current.fit, current.key
         effects = [e for e in self.effects if e.name not in taken]
@@ -166,7 +165,7 @@ class Ranker:
         least = max(CLEAR_SHARE * without.loss, CLEAR_GAIN * self._total(without))
         return not self.few and p_value <= CLEAR_ALPHA and gain > least
 
-    def _p_values(self, current: Ranked, pool: Sequence[Candidate]) -> NDArray[np.float64]:
+    def _p_values(self, current: Ranked, pool: Sequence[Candidate]) -> FloatArray:
         """Return the p of each candidate, corrected for the number of names looked at."""
         constant = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
         grams, groups, base = self._grams(current.fit, [*pool, constant])
@@ -180,7 +179,7 @@ class Ranker:
 
     def _grams(
         self, fit: Fit, pool: Sequence[Candidate]
-    ) -> tuple[NDArray[np.float64], list[list[int]], list[int]]:
+    ) -> tuple[FloatArray, list[list[int]], list[int]]:
         base = list(range(fit.jacobian.shape[1]))
         groups, position = [], len(base)
         for candidate in pool:
@@ -249,7 +248,7 @@ class Ranker:
             return False
         worth = self._worth(full, member)
         rivals = [m for m in full.members if m.label != member.label]
-        third = member.name in MEMORY and full.key >= MEMORY
+        third = sum(_has_memory(m) for m in full.members) > 2 and _has_memory(member)
         return all(
             worth >= _least_share(member, rival, third) * self._worth_of_rival(full, rival)
             for rival in rivals
@@ -312,21 +311,25 @@ def _is_converged(fit: Fit) -> bool:
 
 def _is_within(member: Candidate) -> bool:
     """Whether it is an effect that acts within each trial."""
-    return member.is_effect and member.name not in BETWEEN_TRIALS
+    return member.effect is not None and not _is_between(member)
 
 
-def _kind_of(name: str) -> str:
-    """Whether an effect tells trials apart or acts within each of them."""
-    return "between trials" if name in BETWEEN_TRIALS else "within trials"
+def _is_between(member: Candidate) -> bool:
+    """Whether it is an effect that differs from trial to trial."""
+    return member.effect is not None and member.effect.kind == "between trials"
+
+
+def _has_memory(member: Candidate) -> bool:
+    return member.effect is not None and member.effect.kind == "memory"
 
 
 def _least_share(member: Candidate, rival: Candidate, third: bool) -> float:
     """Share of what ``rival`` is worth that ``member`` must be, ``third`` of one kind of memory."""
-    if third and rival.name in MEMORY:
+    if third and _has_memory(rival):
         return THIRD_MEMORY_SHARE
     if member.name == "time_s" or not rival.is_effect:
         return COVARIATE_SHARE
-    return FORM_SHARE if _kind_of(member.name) == _kind_of(rival.name) else OTHER_SHARE
+    return FORM_SHARE if _is_between(member) == _is_between(rival) else OTHER_SHARE
 
 
 def _model_without(model: Model, member: Candidate) -> Model:

@@ -9,29 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import UNITS
 from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.result import ChannelDiagnosis, Diagnosis, advice
 from tacgen.report import Section, figure_section, table_section, text_section, write_page
 
-_GUILTY = {
-    "zero_offset": "load",
-    "stiffening": "load",
-    "creep": "time_in_trial_s",
-    "hysteresis": "load",
-    "drift": "time_s",
-    "position": "x_mm",
-    "geometry": "radius_mm",
-    "shear_coupling": "shear_force",
-    "temperature": "temperature_c",
-    "latency": "load_rate",
-    "conditioning": "trial",
-    "saturation": "load",
-    "slip": "load",
-    "normal_coupling": "force_normal_n",
-    "anisotropy": "shear_direction",
-}
 _BINS = 14
 
 
@@ -153,7 +137,9 @@ def _residual_figure(found: ChannelDiagnosis) -> Figure:
         for name, values in covariates_of(found.data).items()
         if np.issubdtype(values.dtype, np.number) or name == "indenter" or values.dtype.kind == "U"
     }
-    wanted = [_GUILTY.get(name, name) for name in found.effect_names]
+    wanted = [
+        c.candidate.effect.shown_against for c in found.attribution.chosen if c.candidate.effect
+    ]
     wanted += [d.covariate for d in found.unexplained]
     wanted += ["load", "time_in_trial_s", "time_s"]
     shown = [name for name in dict.fromkeys(wanted) if name in covariates][:4]
@@ -170,7 +156,7 @@ def _residual_figure(found: ChannelDiagnosis) -> Figure:
     return figure
 
 
-def _residual(found: ChannelDiagnosis, fit: Fit) -> NDArray[np.float64]:
+def _residual(found: ChannelDiagnosis, fit: Fit) -> FloatArray:
     """Residual of the law (N,): of the volume, or of the motion along the shear force."""
     data = found.data
     left = data.target - fit.model.law_response(data)
@@ -180,7 +166,7 @@ def _residual(found: ChannelDiagnosis, fit: Fit) -> NDArray[np.float64]:
     return (left * force).sum(axis=1) / np.maximum(np.linalg.norm(force, axis=1), 1e-9)
 
 
-def _draw(axis: Axes, covariate: NDArray, residual: NDArray[np.float64], noise: float) -> None:
+def _draw(axis: Axes, covariate: NDArray, residual: FloatArray, noise: float) -> None:
     axis.axhspan(-noise, noise, color="0.92")
     axis.axhline(0.0, color="0.5", linewidth=0.8)
     if covariate.dtype.kind == "U":

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import CONTRACT_COLUMNS, follows_load
 from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, TARGETS, ChannelData
@@ -27,7 +28,7 @@ MAX_RISE = 1.1
 a law leaves of a load's course goes on rising."""
 
 
-def noise_floor(residual: NDArray[np.float64], starts: NDArray[np.int64]) -> float:
+def noise_floor(residual: FloatArray, starts: NDArray[np.int64]) -> float:
     """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
 
     Second differences along each trial: what varies slowly is not seen. Noise that goes on from
@@ -46,7 +47,7 @@ def noise_floor(residual: NDArray[np.float64], starts: NDArray[np.int64]) -> flo
     return floor
 
 
-def _difference_noise(residual: NDArray[np.float64], starts: NDArray[np.int64], lag: int) -> float:
+def _difference_noise(residual: FloatArray, starts: NDArray[np.int64], lag: int) -> float:
     """Noise by second differences over ``lag`` samples; NaN where no trial is long enough."""
     parts = [
         residual[first : stop - 2 * lag]
@@ -155,7 +156,7 @@ def dependences(
     return tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
 
 
-def _basis(values: NDArray) -> list[list[NDArray[np.float64]]]:
+def _basis(values: NDArray) -> list[list[FloatArray]]:
     """Functions (N,) of a covariate, one list; empty where it is constant or has no repeats."""
     if not np.issubdtype(values.dtype, np.number):
         levels, counts = np.unique(values, return_counts=True)
@@ -172,9 +173,7 @@ def _basis(values: NDArray) -> list[list[NDArray[np.float64]]]:
     return [[np.clip(scaled, -3, 3) ** power for power in range(1, degree + 1)]]
 
 
-def _rate(
-    load: NDArray[np.float64], time_s: NDArray[np.float64], starts: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _rate(load: FloatArray, time_s: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
     """d|load|/dt (N,), clipped to its bulk; 0 for trials of one sample."""
     rate = np.zeros_like(load)
     for first, stop in pairwise(starts):

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from tacgen.contact.effects import separating_measurement
 from tacgen.contact.law import ContactLaw
 from tacgen.diagnose.contact.attribution import Attribution
 from tacgen.diagnose.contact.channel import UNITS, ChannelData
@@ -198,28 +199,9 @@ def unit_of(effect: Any, name: str) -> str:
     return parameter.unit if parameter is not None else ""
 
 
-_ADVICE = {
-    frozenset(("drift", "conditioning")): "let the gel rest in mid-session: conditioning comes "
-    "back, drift does not",
-    frozenset(("drift", "temperature")): "warm or cool the gel in mid-session",
-    frozenset(("drift", "time_s")): "a longer session, with presses at even intervals",
-    frozenset(("creep", "latency")): "hold the load for several seconds: creep goes on, a delay "
-    "is over",
-    frozenset(("creep", "hysteresis")): "unload at two speeds: hysteresis does not depend on it",
-    frozenset(("latency", "hysteresis")): "load and unload at two speeds: a delay grows with it",
-    frozenset(("stiffening", "saturation")): "press harder: a limit stays, stiffening goes on",
-    frozenset(("stiffening", "zero_offset")): "record some seconds without contact",
-    frozenset(("stiffening", "geometry")): "press every ball with the same range of forces",
-    frozenset(("geometry", "saturation")): "press every ball with the same range of forces",
-    frozenset(("position", "geometry")): "press every ball at the same places",
-    frozenset(("slip", "normal_coupling")): "the same shear at several normal forces",
-    frozenset(("slip", "creep")): "hold the shear force for several seconds",
-}
-
-
 def advice(name: str, other: str) -> str:
     """Which measurement would tell two effects apart."""
-    known = _ADVICE.get(frozenset((name, other)))
+    known = separating_measurement(name, other)
     words = known or "more trials in which the one varies while the other does not"
     return f"{name} or {other}: {words}"
 

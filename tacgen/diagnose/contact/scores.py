@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 
 RIDGE = 1e-8
@@ -29,10 +30,8 @@ hardly brings it there; columns that only noise tells apart do."""
 TRIAL_LEVEL = 0.97
 """Share of a column that must be constant, or follow the response, within trials."""
 
-GramArray = NDArray[np.float64]
 
-
-def unit_grams(data: ChannelData, columns: NDArray[np.float64]) -> GramArray:
+def unit_grams(data: ChannelData, columns: FloatArray) -> FloatArray:
     """Sums over each unit of products of ``columns`` (R, P) between the halves: (U, P, P).
 
     Symmetrised; in the mean free of noise, and so not positive definite where a column is noise.
@@ -44,8 +43,8 @@ def unit_grams(data: ChannelData, columns: NDArray[np.float64]) -> GramArray:
 
 
 def cv_losses(
-    grams: GramArray, folds: NDArray[np.int64], sets: Sequence[Sequence[int]]
-) -> NDArray[np.float64]:
+    grams: FloatArray, folds: NDArray[np.int64], sets: Sequence[Sequence[int]]
+) -> FloatArray:
     """Held-out sum of squares of every unit, for every set of columns: (S, U).
 
     ``sets`` hold column numbers, all of the same length; the last column is the target.
@@ -68,11 +67,11 @@ def cv_losses(
 
 
 def losses_of_groups(
-    grams: GramArray,
+    grams: FloatArray,
     folds: NDArray[np.int64],
     base: Sequence[int],
     groups: Sequence[Sequence[int]],
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """``cv_losses`` of the base with each group, which may differ in length: (groups, U)."""
     losses = np.empty((len(groups), grams.shape[0]))
     for size in {len(group) for group in groups}:
@@ -81,35 +80,33 @@ def losses_of_groups(
     return losses
 
 
-def training_losses(total: NDArray[np.float64], sets: Sequence[Sequence[int]]) -> NDArray:
+def training_losses(total: FloatArray, sets: Sequence[Sequence[int]]) -> NDArray:
     """Sum of squares left by each set of columns on all units: (S,)."""
     index = np.asarray(sets, dtype=np.int64)
     weights = _solve(total, index)
     return total[-1, -1] - np.einsum("si,si->s", weights, total[index, -1])
 
 
-def believable(
-    losses: NDArray[np.float64], without: NDArray[np.float64], noise_loss: float
-) -> NDArray[np.float64]:
+def believable(losses: FloatArray, without: FloatArray, noise_loss: float) -> FloatArray:
     """``losses`` (S, U) of units; a set whose sum cannot be takes the losses ``without`` (U,) it.
 
     Products between the halves are not positive definite, so that a set of columns that are
     nearly the same can seem to leave less than nothing.
     """
     least = min(float(without.sum()), 0.0) - IMPOSSIBLE * noise_loss
-    impossible: NDArray[np.bool_] = ~(losses.sum(axis=1) >= least)
-    result: NDArray[np.float64] = np.where(impossible[:, None], without, losses)
+    impossible: BoolArray = ~(losses.sum(axis=1) >= least)
+    result: FloatArray = np.where(impossible[:, None], without, losses)
     return result
 
 
-def coefficients(total: NDArray[np.float64], columns: Sequence[int]) -> NDArray[np.float64]:
+def coefficients(total: FloatArray, columns: Sequence[int]) -> FloatArray:
     """Least-squares coefficients of ``columns`` for the target."""
     return _solve(total, np.asarray([columns], dtype=np.int64))[0]
 
 
 def _solve(
-    gram: NDArray[np.float64], index: NDArray[np.int64], whole: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
+    gram: FloatArray, index: NDArray[np.int64], whole: FloatArray | None = None
+) -> FloatArray:
     """Coefficients (S, P) by the normal equations; 0 for what ``gram`` has hardly any of.
 
     ``whole`` is of all units: a column that acts in few of them says nothing without those.
@@ -130,7 +127,7 @@ def _solve(
 class Shuffles:
     """Sign flips and permutations of the units, (F + 1, U) each; row 0 changes nothing."""
 
-    signs: NDArray[np.float64]
+    signs: FloatArray
     orders: NDArray[np.int64]
 
 
@@ -143,12 +140,12 @@ def shuffles(n_units: int, count: int, rng: np.random.Generator) -> Shuffles:
 
 
 def shuffle_statistics(
-    grams: GramArray,
+    grams: FloatArray,
     base: Sequence[int],
     groups: Sequence[Sequence[int]],
     shuffled: Shuffles,
     ones: int,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """−log p of the score of every group of columns under every shuffle: (F + 1, groups).
 
     The score of a unit is the product of the group's columns, made orthogonal to the base, and
@@ -193,7 +190,7 @@ def shuffle_statistics(
 
 
 def _shape_within_units(
-    grams: GramArray, compliance: int, ones: int, columns: Sequence[int]
+    grams: FloatArray, compliance: int, ones: int, columns: Sequence[int]
 ) -> int | None:
     """The column that all of ``columns`` are proportional to within each unit, if any is."""
     own = grams[:, columns, columns].sum()
@@ -205,13 +202,13 @@ def _shape_within_units(
     return None
 
 
-def _information(grams: GramArray, shape: int) -> NDArray[np.float64]:
+def _information(grams: FloatArray, shape: int) -> FloatArray:
     """Sum of squares of a column in each unit, with a floor for units that hardly have any."""
     own = grams[:, shape, shape]
     return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
 
 
-def shuffle_p_values(statistics: NDArray[np.float64]) -> NDArray[np.float64]:
+def shuffle_p_values(statistics: FloatArray) -> FloatArray:
     """Return the p of each group (columns) by its own shuffles.
 
     Beyond the largest twentieth of the shuffles an exponential tail, fitted to that twentieth,

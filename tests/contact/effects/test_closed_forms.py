@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tacgen.contact.effects import LoadHistory, find_effect
-from tacgen.contact.effects.shapes import power_shape
+from tacgen.contact.effects.base import power_shape
 from tacgen.contact.law import respond
 
 

@@ -1,0 +1,349 @@
+"""What an effect is, and the one registry of effects.
+
+An effect takes the load of every sample (N, C), the load history and its parameters, and returns
+the changed load. It also holds what the diagnosis, the virtual rig and the reports need to know
+of it, so that adding one is adding a module that calls ``register``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from tacgen.contact.effects.history import CHANNELS as CHANNELS
+from tacgen.contact.effects.history import Channel as Channel
+from tacgen.contact.effects.history import LoadHistory as LoadHistory
+from tacgen.core.arrays import FloatArray as FloatArray
+from tacgen.core.errors import ContactError
+
+Stage = Literal["input", "elastic", "memory", "gain", "output"]
+STAGES: tuple[Stage, ...] = ("input", "elastic", "memory", "gain", "output")
+"""Where an effect acts, in this order: on the force that is read, on the elastic response, on its
+memory, on the compliance, on the volume or motion that comes out."""
+
+Kind = Literal["load", "memory", "between trials"]
+"""What an effect follows: the load of the moment, the course of the load within a trial, or what
+differs from trial to trial (a place, a temperature, the session's clock)."""
+
+Role = Literal["amount", "shape", "reference"]
+Parameters: TypeAlias = Mapping[str, float]
+Bounds: TypeAlias = Callable[[LoadHistory, Parameters], tuple[float, float]]
+
+_LOGARITHMIC_UNITS = ("s", "N", "mm3", "trials")
+MIN_GAIN = 0.02
+"""Least factor on the compliance: beyond the fitted range a gel stays a gel."""
+_MIN_RATIO = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of an effect.
+
+    ``identity`` is its default; with every ``amount`` at its identity the effect changes nothing.
+    A ``shape`` (an exponent, a time constant) says how the amount acts and is fitted with it; a
+    ``reference`` (a load, a time) is set, not fitted. ``bounds`` narrows ``low`` to ``high`` to
+    what a given log can determine; ``of_response`` marks a reference that is the span of the
+    measured response.
+    """
+
+    name: str
+    unit: str
+    role: Role
+    identity: float
+    low: float
+    high: float
+    bounds: Bounds | None = None
+    of_response: bool = False
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Whether a fit searches it on a logarithmic scale: times, forces and limits."""
+        return self.low > 0 and (np.isinf(self.identity) or self.unit in _LOGARITHMIC_UNITS)
+
+    def bounds_on(self, history: LoadHistory, values: Parameters) -> tuple[float, float]:
+        """Bounds of a fit to ``history``, ``values`` being the effect's parameters."""
+        if self.bounds is None:
+            return self.low, self.high
+        low, high = self.bounds(history, values)
+        return max(low, self.low), min(high, self.high)
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One form of an effect: a starting point for its fit.
+
+    ``probes`` are settings of the amounts, one for each column of the linearised model; ``shapes``
+    are held while probing; ``free`` are the parameters fitted afterwards. Where ``scales`` is
+    false the amounts do not act linearly (a limit) and the fit starts from the probe itself.
+    """
+
+    label: str
+    probes: tuple[Parameters, ...]
+    free: tuple[str, ...]
+    shapes: Parameters = field(default_factory=lambda: MappingProxyType({}))
+    scales: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class FittedForm:
+    """A form of an effect as it was fitted beside the other effects of a model.
+
+    ``values`` are its parameters, ``fitted`` the names of those that were free, ``unit_losses``
+    (U,) the held-out loss of every trial.
+    """
+
+    name: str
+    values: Parameters
+    fitted: tuple[str, ...]
+    unit_losses: FloatArray
+
+    @property
+    def loss(self) -> float:
+        """Held-out sum of squares."""
+        return float(self.unit_losses.sum())
+
+    def lead_in_se(self, other: FittedForm) -> float:
+        """By how many standard errors over trials it predicts better than ``other``."""
+        return lead_in_se(self.unit_losses, other.unit_losses)
+
+
+@dataclass(frozen=True, slots=True)
+class Tie:
+    """An effect that was found, and a rival of it that was not.
+
+    ``forms(name)`` fits every form of an effect in the place of ``found``; ``max_lead_in_se`` is
+    the lead below which two of them predict equally well.
+    """
+
+    found: FittedForm
+    history: LoadHistory
+    max_lead_in_se: float
+    forms: Callable[[str], Sequence[FittedForm]]
+
+
+def always(history: LoadHistory) -> bool:
+    """For effects that any log can show."""
+    return True
+
+
+def no_references(history: LoadHistory) -> dict[str, float]:
+    """For effects that have no reference values."""
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A named effect on one channel.
+
+    Attributes
+    ----------
+    apply : callable
+        Load (N, C), history and parameters to the changed load (N, C).
+    variants : callable
+        History and references to the forms that a fit starts from.
+    references : callable
+        Reference values on a history.
+    needs : tuple of str
+        Columns that it cannot do without.
+    kind : {"load", "memory", "between trials"}
+    needs_session_clock : bool
+        Whether it has no meaning where the clock restarts with every trial.
+    in_simulation : bool
+        False for what belongs to the measurement (a gauge's zero, two clocks, the session).
+    per_indenter : bool
+        Allows further parameters ``gain_<indenter>``.
+    is_identifiable : callable
+        Whether a history varies in what the effect follows.
+    shown_against : str
+        Covariate that its residual is plotted against.
+    separated_by : mapping
+        Other effects (or covariates) that it can be confused with, and the measurement that
+        separates the two.
+    tie_breaks : mapping
+        Rivals that predict as well on many logs, each with the rule that decides which one is
+        named: it returns a form of either, or the form that was found.
+    """
+
+    name: str
+    channel: Channel
+    stage: Stage
+    about: str
+    parameters: tuple[Parameter, ...]
+    apply: Callable[[FloatArray, LoadHistory, Parameters], FloatArray]
+    variants: Callable[[LoadHistory, Parameters], tuple[Variant, ...]]
+    references: Callable[[LoadHistory], dict[str, float]] = no_references
+    needs: tuple[str, ...] = ()
+    kind: Kind = "load"
+    needs_session_clock: bool = False
+    in_simulation: bool = True
+    per_indenter: bool = False
+    is_identifiable: Callable[[LoadHistory], bool] = always
+    shown_against: str = "load"
+    separated_by: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    tie_breaks: Mapping[str, Callable[[Tie], FittedForm]] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+
+    def parameter(self, name: str) -> Parameter | None:
+        """Its parameter called ``name``, or None."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        if self.per_indenter and name.startswith("gain_"):
+            return Parameter(name, "1", "amount", 0.0, -0.9, 5.0)
+        return None
+
+    def complete(self, parameters: Parameters) -> dict[str, float]:
+        """``parameters`` with the identity for every one that is not given."""
+        return {p.name: p.identity for p in self.parameters} | dict(parameters)
+
+    def can_act_on(self, history: LoadHistory) -> bool:
+        """Whether the log has the columns that it needs and varies in them."""
+        return history.has(*self.needs) and self.is_identifiable(history)
+
+
+_REGISTRY: dict[tuple[Channel, str], Effect] = {}
+
+
+def register(effect: Effect) -> Effect:
+    """Add ``effect`` to the registry.
+
+    Raises
+    ------
+    ContactError
+        If the channel already has an effect of that name.
+    """
+    key = (effect.channel, effect.name)
+    if key in _REGISTRY:
+        msg = f"effect {effect.name!r} of the {effect.channel} channel is registered twice"
+        raise ContactError(msg)
+    _REGISTRY[key] = effect
+    return effect
+
+
+def unregister(effect: Effect) -> None:
+    """Take ``effect`` out of the registry."""
+    del _REGISTRY[effect.channel, effect.name]
+
+
+def effect_names(channel: Channel) -> tuple[str, ...]:
+    """Names of the channel's effects, in the order of their registration."""
+    return tuple(name for registered, name in _REGISTRY if registered == channel)
+
+
+def all_effects() -> tuple[Effect, ...]:
+    """Every registered effect."""
+    return tuple(_REGISTRY.values())
+
+
+def find_effect(channel: str, name: str) -> Effect:
+    """The effect of that name.
+
+    Raises
+    ------
+    ContactError
+        If there is none; the message lists those there are.
+    """
+    for (registered, known), effect in _REGISTRY.items():
+        if (registered, known) == (channel, name):
+            return effect
+    if channel not in CHANNELS:
+        msg = f"channel {channel!r} is unknown; there are {', '.join(CHANNELS)}"
+        raise ContactError(msg)
+    known_names = [n for c, n in _REGISTRY if c == channel]
+    msg = f"effect {name!r} is unknown; the {channel} channel has {', '.join(known_names)}"
+    raise ContactError(msg)
+
+
+def separating_measurement(name: str, other: str) -> str | None:
+    """The measurement that separates two effects (or an effect and a covariate), if any is known.
+
+    Whichever of the two modules states it.
+    """
+    for effect in _REGISTRY.values():
+        for this, that in ((name, other), (other, name)):
+            if effect.name == this and that in effect.separated_by:
+                return effect.separated_by[that]
+    return None
+
+
+def amount(
+    name: str,
+    low: float,
+    high: float,
+    unit: str = "1",
+    identity: float = 0.0,
+    bounds: Bounds | None = None,
+) -> Parameter:
+    """A parameter that makes the effect vanish at its identity."""
+    return Parameter(name, unit, "amount", identity, low, high, bounds)
+
+
+def shape(
+    name: str,
+    low: float,
+    high: float,
+    start: float,
+    unit: str = "1",
+    bounds: Bounds | None = None,
+) -> Parameter:
+    """A parameter that says how an amount acts."""
+    return Parameter(name, unit, "shape", start, low, high, bounds)
+
+
+def reference(
+    name: str, unit: str, default: float = 1.0, *, of_response: bool = False
+) -> Parameter:
+    """A parameter that is set from the log, not fitted."""
+    return Parameter(name, unit, "reference", default, -np.inf, np.inf, of_response=of_response)
+
+
+def variant(
+    label: str,
+    probes: Sequence[Parameters],
+    shapes: Parameters | None = None,
+    *,
+    fit_shapes: bool = True,
+    scales: bool = True,
+) -> Variant:
+    """A ``Variant`` that frees every probed amount and, by default, the shapes."""
+    shapes = dict(shapes or {})
+    amounts = [name for probe in probes for name in probe]
+    free = tuple(dict.fromkeys([*amounts, *(shapes if fit_shapes else ())]))
+    return Variant(label, tuple(probes), free, shapes, scales)
+
+
+def lead_in_se(losses: FloatArray, other_losses: FloatArray) -> float:
+    """By how many standard errors over units ``losses`` (U,) are below ``other_losses``."""
+    difference = other_losses - losses
+    error = float(difference.std() * np.sqrt(difference.size)) + 1e-300
+    return float(difference.sum()) / error
+
+
+def power_shape(ratio: FloatArray, exponent: float) -> FloatArray:
+    """(ratio^exponent − 1)/exponent, and log(ratio) at exponent 0: 0 and of slope 1 at ratio 1.
+
+    Source
+    ------
+    Box & Cox 1964.
+    """
+    log_ratio = np.log(np.maximum(ratio, _MIN_RATIO))
+    if abs(exponent) < 1e-6:
+        return log_ratio
+    return np.expm1(exponent * log_ratio) / exponent
+
+
+def with_gain(load: FloatArray, relative: FloatArray) -> FloatArray:
+    """``load`` (N, C) times 1 + ``relative`` (N,), never turned round; NaN counts as 0."""
+    gain = np.maximum(1.0 + np.nan_to_num(relative, nan=0.0), MIN_GAIN)
+    return load * gain[:, None]
+
+
+def varies(values: FloatArray) -> bool:
+    """Whether the finite ``values`` are more than one."""
+    finite = values[np.isfinite(values)]
+    return bool(finite.size and np.ptp(finite) > 1e-9 * (1.0 + np.abs(finite).max()))
