@@ -50,18 +50,18 @@ def calibrate_lookup(
     ball_radius_mm: BallOption = None,
     without_dots: Annotated[
         bool,
-        typer.Option(help="Take printed dots out of the background: for optics.markers: true."),
+        typer.Option(help="Remove printed dots from the background: for optics.markers: true."),
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:
-    """Fit the lookup table to images of ball presses, with its error on presses left out."""
+    """Fit the lookup table to images of ball presses, with its error on held-out presses."""
     from tacgen.calibrate.lookup import command
 
     made, used = command.calibrate_lookup(
         presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
         without_dots=without_dots,
     )  # fmt: skip
-    for line in command.said_about(used, made.scale):
+    for line in command.warning_lines(used, made.scale):
         typer.echo(f"warning: {line}", err=True)
     typer.echo(command.lookup_text(made, used, json_output=json_output))
 
@@ -74,13 +74,13 @@ def calibrate_score(
     ball_radius_mm: BallOption = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Score a table on presses: labels as they stand, and each press's place re-estimated."""
+    """Score a table on presses: labels as given, and each press's place re-estimated."""
     from tacgen.calibrate.lookup import command
 
     score, used = command.score_presses(
         table, presses, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
-    for line in command.said_about(used):
+    for line in command.warning_lines(used):
         typer.echo(f"warning: {line}", err=True)
     typer.echo(command.score_text(score, json_output=json_output))
 

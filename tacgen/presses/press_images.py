@@ -9,6 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
+
 
 @dataclass(frozen=True, slots=True)
 class DoubtfulPress:
@@ -65,14 +67,14 @@ class PressImages:
     images: NDArray[np.uint8]
     background: NDArray[np.uint8]
     names: tuple[str, ...]
-    center_px: NDArray[np.float64]
-    radius_px: NDArray[np.float64]
-    ball_radius_mm: NDArray[np.float64]
+    center_px: FloatArray
+    radius_px: FloatArray
+    ball_radius_mm: FloatArray
     mm_per_px: float
     dome_radius_mm: float = 0.0
     sensor: str = ""
-    seen_px: NDArray[np.float64] | None = None
-    stage_mm: NDArray[np.float64] | None = None
+    seen_px: FloatArray | None = None
+    stage_mm: FloatArray | None = None
     dot_pitch_mm: float = 0.0
     found: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     dots: NDArray[np.bool_] | None = None
@@ -113,3 +115,19 @@ class PressImages:
             stage_mm=None if self.stage_mm is None else self.stage_mm[which],
             hidden=None if self.hidden is None else self.hidden[which],
         )
+
+
+def place_mm(
+    column: FloatArray, row: FloatArray, shape_px: tuple[int, int], mm_per_px: float
+) -> tuple[FloatArray, FloatArray]:
+    """(x, y) on the gel, mm from the image's centre, of pixel coordinates."""
+    height, width = shape_px
+    return (column - (width - 1) / 2) * mm_per_px, (row - (height - 1) / 2) * mm_per_px
+
+
+def label_mm(presses: PressImages) -> FloatArray:
+    """Labelled centre and radius (N, 3), mm on the gel from the image's centre."""
+    x, y = place_mm(
+        presses.center_px[:, 0], presses.center_px[:, 1], presses.shape_px, presses.mm_per_px
+    )
+    return np.column_stack([x, y, presses.radius_px * presses.mm_per_px])

@@ -28,7 +28,7 @@ def calibrate_lookup(
 ) -> tuple[Calibration, PressImages]:
     """Fit a table to the presses at ``presses_path`` and write it to ``out``.
 
-    ``without_dots`` takes printed dots out of the table's background, for simulations that draw
+    ``without_dots`` removes printed dots from the table's background, for simulations that draw
     moving ones.
     """
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
@@ -54,7 +54,7 @@ def score_presses(
 ) -> tuple[TableScore, PressImages]:
     """Score the table at ``table_path`` on presses.
 
-    What a dataPack does not say, the scale and the ball, is what the table was made with.
+    The scale and the ball, which a dataPack does not hold, are those that the table was made with.
     """
     table = load_table(table_path)
     if Path(presses_path).is_file():
@@ -71,8 +71,8 @@ def _ball_of(table: LookupTable) -> float | None:
     return float(balls[0]) if len(balls) == 1 else None
 
 
-def said_about(presses: PressImages, scale: ScaleEvidence | None = None) -> Iterator[str]:
-    """Warnings and presses left out, a line each."""
+def warning_lines(presses: PressImages, scale: ScaleEvidence | None = None) -> Iterator[str]:
+    """Warnings and rejected presses, a line each."""
     yield from presses.warnings
     if scale is not None:
         yield from (*scale.warnings, *scale.notes)
@@ -80,7 +80,7 @@ def said_about(presses: PressImages, scale: ScaleEvidence | None = None) -> Iter
 
 
 def lookup_text(made: Calibration, presses: PressImages, *, json_output: bool = False) -> str:
-    """What ``tacgen calibrate lookup`` prints: held-out score, scale, what was left out."""
+    """What ``tacgen calibrate lookup`` prints: held-out score, scale, rejected presses."""
     if not json_output:
         return score_text(made.heldout)
     found = {} if made.heldout is None else made.heldout.as_dict()
@@ -93,7 +93,7 @@ def lookup_text(made: Calibration, presses: PressImages, *, json_output: bool = 
 
 
 def score_text(score: TableScore | None, *, json_output: bool = False) -> str:
-    """The score in words for a terminal, or as JSON."""
+    """The score as text for a terminal, or as JSON."""
     if score is None:
         return ""
     if json_output:
@@ -104,7 +104,7 @@ def score_text(score: TableScore | None, *, json_output: bool = False) -> str:
         [
             f"{len(score.presses)} presses, {score.n_pixels} pixels inside the contact circles; "
             "RMSE in grey levels (R, G, B)",
-            f"  labels as they stand        {labels:6.2f}  {_channels(labels_rgb)}",
+            f"  labels as given             {labels:6.2f}  {_channels(labels_rgb)}",
             f"  centre, radius re-estimated {refined:6.2f}  {_channels(refined_rgb)}",
         ]
     )

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.calibrate.lookup.background import press_drift
-from tacgen.calibrate.lookup.press_model import (
-    PressModel,
-    label_mm,
-    learn_labels,
-    plain_press_model,
-)
-from tacgen.calibrate.lookup.samples import Pixels, disc_pixels, place_mm
+from tacgen.calibrate.lookup.prepared import Pixels, PreparedPresses, Sample
+from tacgen.calibrate.lookup.settings import FitSettings, LookupRules
 from tacgen.calibrate.lookup.smooth_model import (
     SmoothModel,
     design,
@@ -25,118 +20,165 @@ from tacgen.calibrate.lookup.smooth_model import (
     solve_ridge,
 )
 from tacgen.core.arrays import FloatArray
-from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, rest_slope
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.geometry import (
+    MAX_RADIUS_SHARE,
+    Membrane,
+    press_height,
+    press_slope,
+    rest_height,
+    rest_slope,
+)
+from tacgen.presses.press_images import PressImages, place_mm
 
-REACH = 1.5
-"""Pixels up to this many label radii from the centre are looked at."""
+EXPECTED_RADIUS_SHARE = 0.95
+"""Largest expected contact radius as a share of the ball's: a fit may still go up to
+``MAX_RADIUS_SHARE``."""
 
-PIXELS_PER_PRESS = 2000
-"""No more pixels of a press than this are used; they are an even lattice."""
+ROUGH_DEGREE = 4
+"""Presses are placed with a model of this degree at most: higher terms only cost time there."""
 
-PIXELS_FOR_PLACES = 600
-"""As many are enough to find a press's centre and radius."""
+LARGEST_STEP_RADII = 0.06
+"""Of one Gauss–Newton step of a press's place: the model is linear over no more."""
 
-FIRST_RADIUS_SHARE = 0.85
-"""Where the contact radius starts, as a share of the labelled one: people circle the dark rim."""
-
-NOISE_GREY = 6.0
-CORRELATED_PIXELS = 20.0
-"""Residuals of neighbouring pixels go together (JPEG blocks, texture): so many count as one."""
-
-DRIFT_NOISE_GREY = 0.5
-"""How well the drift of a whole picture can be told from its bare gel."""
-
-SEEN_PRIOR_RADII = 0.07
-"""Standard deviation, in radii, of the centre of a circle that is seen in the picture: what is left
-of its distance from 37 real labels (1.6 px of 17) beside the labels' own scatter of 1 px."""
-
-CENTER_PRIOR_RADII = 0.15
-RADIUS_PRIOR_RADII = 0.10
-"""Standard deviations of a label's scatter, in label radii, that hold an estimate near it."""
-
-LABEL_SCATTER = np.array([CENTER_PRIOR_RADII, CENTER_PRIOR_RADII, RADIUS_PRIOR_RADII])
+_TEN_MM = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class FitSettings:
-    """What cross-validation chooses among.
+class LabelModel:
+    """How labelled centres and radii relate to the true ones, learnt from the presses.
 
     Attributes
     ----------
-    degree : int
-        Of the polynomial in the surface normal.
-    ridge : float
-        Strength of the penalty on rough terms, relative to the mean of the normal matrix.
-    rim_weight : float
-        Weight of pixels outside the labelled circle.
+    shift_mm : (3, 2) float
+        Mean of (true − labelled centre) along x and y: a constant, and what it grows by in 10 mm
+        along x and along y.
+    contact_radius_mm, reference_radius_mm, radius_slope : float
+        The expected contact radius is ``contact_radius_mm`` + ``radius_slope`` × (label −
+        ``reference_radius_mm``): a slope below 1 where labels scatter more than the presses do.
     """
 
-    degree: int = 7
-    ridge: float = 1e-4
-    rim_weight: float = 0.05
+    shift_mm: FloatArray
+    contact_radius_mm: float
+    reference_radius_mm: float
+    radius_slope: float
+
+    def geometry(self, label: FloatArray) -> FloatArray:
+        """Expected centre and contact radius (..., 3) from labels (..., 3), mm."""
+        ones = np.ones_like(label[..., 0])
+        basis = np.stack([ones, label[..., 0] / _TEN_MM, label[..., 1] / _TEN_MM], axis=-1)
+        radius = self.contact_radius_mm + self.radius_slope * (
+            label[..., 2] - self.reference_radius_mm
+        )
+        return np.concatenate([label[..., :2] + basis @ self.shift_mm, radius[..., None]], axis=-1)
+
+
+def learn_labels(labels: FloatArray, geometry: FloatArray) -> LabelModel:
+    """The label model by least squares from labels (n, 3) and estimated geometry (n, 3), mm.
+
+    The terms that grow with position are held back by a ridge worth half a press, so that a few
+    presses close together do not tilt it.
+    """
+    basis = np.column_stack([np.ones(len(labels)), labels[:, :2] / _TEN_MM])
+    ridge = np.diag([0.0, 0.5, 0.5])
+    shift = np.linalg.solve(basis.T @ basis + ridge, basis.T @ (geometry - labels)[:, :2])
+    reference = float(labels[:, 2].mean())
+    spread = labels[:, 2] - reference
+    slope = float(spread @ geometry[:, 2] / (spread @ spread + 1e-6 * reference**2))
+    return LabelModel(
+        shift_mm=shift,
+        contact_radius_mm=float(geometry[:, 2].mean()),
+        reference_radius_mm=reference,
+        radius_slope=float(np.clip(slope, 0.0, 1.0)),
+    )
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
-    """The pixels of one press and what the fit needs with them."""
+class PressModel:
+    """Everything besides the table that turns a label into a picture of a press."""
 
-    pixels: Pixels
-    change: FloatArray
-    weight: FloatArray
-    label: FloatArray
-    ball_radius_mm: float
+    labels: LabelModel
+    membrane: Membrane
+    dome_radius_mm: float = 0.0
+
+    def slopes(
+        self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels
+    ) -> tuple[FloatArray, FloatArray]:
+        """Slope of the gel at ``pixels`` around a ball at ``geometry`` (centre and radius, mm)."""
+        added = press_slope(
+            pixels.x_mm - geometry[0],
+            pixels.y_mm - geometry[1],
+            float(geometry[2]),
+            ball_radius_mm,
+            self.membrane,
+            self.dome_radius_mm,
+        )
+        rest = rest_slope(pixels.x_mm, pixels.y_mm, self.dome_radius_mm)
+        return added[0] + rest[0], added[1] + rest[1]
+
+    def height(
+        self, geometry: FloatArray, ball_radius_mm: float, x_mm: FloatArray, y_mm: FloatArray
+    ) -> FloatArray:
+        """Height of the gel, mm, at places on it around a ball at ``geometry``."""
+        added = press_height(
+            x_mm - geometry[0],
+            y_mm - geometry[1],
+            float(geometry[2]),
+            ball_radius_mm,
+            self.membrane,
+            self.dome_radius_mm,
+        )
+        return added + rest_height(x_mm, y_mm, self.dome_radius_mm)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, for a table's provenance."""
+        return {
+            "shift_mm": self.labels.shift_mm.tolist(),
+            "contact_radius_mm": self.labels.contact_radius_mm,
+            "reference_radius_mm": self.labels.reference_radius_mm,
+            "radius_slope": self.labels.radius_slope,
+            "decay_mm": self.membrane.decay_mm,
+            "sharpness": self.membrane.sharpness,
+            "dome_radius_mm": self.dome_radius_mm,
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> PressModel:
+        """The inverse of ``as_dict``."""
+        labels = LabelModel(
+            shift_mm=np.asarray(values["shift_mm"], dtype=np.float64),
+            contact_radius_mm=float(values["contact_radius_mm"]),
+            reference_radius_mm=float(values["reference_radius_mm"]),
+            radius_slope=float(values["radius_slope"]),
+        )
+        membrane = Membrane(float(values["decay_mm"]), float(values["sharpness"]))
+        return cls(labels, membrane, float(values["dome_radius_mm"]))
+
+
+def plain_press_model(contact_radius_mm: float, dome_radius_mm: float = 0.0) -> PressModel:
+    """Labels taken at their word and a membrane that bends over 0.4 contact radii."""
+    labels = LabelModel(np.zeros((3, 2)), contact_radius_mm, contact_radius_mm, 1.0)
+    return PressModel(labels, Membrane(0.4 * contact_radius_mm, 4.0), dome_radius_mm)
 
 
 @dataclass(frozen=True, slots=True)
 class JointFit:
     """A smooth model, the press model, and the geometry (N, 3), mm, of each press.
 
-    ``drift_share`` is the share of what a picture's bare gel is brighter by than that of the
-    other pictures (lamps and camera drift in a session) that was taken off its contact, so that
-    it does not go into the table.
+    ``drift_share`` is the share of the presses' drift (lamps and camera drift in a session) that
+    was subtracted from the contacts, so that it does not go into the table.
     """
 
     model: SmoothModel
     press_model: PressModel
-    geometry: NDArray[np.float64]
+    geometry: FloatArray
     drift_share: float = 0.0
-
-
-def gather(
-    presses: PressImages, background: FloatArray, settings: FitSettings, *, limit: int | None = None
-) -> list[Sample]:
-    """The samples of every press, with the background taken off."""
-    labels = label_mm(presses)
-    samples = []
-    for k in range(len(presses)):
-        pixels = disc_pixels(
-            presses.images[k],
-            presses.center_px[k],
-            float(presses.radius_px[k]),
-            presses.mm_per_px,
-            reach=REACH if settings.rim_weight > 0 else 1.0,
-            limit=PIXELS_PER_PRESS if limit is None else limit,
-            hidden=presses.hidden_in(k),
-        )
-        samples.append(
-            Sample(
-                pixels=pixels,
-                change=pixels.grey - background[pixels.rows, pixels.columns],
-                weight=np.where(pixels.inside, 1.0, settings.rim_weight),
-                label=labels[k],
-                ball_radius_mm=float(presses.ball_radius_mm[k]),
-            )
-        )
-    return samples
 
 
 def sample_design(
     sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int
 ) -> FloatArray:
     """Design matrix (n, n_terms · 6) of a press: what its slopes add to the gel at rest."""
-    terms = _added_terms(sample, geometry, press_model, degree)
-    return design(terms, sample.pixels.position)
+    return design(_added_terms(sample, geometry, press_model, degree), sample.pixels.position)
 
 
 def predicted(
@@ -158,7 +200,56 @@ def _added_terms(
     return terms
 
 
-def fit_model(
+def fit_jointly(
+    prepared: PreparedPresses,
+    background: FloatArray,
+    settings: FitSettings,
+    *,
+    iterations: int = 8,
+    start: JointFit | None = None,
+) -> JointFit:
+    """Alternate between the smooth model, each press's place, the rim and the label model.
+
+    The places are found on a thinned lattice of pixels; the model is then fitted to more of them.
+    ``start`` is an earlier fit of the same presses to go on from.
+    """
+    rules, presses = prepared.rules, prepared.presses
+    thinned = prepared.samples(background, rules.pixels_to_place)
+    labels = np.array([sample.label for sample in thinned])
+    rough = replace(settings, degree=min(settings.degree, ROUGH_DEGREE))
+    if start is None:
+        radius = np.minimum(rules.first_radius_share * labels[:, 2], 0.9 * presses.ball_radius_mm)
+        geometry = np.column_stack([labels[:, :2], radius])
+        press_model, share = plain_press_model(float(radius.mean()), presses.dome_radius_mm), 0.0
+    else:
+        press_model, geometry, share = start.press_model, start.geometry, start.drift_share
+    for _ in range(iterations):
+        samples = _less(thinned, share * prepared.drift)
+        model = _fit_model(samples, geometry, press_model, rough)
+        expected, scatter = _expected(presses, press_model.labels.geometry(labels), rules)
+        geometry = np.array(
+            [
+                _place_sample(sample, model, press_model, place, held, rules)
+                for sample, place, held in zip(samples, expected, scatter, strict=True)
+            ]
+        )
+        membrane = _refine_membrane(samples, geometry, model, press_model)
+        press_model = replace(press_model, membrane=membrane, labels=learn_labels(labels, geometry))
+        share = _drift_share(thinned, geometry, press_model, model, prepared)
+    dense = _less(prepared.samples(background), share * prepared.drift)
+    model = _fit_model(dense, geometry, press_model, settings)
+    return JointFit(model, press_model, geometry, share)
+
+
+def _less(samples: list[Sample], offsets: FloatArray) -> list[Sample]:
+    """The samples less each press's offset (N, 3)."""
+    return [
+        replace(sample, change=sample.change - offset)
+        for sample, offset in zip(samples, offsets, strict=True)
+    ]
+
+
+def _fit_model(
     samples: list[Sample], geometry: FloatArray, press_model: PressModel, settings: FitSettings
 ) -> SmoothModel:
     """The smooth model by ridge regression, for a given geometry of the presses."""
@@ -173,51 +264,114 @@ def fit_model(
     return solve_ridge(gram, moment, settings.ridge, settings.degree)
 
 
-def drift_share(
+def _drift_share(
     samples: list[Sample],
     geometry: FloatArray,
     press_model: PressModel,
     model: SmoothModel,
-    drift: FloatArray,
+    prepared: PreparedPresses,
 ) -> float:
-    """The share, 0 to 1, of the bare gel's drift (N, 3) that shows in the contacts too."""
+    """The share, 0 to 1, of the bare gel's drift that shows in the contacts too."""
+    drift = prepared.drift
     residual = np.zeros_like(drift)
     for k, (sample, place) in enumerate(zip(samples, geometry, strict=True)):
-        inside = sample.pixels.inside
-        left = sample.change - predicted(sample, place, press_model, model)
-        residual[k] = left[inside].mean(axis=0)
+        apart = sample.change - predicted(sample, place, press_model, model)
+        residual[k] = apart[sample.pixels.inside].mean(axis=0)
     residual -= residual.mean(axis=0)
-    size = float((drift**2).sum()) + len(drift) * DRIFT_NOISE_GREY**2
+    size = float((drift**2).sum()) + len(drift) * prepared.rules.drift_noise_grey**2
     return float(np.clip((residual * drift).sum() / size, 0.0, 1.0))
 
 
-def refine_press(
+def _expected(
+    presses: PressImages, by_label: FloatArray, rules: LookupRules
+) -> tuple[FloatArray, FloatArray]:
+    """Expected geometry (N, 3), mm, and its scatter (N, 3), label radii.
+
+    A circle that is seen in the picture says more about the centre than a label does, and keeps a
+    shift that all labels share from going into the table.
+    """
+    expected = np.array(by_label)
+    expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
+    scatter = np.tile(label_scatter(rules), (len(presses), 1))
+    if presses.seen_px is not None:
+        known = np.isfinite(presses.seen_px).all(axis=1)
+        x, y = presses.seen_px[:, 0], presses.seen_px[:, 1]
+        seen = np.column_stack(place_mm(x, y, presses.shape_px, presses.mm_per_px))
+        label, circle = rules.center_scatter_radii, rules.seen_scatter_radii
+        share = label**2 / (label**2 + circle**2)
+        expected[known, :2] += share * (seen - expected[:, :2])[known]
+        scatter[known, :2] = circle * np.sqrt(share)
+    return expected, scatter
+
+
+def label_scatter(rules: LookupRules) -> FloatArray:
+    """Standard deviations (3,) of a label's centre and radius, in label radii."""
+    center = rules.center_scatter_radii
+    return np.array([center, center, rules.radius_scatter_radii])
+
+
+def place_press(
+    linearised: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    expected: FloatArray,
+    prior_sigma_mm: FloatArray,
+    precision: FloatArray,
+    label_radius_mm: float,
+    ball_radius_mm: float,
+    *,
+    steps: int,
+    tolerance: float,
+) -> FloatArray:
+    """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected.
+
+    Parameters
+    ----------
+    linearised : callable
+        Residual (n,) and Jacobian (n, 3) of the picture at a place.
+    expected, prior_sigma_mm : (3,) float
+        The prior's mean and standard deviations.
+    precision : (n,) float
+        Inverse variance of each residual.
+    tolerance : float
+        The steps end where none of them is longer than this share of the label's radius.
+    """
+    prior = 1.0 / prior_sigma_mm**2
+    place = np.array(expected, dtype=np.float64)
+    for _ in range(steps):
+        residual, jacobian = linearised(place)
+        weighted = jacobian * precision[:, None]
+        step = np.linalg.solve(
+            weighted.T @ jacobian + np.diag(prior),
+            weighted.T @ residual - prior * (place - expected),
+        )
+        longest = LARGEST_STEP_RADII * label_radius_mm
+        place += np.clip(step, -longest, longest)
+        place[2] = np.clip(place[2], 0.1 * label_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
+        if np.abs(step).max() < tolerance * label_radius_mm:
+            break
+    return place
+
+
+def _place_sample(
     sample: Sample,
     model: SmoothModel,
     press_model: PressModel,
     expected: FloatArray,
-    *,
-    steps: int = 5,
-    scatter: FloatArray | None = None,
+    scatter: FloatArray,
+    rules: LookupRules,
 ) -> FloatArray:
-    """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected.
+    """Centre and contact radius (3,), mm, of one press under a smooth model.
 
-    ``scatter`` (3,) are the standard deviations that hold it there, in label radii; a label's,
-    where left out.
+    ``scatter`` (3,) are the prior's standard deviations in label radii.
     """
-    pixels = sample.pixels
+    pixels, radius = sample.pixels, float(sample.label[2])
     at_rest: FloatArray = np.zeros((len(pixels), 3))
     if press_model.dome_radius_mm > 0:
         slope = rest_slope(pixels.x_mm, pixels.y_mm, press_model.dome_radius_mm)
         at_rest = model.change(*slope, pixels.position)
-    scale = sample.label[2]
-    prior = 1.0 / ((LABEL_SCATTER if scatter is None else scatter) * scale) ** 2
-    precision = np.repeat(sample.weight, 3) / (NOISE_GREY**2 * CORRELATED_PIXELS)
-    geometry = np.array(expected, dtype=np.float64)
-    largest = MAX_RADIUS_SHARE * sample.ball_radius_mm
-    nudge = 1e-4 * scale
-    for _ in range(steps):
-        normal = normal_parts(*press_model.slopes(geometry, sample.ball_radius_mm, pixels))
+    nudge = 1e-4 * radius
+
+    def linearised(place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        normal = normal_parts(*press_model.slopes(place, sample.ball_radius_mm, pixels))
         value = model.of_terms(monomials(*normal, model.degree), pixels.position)
         along_x, along_y = (
             model.of_terms(terms, pixels.position)
@@ -225,43 +379,34 @@ def refine_press(
         )
         columns = []
         for k in range(3):
-            moved = geometry.copy()
+            moved = place.copy()
             moved[k] += nudge
             shifted = normal_parts(*press_model.slopes(moved, sample.ball_radius_mm, pixels))
             dx, dy = ((after - now) / nudge for after, now in zip(shifted, normal, strict=True))
             columns.append((along_x * dx[:, None] + along_y * dy[:, None]).ravel())
-        jacobian = np.stack(columns, axis=-1)
-        residual = (sample.change - value + at_rest).ravel()
-        weighted = jacobian * precision[:, None]
-        step = np.linalg.solve(
-            weighted.T @ jacobian + np.diag(prior),
-            weighted.T @ residual - prior * (geometry - expected),
-        )
-        geometry += np.clip(step, -0.06 * scale, 0.06 * scale)
-        geometry[2] = np.clip(geometry[2], 0.1 * scale, largest)
-        if np.abs(step).max() < 1e-3 * scale:
-            break
-    return geometry
+        return (sample.change - value + at_rest).ravel(), np.stack(columns, axis=-1)
+
+    precision = np.repeat(sample.weight, 3) / (rules.noise_grey**2 * rules.correlated_pixels)
+    return place_press(
+        linearised, expected, scatter * radius, precision, radius, sample.ball_radius_mm,
+        steps=5, tolerance=1e-3,
+    )  # fmt: skip
 
 
-def refine_membrane(
+def _refine_membrane(
     samples: list[Sample], geometry: FloatArray, model: SmoothModel, press_model: PressModel
 ) -> Membrane:
     """One Gauss–Newton step, in logarithms, for how the gel leaves the ball."""
-    now = press_model.membrane
-    trials = (
-        replace(now, decay_mm=now.decay_mm * 1.02),
-        replace(now, sharpness=now.sharpness * 1.02),
-    )
+    now, nudge = press_model.membrane, 0.02
+    trials = [
+        replace(press_model, membrane=replace(now, decay_mm=now.decay_mm * (1 + nudge))),
+        replace(press_model, membrane=replace(now, sharpness=now.sharpness * (1 + nudge))),
+    ]
     normal_matrix, moment = np.zeros((2, 2)), np.zeros(2)
     for sample, place in zip(samples, geometry, strict=True):
-
-        def render(membrane: Membrane, sample: Sample = sample, place: FloatArray = place):  # type: ignore[no-untyped-def]
-            changed = replace(press_model, membrane=membrane)
-            return predicted(sample, place, changed, model)
-
-        value = render(now)
-        jacobian = np.stack([((render(t) - value) / 0.02).ravel() for t in trials], axis=-1)
+        value = predicted(sample, place, press_model, model)
+        columns = [((predicted(sample, place, t, model) - value) / nudge).ravel() for t in trials]
+        jacobian = np.stack(columns, axis=-1)
         weighted = jacobian * np.repeat(sample.weight, 3)[:, None]
         normal_matrix += weighted.T @ jacobian
         moment += weighted.T @ (sample.change - value).ravel()
@@ -272,74 +417,3 @@ def refine_membrane(
         decay_mm=float(np.clip(now.decay_mm * np.exp(step[0]), 0.05 * radius, 3.0 * radius)),
         sharpness=float(np.clip(now.sharpness * np.exp(step[1]), 1.5, 30.0)),
     )
-
-
-def fit_jointly(
-    presses: PressImages,
-    background: FloatArray,
-    settings: FitSettings,
-    *,
-    iterations: int = 8,
-    start: JointFit | None = None,
-    changes: FloatArray | None = None,
-) -> JointFit:
-    """Alternate between the smooth model, each press's place, the rim and the label model.
-
-    The places are found on a thinned lattice of pixels; the model is then fitted to more of them.
-    ``start`` is an earlier fit of the same presses to go on from; ``changes`` is what
-    ``bare_changes`` gives, where it is already known.
-    """
-    thinned = gather(presses, background, settings, limit=PIXELS_FOR_PLACES)
-    labels = np.array([sample.label for sample in thinned])
-    balls = presses.ball_radius_mm
-    first_radius = np.minimum(FIRST_RADIUS_SHARE * labels[:, 2], 0.9 * balls)
-    press_model = plain_press_model(float(first_radius.mean()), presses.dome_radius_mm)
-    geometry = np.column_stack([labels[:, :2], first_radius])
-    rough = replace(settings, degree=min(settings.degree, 4))
-    drift = press_drift(presses, changes)
-    share = 0.0
-    if start is not None:
-        press_model, geometry, share = start.press_model, start.geometry, start.drift_share
-    for _ in range(iterations):
-        samples = _without(thinned, share * drift)
-        model = fit_model(samples, geometry, press_model, rough)
-        expected, scatter = _expected(presses, press_model.labels.geometry(labels))
-        geometry = np.array(
-            [
-                refine_press(sample, model, press_model, place, scatter=held)
-                for sample, place, held in zip(samples, expected, scatter, strict=True)
-            ]
-        )
-        membrane = refine_membrane(samples, geometry, model, press_model)
-        press_model = replace(press_model, membrane=membrane, labels=learn_labels(labels, geometry))
-        share = drift_share(thinned, geometry, press_model, model, drift)
-    dense = _without(gather(presses, background, settings), share * drift)
-    model = fit_model(dense, geometry, press_model, settings)
-    return JointFit(model, press_model, geometry, share)
-
-
-def _expected(presses: PressImages, by_label: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Expected geometry (N, 3), mm, and its scatter (N, 3), label radii.
-
-    A circle that is seen in the picture says more about the centre than a label does, and keeps a
-    shift that all labels share from going into the table.
-    """
-    expected = np.array(by_label)
-    expected[:, 2] = np.minimum(expected[:, 2], 0.95 * presses.ball_radius_mm)
-    scatter = np.tile(LABEL_SCATTER, (len(presses), 1))
-    if presses.seen_px is not None:
-        known = np.isfinite(presses.seen_px).all(axis=1)
-        x, y = presses.seen_px[:, 0], presses.seen_px[:, 1]
-        seen = np.column_stack(place_mm(x, y, presses.shape_px, presses.mm_per_px))
-        share = CENTER_PRIOR_RADII**2 / (CENTER_PRIOR_RADII**2 + SEEN_PRIOR_RADII**2)
-        expected[known, :2] += share * (seen - expected[:, :2])[known]
-        scatter[known, :2] = SEEN_PRIOR_RADII * np.sqrt(share)
-    return expected, scatter
-
-
-def _without(samples: list[Sample], offsets: FloatArray) -> list[Sample]:
-    """The samples with each press's offset taken off."""
-    return [
-        replace(sample, change=sample.change - offset)
-        for sample, offset in zip(samples, offsets, strict=True)
-    ]

@@ -8,12 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tacgen.calibrate.lookup.press_fit import gather, sample_design
-from tacgen.calibrate.lookup.press_model import label_mm
+from tacgen.calibrate.lookup.press_fit import sample_design
 from tacgen.calibrate.lookup.scale import evidence_lines
 from tacgen.calibrate.lookup.score import PressRenderer
 from tacgen.calibrate.lookup.table_fit import Calibration
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_images import PressImages, label_mm
 from tacgen.report import (
     Section,
     figure_section,
@@ -101,7 +100,7 @@ def _settings(calibration: Calibration) -> Section:
 
 def _bins(calibration: Calibration) -> Section:
     choice = calibration.choice
-    ranked = sorted((choice.bin_errors or {}).items(), key=lambda item: item[1])
+    ranked = sorted(choice.bin_errors.items(), key=lambda item: item[1])
     return table_section(
         "Smooth model against bins, by the same cross-validation",
         ("candidate", "RMSE, grey levels"),
@@ -172,10 +171,9 @@ def _residuals(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Distance (n,), residual, change and fit (n, 3) at a thinned set of pixels of all presses."""
     fit = calibration.fit
-    background = calibration.background
     parts: list[list[NDArray]] = [[], [], [], []]
     for sample, place in zip(
-        gather(presses, background, calibration.choice.settings, limit=150),
+        calibration.presses.samples(calibration.background, limit=150),
         fit.geometry,
         strict=True,
     ):
@@ -194,7 +192,7 @@ def coverage(presses: PressImages, calibration: Calibration) -> NDArray[np.float
     fit = calibration.fit
     counts = np.zeros((12, 24))
     for sample, place in zip(
-        gather(presses, calibration.background, calibration.choice.settings),
+        calibration.presses.samples(calibration.background),
         fit.geometry,
         strict=True,
     ):

@@ -17,27 +17,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tacgen.calibrate.lookup.background import (
-    BackgroundRecipe,
-    bare_gel_change,
-    make_background,
-)
-from tacgen.calibrate.lookup.model_choice import fold_of, left_out_squares, press_sums
-from tacgen.calibrate.lookup.press_fit import (
-    FitSettings,
-    JointFit,
-    fit_jointly,
-    gather,
-    sample_design,
-)
+from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares, press_sums
+from tacgen.calibrate.lookup.prepared import PreparedPresses
+from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly, sample_design
+from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
 from tacgen.presses.dots import dot_centers
 from tacgen.presses.press_images import PressImages
 
 MIN_RULER_PRESSES = 4
-CLEAR_SIGMAS = 3.0
-CLEAR_SHARE = 0.02
-"""A disagreement is said where it is this many standard errors and this share."""
+"""Two places fix a scale and a turn; as many more tell the error."""
+
+MIN_RATIO_PRESSES = 3
+"""Presses of a second ball that its size is judged from."""
 
 UNEVEN_LIGHT = 0.005
 """Light that changes across the picture moves the centres that are found in it, by up to this
@@ -47,10 +39,13 @@ RIM_EXCESS = 1.05
 """The rim that is seen in a picture lies outside the contact by up to this factor."""
 
 RADIUS_FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1)
+"""Of the stated radius, that are tried; the best is interpolated."""
+
 RATIO_SETTINGS = FitSettings(degree=5, ridge=1e-3)
-RATIO_PIXELS = 300
-BACKGROUND = BackgroundRecipe(smooth=0.05, drift=True)
+"""A model of few terms tells the size of a ball as well and is fitted five times a ball."""
+
 BOOTSTRAPS = 200
+"""Draws of presses: the standard error of a ratio to 5 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +110,16 @@ class ScaleEvidence:
         }  # fmt: skip
 
 
-def scale_evidence(presses: PressImages, fit: JointFit, changes: FloatArray) -> ScaleEvidence:
-    """What placed presses say about mm/px and the balls' radii.
-
-    ``changes`` is what ``bare_changes`` gives of them.
-    """
+def scale_evidence(prepared: PreparedPresses, fit: JointFit) -> ScaleEvidence:
+    """What presses placed as in ``fit`` tell about mm/px and the balls' radii."""
+    presses = prepared.presses
     candidates = (by_stage(presses, fit), by_dots(presses))
     rulers = tuple(ruler for ruler in candidates if ruler is not None)
     largest = largest_scale(presses)
-    ratios = ball_ratios(presses, fit, changes)
+    ratios = ball_ratios(prepared, fit)
     found = ScaleEvidence(presses.mm_per_px, rulers, largest, ratios, (), ())
     return replace(
-        found, warnings=tuple(_warnings(presses, found)), notes=tuple(_notes(presses, found))
+        found, warnings=tuple(_warnings(prepared, found)), notes=tuple(_notes(presses, found))
     )
 
 
@@ -196,62 +189,46 @@ def largest_scale(presses: PressImages) -> float:
     return float(np.nanquantile(bounds, 0.1))
 
 
-def ball_ratios(presses: PressImages, fit: JointFit, changes: FloatArray) -> tuple[BallRatio, ...]:
+def ball_ratios(prepared: PreparedPresses, fit: JointFit) -> tuple[BallRatio, ...]:
     """How large each ball looks against the ball that pressed most often."""
-    radii, counts = np.unique(presses.ball_radius_mm, return_counts=True)
+    radii, counts = np.unique(prepared.presses.ball_radius_mm, return_counts=True)
     reference = radii[np.argmax(counts)]
     return tuple(
-        _ratio(presses, fit, changes, float(radius), float(reference))
+        _ratio(prepared, fit, float(radius), float(reference))
         for radius, count in zip(radii, counts, strict=True)
-        if radius != reference and count >= 3
+        if radius != reference and count >= MIN_RATIO_PRESSES
     )
 
 
-def _ratio(
-    presses: PressImages, fit: JointFit, changes: FloatArray, radius: float, reference: float
-) -> BallRatio:
-    """Profile of the left-out error over the ball's radius; scatter by bootstrap over presses."""
-    which = presses.ball_radius_mm == radius
-    squares = np.array(
-        [
-            _squares(
-                replace(
-                    presses,
-                    ball_radius_mm=np.where(which, factor * radius, presses.ball_radius_mm),
-                ),
-                fit,
-                changes,
-            )
-            for factor in RADIUS_FACTORS
-        ]
-    )
-    rng = np.random.default_rng(len(presses))
-    draws = [rng.integers(0, len(presses), len(presses)) for _ in range(BOOTSTRAPS)]
+def _ratio(prepared: PreparedPresses, fit: JointFit, radius: float, reference: float) -> BallRatio:
+    """Profile of the held-out error over the ball's radius; scatter by bootstrap over presses."""
+    stated = prepared.presses.ball_radius_mm
+    profile = [
+        _squares(prepared.with_balls(np.where(stated == radius, factor * radius, stated)), fit)
+        for factor in RADIUS_FACTORS
+    ]
+    squares, count = np.array(profile), len(prepared)
+    rng = np.random.default_rng(count)
+    draws = [rng.integers(0, count, count) for _ in range(BOOTSTRAPS)]
     factors = [_lowest(squares[:, draw].sum(axis=1)) for draw in draws]
     return BallRatio(radius, reference, _lowest(squares.sum(axis=1)), float(np.std(factors)))
 
 
-def _squares(presses: PressImages, fit: JointFit, changes: FloatArray) -> FloatArray:
+def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
     """Squared error (N,) of each press by a model of the others, all placed anew."""
-    change = bare_gel_change(presses, changes)
-    background = make_background(presses.background, change, BACKGROUND, presses.dots)
-    placed = fit_jointly(
-        presses, background, RATIO_SETTINGS, start=fit, iterations=3, changes=changes
-    )
+    rules, background = prepared.rules, prepared.backgrounds[SMOOTH_WITH_DRIFT]
+    placed = fit_jointly(prepared, background, RATIO_SETTINGS, start=fit, iterations=3)
+    samples = prepared.samples(background, rules.pixels_for_ratio)
     sums = [
         press_sums(
             sample,
             sample_design(sample, place, placed.press_model, RATIO_SETTINGS.degree),
             sample.change,
         )
-        for sample, place in zip(
-            gather(presses, background, RATIO_SETTINGS, limit=RATIO_PIXELS),
-            placed.geometry,
-            strict=True,
-        )
+        for sample, place in zip(samples, placed.geometry, strict=True)
     ]
-    folds = fold_of(len(presses))
-    return left_out_squares(sums, folds, RATIO_SETTINGS.ridge, RATIO_SETTINGS.degree)[:, 0]
+    folds = fold_of(len(prepared), rules.n_folds)
+    return held_out_squares(sums, folds, RATIO_SETTINGS.ridge, RATIO_SETTINGS.degree)[:, 0]
 
 
 def _lowest(squares: FloatArray) -> float:
@@ -266,19 +243,19 @@ def _lowest(squares: FloatArray) -> float:
     return float(factors[middle] + step)
 
 
-def _warnings(presses: PressImages, found: ScaleEvidence) -> list[str]:
-    stated = found.stated_mm_per_px
-    said = []
+def _warnings(prepared: PreparedPresses, found: ScaleEvidence) -> list[str]:
+    presses, rules, stated = prepared.presses, prepared.rules, found.stated_mm_per_px
+    lines = []
     for ruler in found.rulers:
         apart = ruler.mm_per_px / stated - 1
-        if abs(apart) > max(CLEAR_SHARE, CLEAR_SIGMAS * ruler.stderr / stated):
-            said.append(
+        if abs(apart) > max(rules.clear_share, rules.clear_sigmas * ruler.stderr / stated):
+            lines.append(
                 f"the stated mm_per_px is {stated:.4f}, but {ruler.name} say {ruler.mm_per_px:.4f} "
                 f"± {ruler.stderr:.4f} ({apart:+.0%}): check both; --mm-per-px "
                 f"{ruler.mm_per_px:.4f} sets the scale"
             )
     if stated > found.largest_mm_per_px:
-        said.append(
+        lines.append(
             f"at {stated:.4f} mm/px contacts are wider than their ball; that cannot be above "
             f"{found.largest_mm_per_px:.4f} mm/px: mm_per_px is too large or the ball's radius_mm "
             "too small"
@@ -287,37 +264,37 @@ def _warnings(presses: PressImages, found: ScaleEvidence) -> list[str]:
     balls = presses.ball_radius_mm[~presses.found] if len(presses.found) else presses.ball_radius_mm
     beyond = int((labelled * stated > balls).sum())
     if beyond:
-        said.append(
+        lines.append(
             f"{beyond} of {len(labelled)} labelled contact radii exceed the ball's own radius: the "
             "labels follow the gel's dark rim, or mm_per_px or radius_mm is off; the radii were "
             "estimated instead"
         )
     for ratio in found.ratios:
         apart = ratio.factor - 1
-        if abs(apart) > max(CLEAR_SHARE, CLEAR_SIGMAS * ratio.stderr):
-            said.append(
+        if abs(apart) > max(rules.clear_share, rules.clear_sigmas * ratio.stderr):
+            lines.append(
                 f"the ball of {ratio.radius_mm:g} mm looks like one of "
                 f"{ratio.factor * ratio.radius_mm:.2f} ± {ratio.stderr * ratio.radius_mm:.2f} mm "
                 f"if the one of {ratio.reference_mm:g} mm is right: measure both"
             )
-    return said
+    return lines
 
 
 def _notes(presses: PressImages, found: ScaleEvidence) -> list[str]:
-    said = []
+    lines = []
     if not found.rulers:
-        said.append(
-            "nothing in these presses measures the scale, so the stated mm_per_px is taken; it "
+        lines.append(
+            "nothing in these presses measures the scale, so the stated mm_per_px is used; it "
             f"cannot be above {found.largest_mm_per_px:.4f}, where contacts would be wider than "
             "their ball. A stage's x_mm and y_mm in presses.csv, or printed dots with "
             "markers.pitch_mm in sensor.yaml, would measure it"
         )
     if len(set(presses.ball_radius_mm.tolist())) == 1:
-        said.append(
+        lines.append(
             "one ball only: whether its radius is off cannot be told; a second ball of another "
             "size would show it by the ratio of the two"
         )
-    return said
+    return lines
 
 
 def evidence_lines(found: ScaleEvidence) -> Sequence[str]:

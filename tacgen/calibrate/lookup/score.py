@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.press_fit import (
-    CENTER_PRIOR_RADII,
-    CORRELATED_PIXELS,
-    NOISE_GREY,
-    RADIUS_PRIOR_RADII,
+    EXPECTED_RADIUS_SHARE,
+    PressModel,
+    label_scatter,
+    place_press,
+    plain_press_model,
 )
-from tacgen.calibrate.lookup.press_model import PressModel, label_mm, plain_press_model
-from tacgen.calibrate.lookup.samples import Pixels, disc_pixels, place_mm
+from tacgen.calibrate.lookup.settings import LookupRules
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
-from tacgen.presses.geometry import MAX_RADIUS_SHARE
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 _MARGIN_PX = 3
-_STEPS = 10
+"""The renderer's differences and shadows reach this far beyond the pixels that are read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,9 @@ class PressRenderer:
         self._shader.finish(self._height_mm, window, self._image)
 
 
-def score_table(table: LookupTable, presses: PressImages) -> TableScore:
+def score_table(
+    table: LookupTable, presses: PressImages, rules: LookupRules | None = None
+) -> TableScore:
     """Score a table on presses; every press must have a circle, labelled or found.
 
     Raises
@@ -151,16 +153,16 @@ def score_table(table: LookupTable, presses: PressImages) -> TableScore:
         raise PressError(msg)
     press_model = press_model_of(table, presses)
     renderer = PressRenderer(table, press_model)
-    labels = label_mm(presses)
+    expected = press_model.labels.geometry(label_mm(presses))
+    expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
+    rules = LookupRules() if rules is None else rules
     return TableScore(
-        tuple(
-            _score_press(presses, k, labels[k], press_model, renderer) for k in range(len(presses))
-        )
+        tuple(_score_press(presses, k, expected[k], renderer, rules) for k in range(len(presses)))
     )
 
 
 def press_model_of(table: LookupTable, presses: PressImages) -> PressModel:
-    """How to turn a label into a press for ``table``: learnt with it, or labels at their word."""
+    """How a label becomes a press for ``table``: as learnt with it, or the label itself."""
     learnt = table.provenance.get("press_model")
     if learnt:
         return PressModel.from_dict(learnt)
@@ -171,20 +173,13 @@ def press_model_of(table: LookupTable, presses: PressImages) -> PressModel:
 def _score_press(
     presses: PressImages,
     k: int,
-    label: FloatArray,
-    press_model: PressModel,
+    expected: FloatArray,
     renderer: PressRenderer,
+    rules: LookupRules,
 ) -> PressScore:
     ball = float(presses.ball_radius_mm[k])
-    pixels = disc_pixels(
-        presses.images[k],
-        presses.center_px[k],
-        float(presses.radius_px[k]),
-        presses.mm_per_px,
-        hidden=presses.hidden_in(k),
-    )
-    expected = press_model.labels.geometry(label)
-    expected[2] = min(expected[2], 0.95 * ball)
+    label_radius_mm = float(presses.radius_px[k] * presses.mm_per_px)
+    pixels = disc_pixels(presses, k)
     error = pixels.grey - renderer.grey(expected, ball, pixels)
     squared, places = np.zeros(3), []
     for odd in (False, True):
@@ -192,7 +187,7 @@ def _score_press(
         scoring = pixels.select(pixels.odd_block != odd)
         place = expected
         if len(estimating) and len(scoring):
-            place = refine_on_table(estimating, renderer, expected, label[2], ball)
+            place = _place_on_table(estimating, renderer, expected, label_radius_mm, ball, rules)
         if len(scoring):
             squared += ((scoring.grey - renderer.grey(place, ball, scoring)) ** 2).sum(axis=0)
         places.append(place)
@@ -206,34 +201,28 @@ def _score_press(
     )
 
 
-def refine_on_table(
+def _place_on_table(
     pixels: Pixels,
     renderer: PressRenderer,
     expected: FloatArray,
     label_radius_mm: float,
     ball_radius_mm: float,
+    rules: LookupRules,
 ) -> FloatArray:
     """Centre and contact radius (3,), mm, that make the table's picture most like the press."""
-    scatter = np.array([CENTER_PRIOR_RADII, CENTER_PRIOR_RADII, RADIUS_PRIOR_RADII])
-    prior = 1.0 / (scatter * label_radius_mm) ** 2
-    precision = 1.0 / (NOISE_GREY**2 * CORRELATED_PIXELS)
     nudge = 0.01 * label_radius_mm
-    place = np.array(expected, dtype=np.float64)
-    for _ in range(_STEPS):
+
+    def linearised(place: FloatArray) -> tuple[FloatArray, FloatArray]:
         value = renderer.grey(place, ball_radius_mm, pixels)
         columns = []
         for axis in range(3):
             moved = place.copy()
             moved[axis] += nudge
             columns.append(((renderer.grey(moved, ball_radius_mm, pixels) - value) / nudge).ravel())
-        jacobian = np.stack(columns, axis=-1)
-        residual = (pixels.grey - value).ravel()
-        step = np.linalg.solve(
-            precision * jacobian.T @ jacobian + np.diag(prior),
-            precision * jacobian.T @ residual - prior * (place - expected),
-        )
-        place += np.clip(step, -0.06 * label_radius_mm, 0.06 * label_radius_mm)
-        place[2] = np.clip(place[2], 0.1 * label_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
-        if np.abs(step).max() < 2e-3 * label_radius_mm:
-            break
-    return place
+        return (pixels.grey - value).ravel(), np.stack(columns, axis=-1)
+
+    precision = np.full(3 * len(pixels), 1.0 / (rules.noise_grey**2 * rules.correlated_pixels))
+    return place_press(
+        linearised, expected, label_scatter(rules) * label_radius_mm, precision, label_radius_mm,
+        ball_radius_mm, steps=10, tolerance=2e-3,
+    )  # fmt: skip

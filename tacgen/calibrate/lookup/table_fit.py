@@ -8,45 +8,37 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tacgen import __version__
-from tacgen.calibrate.lookup.background import (
-    BackgroundRecipe,
-    bare_changes,
-    bare_gel_change,
-    make_background,
-    press_drift,
+from tacgen.calibrate.lookup.model_choice import (
+    Bins,
+    Choice,
+    InnerPixels,
+    choose,
+    fit_bins,
+    fold_of,
+    inside,
 )
-from tacgen.calibrate.lookup.bins import Bins, bin_sums, polar_slopes, solve_bins
-from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
-from tacgen.calibrate.lookup.press_fit import (
-    FitSettings,
-    JointFit,
-    fit_jointly,
-    gather,
-    predicted,
-)
-from tacgen.calibrate.lookup.press_model import PressModel
-from tacgen.calibrate.lookup.samples import place_mm
+from tacgen.calibrate.lookup.prepared import PreparedPresses
+from tacgen.calibrate.lookup.press_fit import JointFit, PressModel, fit_jointly, predicted
 from tacgen.calibrate.lookup.scale import ScaleEvidence, scale_evidence
 from tacgen.calibrate.lookup.score import PressScore, TableScore, score_table
+from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings, LookupRules
 from tacgen.calibrate.lookup.smooth_model import SmoothModel, position_terms
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.folds import in_processes
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import press_slope, rest_slope
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_images import PressImages, place_mm
 
 N_SLOPE, N_DIRECTION = 48, 120
 """Nodes of the table: fine enough that interpolation adds less than 0.1 grey levels."""
 
-FIRST_BACKGROUND = BackgroundRecipe(smooth=0.05, drift=True)
-"""What the presses are first placed on; smooth, so that the choice among backgrounds is open."""
-
 IMAGES_FOR_NOISE = 12
+"""The camera's noise is the same in every image: a dozen give it."""
 
 WHOLE = -1
-"""In place of the number of a fold: none is left out."""
+"""In place of the number of a fold: no press is held out."""
 
 BEYOND_STEEPEST = 1.02
 """The table ends a little above the steepest slope that the presses hold."""
@@ -54,144 +46,120 @@ BEYOND_STEEPEST = 1.02
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A table, how it was fitted, and its score on presses that had no part in fitting it.
+    """A table, how it was fitted, and its score on held-out presses.
 
-    ``fold_tables`` are those that the score is of: press k was left out of table k mod their
+    ``fold_tables`` are those that the score is of: press k was held out of table k mod their
     number.
     """
 
+    presses: PreparedPresses
     table: LookupTable
     fit: JointFit
     choice: Choice
-    background: NDArray[np.float32]
     heldout: TableScore | None = None
     scale: ScaleEvidence | None = None
     fold_tables: tuple[LookupTable, ...] = ()
 
+    @property
+    def background(self) -> FloatArray:
+        """The background (H, W, 3) that was chosen."""
+        return self.presses.backgrounds[self.choice.background]
 
-def fit_lookup(presses: PressImages) -> LookupTable:
+
+def fit_lookup(presses: PressImages, rules: LookupRules | None = None) -> LookupTable:
     """The lookup table of a sensor from its ball presses.
 
     Every press must have a centre and a radius, labelled or found; both are taken as a start and
     estimated. Degree, ridge and background are chosen by cross-validation over whole presses.
     """
-    return calibrate(presses).table
+    return calibrate(presses, rules).table
 
 
 def calibrate(
-    presses: PressImages, *, heldout: bool = False, processes: int | None = None
+    presses: PressImages,
+    rules: LookupRules | None = None,
+    *,
+    heldout: bool = False,
+    processes: int | None = None,
 ) -> Calibration:
-    """Fit a table; with ``heldout`` also repeat everything five times, each without a fifth.
+    """Fit a table; with ``heldout`` also repeat everything once a fold, each without a fold.
 
     The held-out presses of a fold take no part in the fit, in the choice of settings or in the
-    estimate of the background that they are scored against. The six fits run in ``processes``
+    estimate of the background that they are scored against. The fits run in ``processes``
     processes, by default one a core; the result does not depend on how many.
     """
-    changes = bare_changes(presses)
+    prepared = PreparedPresses.of(presses, rules)
     if not heldout:
-        return _fit(presses, changes)
-    folds = fold_of(len(presses))
-    task = _FoldTask(presses, changes, folds)
+        return Calibration(prepared, *_fit(prepared))
+    folds = fold_of(len(presses), prepared.rules.n_folds)
+    task = _FoldTask(prepared, folds)
     whole, *parts = in_processes(task, [WHOLE, *np.unique(folds).tolist()], processes)
+    table, fit, choice, scale, _ = whole
     scored: list[PressScore | None] = [None] * len(presses)
-    for fold, (_, score) in enumerate(parts):
+    for fold, (*_, score) in enumerate(parts):
         for k, press in zip(np.nonzero(folds == fold)[0], score.presses, strict=True):
             scored[k] = press
     total = TableScore(tuple(press for press in scored if press is not None))
-    made: Calibration = whole[0]
-    provenance = {**made.table.provenance, "heldout": _without_images(total)}
-    if made.scale is not None:
-        provenance["scale"] = made.scale.as_dict()
-    table = replace(made.table, provenance=MappingProxyType(provenance))
-    return replace(
-        made, table=table, heldout=total, fold_tables=tuple(part.table for part, _ in parts)
-    )
+    found = {name: value for name, value in total.as_dict().items() if name != "images"}
+    provenance = {**table.provenance, "heldout": found, "scale": scale.as_dict()}
+    table = replace(table, provenance=MappingProxyType(provenance))
+    fold_tables = tuple(part[0] for part in parts)
+    return Calibration(prepared, table, fit, choice, total, scale, fold_tables)
 
 
 @dataclass(frozen=True, slots=True)
 class _FoldTask:
-    """Calibrates without one fold and scores on it.
+    """Calibrates without one fold and scores on it; ``WHOLE`` looks at the scale instead."""
 
-    ``WHOLE`` leaves nothing out and scores nothing; it also looks at the scale.
-    """
+    presses: PreparedPresses
+    folds: IntArray
 
-    presses: PressImages
-    changes: NDArray[np.floating]
-    folds: NDArray[np.int64]
-
-    def __call__(self, fold: int) -> tuple[Calibration, TableScore]:
-        kept = self.folds != fold
-        made = _portable(_fit(self.presses.select(kept), self.changes[kept]))
+    def __call__(self, fold: int) -> tuple[LookupTable, JointFit, Choice, Any, TableScore]:
         if fold == WHOLE:
-            scale = scale_evidence(self.presses, made.fit, self.changes)
-            return replace(made, scale=scale), TableScore(())
-        return made, score_table(made.table, self.presses.select(~kept))
+            table, fit, choice = _fit(self.presses)
+            return _portable(table), fit, choice, scale_evidence(self.presses, fit), TableScore(())
+        table, fit, choice = _fit(self.presses.select(self.folds != fold))
+        score = score_table(table, self.presses.presses.select(self.folds == fold))
+        return _portable(table), fit, choice, None, score
 
 
-def _portable(made: Calibration) -> Calibration:
+def _portable(table: LookupTable) -> LookupTable:
     """The same with plain mappings, which go from process to process."""
-    table = made.table
-    plain = replace(table, effects=dict(table.effects), provenance=dict(table.provenance))
-    return replace(made, table=plain)
+    return replace(table, effects=dict(table.effects), provenance=dict(table.provenance))
 
 
-def _fit(presses: PressImages, changes: NDArray[np.floating]) -> Calibration:
+def _fit(prepared: PreparedPresses) -> tuple[LookupTable, JointFit, Choice]:
     first = FitSettings()
-    change = bare_gel_change(presses, changes)
-    start = make_background(presses.background, change, FIRST_BACKGROUND, presses.dots)
-    rough = fit_jointly(presses, start, first, changes=changes)
-    choice = choose(presses, rough, first, changes)
-    background = make_background(presses.background, change, choice.background, presses.dots)
-    fit = rough
-    if (choice.settings, choice.background) != (first, FIRST_BACKGROUND):
-        fit = fit_jointly(
-            presses, background, choice.settings, start=rough, iterations=3, changes=changes
-        )
-    bins = fit_bins(presses, fit, background, choice, changes)
-    table = tabulate(presses, fit, background, choice, bins)
-    return Calibration(table, fit, choice, background)
+    fit = fit_jointly(prepared, prepared.backgrounds[SMOOTH_WITH_DRIFT], first)
+    choice = choose(prepared, fit, first)
+    background = prepared.backgrounds[choice.background]
+    if (choice.settings, choice.background) != (first, SMOOTH_WITH_DRIFT):
+        fit = fit_jointly(prepared, background, choice.settings, start=fit, iterations=3)
+    bins = _bins(prepared, fit, background, choice) if choice.bins.n_slope else None
+    return _tabulate(prepared, fit, background, choice, bins), fit, choice
 
 
-def fit_bins(
-    presses: PressImages,
+def _bins(prepared: PreparedPresses, fit: JointFit, background: FloatArray, choice: Choice) -> Bins:
+    """What the chosen bins add to the smooth model."""
+    samples = prepared.samples(background)
+    offsets = fit.drift_share * prepared.drift
+    residual = [
+        sample.change - offset - predicted(sample, place, fit.press_model, fit.model)
+        for sample, place, offset in zip(samples, fit.geometry, offsets, strict=True)
+    ]
+    steepest = steepest_slope_rad(prepared.presses, fit)
+    return fit_bins(InnerPixels.of(samples, fit), inside(residual, samples), choice.bins, steepest)
+
+
+def _tabulate(
+    prepared: PreparedPresses,
     fit: JointFit,
-    background: NDArray[np.float32],
+    background: FloatArray,
     choice: Choice,
-    changes: NDArray[np.floating],
-) -> Bins | None:
-    """What the chosen bins add to the smooth model; None where it stands alone."""
-    if not choice.bins.n_slope:
-        return None
-    offsets = fit.drift_share * press_drift(presses, changes)
-    steepest = steepest_slope_rad(presses, fit)
-    parts: list[list[NDArray]] = [[], [], [], []]
-    for k, (sample, place) in enumerate(
-        zip(gather(presses, background, choice.settings), fit.geometry, strict=True)
-    ):
-        inside = sample.pixels.inside
-        polar = polar_slopes(sample, place, fit)[inside]
-        smooth = predicted(sample, place, fit.press_model, fit.model)
-        residual = (sample.change - offsets[k] - smooth)[inside]
-        found = (polar, sample.pixels.position[inside], residual, np.full(len(polar), k))
-        for part, values in zip(parts, found, strict=True):
-            part.append(values)
-    polar, position, residual, press = (np.concatenate(part) for part in parts)
-    sums = bin_sums(polar, position, residual, press, choice.bins, steepest)
-    return solve_bins(sums, choice.bins, steepest)
-
-
-def _without_images(score: TableScore) -> dict[str, Any]:
-    return {name: value for name, value in score.as_dict().items() if name != "images"}
-
-
-def tabulate(
-    presses: PressImages,
-    fit: JointFit,
-    background: NDArray[np.float32],
-    choice: Choice,
-    bins: Bins | None = None,
+    bins: Bins | None,
 ) -> LookupTable:
     """The fitted model as a table that renders without any of the fit's code."""
+    presses = prepared.presses
     steepest = steepest_slope_rad(presses, fit)
     slope = np.linspace(0.0, steepest, N_SLOPE)
     direction = -np.pi + 2 * np.pi * np.arange(N_DIRECTION) / N_DIRECTION
@@ -204,6 +172,7 @@ def tabulate(
         "press_model": fit.press_model.as_dict(),
         "settings": {
             **asdict(choice.settings),
+            "rim_weight": prepared.rules.rim_weight,
             **asdict(choice.background),
             "bins": asdict(choice.bins),
         },
@@ -257,8 +226,8 @@ def steepest_slope_rad(presses: PressImages, fit: JointFit) -> float:
 
 
 def without_rest(
-    reference: NDArray[np.float32], model: SmoothModel, press_model: PressModel, mm_per_px: float
-) -> NDArray[np.float32]:
+    reference: FloatArray, model: SmoothModel, press_model: PressModel, mm_per_px: float
+) -> FloatArray:
     """The reference image less what the table adds for the gel at rest (0 for a flat gel)."""
     if press_model.dome_radius_mm <= 0:
         return reference

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen import __version__
-from tacgen.calibrate.lookup.background import BackgroundRecipe, make_background
-from tacgen.calibrate.lookup.press_model import LabelModel, PressModel
-from tacgen.calibrate.lookup.samples import place_mm
+from tacgen.calibrate.lookup.prepared import make_background
+from tacgen.calibrate.lookup.press_fit import LabelModel, PressModel
+from tacgen.calibrate.lookup.settings import BackgroundRecipe
 from tacgen.calibrate.lookup.smooth_model import SmoothModel
 from tacgen.calibrate.lookup.table_fit import N_DIRECTION, N_SLOPE, camera_noise_grey, without_rest
 from tacgen.core.arrays import FloatArray
@@ -25,7 +25,7 @@ from tacgen.optics.effects import CHANNELS, LEAKS, PLACES
 from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import Membrane, rest_height
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_images import PressImages, place_mm
 
 SMOOTH = 0.03
 """Width, as a share of the image's, that the background is smoothed with: its noise is no effect

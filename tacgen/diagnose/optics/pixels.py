@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.calibrate.lookup.press_model import label_mm
-from tacgen.calibrate.lookup.samples import disc_pixels
+from tacgen.calibrate.lookup.prepared import disc_pixels
 from tacgen.core.arrays import FloatArray
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_images import PressImages, label_mm
 
 REACH = 1.6
 """Pixels up to this many contact radii from a centre are looked at: shade falls outside too."""
@@ -92,18 +91,7 @@ def gather_pixels(
     """The pixels of every press, all of them without a limit; ``background`` is (H, W, 3)."""
     labels = label_mm(presses)
     labels[:, 2] = np.minimum(labels[:, 2], 1.5 * presses.ball_radius_mm)
-    parts = [
-        disc_pixels(
-            presses.images[k],
-            presses.center_px[k],
-            float(presses.radius_px[k]),
-            presses.mm_per_px,
-            reach=REACH,
-            limit=limit,
-            hidden=presses.hidden_in(k),
-        )
-        for k in range(len(presses))
-    ]
+    parts = [disc_pixels(presses, k, reach=REACH, limit=limit) for k in range(len(presses))]
     rows, columns = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "columns")
     )

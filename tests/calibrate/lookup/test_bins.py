@@ -5,33 +5,34 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tacgen.calibrate.lookup.bins import Bins, BinSettings, bin_sums, solve_bins
+from tacgen.calibrate.lookup.model_choice import Bins, InnerPixels, fit_bins
+from tacgen.calibrate.lookup.settings import BinSettings
 from tacgen.calibrate.lookup.smooth_model import position_costs, position_terms
 
 STEEPEST = 1.0
 
 
 def pixels(seed, n=4000):
-    """Polar slopes (n, 2), position features (n, 6) and the press of each pixel."""
+    """Pixels of eight presses, all over slopes, directions and the picture."""
     rng = np.random.default_rng(seed)
     polar = np.column_stack([rng.uniform(0, STEEPEST, n), rng.uniform(-np.pi, np.pi, n)])
     position = position_terms(*rng.uniform(-0.5, 0.5, (2, n)))
-    return polar, position, np.repeat(np.arange(8), n // 8)
+    return InnerPixels(polar, position, np.repeat(np.arange(8), n // 8))
 
 
 def test_every_bin_is_the_least_squares_of_its_own_pixels():
     """Against a plain solve of one bin at a time: no pixel is lost where bins repeat."""
-    polar, position, press = pixels(0)
+    data = pixels(0)
+    polar, position = data.polar, data.position
     residual = np.random.default_rng(1).normal(size=(len(polar), 3))
-    settings = BinSettings(3, 4, 2.0)
-    sums = bin_sums(polar, position, residual, press, settings, STEEPEST)
-    found = solve_bins(sums, settings, STEEPEST).coefficients
+    found = fit_bins(data, residual, BinSettings(3, 4, 2.0), STEEPEST).coefficients
+    # Each of the eight presses reaches each of the twelve bins.
+    ridge = 2.0 * (len(polar) / (8 * 12)) * np.diag(position_costs())
     for i in range(3):
         for j in range(4):
             low, left = i / 3, -np.pi + j * np.pi / 2
             mine = (polar[:, 0] >= low) & (polar[:, 0] < low + 1 / 3)
             mine &= (polar[:, 1] >= left) & (polar[:, 1] < left + np.pi / 2)
-            ridge = 2.0 * sums.pixels_per_press * np.diag(position_costs())
             wanted = np.linalg.solve(
                 position[mine].T @ position[mine] + ridge, position[mine].T @ residual[mine]
             )
@@ -39,26 +40,24 @@ def test_every_bin_is_the_least_squares_of_its_own_pixels():
 
 
 def test_an_empty_bin_adds_nothing():
-    polar, position, press = pixels(2)
-    polar[:, 1] = np.abs(polar[:, 1])
-    settings = BinSettings(4, 8, 1.0)
-    sums = bin_sums(polar, position, np.ones((len(polar), 3)), press, settings, STEEPEST)
-    found = solve_bins(sums, settings, STEEPEST).coefficients
+    data = pixels(2)
+    data.polar[:, 1] = np.abs(data.polar[:, 1])
+    residual = np.ones((len(data.polar), 3))
+    found = fit_bins(data, residual, BinSettings(4, 8, 1.0), STEEPEST).coefficients
     assert np.abs(found[:, :4]).max() == 0
     assert found[:, 4:, 5].min() > 0.5
 
 
-def test_the_more_presses_a_bin_must_have_the_less_it_says():
-    polar, position, press = pixels(3)
-    residual = np.ones((len(polar), 3))
-    said = []
+def test_a_firmer_hold_shrinks_the_correction():
+    data = pixels(3)
+    residual = np.ones((len(data.polar), 3))
+    added = []
     for held in (0.01, 1.0, 100.0):
-        settings = BinSettings(2, 3, held)
-        sums = bin_sums(polar, position, residual, press, settings, STEEPEST)
-        said.append(solve_bins(sums, settings, STEEPEST).change(polar, position).mean())
-    assert said[0] > said[1] > said[2] > 0
+        bins = fit_bins(data, residual, BinSettings(2, 3, held), STEEPEST)
+        added.append(bins.change(data.polar, data.position).mean())
+    assert added[0] > added[1] > added[2] > 0
     # Eight presses in every bin, held by a hundredth of one: nearly all of it.
-    assert said[0] == pytest.approx(1.0, abs=0.2)
+    assert added[0] == pytest.approx(1.0, abs=0.2)
 
 
 def test_between_bins_it_is_continuous_and_level_gel_is_unchanged():

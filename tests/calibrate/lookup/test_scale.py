@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.calibrate.lookup.background import bare_changes
-from tacgen.calibrate.lookup.press_fit import FitSettings, fit_jointly
+from tacgen.calibrate.lookup.prepared import PreparedPresses
+from tacgen.calibrate.lookup.press_fit import fit_jointly
 from tacgen.calibrate.lookup.scale import scale_evidence
+from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
 from validation.optics.press_images import draw_presses, gelsight_mini, write_folder
@@ -35,10 +36,9 @@ def folder(tmp_path_factory):
 
 
 def evidence(presses):
-    changes = bare_changes(presses)
-    background = presses.background.astype(np.float32)
-    fit = fit_jointly(presses, background, FitSettings(degree=5), changes=changes)
-    return scale_evidence(presses, fit, changes)
+    prepared = PreparedPresses.of(presses)
+    fit = fit_jointly(prepared, presses.background.astype(np.float32), FitSettings(degree=5))
+    return scale_evidence(prepared, fit)
 
 
 def read(folder, **changes):

@@ -1,0 +1,288 @@
+"""Ball presses made ready for the fits: pixels, drift of the bare gel, candidate backgrounds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, BackgroundRecipe, LookupRules
+from tacgen.calibrate.lookup.smooth_model import position_terms
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.presses.dots import coarse, filled_in
+from tacgen.presses.press_images import PressImages, label_mm, place_mm
+
+BLOCK_PX = 8
+"""Side of the blocks that take turns in estimating and scoring: those of JPEG."""
+
+BARE_BEYOND_RADII = 2.2
+"""Pixels farther from a contact's centre than this many contact radii count as bare gel."""
+
+MIN_VIEWS = 3
+"""Presses that must leave a pixel bare for their median to be used there."""
+
+_FINE_SIGMA_PX = 4.0
+"""A Gaussian of this width is as good as any wider one, on fewer pixels."""
+
+_COARSE_PX = 160
+"""Width of the images that the drift is estimated on: light drifts smoothly."""
+
+_CARRIED_OVER = 0.05
+"""Width, as a share of the image's, of the Gaussian that carries the drift over to pixels that
+too few presses leave bare."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pixels:
+    """Some pixels of one image.
+
+    Attributes
+    ----------
+    rows, columns : (n,) int
+    x_mm, y_mm : (n,) float
+        Place on the gel, from the image's centre, along columns and rows.
+    position : (n, 6) float
+        The table's features.
+    grey : (n, 3) float
+        RGB grey levels of the image.
+    inside : (n,) bool
+        Within the labelled (or found) contact circle.
+    """
+
+    rows: IntArray
+    columns: IntArray
+    x_mm: FloatArray
+    y_mm: FloatArray
+    position: FloatArray
+    grey: FloatArray
+    inside: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def select(self, mask: BoolArray) -> Pixels:
+        """The pixels where ``mask`` (n,) holds."""
+        return Pixels(*(getattr(self, name)[mask] for name in self.__slots__))
+
+    @property
+    def odd_block(self) -> BoolArray:
+        """Which of the two sets of a chess board of 8×8 blocks each pixel belongs to."""
+        return np.asarray((self.rows // BLOCK_PX + self.columns // BLOCK_PX) % 2 == 1)
+
+
+def disc_pixels(
+    presses: PressImages, k: int, *, reach: float = 1.0, limit: int | None = None
+) -> Pixels:
+    """The pixels of press ``k`` within ``reach`` × its contact circle that no dot covers.
+
+    Where there are more than ``limit``, an even lattice of them: every k-th row and column, so
+    that no part of the circle is favoured.
+    """
+    image, hidden = presses.images[k], presses.hidden_in(k)
+    (x, y), radius_px = presses.center_px[k], float(presses.radius_px[k])
+    height, width = presses.shape_px
+    reach_px = reach * radius_px
+    top, bottom = (int(np.clip(y + s * (reach_px + 1), 0, height)) for s in (-1, 1))
+    left, right = (int(np.clip(x + s * (reach_px + 1), 0, width)) for s in (-1, 1))
+    step = 1
+    if limit is not None:
+        step = max(1, math.ceil(math.sqrt(np.pi * reach_px**2 / limit) - 0.05))
+    rows, columns = np.mgrid[top:bottom:step, left : right + 1 : step]
+    rows, columns = rows.ravel(), np.minimum(columns.ravel(), width - 1)
+    distance = np.hypot(columns - x, rows - y)
+    near = distance < reach_px
+    if hidden is not None:
+        near &= ~hidden[rows, columns]
+    rows, columns, distance = rows[near], columns[near], distance[near]
+    x_mm, y_mm = place_mm(columns, rows, (height, width), presses.mm_per_px)
+    return Pixels(
+        rows=rows,
+        columns=columns,
+        x_mm=x_mm,
+        y_mm=y_mm,
+        position=position_terms((columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5),
+        grey=image[rows, columns].astype(np.float64),
+        inside=distance < radius_px,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The pixels of one press and what the fit needs with them.
+
+    Attributes
+    ----------
+    change : (n, 3) float
+        Grey levels less the background's.
+    weight : (n,) float
+    label : (3,) float
+        Labelled centre and radius, mm.
+    """
+
+    pixels: Pixels
+    change: FloatArray
+    weight: FloatArray
+    label: FloatArray
+    ball_radius_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedPresses:
+    """Ball presses with all that the fits derive from their pictures, derived once.
+
+    Attributes
+    ----------
+    presses : PressImages
+    rules : LookupRules
+    bare_changes : (N, h, w, 3) float32
+        Image − reference where no press touches, coarse; NaN near the contacts.
+    drift : (N, 3) float
+        What each picture's bare gel is brighter by than that of the others, grey levels.
+    backgrounds : mapping of BackgroundRecipe to (H, W, 3) float32
+        Every candidate of the rules.
+    """
+
+    presses: PressImages
+    rules: LookupRules
+    bare_changes: FloatArray
+    drift: FloatArray
+    backgrounds: Mapping[BackgroundRecipe, FloatArray]
+    _pixels: dict[int, list[Pixels]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        presses: PressImages,
+        rules: LookupRules | None = None,
+        bare_changes: FloatArray | None = None,
+    ) -> PreparedPresses:
+        """The set of these presses; their ``bare_changes`` are computed unless they are known."""
+        rules = LookupRules() if rules is None else rules
+        changes = _bare_changes(presses) if bare_changes is None else bare_changes
+        change = _bare_gel_change(changes)
+        recipes = {*rules.backgrounds, SMOOTH_WITH_DRIFT}
+        backgrounds = {
+            recipe: make_background(presses.background, change, recipe, presses.dots)
+            for recipe in recipes
+        }
+        return cls(presses, rules, changes, _drift(changes), backgrounds)
+
+    def __len__(self) -> int:
+        return len(self.presses)
+
+    def select(self, which: BoolArray) -> PreparedPresses:
+        """The presses that a mask picks; drift and backgrounds are estimated from them alone."""
+        return PreparedPresses.of(self.presses.select(which), self.rules, self.bare_changes[which])
+
+    def with_balls(self, ball_radius_mm: FloatArray) -> PreparedPresses:
+        """The same presses by balls of other radii (N,), mm."""
+        return replace(self, presses=replace(self.presses, ball_radius_mm=ball_radius_mm))
+
+    def samples(self, background: FloatArray, limit: int | None = None) -> list[Sample]:
+        """A sample of every press against ``background`` (H, W, 3), with up to ``limit`` pixels."""
+        rules = self.rules
+        limit = rules.pixels_per_press if limit is None else limit
+        if limit not in self._pixels:
+            self._pixels[limit] = [
+                disc_pixels(self.presses, k, reach=rules.reach_radii, limit=limit)
+                for k in range(len(self))
+            ]
+        labels = label_mm(self.presses)
+        return [
+            Sample(
+                pixels=pixels,
+                change=pixels.grey - background[pixels.rows, pixels.columns],
+                weight=np.where(pixels.inside, 1.0, rules.rim_weight),
+                label=labels[k],
+                ball_radius_mm=float(self.presses.ball_radius_mm[k]),
+            )
+            for k, pixels in enumerate(self._pixels[limit])
+        ]
+
+
+def _blur(image: FloatArray, sigma_px: float) -> FloatArray:
+    """Gaussian blur of (H, W) or (H, W, C); edges are mirrored."""
+    if sigma_px <= 0:
+        return image
+    source = np.ascontiguousarray(image, dtype=np.float32)
+    step = int(sigma_px / _FINE_SIGMA_PX)
+    if step < 2:
+        return np.asarray(cv2.GaussianBlur(source, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT))
+    # A wide Gaussian cannot tell the means of few pixels from the pixels.
+    height, width = source.shape[:2]
+    size = (max(1, width // step), max(1, height // step))
+    small = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
+    soft = cv2.GaussianBlur(small, (0, 0), sigma_px / step, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def _bare_changes(presses: PressImages) -> FloatArray:
+    """Image − reference where no press touches (N, h, w, 3), coarse; NaN near the contacts."""
+    height, width = presses.shape_px
+    scale = min(1.0, _COARSE_PX / width)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    reference = coarse(presses.background, size, presses.dots)
+    rows, columns = np.mgrid[: size[1], : size[0]]
+    changes = np.empty((len(presses), size[1], size[0], 3), np.float32)
+    for k in range(len(presses)):
+        x, y = (presses.center_px[k] + 0.5) * scale - 0.5
+        bare = np.hypot(columns - x, rows - y) > BARE_BEYOND_RADII * presses.radius_px[k] * scale
+        image = coarse(presses.images[k], size, presses.hidden_in(k))
+        changes[k] = np.where(bare[..., None], image - reference, np.nan)
+    return changes
+
+
+def _drift(bare_changes: FloatArray) -> FloatArray:
+    """What each picture's bare gel is brighter by than that of the others (N, 3), grey levels."""
+    drift = np.zeros((len(bare_changes), 3))
+    for k, change in enumerate(bare_changes):
+        bare = change[np.isfinite(change[..., 0])]
+        if len(bare):
+            drift[k] = np.median(bare, axis=0)
+    return drift - drift.mean(axis=0)
+
+
+def _bare_gel_change(changes: FloatArray) -> FloatArray:
+    """Median over the presses of image − reference where no press touches: (h, w, 3), coarse.
+
+    Where fewer than three presses leave the gel bare the change is carried over from around.
+    """
+    views = np.isfinite(changes[..., 0]).sum(axis=0)
+    known = views >= MIN_VIEWS
+    median = np.zeros(changes.shape[1:], np.float32)
+    if not known.any():
+        return median
+    ordered = np.sort(changes, axis=0)  # NaN goes last
+    middle = [np.maximum(views - 1 + upper, 0) // 2 for upper in (0, 1)]
+    low, high = (np.take_along_axis(ordered, index[None, ..., None], axis=0)[0] for index in middle)
+    median[known] = (0.5 * (low + high))[known]
+    weight = known.astype(np.float32)
+    sigma = _CARRIED_OVER * known.shape[1]
+    blurred = _blur(median * weight[..., None], sigma)
+    near = blurred / np.maximum(_blur(weight, sigma), 1e-6)[..., None]
+    return np.where(known[..., None], median, near)
+
+
+def make_background(
+    reference: FloatArray | NDArray[np.uint8],
+    change: FloatArray | None,
+    recipe: BackgroundRecipe,
+    dots: BoolArray | None = None,
+) -> FloatArray:
+    """The background (H, W, 3) by ``recipe`` from a reference image and the bare gel's change.
+
+    Printed ``dots`` (H, W) stay as sharp as they are: the gel around them is smoothed, and they
+    dim it by what they dim the reference by.
+    """
+    height, width = reference.shape[:2]
+    image = reference.astype(np.float32)
+    gel = image if dots is None else filled_in(image, dots)
+    ink = None if dots is None else np.where(dots[..., None], image / np.maximum(gel, 1.0), 1.0)
+    if recipe.drift and change is not None:
+        gel = gel + cv2.resize(change, (width, height), interpolation=cv2.INTER_LINEAR)
+    gel = _blur(gel, recipe.smooth * width)
+    return np.asarray(gel if ink is None else gel * ink, dtype=np.float32)
