@@ -18,22 +18,24 @@ from tacgen.core.errors import Interrupted, TacgenError
 
 
 def main() -> None:
-    """Run the command line; a ``TacgenError`` becomes one message and its exit code."""
+    """Run the command line; an error that a user can fix becomes one message and an exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:
         app()
     except TacgenError as error:
-        typer.echo(f"tacgen: {error}", err=True)
-        sys.exit(error.exit_code)
+        _stop(str(error), error.exit_code)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        mend = "check the path, its rights and the free space"
-        typer.echo(f"tacgen: {where}{error.strerror or error}; {mend}", err=True)
-        sys.exit(2)
+        fix = "check the path, its permissions and the free space"
+        _stop(f"{where}{error.strerror or error}; {fix}", TacgenError.exit_code)
     except Interrupted:
-        typer.echo("tacgen: interrupted; finished work is kept", err=True)
-        sys.exit(130)
+        _stop("interrupted; finished work is kept", 130)
+
+
+def _stop(message: str, exit_code: int) -> None:
+    typer.echo(f"tacgen: {message}", err=True)
+    sys.exit(exit_code)
 
 
 def _interrupt(_signal: int, _frame: object) -> None:

@@ -3,48 +3,137 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-app = typer.Typer(
-    name="tacgen",
-    help="Training data for robots that feel: simulated grasps, calibrated GelSight images.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
+CALIBRATION = "Calibration and diagnosis"
+DATASETS = "Datasets"
+NETWORKS = "Networks"
+CLUSTER = "Cluster"
+MACHINE = "This machine"
+ORDER_OF_WORK = (
+    *("collect", "grid", "inspect", "verify", "merge", "export", "objects"),
+    *("calibrate", "diagnose", "friction", "rig"),
+    *("train", "eval", "study"),
+    *("submit", "status"),
+    *("doctor", "bench"),
 )
-calibrate_app = typer.Typer(
-    help="Fit the lookup table and the contact law to ball presses.", no_args_is_help=True
+"""Help lists commands, and thereby their panels, in this order; others follow."""
+
+
+class _InOrderOfWork(TyperGroup):
+    def list_commands(self, ctx: Any) -> list[str]:
+        names = super().list_commands(ctx)
+        known = [name for name in ORDER_OF_WORK if name in names]
+        return [*known, *(name for name in names if name not in known)]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from tacgen import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+def _group(name: str, text: str, cls: type[TyperGroup] = TyperGroup) -> typer.Typer:
+    return typer.Typer(
+        name=name,
+        help=text,
+        cls=cls,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        add_completion=False,
+    )
+
+
+app = _group(
+    "tacgen",
+    "Simulated grasps with GelSight images, from a sensor calibrated on real presses.",
+    _InOrderOfWork,
 )
-diagnose_app = typer.Typer(
-    help="Trace what a calibrated model leaves over to an effect it lacks.", no_args_is_help=True
+calibrate_app = _group(
+    "calibrate", "Fit the sensor model to ball presses: lookup table and contact law."
 )
-objects_app = typer.Typer(
-    help="Objects to grasp: add your own mesh, list, show.", no_args_is_help=True
+diagnose_app = _group(
+    "diagnose", "Find the effects that explain the residuals of a calibrated model."
 )
-app.add_typer(calibrate_app, name="calibrate", rich_help_panel="Truth")
-app.add_typer(diagnose_app, name="diagnose", rich_help_panel="Truth")
-app.add_typer(objects_app, name="objects", rich_help_panel="Datasets")
+objects_app = _group("objects", "List and show the objects to grasp; add your own meshes.")
+app.add_typer(calibrate_app, rich_help_panel=CALIBRATION)
+app.add_typer(diagnose_app, rich_help_panel=CALIBRATION)
+app.add_typer(objects_app, rich_help_panel=DATASETS)
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print tacgen's version."
+        ),
+    ] = False,
+) -> None:
+    """Take the options that stand before a command."""
+
 
 RecipeArgument = Annotated[
-    str, typer.Argument(help="A recipe's YAML file, or the name of one that tacgen ships.")
+    str, typer.Argument(help="Path of a recipe (YAML), or the name of one that tacgen ships.")
 ]
 DatasetArgument = Annotated[
-    Path, typer.Argument(help="The folder of a dataset, made by `tacgen collect --out`.")
+    Path, typer.Argument(help="Folder of a dataset that `tacgen collect` wrote.")
 ]
+PressesArgument = Annotated[
+    Path,
+    typer.Argument(help="Folder of press images with presses.csv, or Taxim's dataPack.npz."),
+]
+_REAL_GRASPS = "Folder of real grasps: grasps.csv and, if there are any, images/."
+RealGraspsArgument = Annotated[Path, typer.Argument(help=_REAL_GRASPS)]
+RealGraspsOption = Annotated[Path, typer.Option("--real", help=_REAL_GRASPS)]
+ResultsOption = Annotated[
+    Path, typer.Option("--out", help="Folder for the results; a run that stopped is resumed.")
+]
+MmPerPxOption = Annotated[
+    float | None,
+    typer.Option("--mm-per-px", help="Pixel size on the gel, mm, unless the presses state it."),
+]
+BallRadiusOption = Annotated[
+    float | None,
+    typer.Option("--ball-radius-mm", help="Radius of the ball, unless the presses state it."),
+]
+MarkerPitchOption = Annotated[
+    float | None,
+    typer.Option(help="Spacing of the gel's markers whose motion the log sums up, mm."),
+]
+WorkersOption = Annotated[int, typer.Option(min=1, help="Number of parallel processes.")]
 JsonFlag = Annotated[
-    bool, typer.Option("--json", help="Print machine-readable results on standard output.")
+    bool, typer.Option("--json", help="Print the result as JSON on standard output.")
 ]
+
+
+def print_result(record: object, text: str | Iterable[str], json_output: bool) -> None:
+    """Print ``record`` as JSON, or else the ``text``, which may be an iterable of lines."""
+    if json_output:
+        typer.echo(json.dumps(record, indent=2, ensure_ascii=False))
+    else:
+        typer.echo(text if isinstance(text, str) else "\n".join(text))
 
 
 def print_record(record: Mapping[str, object], json_output: bool) -> None:
-    """A flat record: as JSON, or a line for each entry."""
-    if json_output:
-        typer.echo(json.dumps(record, indent=2))
-        return
-    for name, value in record.items():
-        text = ", ".join(str(item) for item in value) if isinstance(value, (list, tuple)) else value
-        typer.echo(f"{name.replace('_', ' '):>16}  {text}")
+    """Print a flat record as JSON, or as one line an entry."""
+
+    def line(name: str, value: object) -> str:
+        text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+        return f"{name.replace('_', ' '):>16}  {text}"
+
+    print_result(record, [line(*entry) for entry in record.items()], json_output)
+
+
+def warn(lines: Iterable[object], label: str = "warning") -> None:
+    """Print lines on standard error."""
+    for line in lines:
+        typer.echo(f"{label}: {line}", err=True)

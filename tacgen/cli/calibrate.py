@@ -1,98 +1,89 @@
-"""Commands that calibrate a sensor, and the virtual rig that stands in for one."""
+"""Commands that calibrate a sensor, and the virtual rig that makes presses to try them on."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from tacgen.cli.app import (
+    CALIBRATION,
+    BallRadiusOption,
     JsonFlag,
+    MarkerPitchOption,
+    MmPerPxOption,
+    PressesArgument,
+    RealGraspsOption,
     RecipeArgument,
+    ResultsOption,
+    WorkersOption,
     app,
     calibrate_app,
+    print_result,
+    warn,
 )
 
-PressesArgument = Annotated[
-    Path, typer.Argument(help="A folder of press images, or Taxim's dataPack.npz.")
-]
-ScaleOption = Annotated[
-    float | None, typer.Option("--mm-per-px", help="Size of a pixel on the gel, if not in a file.")
-]
-BallOption = Annotated[
-    float | None, typer.Option("--ball-radius-mm", help="The ball's radius, if not in a file.")
-]
-
-
-@app.command(rich_help_panel="Truth")
-def rig(
-    recipe: RecipeArgument,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the log and the images.")],
-    seed: Annotated[
-        int | None, typer.Option(help="Another session of the same recipe.", min=0)
-    ] = None,
-) -> None:
-    """Press balls on a virtual rig: a press log, press images or both, with known truth."""
-    from tacgen.rig import load_rig_recipe, run_rig
-
-    changes = {} if seed is None else {"seed": seed}
-    for path in run_rig(load_rig_recipe(recipe, changes), out):
-        typer.echo(str(path))
+ReportOption = Annotated[Path | None, typer.Option(help="Folder for a report (HTML).")]
+TableOutput = Annotated[Path, typer.Option("--out", help="Table file to write (table.npz).")]
 
 
 @calibrate_app.command("lookup")
 def calibrate_lookup(
     presses: PressesArgument,
-    out: Annotated[Path, typer.Option("--out", help="The table.npz to write.")],
-    report: Annotated[Path | None, typer.Option(help="Folder for an HTML report.")] = None,
-    mm_per_px: ScaleOption = None,
-    ball_radius_mm: BallOption = None,
+    out: TableOutput,
+    report: ReportOption = None,
+    mm_per_px: MmPerPxOption = None,
+    ball_radius_mm: BallRadiusOption = None,
     without_dots: Annotated[
         bool,
-        typer.Option(help="Remove printed dots from the background: for optics.markers: true."),
+        typer.Option(
+            "--without-dots",
+            help="Remove the gel's printed dots from the background; for optics.markers: true.",
+        ),
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:
-    """Fit the lookup table to images of ball presses, with its error on held-out presses."""
+    """Fit the lookup table to pictures of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
 
     made, used = command.calibrate_lookup(
         presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
         without_dots=without_dots,
     )  # fmt: skip
-    for line in command.warning_lines(used, made.scale):
-        typer.echo(f"warning: {line}", err=True)
+    warn(command.warning_lines(used, made.scale))
     typer.echo(command.lookup_text(made, used, json_output=json_output))
 
 
 @calibrate_app.command("score")
 def calibrate_score(
-    table: Annotated[Path, typer.Argument(help="A table.npz.")],
+    table: Annotated[Path, typer.Argument(help="Table file (table.npz).")],
     presses: PressesArgument,
-    mm_per_px: ScaleOption = None,
-    ball_radius_mm: BallOption = None,
+    mm_per_px: MmPerPxOption = None,
+    ball_radius_mm: BallRadiusOption = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Score a table on presses: labels as given, and each press's place re-estimated."""
+    """Compute a table's image error on presses, at the labelled and at the fitted ball centres."""
     from tacgen.calibrate.lookup import command
 
     score, used = command.score_presses(
         table, presses, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
-    for line in command.warning_lines(used):
-        typer.echo(f"warning: {line}", err=True)
+    warn(command.warning_lines(used))
     typer.echo(command.score_text(score, json_output=json_output))
 
 
 @calibrate_app.command("import")
 def calibrate_import(
     polycalib: Annotated[Path, typer.Argument(help="Taxim's polycalib.npz.")],
-    background: Annotated[Path, typer.Option(help="Its background: .npy (BGR) or an image.")],
-    mm_per_px: Annotated[float, typer.Option(help="Size of a pixel on the gel.")],
-    out: Annotated[Path, typer.Option("--out", help="The table.npz to write.")],
+    background: Annotated[
+        Path, typer.Option(help="Image of the gel without contact: .npy (BGR) or an image file.")
+    ],
+    mm_per_px: Annotated[float, typer.Option(help="Pixel size on the gel, mm.")],
+    out: TableOutput,
 ) -> None:
-    """Turn a Taxim table into one that tacgen renders the same picture with."""
+    """Convert a calibration of Taxim into a table that renders the same images."""
     from tacgen.calibrate.lookup.taxim_import import import_polycalib
     from tacgen.optics import save_table
 
@@ -105,43 +96,109 @@ def calibrate_contact(
     log: Annotated[
         Path,
         typer.Argument(
-            help="A press log (CSV, Parquet), force-depth curves, or a folder of press images "
+            help="Press log (CSV, Parquet), force-depth curves, or folder of press images "
             "with forces."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", help="The contact.yaml to write.")],
-    report: Annotated[Path | None, typer.Option(help="Folder for an HTML report.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Contact law to write (contact.yaml).")],
+    report: ReportOption = None,
     by: Annotated[
-        str | None, typer.Option(help="Compare k between values of this column (or `trial`).")
+        str | None,
+        typer.Option(help="Also fit k for each value of this column and compare; or `trial`."),
     ] = None,
     contact_point: Annotated[
-        str, typer.Option(help="fixed, free (estimated for every press), or auto.")
+        str,
+        typer.Option(
+            help="Depth at first contact: fixed (as logged), free (fitted for each press), or auto."
+        ),
     ] = "auto",
     force_unit: Annotated[
-        str | None, typer.Option(help="Unit of the force columns: n, mn, gf or kgf.")
+        str | None,
+        typer.Option(
+            help="Unit of the force columns, unless their names state it: n, mn, gf or kgf."
+        ),
     ] = None,
-    marker_pitch_mm: Annotated[
-        float, typer.Option(help="Pitch of the markers whose motion was summed.")
-    ] = float("nan"),
+    marker_pitch_mm: MarkerPitchOption = None,
     radius_mm: Annotated[
-        float | None, typer.Option(help="The ball's radius, for curves of force against depth.")
+        float | None, typer.Option(help="Radius of the ball, for force-depth curves, mm.")
     ] = None,
     table: Annotated[
-        Path | None, typer.Option(help="The sensor's table.npz, for images: shape to volume.")
+        Path | None,
+        typer.Option(help="The sensor's table.npz, to reconstruct volumes from press images."),
     ] = None,
     save_log: Annotated[
-        Path | None, typer.Option(help="Where to keep the press log found in images.")
+        Path | None, typer.Option(help="Also write the press log measured in the images here.")
     ] = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Fit the contact law k_n, k_s to a press log, with intervals and held-out error."""
+    """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error."""
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
     from tacgen.calibrate.contact.command import result_text
 
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
-        marker_pitch_mm=marker_pitch_mm, radius_mm=radius_mm, table=table, save_log=save_log,
+        marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
+        radius_mm=radius_mm, table=table, save_log=save_log,
     )  # fmt: skip
-    for warning in result.warnings:
-        typer.echo(f"warning: {warning}", err=True)
+    warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
+
+
+@app.command(rich_help_panel=CALIBRATION)
+def friction(
+    recipe: RecipeArgument,
+    real: RealGraspsOption,
+    out: ResultsOption,
+    mu: Annotated[str, typer.Option(help="Friction coefficients to try: start:stop:step.")] = (
+        "0:1:0.05"
+    ),
+    workers: WorkersOption = 2,
+    write_objects: Annotated[
+        bool,
+        typer.Option("--write-objects", help="Also write object.yaml files with the fitted μ."),
+    ] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Fit each object's friction μ: simulated grasps are to end as the real ones did."""
+    from tacgen.calibrate.friction.report import verdict_of, write_friction_report
+    from tacgen.calibrate.friction.sweep import (
+        doubts_about,
+        friction_json,
+        mu_range,
+        sweep_friction,
+        write_object_copies,
+    )
+    from tacgen.collection.recipe import load_recipe
+    from tacgen.core.progress import progress_counter
+    from tacgen.core.resources import object_folders
+    from tacgen.dataset.real_grasps import read_real_grasps
+
+    loaded = load_recipe(recipe)
+    grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
+    with progress_counter("grasp") as show:
+        fits, outcomes = sweep_friction(
+            loaded, grasps, mu_range(mu), out, workers=workers, show=show
+        )
+    doubts = doubts_about(grasps, outcomes, mu_range(mu))
+    warn(doubts)
+    write_friction_report(out / "report.html", grasps, outcomes, fits, doubts)
+    if write_objects:
+        write_object_copies(fits, out / "objects")
+    verdicts = [verdict_of(name, fit) for name, fit in fits.items()]
+    print_result(friction_json(fits), verdicts, json_output)
+
+
+@app.command(rich_help_panel=CALIBRATION)
+def rig(
+    recipe: RecipeArgument,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the press log and the images.")],
+    seed: Annotated[
+        int | None, typer.Option(help="Another session of the same recipe.", min=0)
+    ] = None,
+) -> None:
+    """Simulate a ball-press rig: press log, press images or both, with known effects."""
+    from tacgen.rig import load_rig_recipe, run_rig
+
+    changes = {} if seed is None else {"seed": seed}
+    for path in run_rig(load_rig_recipe(recipe, changes), out):
+        typer.echo(str(path))

@@ -13,107 +13,40 @@ from typing import Annotated
 import typer
 
 from tacgen.cli.app import (
+    DATASETS,
     DatasetArgument,
     JsonFlag,
     RecipeArgument,
+    WorkersOption,
     app,
     print_record,
+    print_result,
 )
 
 
-@app.command(rich_help_panel="Datasets")
-def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
-    """List the grasps of a recipe and the shard of each, as CSV."""
-    from tacgen.collection.grid import grid_rows, plan_recipe
-    from tacgen.collection.recipe import load_recipe
-
-    rows = grid_rows(plan_recipe(load_recipe(recipe)))
-    if json_output:
-        typer.echo(json.dumps(rows, indent=2))
-        return
-    writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
-
-
-@app.command(rich_help_panel="Datasets")
-def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
-    """Show what a dataset holds: counts, labels by object, splits, sizes, origin."""
-    from tacgen.dataset.summary import summarize, summary_text
-
-    summary = summarize(folder)
-    typer.echo(json.dumps(summary.as_dict(), indent=2) if json_output else summary_text(summary))
-
-
-@app.command(rich_help_panel="Datasets")
-def verify(
-    folder: DatasetArgument,
-    decode: Annotated[bool, typer.Option("--decode", help="Also decompress every image.")] = False,
-    json_output: JsonFlag = False,
-) -> None:
-    """Check a dataset: every hash, shape and label; exit 1 and the bad shards if any is wrong."""
-    from tqdm import tqdm
-
-    from tacgen.core.errors import VerificationError
-    from tacgen.dataset import verify as check
-
-    with tqdm(unit="B", unit_scale=True, disable=None, leave=False) as bar:
-        found = check.verify(folder, decode=decode, progress=bar.update)
-    if json_output:
-        typer.echo(json.dumps(found.as_dict(), indent=2))
-        raise typer.Exit(1 if found.problems else 0)
-    if found.problems:
-        raise VerificationError.from_problems(
-            [
-                f"{folder}: {len(found.problems)} problems, {len(found.bad_shards)} bad shards",
-                *(f"  {problem.file}: {problem.reason}" for problem in found.problems),
-                "`tacgen collect` makes what is missing, `tacgen collect --repair` the bad shards",
-            ]
-        )
-    typer.echo(f"{found.n_grasps} grasps in {found.n_shards} shards, all as they were written")
-
-
-@app.command(rich_help_panel="Datasets")
-def merge(folder: DatasetArgument) -> None:
-    """Make the one manifest out of those of all shards, wherever they were made."""
-    from tacgen.dataset import DatasetFolder
-
-    lines = DatasetFolder(folder).merge()
-    typer.echo(f"{folder}/manifest.jsonl: {len(lines)} shards")
-
-
-@app.command(rich_help_panel="Datasets")
-def export(
-    folder: DatasetArgument,
-    out: Annotated[Path, typer.Option(help="The folder to write; it must not exist.")],
-    format_name: Annotated[
-        str, typer.Option("--format", help="What to write: lerobot.")
-    ] = "lerobot",
-) -> None:
-    """Write a dataset in a format that other tools read."""
-    from tacgen.dataset.export.lerobot import export_dataset
-
-    typer.echo(export_dataset(folder, out, format_name))
-
-
-@app.command(rich_help_panel="Datasets")
+@app.command(rich_help_panel=DATASETS)
 def collect(
     recipe: RecipeArgument,
-    out: Annotated[Path, typer.Option(help="The dataset's folder; goes on if it is there.")],
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the dataset; a collection that stopped is resumed.")
+    ],
+    workers: WorkersOption = 1,
     shard: Annotated[
-        str, typer.Option(help="Only part I of N (I from 0), or auto in a batch job's array.")
+        str,
+        typer.Option(help="Collect part I of N (I from 0) only; auto: as a job array's task says."),
     ] = "0/1",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the plan and collect nothing.")
+    ] = False,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Verify first, and remake the shards that are bad.")
+        bool, typer.Option("--repair", help="Verify the dataset first and remake damaged shards.")
     ] = False,
     grasp_limit_s: Annotated[
-        float, typer.Option(min=1.0, help="A grasp that takes longer is recorded as crashed.")
+        float, typer.Option(min=1.0, help="Time after which a grasp is recorded as crashed, s.")
     ] = 120.0,
     json_output: JsonFlag = False,
 ) -> None:
-    """Simulate a recipe's grasps and write them as a dataset; goes on where it stopped."""
+    """Simulate the grasps of a recipe and write images, labels and forces as a dataset."""
     from tacgen.core.processes import start_early
 
     if not (dry_run or _looks_whole(out)):
@@ -143,6 +76,94 @@ def collect(
         progress=not json_output,
     )
     print_record(result.summary(), json_output)
+
+
+@app.command(rich_help_panel=DATASETS)
+def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
+    """List the grasps of a recipe with the shard of each, as CSV."""
+    from tacgen.collection.grid import grid_rows, plan_recipe
+    from tacgen.collection.recipe import load_recipe
+
+    rows = grid_rows(plan_recipe(load_recipe(recipe)))
+    if json_output:
+        print_result(rows, "", json_output)
+        return
+    writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+
+
+@app.command(rich_help_panel=DATASETS)
+def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
+    """Show the contents of a dataset: counts, labels by object, splits, sizes, origin."""
+    from tacgen.dataset.summary import summarize, summary_text
+
+    summary = summarize(folder)
+    print_result(summary.as_dict(), summary_text(summary), json_output)
+
+
+@app.command(rich_help_panel=DATASETS)
+def verify(
+    folder: DatasetArgument,
+    decode: Annotated[bool, typer.Option("--decode", help="Also decompress every image.")] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Check every hash, shape and label; exit 1 and list the damaged shards if any is wrong."""
+    from tqdm import tqdm
+
+    from tacgen.core.errors import VerificationError
+    from tacgen.dataset import verify as check
+
+    with tqdm(unit="B", unit_scale=True, disable=None, leave=False) as bar:
+        found = check.verify(folder, decode=decode, progress=bar.update)
+    if found.problems and not json_output:
+        raise VerificationError.from_problems(
+            [
+                f"{folder}: {len(found.problems)} problems, {len(found.bad_shards)} bad shards",
+                *(f"  {problem.file}: {problem.reason}" for problem in found.problems),
+                "`tacgen collect` makes missing shards, `tacgen collect --repair` the bad ones",
+            ]
+        )
+    text = f"{found.n_grasps} grasps in {found.n_shards} shards, all as they were written"
+    print_result(found.as_dict(), text, json_output)
+    if found.problems:
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=DATASETS)
+def merge(folder: DatasetArgument) -> None:
+    """Join the manifests of shards that several machines wrote into one."""
+    from tacgen.dataset import DatasetFolder
+
+    lines = DatasetFolder(folder).merge()
+    typer.echo(f"{folder}/manifest.jsonl: {len(lines)} shards")
+
+
+@app.command(rich_help_panel=DATASETS)
+def export(
+    folder: DatasetArgument,
+    out: Annotated[Path, typer.Option(help="Folder to write; it must not exist yet.")],
+    format_name: Annotated[
+        str, typer.Option("--format", help="lerobot, or real-grasps: as a robot's grasps.")
+    ] = "lerobot",
+    split: Annotated[
+        str | None, typer.Option(help="Only the train or the test grasps; both if not given.")
+    ] = None,
+    per_object: Annotated[
+        int | None, typer.Option(min=1, help="Only the first so many grasps of each object.")
+    ] = None,
+    no_images: Annotated[
+        bool, typer.Option("--no-images", help="Leave the images out (real-grasps only).")
+    ] = False,
+    json_output: JsonFlag = False,
+) -> None:
+    """Write the executed grasps of a dataset in a format that other tools read."""
+    from tacgen.dataset.export import export_dataset
+
+    result = export_dataset(
+        folder, out, format_name, split=split, per_object=per_object, images=not no_images
+    )
+    print_result(result.as_dict(), result.sentence, json_output)
 
 
 def _looks_whole(out: Path) -> bool:

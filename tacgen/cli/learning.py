@@ -2,98 +2,113 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tacgen.cli.app import (
-    DatasetArgument,
-    JsonFlag,
-    app,
-)
+from tacgen.cli.app import NETWORKS, JsonFlag, WorkersOption, app, print_result
+from tacgen.core.errors import LearningError
 
 
-@app.command(rich_help_panel="Networks")
+@app.command(rich_help_panel=NETWORKS)
 def train(
-    recipe: Annotated[str, typer.Argument(help="A training recipe, such as train_single.")],
-    data: Annotated[Path, typer.Option("--data", help="A dataset made by `tacgen collect`.")],
-    out: Annotated[Path, typer.Option("--out", help="Where the run goes; it resumes there.")],
+    recipe: Annotated[
+        str, typer.Argument(help="Training recipe (YAML), or a shipped one: train_single, …")
+    ],
+    data: Annotated[Path, typer.Option("--data", help="Dataset that `tacgen collect` wrote.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of the run; a training that stopped is resumed.")
+    ],
     workers: Annotated[
-        int, typer.Option(min=1, help="Models trained at a time, one an object.")
+        int, typer.Option(min=1, help="Models to train in parallel (one model an object).")
     ] = 1,
     json_output: JsonFlag = False,
 ) -> None:
-    """Train grasp-stability networks on the training grasps of a dataset."""
-    from tacgen.learning.formatting import training_lines
+    """Train networks that predict from tactile images whether a grasp will hold."""
     from tacgen.learning.optional_dependencies import require_learning_extra
     from tacgen.learning.training_recipe import load_train_recipe
 
     require_learning_extra()
+    from tacgen.learning.scores import training_lines
     from tacgen.learning.train import train as train_models
 
     summary = train_models(load_train_recipe(recipe), data, out, workers=workers)
-    typer.echo(json.dumps(summary) if json_output else "\n".join(training_lines(summary)))
+    print_result(summary, training_lines(summary), json_output)
 
 
-@app.command("eval", rich_help_panel="Networks")
+@app.command("eval", rich_help_panel=NETWORKS)
 def evaluate(
-    run: Annotated[Path, typer.Argument(help="The folder of a run, made by `tacgen train`.")],
+    run: Annotated[
+        Path | None, typer.Argument(help="Folder of a run that `tacgen train` wrote.")
+    ] = None,
     data: Annotated[
         Path | None, typer.Option("--data", help="Test on the test grasps of this dataset.")
     ] = None,
     real: Annotated[
-        Path | None, typer.Option("--real", help="Test on the real grasps of this folder.")
+        Path | None, typer.Option("--real", help="Test on the real grasps in this folder.")
+    ] = None,
+    baseline: Annotated[
+        str | None,
+        typer.Option(
+            "--baseline",
+            help="parameters: instead of a RUN, cross-validate decision trees that see the force "
+            "and place of each training grasp in --data, and no image.",
+        ),
     ] = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Test a run on simulated or real grasps; tells the sim-to-real gap once both are known."""
-    from tacgen.learning.formatting import evaluation_lines
+    """Test a run on simulated or real grasps; after both, prints the sim-to-real gap too."""
     from tacgen.learning.optional_dependencies import require_learning_extra
 
     require_learning_extra()
+    if baseline is not None:
+        from tacgen.learning.parameter_baseline import baseline_lines, evaluate_baseline
+
+        scores = evaluate_baseline(baseline, run, data, real)
+        print_result(scores, baseline_lines(scores), json_output)
+        return
+    if run is None:
+        msg = "eval: give the RUN to test, a folder that `tacgen train --out` made"
+        raise LearningError(msg)
     from tacgen.learning.evaluate import evaluate as evaluate_run
+    from tacgen.learning.scores import evaluation_lines
 
     result = evaluate_run(run, data, real)
-    typer.echo(json.dumps(result) if json_output else "\n".join(evaluation_lines(result)))
+    print_result(result, evaluation_lines(result), json_output)
 
 
-@app.command(rich_help_panel="Networks")
-def told(data: DatasetArgument, json_output: JsonFlag = False) -> None:
-    """How well outcomes follow from force and place: what a network can hope for."""
-    from tacgen.learning.grasps import SimulatedGrasps
-    from tacgen.learning.optional_dependencies import require_learning_extra
-    from tacgen.learning.parameter_baseline import told_lines, told_scores
-
-    require_learning_extra()
-    scores = told_scores(SimulatedGrasps(data).table)
-    typer.echo(json.dumps(scores) if json_output else "\n".join(told_lines(scores)))
-
-
-@app.command(rich_help_panel="Networks")
+@app.command(rich_help_panel=NETWORKS)
 def study(
-    recipe: Annotated[str, typer.Argument(help="A study, such as paper_table.")],
-    out: Annotated[Path, typer.Option("--out", help="Where datasets, runs and the table go.")],
+    recipe: Annotated[
+        str, typer.Argument(help="Study (YAML), or a shipped one: paper_table, paper_ablation, …")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for datasets, runs and the table.")],
     real: Annotated[
-        Path | None, typer.Option("--real", help="Real grasps to test on as well.")
+        Path | None, typer.Option("--real", help="Folder of real grasps to test on as well.")
     ] = None,
     calibrate_on: Annotated[
         Path | None,
-        typer.Option("--calibrate-on", help="Other real grasps, to calibrate friction on."),
+        typer.Option(
+            "--calibrate-on",
+            help="Folder of other real grasps, for rows that fit the friction to real grasps.",
+        ),
     ] = None,
     contact: Annotated[
         Path | None,
-        typer.Option("--contact", help="The real sensor's contact.yaml, for rows that take it."),
+        typer.Option("--contact", help="contact.yaml of the real sensor, for rows that use it."),
     ] = None,
     row: Annotated[
         list[str] | None,
-        typer.Option("--row", help="Only the row of this name; may be given several times."),
+        typer.Option("--row", help="Run only the row of this name; may be repeated."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="The reduced version.")] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that collect and train.")] = 1,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Run the reduced version that the study defines.")
+    ] = False,
+    workers: WorkersOption = 1,
+    json_output: JsonFlag = False,
 ) -> None:
-    """Collect, train and test every row of a study; writes the table as Markdown and HTML."""
+    """Collect, train and test every variant of a study; writes a table (Markdown, HTML, JSON)."""
     from tacgen.learning.optional_dependencies import require_learning_extra
     from tacgen.study.study_recipe import load_study
 
@@ -109,22 +124,5 @@ def study(
         quick=quick,
         workers=workers,
     )
-    typer.echo((out / "table.md").read_text(encoding="utf-8"))
+    print_result(result, (out / "table.md").read_text(encoding="utf-8"), json_output)
     check_finished(result)
-
-
-@app.command("stand-in", rich_help_panel="Networks")
-def stand_in(
-    data: DatasetArgument,
-    out: Annotated[Path, typer.Option("--out", help="The folder to write; it must not exist.")],
-    split: Annotated[str, typer.Option("--split", help="train or test.")] = "test",
-    per_object: Annotated[
-        int | None, typer.Option("--per-object", min=1, help="At most so many of each object.")
-    ] = None,
-    images: Annotated[bool, typer.Option(help="Write the images too.")] = True,
-) -> None:
-    """Write a dataset as a folder of real grasps: a stand-in for reality, still simulated."""
-    from tacgen.study.stand_in import write_stand_in
-
-    count = write_stand_in(data, out, split=split, per_object=per_object, images=images)
-    typer.echo(f"{out}: {count} simulated grasps in the format of real ones")

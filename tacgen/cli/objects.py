@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tacgen.cli.app import (
-    JsonFlag,
-    objects_app,
-)
+from tacgen.cli.app import JsonFlag, objects_app, print_result, warn
 
 
 @objects_app.command("list")
 def objects_list(json_output: JsonFlag = False) -> None:
-    """List every object that can be grasped here: tacgen's and those in ./objects."""
+    """List all objects: those that tacgen ships and those in ./objects."""
     from tacgen.objects.listing import object_rows, rows_text
 
     rows = object_rows()
-    typer.echo(json.dumps(rows, indent=2, ensure_ascii=False) if json_output else rows_text(rows))
+    print_result(rows, rows_text(rows), json_output)
 
 
 @objects_app.command("show")
 def objects_show(
-    name: Annotated[str, typer.Argument(help="An object's name, or its folder.")],
+    name: Annotated[str, typer.Argument(help="Name of an object, or its folder.")],
     out: Annotated[
-        Path | None, typer.Option("--out", help="Also write a picture of it, as PNG.")
+        Path | None, typer.Option("--out", help="Also write a picture of the object (PNG).")
     ] = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Show an object's figures, each with its source."""
+    """Show the properties of an object, each with its source."""
     from tacgen.core.resources import find_object_folder
     from tacgen.objects import load_object
     from tacgen.objects.description import read_description
@@ -42,42 +38,39 @@ def objects_show(
     facts = object_facts(obj, read_description(find_object_folder(name)))
     if out is not None:
         write_picture(obj, out)
-    typer.echo(
-        json.dumps(facts, indent=2, ensure_ascii=False) if json_output else facts_text(facts)
-    )
+    print_result(facts, facts_text(facts), json_output)
 
 
 @objects_app.command("add")
 def objects_add(
-    mesh: Annotated[Path, typer.Argument(help="An OBJ, STL, PLY or GLB file.")],
-    mass_kg: Annotated[float, typer.Option("--mass", help="What the object weighs, kg.")],
+    mesh: Annotated[Path, typer.Argument(help="Mesh file: OBJ, STL, PLY or GLB.")],
+    mass_kg: Annotated[float, typer.Option("--mass", help="Mass of the object, kg.")],
     scale: Annotated[
-        float, typer.Option("--scale", help="mm per unit of the mesh: 1000 for metres.")
+        float, typer.Option("--scale", help="Millimetres per unit of the mesh: 1000 for metres.")
     ] = 1.0,
     name: Annotated[
-        str | None, typer.Option("--name", help="Name of the object [default: the file's].")
+        str | None, typer.Option("--name", help="Name of the object; the mesh file's if not given.")
     ] = None,
     friction: Annotated[
-        float, typer.Option("--friction", help="Coulomb coefficient against the gel.")
+        float, typer.Option("--friction", help="Coulomb friction coefficient against the gel.")
     ] = 0.4,
     up: Annotated[
-        str, typer.Option("--up", help="The mesh's axis that points up: x, y or z.")
+        str, typer.Option("--up", help="Axis of the mesh that points up: x, y or z.")
     ] = "z",
-    force: Annotated[bool, typer.Option("--force", help="Replace an object of that name.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing object of that name.")
+    ] = False,
     json_output: JsonFlag = False,
 ) -> None:
-    """Import a mesh of your own into ./objects, ready to be named in a recipe."""
+    """Import a mesh into ./objects; recipes can then name it."""
     from tacgen.objects.add import add_object
     from tacgen.objects.description import read_description
     from tacgen.objects.listing import facts_text, object_facts
 
-    typer.echo(f"tacgen: importing {mesh}; convex parts take up to a minute", err=True)
+    typer.echo(f"tacgen: importing {mesh}; convex decomposition takes up to a minute", err=True)
     added = add_object(
         mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, force=force
     )
-    for note in added.notes:
-        typer.echo(f"tacgen: note: {note}", err=True)
+    warn(added.notes, "tacgen: note")
     facts = object_facts(added.object, read_description(Path("objects") / added.object.name))
-    typer.echo(
-        json.dumps(facts, indent=2, ensure_ascii=False) if json_output else facts_text(facts)
-    )
+    print_result(facts, facts_text(facts), json_output)

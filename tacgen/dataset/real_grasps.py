@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,10 @@ REQUIRED = ("grasp_id", "object", "label")
 CONFIGURATION = ("force_n", "x_mm", "y_mm", "z_mm")
 """What a grasp must say to be simulated again; networks do without."""
 FAILURE_MODES: tuple[FailureMode, ...] = ("", "translational_slip", "rotational_slip")
+BACKGROUND = "background.png"
+"""Image of the undeformed gel, where there is one."""
+ABOUT = "about.json"
+"""Says ``simulated: true`` where no robot made the grasps; a robot's folder needs none."""
 MAX_BYTES = 256 << 20
 MAX_PROBLEMS_SHOWN = 20
 
@@ -33,11 +38,15 @@ class RealGrasp:
 
 @dataclass(frozen=True, slots=True)
 class RealGrasps:
-    """The grasps of a folder, in the order of the file, and words about what is doubtful."""
+    """The grasps of a folder, in the order of the file, and warnings about them.
+
+    ``recipe_sha256`` is that of the recipe where a simulation made them, None where a robot did.
+    """
 
     folder: Path
     grasps: tuple[RealGrasp, ...]
     warnings: tuple[str, ...]
+    recipe_sha256: str | None = None
 
     def by_object(self) -> Mapping[str, tuple[RealGrasp, ...]]:
         """The grasps of each object, objects in the order of the file."""
@@ -84,7 +93,18 @@ def read_real_grasps(
     grasps = tuple(
         _grasp(folder, number, row) for number, row in enumerate(table.to_dict("records"))
     )
-    return RealGrasps(folder, grasps, tuple(_warnings(grasps, path)))
+    return RealGrasps(folder, grasps, tuple(_warnings(grasps, path)), _simulated_with(folder))
+
+
+def _simulated_with(folder: Path) -> str | None:
+    """The recipe's hash that a folder of simulated grasps names; None for a robot's."""
+    try:
+        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(about, dict) or about.get("simulated") is not True:
+        return None
+    return str(about.get("recipe_sha256", ""))
 
 
 def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:

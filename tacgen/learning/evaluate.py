@@ -37,7 +37,7 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     """Test the models of ``run`` on the test grasps of a dataset, or on real grasps.
 
     Writes ``eval.json`` and ``eval.html`` into the run, and the same figures as
-    ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is told.
+    ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is computed.
 
     Raises
     ------
@@ -52,13 +52,11 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     plan = folder.plan()
     recipe = folder.recipe()
     notes: list[str] = []
-    stand_in = False
     if data is not None:
         source: GraspSource = SimulatedGrasps(data, recipe.input.pad)
     else:
         source = RealGraspImages(Path(str(real)))
         notes += source.warnings
-        stand_in = source.simulated
     where = str(data if data is not None else real)
     unseen, about_unseen = unseen_tests(plan, source, where)
     notes += about_unseen
@@ -68,7 +66,7 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
             folder, plan, recipe, source, unseen, where, device, notes
         )
     result = _summary(predictions, cards, "sim" if data is not None else "real", where, notes)
-    result["stand_in"] = stand_in
+    result["real_is_simulated"] = real is not None and source.made_with is not None
     _add_gap(folder, result)
     text = json.dumps(result, indent=1)
     write_text(folder.eval_path, text)
@@ -233,7 +231,7 @@ def _summary(
         "data": where,
         "kind": cards[0].input.kind,
         "weights": ", ".join(weights),
-        "weights_note": f"backbone: {', '.join(started_from(name) for name in weights)}",
+        "weights_note": f"pre-trained weights: {', '.join(started_from(name) for name in weights)}",
         "auroc_note": _AUROC_NOTE if len(cards) > 1 else "",
         "misjudged": [
             {

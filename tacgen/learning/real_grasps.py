@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
 from tacgen.core.safe_io import read_bgr
-from tacgen.dataset.real_grasps import RealGrasp, read_real_grasps
+from tacgen.dataset.real_grasps import BACKGROUND, RealGrasp, read_real_grasps
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspTable
 
-BACKGROUND = "background.png"
-ABOUT = "about.json"
-"""Says ``simulated: true`` where no robot made the grasps; a real folder needs none."""
 MAX_IMAGE_BYTES, MAX_SIDE_PX = 64 << 20, 8192
 _SHOWN = 5
 
@@ -25,9 +20,8 @@ _SHOWN = 5
 class RealGraspImages:
     """Grasps of a real robot, or of anything written in the same format.
 
-    A picture of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``;
-    ``simulated`` tells that another simulation stands in for the robot, and ``made_with`` is then
-    the hash of its recipe.
+    An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``.
+    ``made_with`` is the hash of the recipe where a simulation wrote the folder, else None.
 
     Raises
     ------
@@ -41,9 +35,7 @@ class RealGraspImages:
         self.folder = Path(folder)
         found = read_real_grasps(self.folder, needs=())
         self.warnings = found.warnings
-        about = _about(self.folder)
-        self.simulated = about.get("simulated") is True
-        self.made_with: str | None = about.get("recipe_sha256") if self.simulated else None
+        self.made_with = found.recipe_sha256
         missing = [grasp.grasp_id for grasp in found.grasps if not grasp.images]
         if missing:
             more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
@@ -90,19 +82,6 @@ class RealGraspImages:
                 "take all with the same sensor and size"
             )
             raise LearningError(msg)
-
-
-def is_simulated(folder: Path) -> bool:
-    """Whether a folder of grasps says of itself that a simulation made them."""
-    return _about(folder).get("simulated") is True
-
-
-def _about(folder: Path) -> dict[str, Any]:
-    try:
-        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return about if isinstance(about, dict) else {}
 
 
 def _table_of(grasps: Sequence[RealGrasp]) -> GraspTable:

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.learning.figures import confusion_figure, curves, reliability_figure, strip
-from tacgen.learning.formatting import tested_on
 from tacgen.learning.predictions import Predictions
-from tacgen.learning.scores import reliability
+from tacgen.learning.scores import reliability, tested_on
 from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.report import (
     Section,
@@ -39,7 +38,7 @@ def write_training_report(
     facts = [
         ("network", recipe.model.kind),
         ("objects", ", ".join(result["objects"])),
-        ("first weights of the backbone", started_from(result["weights"])),
+        ("pre-trained weights", started_from(result["weights"])),
         ("grasps to learn from", result["grasps_fit"]),
         ("of these successes", result["successes_fit"]),
         ("grasps to choose the best epoch", result["grasps_validation"]),
@@ -89,8 +88,8 @@ def write_evaluation_report(
 
 
 def started_from(weights: str) -> str:
-    """Where the backbone came from, in words."""
-    return "NONE: trained from scratch" if weights == "none" else weights
+    """The pre-trained weights of the backbone, for a reader."""
+    return "NONE, trained from scratch" if weights == "none" else weights
 
 
 def score_row(scores: Mapping[str, Any]) -> tuple[object, ...]:
@@ -112,7 +111,7 @@ def _rows(parts: Mapping[str, Mapping[str, Any]]) -> list[tuple[object, ...]]:
 
 def _overview(result: Mapping[str, Any]) -> Section:
     rows: list[tuple[object, ...]] = [(tested_on(result), *score_row(result))]
-    note = f"Backbone's first weights: {started_from(result['weights'])}."
+    note = f"Pre-trained weights: {started_from(result['weights'])}."
     gap = result.get("sim_to_real_gap")
     if gap is not None:
         note += (

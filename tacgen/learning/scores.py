@@ -1,8 +1,9 @@
-"""How good predictions are: figures for a table, each with what it can and cannot say."""
+"""How good predictions are: the scores, and the lines of text that report them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,3 +109,48 @@ def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict
         "confusion": confusion.tolist(),
         "n": len(labels),
     }
+
+
+def training_lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    """One line a model, and the pre-trained weights of all."""
+    for name, model in summary["models"].items():
+        scores = model["validation"]
+        yield (
+            f"{name}: best epoch {model['best_epoch']} of {model['epochs']}, validation accuracy "
+            f"{scores['accuracy']:.3f} (balanced {scores['balanced_accuracy']:.3f}, "
+            f"n = {scores['n']}), {model['epoch_s']:.1f} s an epoch, "
+            f"loader {model['loader_share']:.1%}"
+        )
+    origins = sorted({model["weights"] for model in summary["models"].values()})
+    yield f"pre-trained weights: {', '.join(origins)}"
+
+
+def evaluation_lines(result: Mapping[str, Any]) -> Iterator[str]:
+    """The scores overall and by object, and the sim-to-real gap where it is known."""
+    yield _score_line(tested_on(result), result)
+    for name, scores in result["by_object"].items():
+        yield _score_line(f"  {name}", scores)
+    if "sim_to_real_gap" in result:
+        gap = "gap to the other simulation" if result["real_is_simulated"] else "sim-to-real gap"
+        yield (
+            f"{gap}: {result['sim_to_real_gap']:+.3f} "
+            f"(accuracy {result['sim_accuracy']:.3f} on simulated test grasps)"
+        )
+    yield result["weights_note"]
+
+
+def tested_on(result: Mapping[str, Any]) -> str:
+    """What kind of grasps a result was measured on."""
+    if result["source"] == "sim":
+        return "simulated"
+    return "another simulation, NOT real" if result["real_is_simulated"] else "real"
+
+
+def _score_line(name: str, scores: Mapping[str, Any]) -> str:
+    lo, hi = scores["accuracy_interval"]
+    auroc = "–" if scores["auroc"] is None else f"{scores['auroc']:.3f}"
+    return (
+        f"{name}: accuracy {scores['accuracy']:.3f} [{lo:.3f}, {hi:.3f}], balanced "
+        f"{scores['balanced_accuracy']:.3f}, AUROC {auroc}, ECE {scores['ece']:.3f}, "
+        f"n = {scores['n']}"
+    )

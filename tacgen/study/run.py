@@ -13,9 +13,9 @@ from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError, TacgenError
 from tacgen.core.files import write_text
+from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.progress import tell
-from tacgen.learning.real_grasps import is_simulated
 from tacgen.learning.train import train
 from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.study.reality import Reality, calibration_grasps, check_reality
@@ -105,7 +105,7 @@ def _write_table(
         "reduced": reductions(study, told) if quick else [],
         "notes": list(study.notes),
         "real": None if real.test is None else str(real.test),
-        "stand_in": real.test is not None and is_simulated(real.test),
+        "real_is_simulated": real.test is not None and _is_simulated(real.test),
         "rows": [found[row.name] for row in told],
         "problems": [
             f"{row['name']}: {row[key]}"
@@ -119,6 +119,10 @@ def _write_table(
     if told:
         write_study(result, out)
     return result
+
+
+def _is_simulated(folder: Path) -> bool:
+    return read_real_grasps(folder).recipe_sha256 is not None
 
 
 def _run_row(

@@ -10,8 +10,8 @@ from tacgen.core.files import write_text
 from tacgen.learning.reports import started_from
 from tacgen.report import Section, table_section, text_section, write_page
 
-STAND_IN = "other simulation"
-"""What the column "sim-to-real" is called where another simulation stands in for reality."""
+OTHER_SIMULATION = "other simulation"
+"""Name of the column "sim-to-real" where another simulation made the grasps, not a robot."""
 
 
 def write_study(result: Mapping[str, Any], out: Path) -> None:
@@ -46,7 +46,7 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
     counts = sorted({n for row in rows for n in row["training_grasps"].values()})
     remarks = [
         *_reduced(result),
-        *_first_weights(rows),
+        *_pretrained_weights(rows),
         f"Input {', '.join(f'{w}×{h} px' for h, w in sizes)}; "
         f"epochs: {', '.join(map(str, epochs))}; training grasps a model (of which some choose "
         f"the epoch): {', '.join(map(str, counts)) or 'none'}.",
@@ -92,10 +92,10 @@ def _reduced(result: Mapping[str, Any]) -> list[str]:
     return [f"REDUCED VERSION (--quick): {less}."]
 
 
-def _first_weights(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _pretrained_weights(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     names = sorted({name for row in rows for name in row["weights"]})
-    told = ", ".join(started_from(name) for name in names)
-    return [f"First weights of the backbone: {told} (the paper: ImageNet)."] if names else []
+    weights = ", ".join(started_from(name) for name in names)
+    return [f"Pre-trained weights: {weights} (the paper: ImageNet)."] if names else []
 
 
 def _where_tested(result: Mapping[str, Any]) -> list[str]:
@@ -103,11 +103,11 @@ def _where_tested(result: Mapping[str, Any]) -> list[str]:
     tested: dict[tuple[str, bool], list[str]] = {}
     for row in result["rows"]:
         if "real" in row:
-            where = (row["real"]["data"], row["real"]["stand_in"])
+            where = (row["real"]["data"], row["real"]["real_is_simulated"])
             tested.setdefault(where, []).append(row["name"])
     lines = []
-    for (folder, stand_in), names in tested.items():
-        what = ", simulated grasps of another world: NOT real" if stand_in else ""
+    for (folder, simulated), names in tested.items():
+        what = ", grasps of another simulation: NOT real" if simulated else ""
         of = f" of {', '.join(names)}" if len(tested) > 1 else ""
         lines.append(f"The column {_tested_on(result)}{of} is measured on {folder}{what}.")
     return lines
@@ -115,13 +115,13 @@ def _where_tested(result: Mapping[str, Any]) -> list[str]:
 
 def _tested_on(result: Mapping[str, Any]) -> str:
     """What the column of real grasps is called; rows of earlier runs may have other grasps."""
-    kinds = {row["real"]["stand_in"] for row in result["rows"] if "real" in row}
-    names = [_kind_of(stand_in) for stand_in in sorted(kinds or {result["stand_in"]})]
+    kinds = {row["real"]["real_is_simulated"] for row in result["rows"] if "real" in row}
+    names = [_kind_of(simulated) for simulated in sorted(kinds or {result["real_is_simulated"]})]
     return " or ".join(names)
 
 
-def _kind_of(stand_in: bool) -> str:
-    return STAND_IN if stand_in else "sim-to-real"
+def _kind_of(simulated: bool) -> str:
+    return OTHER_SIMULATION if simulated else "sim-to-real"
 
 
 def _header(result: Mapping[str, Any]) -> tuple[str, ...]:
@@ -164,11 +164,11 @@ def _by_object(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[o
             scores = row.get(source)
             parts = scores["by_object"] if scores else {}
             cells = [_figure(parts[n]["accuracy"]) if n in parts else "–" for n in names]
-            rows.append((row["name"], _told(result, source, scores), *cells))
+            rows.append((row["name"], _column_of(result, source, scores), *cells))
     return ("variant", "tested on", *names), rows
 
 
-def _told(result: Mapping[str, Any], source: str, scores: Mapping[str, Any] | None) -> str:
+def _column_of(result: Mapping[str, Any], source: str, scores: Mapping[str, Any] | None) -> str:
     if source == "sim":
         return "sim"
-    return _kind_of(scores["stand_in"]) if scores else _tested_on(result)
+    return _kind_of(scores["real_is_simulated"]) if scores else _tested_on(result)

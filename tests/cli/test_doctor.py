@@ -19,17 +19,17 @@ def no_gl(monkeypatch):
     monkeypatch.setattr(doctor, "_gl_platform", lambda *_: none)
 
 
-def test_a_pybullet_without_numpy_is_named_with_its_mend(monkeypatch, no_gl):
+def test_a_pybullet_without_numpy_is_named_with_its_fix(monkeypatch, no_gl):
     def without_numpy():
         raise PhysicsError("PyBullet was built without numpy; reinstall it")
 
     monkeypatch.setattr("tacgen.physics.world.load_bullet", without_numpy)
     finding = next(f for f in doctor.examine() if f.name == "pybullet")
-    assert (finding.ok, finding.mend) == (False, "reinstall it")
+    assert (finding.ok, finding.fix) == (False, "reinstall it")
 
 
 def test_a_full_disk_is_named(monkeypatch, tmp_path, no_gl):
     monkeypatch.setattr(doctor, "MIN_FREE_GB", 1e9)
     finding = next(f for f in doctor.examine(tmp_path) if f.name == "free disk")
     assert not finding.ok
-    assert "free some space" in finding.mend
+    assert "free some space" in finding.fix

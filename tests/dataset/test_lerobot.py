@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from tacgen.cli import app
 from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset
-from tacgen.dataset.export.lerobot import export_dataset
+from tacgen.dataset.export import export_dataset
 
 from .conftest import collect_toy, make_spec
 

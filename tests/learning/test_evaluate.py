@@ -12,9 +12,9 @@ import pytest
 
 from tacgen.core.errors import DatasetError, LearningError
 from tacgen.core.records import Sensor
+from tacgen.dataset.export import export_dataset
 from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
-from tacgen.study.stand_in import write_stand_in
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
 
 
@@ -149,12 +149,12 @@ def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, t
     assert "are left out: they ask for the same" in " ".join(result["notes"])
 
 
-def test_the_training_grasps_written_as_a_stand_in_are_refused(run, toy, tmp_path):
+def test_the_training_grasps_written_as_real_ones_are_refused(run, toy, tmp_path):
     for split in ("train", "test"):
-        write_stand_in(toy, tmp_path / split, split=split)
+        export_dataset(toy, tmp_path / split, "real-grasps", split=split)
     with pytest.raises(LearningError, match="test configurations were trained on"):
         evaluate(run, real=tmp_path / "train")
-    assert evaluate(run, real=tmp_path / "test")["stand_in"]
+    assert evaluate(run, real=tmp_path / "test")["real_is_simulated"]
 
 
 def test_a_run_that_is_not_finished_is_judged_and_it_is_said(run, toy):

@@ -8,9 +8,9 @@ import pytest
 
 from tacgen import cli
 from tacgen.learning.grasps import GraspTable
-from tacgen.learning.parameter_baseline import told_lines, told_scores
+from tacgen.learning.parameter_baseline import baseline_lines, baseline_scores
 
-AXES_TOLD = ("force_n", "y_mm", "z_mm")
+AXES_SEEN = ("force_n", "y_mm", "z_mm")
 
 
 def table_of(label_of, n: int = 150, split: str = "train") -> GraspTable:
@@ -31,37 +31,44 @@ def table_of(label_of, n: int = 150, split: str = "train") -> GraspTable:
 
 
 def test_an_outcome_that_force_decides_is_found_from_force():
-    scores = told_scores(table_of(lambda f, y, z, rng: f > 10))["can"]
-    assert list(scores["told"]) == ["force_n, y_mm, z_mm", *(f"all but {a}" for a in AXES_TOLD)]
-    assert scores["told"]["force_n, y_mm, z_mm"] > 0.95
+    scores = baseline_scores(table_of(lambda f, y, z, rng: f > 10))["can"]
+    assert list(scores["tree_accuracy"]) == [
+        "force_n, y_mm, z_mm",
+        *(f"all but {a}" for a in AXES_SEEN),
+    ]
+    assert scores["tree_accuracy"]["force_n, y_mm, z_mm"] > 0.95
     # Without the force nothing is left; three standard deviations of a guess on 150 are 0.12.
-    assert scores["told"]["all but force_n"] < 0.5 + 0.13
+    assert scores["tree_accuracy"]["all but force_n"] < 0.5 + 0.13
 
 
-def test_a_height_that_decides_and_is_not_told_costs_accuracy():
-    told = told_scores(table_of(lambda f, y, z, rng: f > 10 * (z > 40)))["can"]["told"]
-    assert told["force_n, y_mm, z_mm"] > 0.93
-    assert told["all but z_mm"] < told["force_n, y_mm, z_mm"] - 0.1
+def test_a_height_that_decides_and_is_not_seen_costs_accuracy():
+    accuracy = baseline_scores(table_of(lambda f, y, z, rng: f > 10 * (z > 40)))["can"][
+        "tree_accuracy"
+    ]
+    assert accuracy["force_n, y_mm, z_mm"] > 0.93
+    assert accuracy["all but z_mm"] < accuracy["force_n, y_mm, z_mm"] - 0.1
 
 
 def test_chance_is_not_learnt():
-    scores = told_scores(table_of(lambda f, y, z, rng: rng.random(len(f)) < 0.5))["can"]
-    assert abs(scores["told"]["force_n, y_mm, z_mm"] - 0.5) < 0.13
+    scores = baseline_scores(table_of(lambda f, y, z, rng: rng.random(len(f)) < 0.5))["can"]
+    assert abs(scores["tree_accuracy"]["force_n, y_mm, z_mm"] - 0.5) < 0.13
 
 
 def test_one_outcome_alone_is_said_to_teach_nothing():
-    scores = told_scores(table_of(lambda f, y, z, rng: f > 0))
-    assert scores["can"]["always"] == 1.0
-    assert "nothing to learn from" in "\n".join(told_lines(scores))
+    scores = baseline_scores(table_of(lambda f, y, z, rng: f > 0))
+    assert scores["can"]["majority_accuracy"] == 1.0
+    assert "nothing to learn from" in "\n".join(baseline_lines(scores))
 
 
 def test_the_test_side_is_not_looked_at():
-    scores = told_scores(table_of(lambda f, y, z, rng: f > 10, split="test"))
-    assert (scores["can"]["n"], scores["can"]["told"]) == (0, {})
+    scores = baseline_scores(table_of(lambda f, y, z, rng: f > 10, split="test"))
+    assert (scores["can"]["n"], scores["can"]["tree_accuracy"]) == (0, {})
 
 
-def test_the_command_tells_each_object(toy, capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["tacgen", "told", str(toy), "--json"])
+def test_the_command_reports_each_object(toy, capsys, monkeypatch):
+    monkeypatch.setattr(
+        sys, "argv", ["tacgen", "eval", "--baseline", "parameters", "--data", str(toy), "--json"]
+    )
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 0

@@ -63,7 +63,7 @@ def test_from_a_dataset_to_the_gap_on_the_command_line(toy, tmp_path, monkeypatc
     recipe, run = tmp_path / "toy.yaml", tmp_path / "run"
     recipe.write_text(yaml.safe_dump(recipe_of(training={"epochs": 1}).resolved()))
     assert run_cli(monkeypatch, "train", recipe, "--data", toy, "--out", run) == 0
-    assert "first weights of the backbone: none" in capsys.readouterr().out
+    assert "pre-trained weights: none" in capsys.readouterr().out
     assert run_cli(monkeypatch, "eval", run, "--data", toy, "--json") == 0
     simulated = json.loads(capsys.readouterr().out)
     assert simulated == json.loads((run / "eval.json").read_text())
@@ -71,7 +71,7 @@ def test_from_a_dataset_to_the_gap_on_the_command_line(toy, tmp_path, monkeypatc
     assert run_cli(monkeypatch, "eval", run, "--real", real) == 0
     said = capsys.readouterr().out
     assert "sim-to-real gap" in said
-    assert "NONE: trained from scratch" in said
+    assert "pre-trained weights: NONE, trained from scratch" in said
 
 
 def test_wrong_input_is_one_message_and_exit_2(toy, tmp_path, monkeypatch, capsys):

@@ -133,7 +133,7 @@ def test_that_no_imagenet_weights_were_used_is_said_everywhere(toy, tmp_path, ca
     assert summary["models"]["pooled"]["weights"] == "none"
     assert all(line["weights"] == "none" for line in metrics_of(tmp_path / "run"))
     report = (tmp_path / "run" / "models" / "pooled" / "report.html").read_text()
-    assert "NONE: trained from scratch" in report
+    assert "NONE, trained from scratch" in report
 
 
 def test_a_run_leaves_its_log_its_report_and_its_plan(trained):

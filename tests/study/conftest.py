@@ -53,7 +53,8 @@ def no_networks(monkeypatch, toy_collect):
 
     def evaluate(run, data=None, real=None):
         scores = {"accuracy": 0.9, "accuracy_interval": [0.8, 0.95], "n": 12}
-        where = {"data": str(data or real), "stand_in": real is not None and "world" in real.name}
+        simulated = real is not None and "world" in real.name
+        where = {"data": str(data or real), "real_is_simulated": simulated}
         return {**scores, **where, "by_object": {"can": scores}}
 
     monkeypatch.setattr("tacgen.study.run.train", train)

@@ -9,16 +9,16 @@ import pytest
 
 from tacgen.collection.recipe import Grid, load_recipe
 from tacgen.contact import ContactLaw, save_law
-from tacgen.core.errors import DatasetError, LearningError, RecipeError, TacgenError
+from tacgen.core.errors import LearningError, RecipeError, TacgenError
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder, packaged
-from tacgen.learning.formatting import evaluation_lines
+from tacgen.dataset.export import export_dataset
+from tacgen.learning.scores import evaluation_lines
 from tacgen.objects import load_object
 from tacgen.objects.description import read_description
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.study.reality import Reality
 from tacgen.study.run import check_finished, run_study
-from tacgen.study.stand_in import write_stand_in
 from tacgen.study.study_recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.table import markdown_table
 from tests.learning.conftest import collect, make_spec, write_real
@@ -208,7 +208,7 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy
     assert all(isinstance(row["training_grasps"], dict) for row in result["rows"])
     text = (tmp_path / "out" / "table.md").read_text()
     assert "REDUCED VERSION" in text
-    assert "NONE: trained from scratch" in text
+    assert "NONE, trained from scratch" in text
     assert "| 0.900 |" in text
     assert "sim-to-real" in text
     assert "NOT real" not in text
@@ -239,16 +239,16 @@ def test_a_study_of_which_nothing_can_be_trained_says_so_in_its_table(tmp_path, 
 def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect):
     """The folder says that it is simulated: no table and no line may call it real."""
     study = load_study(small_study(tmp_path))
-    write_stand_in(toy, tmp_path / "world", split="test")
+    export_dataset(toy, tmp_path / "world", "real-grasps", split="test")
     result = run_study(study, tmp_path / "out", Reality(test=tmp_path / "world"))
-    assert result["stand_in"] is True
+    assert result["real_is_simulated"] is True
     for name in ("table.md", "table.html"):
         text = (tmp_path / "out" / name).read_text()
         assert "sim-to-real" not in text
         assert "other simulation" in text
         assert "NOT real" in text
     lines = "\n".join(evaluation_lines(result["rows"][0]["real"]))
-    assert "another simulation, standing in for reality: accuracy" in lines
+    assert "another simulation, NOT real: accuracy" in lines
     assert "gap to the other simulation" in lines
     assert "sim-to-real" not in lines
 
@@ -299,27 +299,3 @@ def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
     result = run_study(study, tmp_path / "out", given)
     assert [row["contact_file"] for row in result["rows"]] == [str(given.contact), None]
     assert f"contact law from {given.contact}" in (tmp_path / "out" / "table.md").read_text()
-
-
-def test_a_dataset_becomes_a_folder_of_grasps_that_says_it_is_not_real(toy, tmp_path):
-    from tacgen.dataset import Dataset
-    from tacgen.learning.real_grasps import RealGraspImages
-
-    count = write_stand_in(toy, tmp_path / "real", split="test")
-    found = RealGraspImages(tmp_path / "real")
-    assert len(found.table) == count
-    dataset, columns = Dataset(toy), Dataset(toy).columns()
-    tests = (columns["split"] == "test") & (columns["label"] >= 0)
-    assert count == tests.sum()
-    assert list(found.table.label) == list(columns["label"][tests])
-    index = int(columns["index"][tests][3])
-    assert (found.frames(3, [0, 1, 2]) == dataset.rgb(index)).all()
-    assert (found.reference() == dataset.reference()).all()
-    assert "Not real" in (tmp_path / "real" / "about.json").read_text()
-    with pytest.raises(DatasetError, match="exists already"):
-        write_stand_in(toy, tmp_path / "real", split="test")
-
-
-def test_labels_alone_and_a_few_of_each_object(toy, tmp_path):
-    assert write_stand_in(toy, tmp_path / "r", split="train", per_object=3, images=False) == 6
-    assert not (tmp_path / "r" / "images").exists()

@@ -8,7 +8,6 @@ Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/i
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +19,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tacgen.core.errors import DatasetError
-from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.export.lerobot_stats import ImageStats, VectorStats
 from tacgen.dataset.export.lerobot_table import arrow_schema, episode_table
 from tacgen.dataset.reader import Dataset
@@ -48,33 +45,10 @@ _SCALARS = {
 }
 
 
-def export_dataset(root: Path | str, out: Path | str, format_name: str) -> str:
-    """Write the dataset in ``root`` to the new folder ``out``; a sentence on what was written.
-
-    Raises
-    ------
-    DatasetError
-        If the format is not known, ``out`` exists, or nothing there can be exported.
-    """
-    out = Path(out)
-    if format_name != "lerobot":
-        msg = f"--format {format_name}: not known; this version writes lerobot"
-        raise DatasetError(msg)
-    if out.exists():
-        msg = f"{out} exists already; give a new folder, or remove it"
-        raise DatasetError(msg)
-    dataset = Dataset(root)
-    partial = out.with_name(f".{out.name}.part")
-    with disk_errors(out):
-        shutil.rmtree(partial, ignore_errors=True)
-        try:
-            n_episodes = _Export(dataset, partial).run()
-            partial.rename(out)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-    left_out = len(dataset) - n_episodes
-    tail = f"; {left_out} grasps that were not executed are left out" if left_out else ""
-    return f"{out}: {n_episodes} episodes in LeRobot's format {CODEBASE_VERSION}{tail}"
+def write_lerobot(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
+    """Write each of the chosen grasps as an episode."""
+    n_episodes = _Export(dataset, grasps, folder).run()
+    return f"{n_episodes} episodes in LeRobot's format {CODEBASE_VERSION}"
 
 
 @dataclass(slots=True)
@@ -113,6 +87,7 @@ class _Export:
     """One run of the export."""
 
     dataset: Dataset
+    grasps: pd.DataFrame
     root: Path
     tasks: dict[str, int] = field(default_factory=dict)
     episodes: list[dict[str, Any]] = field(default_factory=list)
@@ -120,16 +95,9 @@ class _Export:
 
     def run(self) -> int:
         """Write everything; the number of episodes."""
-        columns = self.dataset.columns()
         features = self._features()
-        order = [
-            int(index)
-            for split in SPLITS
-            for index in columns["index"][(columns["split"] == split) & (columns["label"] >= 0)]
-        ]
-        if not order:
-            msg = f"{self.dataset.root}: no grasp was executed, so there is nothing to export"
-            raise DatasetError(msg)
+        split = self.grasps["split"]
+        order = [int(i) for name in SPLITS for i in self.grasps["index"][split == name]]
         data = _DataFile(self.root, arrow_schema(features))
         first_frame = 0
         try:
@@ -139,7 +107,7 @@ class _Export:
                 )
         finally:
             data.close()
-        n_train = int(np.sum((columns["split"] == "train") & (columns["label"] >= 0)))
+        n_train = int((split == "train").sum())
         self._write_meta(features, len(order), n_train, first_frame)
         return len(order)
 

@@ -1,0 +1,43 @@
+"""Export to the folder that real grasps come in: to try out, without a robot, what takes them.
+
+Only what a real experiment would leave behind is written: images, what the gripper was asked to
+do, and how the grasp ended. ``about.json`` states that the grasps are simulated.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+
+from tacgen.core.files import write_text
+from tacgen.dataset.reader import Dataset
+from tacgen.dataset.real_grasps import ABOUT, BACKGROUND
+from tacgen.report.page import encode_png
+
+NOTE = "Simulated by tacgen, written in the format of real grasps. Not real."
+COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode")
+
+
+def write_real_grasps(
+    dataset: Dataset, grasps: pd.DataFrame, folder: Path, *, images: bool = True
+) -> str:
+    """Write the chosen grasps as a folder of real grasps."""
+    table = grasps[list(COLUMNS)].copy()
+    table.insert(0, "grasp_id", [_grasp_id(int(index)) for index in grasps["index"]])
+    write_text(folder / "grasps.csv", table.to_csv(index=False))
+    about = {"simulated": True, "note": NOTE, "recipe_sha256": dataset.lines[0].recipe_sha256}
+    write_text(folder / ABOUT, json.dumps(about, indent=1))
+    if images:
+        (folder / BACKGROUND).write_bytes(encode_png(dataset.reference()))
+        for index in map(int, grasps["index"]):
+            place = folder / "images" / _grasp_id(index)
+            place.mkdir(parents=True)
+            for k, frame in enumerate(dataset.rgb(index)):
+                (place / f"{k}.png").write_bytes(encode_png(frame))
+    return f"{len(grasps)} simulated grasps in the format of real ones"
+
+
+def _grasp_id(index: int) -> str:
+    return f"g{index:05d}"
