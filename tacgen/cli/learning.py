@@ -26,7 +26,7 @@ def train(
     json_output: JsonFlag = False,
 ) -> None:
     """Train networks that predict from tactile images whether a grasp will hold."""
-    from tacgen.learning.optional_dependencies import require_learning_extra
+    from tacgen.learning import require_learning_extra
     from tacgen.learning.training_recipe import load_train_recipe
 
     require_learning_extra()
@@ -59,7 +59,7 @@ def evaluate(
     json_output: JsonFlag = False,
 ) -> None:
     """Test a run on simulated or real grasps; after both, prints the sim-to-real gap too."""
-    from tacgen.learning.optional_dependencies import require_learning_extra
+    from tacgen.learning import require_learning_extra
 
     require_learning_extra()
     if baseline is not None:
@@ -109,7 +109,7 @@ def study(
     json_output: JsonFlag = False,
 ) -> None:
     """Collect, train and test every variant of a study; writes a table (Markdown, HTML, JSON)."""
-    from tacgen.learning.optional_dependencies import require_learning_extra
+    from tacgen.learning import require_learning_extra
     from tacgen.study.study_recipe import load_study
 
     require_learning_extra()

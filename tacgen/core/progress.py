@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar on a terminal, nothing anywhere else."""
+"""Progress on standard error: a bar on a terminal, and lines about what is done."""
 
 from __future__ import annotations
 
@@ -19,3 +19,8 @@ def progress_counter(unit: str) -> Iterator[Callable[[int, int], None]]:
             bar.refresh()
 
         yield show
+
+
+def print_status(text: str) -> None:
+    """Print a line on standard error, above any progress bar."""
+    tqdm.write(f"tacgen: {text}", file=sys.stderr)

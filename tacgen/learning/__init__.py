@@ -3,3 +3,35 @@
 Everything that needs torch is imported where it is used, after ``require_learning_extra`` has said
 plainly what is missing; recipes can be checked without it.
 """
+
+from __future__ import annotations
+
+from importlib import metadata
+from importlib.util import find_spec
+
+from tacgen.core.errors import LearningError
+
+_LIBRARIES = ("torch", "transformers", "safetensors", "sklearn", "tensorboard")
+_INFLUENTIAL = ("tacgen", "torch", "transformers", "numpy", "opencv-python-headless")
+
+
+def require_learning_extra() -> None:
+    """Check that the libraries for learning are installed.
+
+    Raises
+    ------
+    LearningError
+        Names every missing library and the command that installs them.
+    """
+    missing = [name for name in _LIBRARIES if find_spec(name) is None]
+    if missing:
+        msg = (
+            f"training and evaluation need {', '.join(missing)}, not installed here; install them "
+            "with `pip install 'tacgen[learn]'` (in a checkout: `make setup`)"
+        )
+        raise LearningError(msg)
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of the libraries that the weights depend on."""
+    return {name: metadata.version(name) for name in _INFLUENTIAL}

@@ -1,14 +1,14 @@
-"""The ResNet-18 that looks at one image, and where its first weights come from.
+"""The ResNet-18 that looks at one image, and its pre-trained weights.
 
-torchvision's network is used where it can be imported, else that of transformers; they are the
-same layers under other names (``weight_names``). Weight files are read as safetensors or with
-``weights_only``: nothing in them is run.
+The network is that of transformers. Weight files may be its own or torchvision's, which has the
+same layers under other names; they are read as safetensors or with ``weights_only``, so nothing
+in them is run.
 """
 
 from __future__ import annotations
 
-import importlib
 import pickle
+import re
 import struct
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,15 +18,29 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
+from transformers import ResNetConfig, ResNetModel
 
 from tacgen.core.errors import LearningError
 from tacgen.core.files import is_file
-from tacgen.learning.weight_names import Naming, renamed
 
 FEATURES = 512
+"""Width of ResNet-18's last stage."""
 HUB_NAME = "microsoft/resnet-18"
 TORCHVISION_FILE = "resnet18-f37072fd.pth"
 NO_WEIGHTS = "none"
+_STEM = {"conv1": "embedder.embedder.convolution", "bn1": "embedder.embedder.normalization"}
+_IN_BLOCK = {
+    "conv1": "layer.0.convolution",
+    "bn1": "layer.0.normalization",
+    "conv2": "layer.1.convolution",
+    "bn2": "layer.1.normalization",
+    "downsample.0": "shortcut.convolution",
+    "downsample.1": "shortcut.normalization",
+}
+_BLOCK = re.compile(r"layer(\d)\.(\d)\.(conv\d|bn\d|downsample\.\d)\.(\w+)")
+# What files put before a backbone's names, and the layers of a classifier, which are left out.
+_PREFIXES = ("module.", "resnet.", "backbone.", "model.")
+_CLASSIFIER = ("fc.", "classifier.")
 UNREADABLE = (
     OSError,
     RuntimeError,
@@ -48,32 +62,39 @@ UNREADABLE = (
 class Backbone(nn.Module):
     """ResNet-18 without its classifier: images (B, 3, H, W) to features (B, 512).
 
-    ``origin`` says where its weights come from: ``none`` is from scratch.
+    ``origin`` names its pre-trained weights: ``none`` is from scratch.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.naming, self.network = _new_network()
+        self.network = ResNetModel(
+            ResNetConfig(
+                embedding_size=64,
+                hidden_sizes=[64, 128, 256, FEATURES],
+                depths=[2, 2, 2, 2],
+                layer_type="basic",
+                hidden_act="relu",
+            )
+        )
         self.origin = NO_WEIGHTS
 
     def forward(self, images: Tensor) -> Tensor:
         """Images (B, 3, H, W) to features (B, 512)."""
-        features = self.network(images.contiguous(memory_format=torch.channels_last))
-        if self.naming == "transformers":
-            features = features.pooler_output
-        return features.flatten(1)
+        images = images.contiguous(memory_format=torch.channels_last)
+        features: Tensor = self.network(images).pooler_output.flatten(1)
+        return features
 
     def load(self, weights: Mapping[str, Tensor], where: str) -> None:
-        """Take ``weights``, of torchvision's or transformers' names.
+        """Load pre-trained ``weights``, named as by transformers or torchvision.
 
         Raises
         ------
         LearningError
             If they are not those of a ResNet-18.
         """
-        own = self.network.state_dict()
-        given = renamed(weights, self.naming, own)
-        problem = shape_problem(own, given)
+        given = {own_name(name): value for name, value in weights.items()}
+        given = {name: v for name, v in given.items() if not name.startswith(_CLASSIFIER)}
+        problem = shape_problem(self.network.state_dict(), given)
         if problem:
             msg = f"{where}: these are not the weights of a ResNet-18 ({problem}); give such a file"
             raise LearningError(msg)
@@ -81,8 +102,22 @@ class Backbone(nn.Module):
         self.origin = where
 
 
+def own_name(name: str) -> str:
+    """The network's name of a weight in a file: no prefix, and torchvision's names translated."""
+    for prefix in _PREFIXES:
+        name = name.removeprefix(prefix)
+    module, _, tail = name.rpartition(".")
+    if module in _STEM:
+        return f"{_STEM[module]}.{tail}"
+    found = _BLOCK.fullmatch(name)
+    if not found:
+        return name
+    stage, block, part, tail = found.groups()
+    return f"encoder.stages.{int(stage) - 1}.layers.{block}.{_IN_BLOCK[part]}.{tail}"
+
+
 def make_backbone(weights: str) -> Backbone:
-    """A ResNet-18 with the first weights that ``weights`` names.
+    """A ResNet-18 with the pre-trained weights that ``weights`` names.
 
     Parameters
     ----------
@@ -96,7 +131,7 @@ def make_backbone(weights: str) -> Backbone:
         If the named weights are not at hand or not a ResNet-18's.
     """
     backbone = Backbone()
-    if weights == "none":
+    if weights == NO_WEIGHTS:
         return backbone
     if weights in ("auto", "imagenet"):
         path = cached_imagenet_file()
@@ -104,9 +139,9 @@ def make_backbone(weights: str) -> Backbone:
             backbone.load(read_weights(path), f"imagenet ({path.name})")
         elif weights == "imagenet":
             msg = (
-                f"no ImageNet weights on this machine: neither {HUB_NAME} in the cache of the hub "
-                f"nor {TORCHVISION_FILE} in that of torch; download one where there is a network "
-                "and name its path in model.weights, or set model.weights: none"
+                f"no ImageNet weights on this machine: neither {HUB_NAME} in the cache of the "
+                f"Hugging Face hub nor {TORCHVISION_FILE} in that of torch; download one and name "
+                "its path in model.weights, or set model.weights: none"
             )
             raise LearningError(msg)
         return backbone
@@ -122,7 +157,7 @@ def make_backbone(weights: str) -> Backbone:
 
 
 def cached_imagenet_file() -> Path | None:
-    """The ImageNet weights that torchvision or the hub left on this machine, if any."""
+    """The ImageNet weights in the cache of torch or of the Hugging Face hub, if any."""
     torchvision_file = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILE
     if torchvision_file.is_file():
         return torchvision_file
@@ -159,38 +194,15 @@ def read_weights(path: Path) -> dict[str, Tensor]:
 
 
 def shape_problem(own: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
-    """What keeps ``given`` from being the weights ``own``; empty where nothing does."""
+    """Why ``given`` cannot be loaded as the weights ``own``; empty where it can."""
     needed = [name for name in own if not name.endswith("num_batches_tracked")]
     missing = [name for name in needed if name not in given]
     if missing:
         return f"{len(missing)} of {len(needed)} are missing, the first is {missing[0]}"
     extra = sorted(set(given) - set(own))
     if extra:
-        return f"{len(extra)} are of no use here, the first is {extra[0]}"
+        return f"{len(extra)} do not belong to it, the first is {extra[0]}"
     for name in needed:
         if own[name].shape != given[name].shape:
             return f"{name} has shape {tuple(given[name].shape)}, not {tuple(own[name].shape)}"
     return ""
-
-
-def _new_network() -> tuple[Naming, nn.Module]:
-    try:
-        models = importlib.import_module("torchvision.models")
-    except (ImportError, RuntimeError):  # the latter from a torchvision built for another torch
-        return "transformers", _transformers_network()
-    network = models.resnet18(weights=None)
-    network.fc = nn.Identity()
-    return "torchvision", network
-
-
-def _transformers_network() -> nn.Module:
-    from transformers import ResNetConfig, ResNetModel
-
-    config = ResNetConfig(
-        embedding_size=64,
-        hidden_sizes=[64, 128, 256, 512],
-        depths=[2, 2, 2, 2],
-        layer_type="basic",
-        hidden_act="relu",
-    )
-    return ResNetModel(config)

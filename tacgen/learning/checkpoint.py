@@ -31,7 +31,7 @@ _REFERENCE_KEY = "input.reference"
 class ModelCard:
     """What a model file says of itself.
 
-    ``weights`` is where the backbone's first weights came from (``none``: from scratch);
+    ``weights`` names the pre-trained weights (``none``: from scratch);
     ``epoch`` is that of the model, counted from 1.
     """
 
@@ -86,7 +86,7 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
         raise LearningError(msg) from error
     reference = tensors.pop(_REFERENCE_KEY, None)
     network = build_network(card.input.kind)
-    network.take(tensors, str(path))
+    network.load(tensors, str(path))
     network.backbone.origin = card.weights
     return network.eval(), card, None if reference is None else reference.numpy()
 

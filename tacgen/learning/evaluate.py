@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +15,21 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
 from tacgen.core.files import write_text
+from tacgen.core.progress import print_status
 from tacgen.learning.checkpoint import ModelCard, load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
-from tacgen.learning.grasps import GraspSource, SimulatedGrasps
+from tacgen.learning.grasps import GraspSource, RealGraspImages, SimulatedGrasps
 from tacgen.learning.inputs import check_source, read_input, resized
-from tacgen.learning.leakage import unseen_tests
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import Predictions, predict
-from tacgen.learning.progress import tell
-from tacgen.learning.real_grasps import RealGraspImages
 from tacgen.learning.reports import started_from, write_evaluation_report
-from tacgen.learning.run_folder import ModelFolder, RunFolder, read_json
+from tacgen.learning.run_folder import RunFolder, read_json
 from tacgen.learning.scores import score
+from tacgen.learning.splits import unseen_tests
 from tacgen.learning.training_recipe import TrainRecipe
 
 MAX_GROUPS = 8
+"""Rows of a table of scores by value; more values than that are put into half as many ranges."""
 _AUROC_NOTE = (
     "The AUROC overall ranks the grasps of all models together; by object it ranks one model's."
 )
@@ -45,35 +47,36 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
         If the run, the dataset or the folder of real grasps cannot be used, or a grasp to be
         tested was trained on.
     """
-    if (data is None) == (real is None):
+    if data is not None and real is None:
+        source_name, where = "sim", data
+    elif real is not None and data is None:
+        source_name, where = "real", real
+    else:
         msg = "give either --data DIR (simulated test grasps) or --real DIR (real grasps)"
         raise LearningError(msg)
     folder = RunFolder(run)
-    plan = folder.plan()
-    recipe = folder.recipe()
-    notes: list[str] = []
-    if data is not None:
-        source: GraspSource = SimulatedGrasps(data, recipe.input.pad)
+    plan, recipe = folder.plan(), folder.recipe()
+    source: GraspSource
+    if source_name == "sim":
+        source, notes = SimulatedGrasps(where, recipe.input.pad), []
     else:
-        source = RealGraspImages(Path(str(real)))
-        notes += source.warnings
-    where = str(data if data is not None else real)
-    unseen, about_unseen = unseen_tests(plan, source, where)
+        source = RealGraspImages(where)
+        notes = list(source.warnings)
+    unseen, about_unseen = unseen_tests(plan, source, str(where))
     notes += about_unseen
     device = choose_device(recipe.training)
+    test = _Test(folder, plan, recipe, source, str(where), device, notes)
     with exact_torch(recipe.training.threads):
-        predictions, cards = _predict_all(
-            folder, plan, recipe, source, unseen, where, device, notes
-        )
-    result = _summary(predictions, cards, "sim" if data is not None else "real", where, notes)
-    result["real_is_simulated"] = real is not None and source.made_with is not None
+        predictions, cards = test.predict_all(unseen)
+    result = _summary(predictions, cards, source_name, str(where), notes)
+    result["real_is_simulated"] = source_name == "real" and source.made_with is not None
     _add_gap(folder, result)
     text = json.dumps(result, indent=1)
     write_text(folder.eval_path, text)
-    write_text(folder.source_eval_path(result["source"]), text)
+    write_text(folder.source_eval_path(source_name), text)
     write_evaluation_report(folder.eval_report_path, result, predictions)
     for note in notes:
-        tell(note)
+        print_status(note)
     return result
 
 
@@ -95,114 +98,114 @@ def scores_by_value(
         places = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
         groups = [
             (f"{low} to {high}", places == k)
-            for k, (low, high) in enumerate(itertools.pairwise(_told_apart(edges)))
+            for k, (low, high) in enumerate(itertools.pairwise(_distinct_texts(edges)))
         ]
     return {name: score(labels[g], probabilities[g]) for name, g in groups if g.any()}
 
 
-def _predict_all(
-    folder: RunFolder,
-    plan: Mapping[str, Any],
-    recipe: TrainRecipe,
-    source: GraspSource,
-    unseen: NDArray[np.bool_],
-    where: str,
-    device: Device,
-    notes: list[str],
-) -> tuple[list[Predictions], list[ModelCard]]:
-    wanted = [name for model in plan["models"].values() for name in model["objects"]]
-    names = source.table.object_names()
-    if not set(wanted) & set(names):
-        msg = (
-            f"{where}: has grasps of {', '.join(names)}; the models of {folder.root} are for "
-            f"{', '.join(wanted)}; train on the same objects"
-        )
-        raise LearningError(msg)
-    unknown = [name for name in names if name not in wanted]
-    if unknown:
-        notes.append(f"NOT tested, since no model is for them: {', '.join(unknown)}")
-    predictions, cards = [], []
-    for name, model in plan["models"].items():
-        rows = np.flatnonzero(np.isin(source.table.objects, model["objects"]) & unseen)
-        if not len(rows):
-            notes.append(f"the model {name} was NOT tested: {where} has no test grasps for it")
-            continue
-        network, card, reference = load_model(folder.model(name).model_path)
-        notes += _unfinished(folder.model(name), name, recipe.training.epochs)
-        if (card.input.kind, card.name) != (recipe.model.kind, name):
+@dataclass(frozen=True, slots=True)
+class _Test:
+    """The models of one run on the grasps of one source; ``notes`` collects what to report."""
+
+    folder: RunFolder
+    plan: Mapping[str, Any]
+    recipe: TrainRecipe
+    source: GraspSource
+    where: str
+    device: Device
+    notes: list[str] = field(default_factory=list)
+
+    def predict_all(self, unseen: NDArray[np.bool_]) -> tuple[list[Predictions], list[ModelCard]]:
+        """The predictions of each model for the ``unseen`` (N,) grasps of its objects."""
+        self._check_objects()
+        predictions, cards = [], []
+        for name, model in self.plan["models"].items():
+            mine = np.isin(self.source.table.objects, model["objects"])
+            rows = np.flatnonzero(mine & unseen)
+            if len(rows):
+                predicted, card = self._predict(name, rows)
+                predictions.append(predicted)
+                cards.append(card)
+            else:
+                self._note(
+                    f"the model {name} was NOT tested: {self.where} has no test grasps for it"
+                )
+        if not predictions:
+            msg = f"{self.where}: has no test grasps; collect it with split.test_fraction above 0"
+            raise LearningError(msg)
+        return predictions, cards
+
+    def _check_objects(self) -> None:
+        wanted = [name for model in self.plan["models"].values() for name in model["objects"]]
+        names = self.source.table.object_names()
+        if not set(wanted) & set(names):
             msg = (
-                f"{folder.model(name).model_path}: is the {card.input.kind} model {card.name!r}, "
-                f"where the run has the {recipe.model.kind} model {name!r}; put its own back, or "
-                "train again"
+                f"{self.where}: has grasps of {', '.join(names)}; the models of {self.folder.root} "
+                f"are for {', '.join(wanted)}; train on the same objects"
             )
             raise LearningError(msg)
-        check_source(card.input, source, rows, where)
-        batches, spec = _batches(recipe, source, rows, card, reference, notes), card.input
-        network.to(device.name)
-        probabilities, _ = predict(network, batches.in_order(), device)
+        unknown = [name for name in names if name not in wanted]
+        if unknown:
+            self._note(f"NOT tested, since no model is for them: {', '.join(unknown)}")
+
+    def _predict(self, name: str, rows: NDArray[np.int64]) -> tuple[Predictions, ModelCard]:
+        folder, kind = self.folder.model(name), self.recipe.model.kind
+        network, card, reference = load_model(folder.model_path)
+        epochs = self.recipe.training.epochs
+        done = len(folder.read_metrics(up_to_epoch=epochs))
+        if done < epochs:
+            self._note(f"the model {name} is NOT trained to its end: {done} of {epochs} epochs")
+        if (card.input.kind, card.name) != (kind, name):
+            msg = (
+                f"{folder.model_path}: is the {card.input.kind} model {card.name!r}, where the "
+                f"run has the {kind} model {name!r}; restore the run's own file, or train again"
+            )
+            raise LearningError(msg)
+        check_source(card.input, self.source, rows, self.where)
+        batches = self._batches(rows, card, reference)
+        network.to(self.device.name)
+        probabilities, _ = predict(network, batches.in_order(), self.device)
         if not np.isfinite(probabilities).all():
-            msg = f"{folder.model(name).model_path}: judges grasps with NaN; train it again"
+            msg = f"{folder.model_path}: predicts NaN; train the model again"
             raise LearningError(msg)
+        frames = partial(_frames, self.source, rows, card)
+        return Predictions(name, self.source.table.take(rows), probabilities, frames), card
 
-        def frames(i: int, rows: NDArray[np.int64] = rows, spec: Any = spec) -> NDArray[np.uint8]:
-            return read_input(source, int(rows[i]), spec)
-
-        predictions.append(Predictions(name, source.table.take(rows), probabilities, frames))
-        cards.append(card)
-    if not predictions:
-        msg = f"{where}: no test grasps in it; collect it with split.test_fraction above 0"
-        raise LearningError(msg)
-    return predictions, cards
-
-
-def _unfinished(folder: ModelFolder, name: str, epochs: int) -> list[str]:
-    done = len(folder.read_metrics(up_to_epoch=epochs))
-    if done == epochs:
-        return []
-    return [f"the model {name} is NOT trained to its end: {done} of {epochs} epochs"]
-
-
-def _batches(
-    recipe: TrainRecipe,
-    source: GraspSource,
-    rows: NDArray[np.int64],
-    card: ModelCard,
-    trained_reference: NDArray[np.uint8] | None,
-    notes: list[str],
-) -> Batches:
-    spec = card.input
-    own = source.reference()
-    reference = trained_reference if own is None else resized(own[None], spec.size_px)[0]
-    if isinstance(source, RealGraspImages):
+    def _batches(
+        self, rows: NDArray[np.int64], card: ModelCard, trained_reference: NDArray[np.uint8] | None
+    ) -> Batches:
+        spec, source, options = card.input, self.source, self.recipe.input
+        own = source.reference()
+        reference = trained_reference if own is None else resized(own[None], spec.size_px)[0]
         if spec.image != "raw" and own is None:
-            _note(
-                notes,
-                f"{source.folder}: no background.png, so the difference is taken to the "
-                "undeformed gel of the training data",
+            self._note(
+                f"{self.where}: has no background.png, so images are compared with the undeformed "
+                "gel of the training data"
             )
-        if spec.kind == "single":
-            several = sum(source.frame_count(int(row)) > 1 for row in rows)
-            if several:
-                which = (
-                    "first one at 95 % of the largest change from the gel at rest"
-                    if spec.grasp_fraction is None
-                    else f"one {spec.grasp_fraction:.0%} through, as in the training data,"
-                )
-                _note(
-                    notes,
-                    f"{source.folder}: of grasps with several images the {which} is taken as the "
-                    "moment of grasp",
-                )
-    inputs = DecodedInputs(source, rows, spec, recipe.input.cache_mb)
-    labels = source.table.label[rows]
-    return Batches(
-        inputs, labels, spec, reference, recipe.training.batch_size, recipe.input.loader_workers
-    )
+        sequences = any(source.frame_count(int(row)) > 1 for row in rows)
+        if isinstance(source, RealGraspImages) and spec.kind == "single" and sequences:
+            which = (
+                "first image with 95 % of the largest change from the gel at rest"
+                if spec.grasp_fraction is None
+                else f"image {spec.grasp_fraction:.0%} through, as in the training data,"
+            )
+            self._note(
+                f"{self.where}: of grasps with several images the {which} is taken as the "
+                "moment of grasp"
+            )
+        inputs = DecodedInputs(source, rows, spec, options.cache_mb)
+        labels, batch_size = source.table.label[rows], self.recipe.training.batch_size
+        return Batches(inputs, labels, spec, reference, batch_size, options.loader_workers)
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
 
 
-def _note(notes: list[str], text: str) -> None:
-    if text not in notes:
-        notes.append(text)
+def _frames(
+    source: GraspSource, rows: NDArray[np.int64], card: ModelCard, i: int
+) -> NDArray[np.uint8]:
+    return read_input(source, int(rows[i]), card.input)
 
 
 def _summary(
@@ -214,7 +217,7 @@ def _summary(
 ) -> dict[str, Any]:
     labels, probabilities = Predictions.joined(predictions)
 
-    def column(name: str) -> NDArray:
+    def column(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(part.table, name) for part in predictions])
 
     objects = column("objects")
@@ -233,7 +236,7 @@ def _summary(
         "weights": ", ".join(weights),
         "weights_note": f"pre-trained weights: {', '.join(started_from(name) for name in weights)}",
         "auroc_note": _AUROC_NOTE if len(cards) > 1 else "",
-        "misjudged": [
+        "misclassified": [
             {
                 "object": str(part.table.objects[i]),
                 "grasp_id": str(part.table.ids[i]),
@@ -247,7 +250,7 @@ def _summary(
     }
 
 
-def _told_apart(values: NDArray[np.float64]) -> list[str]:
+def _distinct_texts(values: NDArray[np.float64]) -> list[str]:
     """Different numbers as different texts, with as few digits as that takes, but at least four."""
     texts = ([f"{value:.{digits}g}" for value in values] for digits in range(4, 18))
     return next(found for found in texts if len(set(found)) == len(values))

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -18,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
+from tqdm import tqdm
 
 from tacgen.core.errors import LearningError
 from tacgen.learning.checkpoint import ModelCard, load_state, save_model, save_state
@@ -30,8 +33,7 @@ from tacgen.learning.networks import (
     build_optimizer,
     build_scheduler,
 )
-from tacgen.learning.predictions import predict, weighted_loss
-from tacgen.learning.progress import Board, epoch_bar
+from tacgen.learning.predictions import predict
 from tacgen.learning.run_folder import ModelFolder
 from tacgen.learning.scores import score
 from tacgen.learning.splits import seed_of
@@ -45,7 +47,7 @@ epoch is good or bad by the luck of one grasp."""
 _BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
 _STATE_KEYS = (
     "epoch",
-    "backbone",
+    "pretrained",
     "network",
     "average",
     "optimizer",
@@ -54,6 +56,16 @@ _STATE_KEYS = (
     "best",
 )
 _STREAM_START, _STREAM_EPOCH = 20, 21
+_ON_BOARD = (
+    "train_loss",
+    "train_accuracy",
+    "validation_loss",
+    "validation_accuracy",
+    "validation_balanced_accuracy",
+    "learning_rate",
+    "backbone_rate",
+    "loader_share",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +125,8 @@ class Fit:
             If the loss diverges; the last good checkpoint stays.
         """
         epochs = self.job.recipe.training.epochs
-        bar = epoch_bar(self.job.name, epochs, self.epoch)
-        with bar, Board(self.folder.board_path, self.epoch) as board:
+        bar = _epoch_bar(self.job.name, epochs, self.epoch)
+        with bar, _Board(self.folder.board_path, self.epoch) as board:
             while self.epoch < epochs:
                 _stop_if_left_alone(self.job.name)
                 line = self._run_epoch(self.epoch + 1)
@@ -138,7 +150,7 @@ class Fit:
         probabilities, labels = predict(self._kept, self.job.validation.in_order(), self.device)
         if not np.isfinite(probabilities).all():
             self._stop_diverged(epoch, math.nan)
-        loss = weighted_loss(labels, probabilities, self.job.class_weights)
+        loss = _weighted_loss(labels, probabilities, self.job.class_weights)
         self.scheduler.step(loss)
         scores = score(labels, probabilities)
         return {
@@ -198,7 +210,7 @@ class Fit:
         self.folder.write_metrics(self.metrics)
         state = {
             "epoch": self.epoch,
-            "backbone": self._backbone(),
+            "pretrained": self.network.backbone.origin,
             "network": self.network.state_dict(),
             "average": self._kept.state_dict(),
             "optimizer": self.optimizer.state_dict(),
@@ -225,22 +237,14 @@ class Fit:
             recipe_sha256=self.job.recipe.sha256(),
         )
 
-    def _backbone(self) -> dict[str, str]:
-        """Which library's it is, which orders the optimizer's numbers, and whence its weights."""
-        backbone = self.network.backbone
-        return {"naming": backbone.naming, "origin": backbone.origin}
-
     def _resume(self) -> None:
         path = self.folder.checkpoint_path
         state = load_state(path, _STATE_KEYS)
         try:
-            naming, origin = state["backbone"]["naming"], str(state["backbone"]["origin"])
-            if naming != self.network.backbone.naming:
-                msg = f"its ResNet-18 was that of {naming}: install that to go on"
-                raise ValueError(msg)
+            origin = str(state["pretrained"])
             self.network.backbone.origin = self._kept.backbone.origin = origin
-            self.network.take(state["network"], str(path))
-            self._kept.take(state["average"], str(path))
+            self.network.load(state["network"], str(path))
+            self._kept.load(state["average"], str(path))
             self._check_moments(state["optimizer"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.scheduler.load_state_dict(state["scheduler"])
@@ -274,6 +278,48 @@ class Fit:
 
     def _seed(self, *parts: int) -> int:
         return seed_of(self.job.recipe.seed, self.job.name, parts)
+
+
+def _weighted_loss(
+    labels: NDArray[np.int64], probabilities: NDArray[np.float64], weights: NDArray[np.float64]
+) -> float:
+    """Cross entropy of predicted probabilities of success, classes weighed."""
+    right = np.where(labels == 1, probabilities, 1 - probabilities)
+    each = weights[labels]
+    return float(np.sum(-each * np.log(np.maximum(right, 1e-12))) / each.sum())
+
+
+def _epoch_bar(name: str, epochs: int, done: int) -> tqdm:
+    """A progress bar over the epochs of one model, on a terminal only."""
+    return tqdm(
+        total=epochs,
+        initial=done,
+        desc=name,
+        unit="epoch",
+        file=sys.stderr,
+        disable=not sys.stderr.isatty(),
+    )
+
+
+class _Board:
+    """A TensorBoard log; epochs after ``done`` that an earlier start left there are cut off."""
+
+    def __init__(self, folder: Path, done: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._writer = SummaryWriter(str(folder), purge_step=done + 1)
+
+    def __enter__(self) -> _Board:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._writer.close()
+
+    def add(self, line: dict[str, Any]) -> None:
+        """The figures of one epoch."""
+        for name in _ON_BOARD:
+            group, _, rest = name.partition("_")
+            self._writer.add_scalar(f"{group}/{rest}", line[name], line["epoch"])
 
 
 def _stop_if_left_alone(name: str) -> None:

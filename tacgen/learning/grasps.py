@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
 from tacgen.core.records import LABEL_NOT_EXECUTED
+from tacgen.core.safe_io import read_bgr
 from tacgen.dataset import Dataset
+from tacgen.dataset.real_grasps import BACKGROUND, RealGrasp, read_real_grasps
 
 CONFIGURATION_DIGITS = 6
+"""Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
 FRAME_UNKNOWN = -1
+MAX_IMAGE_BYTES, MAX_SIDE_PX = 64 << 20, 8192
+"""More than any tactile camera gives; a larger file is not an image of one."""
+MAX_NAMED = 5
+"""Grasps without images that a message names; it counts the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +121,7 @@ class SimulatedGrasps:
         self.made_with: str | None = self.dataset.lines[0].recipe_sha256
         columns = self.dataset.columns()
         self._indices = columns["index"][columns["label"] != LABEL_NOT_EXECUTED]
-        self.table = _table_of(columns)
+        self.table = _table_of_simulated(columns)
         if not len(self.table):
             msg = f"{self.root}: no grasp in it was executed; collect one with reachable grasps"
             raise LearningError(msg)
@@ -145,7 +152,74 @@ class SimulatedGrasps:
         }
 
 
-def _table_of(columns: dict[str, NDArray]) -> GraspTable:
+class RealGraspImages:
+    """Grasps of a real robot, or of anything written in the same format.
+
+    An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``.
+    ``made_with`` is the hash of the recipe where a simulation wrote the folder, else None.
+
+    Raises
+    ------
+    DatasetError
+        Lists the rows that cannot be used.
+    LearningError
+        Lists the grasps without images.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder)
+        found = read_real_grasps(self.folder, needs=())
+        self.warnings = found.warnings
+        self.made_with = found.recipe_sha256
+        missing = [grasp.grasp_id for grasp in found.grasps if not grasp.images]
+        if missing:
+            more = f" and {len(missing) - MAX_NAMED} more" if len(missing) > MAX_NAMED else ""
+            msg = (
+                f"{self.folder}: no images of {', '.join(missing[:MAX_NAMED])}{more}; "
+                "put them at images/<grasp_id>/0.png, 1.png, …, or take the rows out"
+            )
+            raise LearningError(msg)
+        self._grasps = found.grasps
+        self.table = _table_of_real(found.grasps)
+        background = self.folder / BACKGROUND
+        self._background = _read_image(background) if background.is_file() else None
+        self.shape_px: tuple[int, int] = _read_image(found.grasps[0].images[0]).shape[:2]
+        if self._background is not None:
+            self._check_size(self._background, background)
+
+    def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
+        """Some images of one grasp, (len(frames), H, W, 3) RGB.
+
+        Raises
+        ------
+        LearningError
+            If one cannot be read, or is not of the size of the others.
+        """
+        paths = [self._grasps[row].images[frame] for frame in frames]
+        images = [_read_image(path) for path in paths]
+        for path, image in zip(paths, images, strict=True):
+            self._check_size(image, path)
+        return np.stack(images)
+
+    def frame_count(self, row: int) -> int:
+        """How many images the grasp has."""
+        return len(self._grasps[row].images)
+
+    def reference(self) -> NDArray[np.uint8] | None:
+        """``background.png``, where there is one."""
+        return self._background
+
+    def _check_size(self, image: NDArray[np.uint8], path: Path) -> None:
+        if image.shape[:2] != self.shape_px:
+            (height, width), (h, w) = image.shape[:2], self.shape_px
+            msg = (
+                f"{path}: {width}×{height} px, where the first image of the folder is {w}×{h} px; "
+                "take all with the same sensor and size"
+            )
+            raise LearningError(msg)
+
+
+def _table_of_simulated(columns: dict[str, NDArray]) -> GraspTable:
     executed = columns["label"] != LABEL_NOT_EXECUTED
 
     def column(name: str, dtype: type) -> NDArray:
@@ -163,3 +237,33 @@ def _table_of(columns: dict[str, NDArray]) -> GraspTable:
         yaw_rad=column("yaw_rad", np.float64),
         grasp_frame=column("grasp_frame", np.int64),
     )
+
+
+def _table_of_real(grasps: Sequence[RealGrasp]) -> GraspTable:
+    def numbers(name: str) -> NDArray[np.float64]:
+        return np.array([getattr(grasp.config, name) for grasp in grasps], np.float64)
+
+    return GraspTable(
+        ids=np.array([grasp.grasp_id for grasp in grasps]),
+        objects=np.array([grasp.config.object for grasp in grasps]),
+        label=np.array([grasp.label for grasp in grasps], np.int64),
+        split=np.full(len(grasps), "test"),
+        force_n=numbers("force_n"),
+        x_mm=numbers("x_mm"),
+        y_mm=numbers("y_mm"),
+        z_mm=numbers("z_mm"),
+        yaw_rad=numbers("yaw_rad"),
+        grasp_frame=np.full(len(grasps), FRAME_UNKNOWN, np.int64),
+    )
+
+
+def _read_image(path: Path) -> NDArray[np.uint8]:
+    """An 8-bit image file as RGB (H, W, 3)."""
+    if path.stat().st_size > MAX_IMAGE_BYTES:
+        msg = f"{path}: larger than {MAX_IMAGE_BYTES >> 20} MB; save a smaller image"
+        raise LearningError(msg)
+    image = read_bgr(path)
+    if image is None or max(image.shape) > MAX_SIDE_PX:
+        msg = f"{path}: cannot be read as an image; save it again as 8-bit PNG"
+        raise LearningError(msg)
+    return np.ascontiguousarray(image[..., ::-1])

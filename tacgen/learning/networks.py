@@ -16,17 +16,15 @@ from torch import Tensor, nn
 from tacgen.core.errors import LearningError
 from tacgen.learning.backbone import FEATURES, Backbone, make_backbone, shape_problem
 from tacgen.learning.training_recipe import TrainingOptions
-from tacgen.learning.weight_names import renamed
 
 CLASSES = 2
 DROPOUT = 0.2
 LSTM_LAYERS, LSTM_UNITS, SEQUENCE_HIDDEN = 3, 128, 64
 SINGLE_HIDDEN = 256
-_BACKBONE_KEY = "backbone.network."
 
 
 class StabilityNet(nn.Module):
-    """What both networks share: the backbone, and how weights are taken in."""
+    """The base of both networks: the backbone, and how weights are loaded."""
 
     kind: str
 
@@ -38,28 +36,19 @@ class StabilityNet(nn.Module):
         """All parameters but the backbone's."""
         return [p for name, p in self.named_parameters() if not name.startswith("backbone.")]
 
-    def take(self, weights: Mapping[str, Tensor], where: str) -> None:
-        """Take all ``weights``, whichever library the backbone was of when they were saved.
+    def load(self, weights: Mapping[str, Tensor], where: str) -> None:
+        """Load all ``weights`` of a saved network.
 
         Raises
         ------
         LearningError
             If they are those of another network.
         """
-        own = self.state_dict()
-        trunk = {
-            name.removeprefix(_BACKBONE_KEY): value
-            for name, value in weights.items()
-            if name.startswith(_BACKBONE_KEY)
-        }
-        trunk = renamed(trunk, self.backbone.naming, self.backbone.network.state_dict())
-        given = {name: v for name, v in weights.items() if not name.startswith(_BACKBONE_KEY)}
-        given |= {f"{_BACKBONE_KEY}{name}": value for name, value in trunk.items()}
-        problem = shape_problem(own, given)
+        problem = shape_problem(self.state_dict(), weights)
         if problem:
             msg = f"{where}: not a checkpoint of the {self.kind} network ({problem})"
             raise LearningError(msg)
-        self.load_state_dict(given, strict=False)
+        self.load_state_dict(weights, strict=False)
 
 
 class SingleImageNet(StabilityNet):
@@ -113,7 +102,7 @@ def build_network(kind: str, weights: str = "none") -> StabilityNet:
 
 
 def build_optimizer(network: StabilityNet, options: TrainingOptions) -> torch.optim.Adam:
-    """Adam with the backbone at its own share of the rate."""
+    """Adam, with the backbone at its own fraction of the learning rate."""
     rate = options.learning_rate
     return torch.optim.Adam(
         [

@@ -1,4 +1,4 @@
-"""What a model said of some grasps, beside what is true of them."""
+"""Predicted probabilities of success, beside the true outcomes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tacgen.learning.networks import StabilityNet
 
 @dataclass(frozen=True, slots=True)
 class Predictions:
-    """One model's judgement of N grasps.
+    """One model's predictions for N grasps.
 
     ``probabilities`` (N,) are of success; ``frames(i)`` gives grasp i's images as the network saw
     them, (T, h, w, 3) uint8.
@@ -28,9 +28,9 @@ class Predictions:
     frames: Callable[[int], NDArray[np.uint8]]
 
     def wrong(self) -> list[int]:
-        """Positions of the misjudged grasps."""
-        judged = self.probabilities >= 0.5
-        return [int(i) for i in np.flatnonzero(judged != (self.table.label == 1))]
+        """Positions of the misclassified grasps."""
+        predicted = self.probabilities >= 0.5
+        return [int(i) for i in np.flatnonzero(predicted != (self.table.label == 1))]
 
     @staticmethod
     def joined(
@@ -56,12 +56,3 @@ def predict(
             probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
             labels.append(truth.numpy())
     return np.concatenate(probabilities), np.concatenate(labels)
-
-
-def weighted_loss(
-    labels: NDArray[np.int64], probabilities: NDArray[np.float64], weights: NDArray[np.float64]
-) -> float:
-    """Cross entropy of predicted probabilities of success, classes weighed."""
-    right = np.where(labels == 1, probabilities, 1 - probabilities)
-    each = weights[labels]
-    return float(np.sum(-each * np.log(np.maximum(right, 1e-12))) / each.sum())

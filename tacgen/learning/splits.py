@@ -1,17 +1,18 @@
-"""Who learns, who validates, who tests: by configuration, never by image."""
+"""Which grasps are for fitting, validation and tests: by configuration, never by image."""
 
 from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
-from tacgen.learning.grasps import GraspTable
+from tacgen.learning.grasps import GraspSource, GraspTable, SimulatedGrasps
 from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
 MIN_OF_A_CLASS = 2
@@ -68,6 +69,47 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
 def shared_configurations(one: GraspTable, other: GraspTable) -> list[str]:
     """Configurations that both tables have."""
     return sorted(set(one.configurations()) & set(other.configurations()))
+
+
+def unseen_tests(
+    plan: Mapping[str, Any], source: GraspSource, where: str
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """Which of a source's grasps are to be tested on, (N,), and what is to be said of it.
+
+    Grasps of another dataset that ask for the same as one that was trained on are left out. Those
+    of a robot, or of another world that stands in for one, are not: there the same grasp has
+    another image and may have another outcome.
+
+    Parameters
+    ----------
+    plan : mapping
+        The run's ``run.json``.
+
+    Raises
+    ------
+    LearningError
+        If grasps made with the very recipe of the training data were trained on.
+    """
+    table = source.table
+    tests = table.split == "test"
+    trained = {text for model in plan["models"].values() for text in model["configurations"]}
+    seen = tests & np.array([text in trained for text in table.configurations()], bool)
+    same_world = source.made_with is not None and (
+        source.made_with == plan["dataset"].get("recipe_sha256")
+    )
+    if same_world and seen.any():
+        first = min(table.take(np.flatnonzero(seen)).configurations())
+        msg = (
+            f"{where}: {int(seen.sum())} test configurations were trained on, such as {first}; "
+            "test on grasps that this run has not seen"
+        )
+        raise LearningError(msg)
+    if not isinstance(source, SimulatedGrasps) or not seen.any():
+        return tests, []
+    return tests & ~seen, [
+        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are left out: they ask "
+        "for the same as grasps of another dataset that were trained on"
+    ]
 
 
 def class_weights(labels: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 import tacgen
 from tacgen.core.errors import LearningError
 from tacgen.core.files import write_text
+from tacgen.core.progress import print_status
+from tacgen.learning import library_versions
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
 from tacgen.learning.fit import Fit, FitJob
 from tacgen.learning.grasps import SimulatedGrasps
 from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
 from tacgen.learning.loader import Batches, DecodedInputs
-from tacgen.learning.optional_dependencies import library_versions
 from tacgen.learning.predictions import predict
-from tacgen.learning.progress import tell
 from tacgen.learning.reports import write_training_report
 from tacgen.learning.run_folder import SCHEMA, ModelFolder, RunFolder
 from tacgen.learning.scores import score
@@ -67,7 +67,7 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     run = RunFolder(out)
     resumed = run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved())
     if resumed:
-        tell(f"{out}: goes on with the run that is there")
+        print_status(f"{out}: goes on with the run that is there")
     job = partial(_train_one, recipe, source, spec, run, device)
     done = _each(job, plans, workers)
     results = {plan.name: result for plan, result in zip(plans, done, strict=True)}
@@ -195,7 +195,7 @@ def _fitted(
     )
     fit = Fit(job, folder, device)
     if fit.network.backbone.origin == "none":
-        tell(f"{plan.name}: {NO_WEIGHTS_WARNING}")
+        print_status(f"{plan.name}: {NO_WEIGHTS_WARNING}")
     metrics = fit.run()
     network, card, _ = load_model(folder.model_path)
     network.to(device.name)
@@ -218,7 +218,7 @@ def _fitted(
         "loader_share": float(np.median([line["loader_share"] for line in metrics])),
     }
     write_training_report(folder.report_path, recipe, plan.name, metrics, result)
-    tell(
+    print_status(
         f"{plan.name}: best epoch {card.epoch} of {last['epoch']}, validation accuracy "
         f"{result['validation']['accuracy']:.3f} on {len(truth)} grasps"
     )

@@ -10,7 +10,7 @@ from tacgen.collection.pipeline import contact_law
 from tacgen.collection.recipe import Contact, Recipe
 from tacgen.core.errors import TacgenError
 from tacgen.dataset.real_grasps import RealGrasps, read_real_grasps
-from tacgen.learning.real_grasps import RealGraspImages
+from tacgen.learning.grasps import RealGraspImages
 from tacgen.study.study_recipe import Study
 
 

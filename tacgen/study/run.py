@@ -13,9 +13,9 @@ from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError, TacgenError
 from tacgen.core.files import write_text
+from tacgen.core.progress import print_status
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
-from tacgen.learning.progress import tell
 from tacgen.learning.train import train
 from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.study.reality import Reality, calibration_grasps, check_reality
@@ -139,7 +139,7 @@ def _run_row(
         data_recipe = _with_friction(data_recipe, friction)
     data = out / "data" / data_recipe.sha256()[:12]
     run = out / "runs" / run_folder_name(row.name)
-    tell(f"{row.name}: collects into {data}")
+    print_status(f"{row.name}: collects into {data}")
     collected = collect(data_recipe, data, workers=workers)
     result: dict[str, Any] = {
         "name": row.name,
@@ -164,7 +164,7 @@ def _run_row(
         result["sim"] = evaluate(run, data=data)
     except LearningError as error:
         # Such as grasps that all succeed: the other rows are worth having all the same.
-        tell(f"{row.name}: {error}")
+        print_status(f"{row.name}: {error}")
         return result | {"problem": str(error)}
     return result if real.test is None else result | _tested_on_real(row, run, real.test)
 
@@ -185,7 +185,7 @@ def _tested_on_real(row: Row, run: Path, real: Path) -> dict[str, Any]:
     try:
         return {"real": evaluate(run, real=real)}
     except TacgenError as error:
-        tell(f"{row.name}: {error}")
+        print_status(f"{row.name}: {error}")
         return {"real_problem": str(error)}
 
 

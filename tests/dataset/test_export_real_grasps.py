@@ -11,7 +11,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.real_grasps import read_real_grasps
-from tacgen.learning.real_grasps import RealGraspImages
+from tacgen.learning.grasps import RealGraspImages
 
 
 def test_a_dataset_becomes_a_folder_of_grasps_that_says_it_is_not_real(toy, tmp_path):

@@ -81,7 +81,7 @@ def read_metrics(path: Path) -> object:
 
 
 def read_real_images(path: Path) -> object:
-    from tacgen.learning.real_grasps import RealGraspImages
+    from tacgen.learning.grasps import RealGraspImages
 
     images = RealGraspImages(path.parents[2])
     return images.frames(0, [0]), images.reference()

@@ -79,7 +79,7 @@ def test_the_report_shows_the_scores_and_the_misjudged_grasps(run, toy, tmp_path
     spec = make_spec(recipe_sha256="ef" * 32)
     result = evaluate(run, data=collect(tmp_path / "swapped", spec, swapped))
     assert result["accuracy"] <= 0.2
-    assert len(result["misjudged"]) == round((1 - result["accuracy"]) * result["n"])
+    assert len(result["misclassified"]) == round((1 - result["accuracy"]) * result["n"])
     page = (run / "eval.html").read_text()
     assert f"{len(result['misjudged'])} in all" in page
     assert "judged" in page

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tacgen.learning.grasps import SimulatedGrasps
+from tacgen.learning.grasps import RealGraspImages, SimulatedGrasps
 from tacgen.learning.inputs import (
     InputSpec,
     augmented,
@@ -19,7 +19,6 @@ from tacgen.learning.inputs import (
     with_normalisation,
 )
 from tacgen.learning.loader import Batches, DecodedInputs
-from tacgen.learning.real_grasps import RealGraspImages
 from tacgen.learning.training_recipe import Augmentation
 from tests.learning.conftest import REFERENCE, SENSOR, write_real
 

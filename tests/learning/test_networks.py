@@ -1,13 +1,10 @@
-"""The networks are the published ones, and their first weights come from where they should."""
+"""The networks are the published ones; pre-trained weights are read from where they should be."""
 
 import builtins
 import pickle
-import sys
-import types
 from collections import OrderedDict
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -15,10 +12,15 @@ from torch import nn
 
 from tacgen.core.errors import LearningError
 from tacgen.learning import backbone as backbone_module
-from tacgen.learning.backbone import Backbone, cached_imagenet_file, make_backbone, read_weights
+from tacgen.learning.backbone import (
+    Backbone,
+    cached_imagenet_file,
+    make_backbone,
+    own_name,
+    read_weights,
+)
 from tacgen.learning.networks import build_network, build_optimizer, build_scheduler
 from tacgen.learning.training_recipe import TrainingOptions
-from tacgen.learning.weight_names import to_transformers
 
 # Names and shapes of torchvision's resnet18, which its published weight file holds.
 STAGES = {1: 64, 2: 128, 3: 256, 4: 512}
@@ -119,10 +121,8 @@ def test_both_rates_fall_when_the_validation_loss_stops_falling():
 
 def test_torchvision_names_are_those_of_transformers_resnet_18():
     own = {name: tuple(value.shape) for name, value in Backbone().network.state_dict().items()}
-    if any(name.startswith("layer1") for name in own):
-        pytest.skip("torchvision is installed here, so the backbone already has its names")
     renamed = {
-        to_transformers(name): shape
+        own_name(name): shape
         for name, shape in torchvision_shapes().items()
         if not name.startswith("fc.")
     }
@@ -141,7 +141,7 @@ def test_a_local_weight_file_sets_every_layer(tmp_path, torchvision_weights, suf
     own = backbone.network.state_dict()
     for name, value in torchvision_weights.items():
         if not name.startswith("fc."):
-            torch.testing.assert_close(own[to_transformers(name)], value, msg=name)
+            torch.testing.assert_close(own[own_name(name)], value, msg=name)
 
 
 def test_the_loaded_network_computes_what_resnet_18_computes(torchvision_weights, tmp_path):
@@ -207,7 +207,7 @@ def test_without_imagenet_weights_auto_says_none_and_imagenet_stops(monkeypatch)
 def test_weights_that_are_not_a_resnet_18_are_refused(tmp_path, torchvision_weights):
     cases = {
         "missing": {k: v for k, v in torchvision_weights.items() if k != "layer3.1.conv2.weight"},
-        "of no use": torchvision_weights | {"layer1.2.conv1.weight": torch.zeros(64, 64, 3, 3)},
+        "do not belong": torchvision_weights | {"layer1.2.conv1.weight": torch.zeros(64, 64, 3, 3)},
         "shape": torchvision_weights | {"layer1.0.conv1.weight": torch.zeros(64, 64, 1, 1)},
     }
     for word, weights in cases.items():
@@ -242,49 +242,9 @@ def test_a_damaged_weight_file_is_told(tmp_path: Path, content: bytes):
             read_weights(tmp_path / name)
 
 
-def test_torchvision_is_used_where_it_is_there(monkeypatch, torchvision_weights, tmp_path):
-    """A stand-in with torchvision's names: a checkpoint moves between the two libraries."""
-    reference = build_network("single").eval()
-
-    class Stub(nn.Module):
-        """Transformers' layers that give their weights under torchvision's names."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.inner = backbone_module._transformers_network()
-            self.fc = nn.Identity()
-
-        def forward(self, x):
-            return self.inner(x).pooler_output
-
-        def state_dict(self, *args, **kwargs):
-            values = self.inner.state_dict()
-            return OrderedDict(
-                (name, values[to_transformers(name)])
-                for name in torchvision_shapes()
-                if not name.startswith("fc.")
-            )
-
-        def load_state_dict(self, weights, strict=True):
-            given = {to_transformers(name): value for name, value in weights.items()}
-            return self.inner.load_state_dict(given, strict=True)
-
-    models = types.ModuleType("torchvision.models")
-    models.resnet18 = lambda weights: Stub()
-    monkeypatch.setitem(sys.modules, "torchvision", types.ModuleType("torchvision"))
-    monkeypatch.setitem(sys.modules, "torchvision.models", models)
-    backbone = Backbone()
-    assert backbone.naming == "torchvision"
-    backbone.eval()
-    backbone.load(reference.backbone.network.state_dict(), "reference")
-    x = torch.from_numpy(np.random.default_rng(0).random((1, 3, 32, 32), np.float32))
-    with torch.no_grad():
-        torch.testing.assert_close(backbone(x), reference.backbone(x))
-
-
 def test_a_checkpoint_of_the_other_network_is_refused():
     single, sequence = build_network("single"), build_network("sequence")
     with pytest.raises(LearningError, match=r"not a checkpoint of the sequence network"):
-        sequence.take(single.state_dict(), "model.safetensors")
+        sequence.load(single.state_dict(), "model.safetensors")
     with pytest.raises(LearningError, match=r"not a checkpoint of the single network"):
-        single.take(sequence.state_dict(), "model.safetensors")
+        single.load(sequence.state_dict(), "model.safetensors")

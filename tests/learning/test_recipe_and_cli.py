@@ -6,10 +6,9 @@ import sys
 import pytest
 import yaml
 
-from tacgen import cli
+from tacgen import cli, learning
 from tacgen.core.errors import TacgenError
 from tacgen.core.resources import packaged
-from tacgen.learning import optional_dependencies as extra
 from tacgen.learning.training_recipe import load_train_recipe
 from tests.learning.conftest import recipe_of, write_real
 
@@ -84,10 +83,10 @@ def test_wrong_input_is_one_message_and_exit_2(toy, tmp_path, monkeypatch, capsy
     assert run_cli(monkeypatch, "eval", tmp_path, "--data", toy) == 2
 
 
-def test_a_missing_extra_is_named_with_its_mend(monkeypatch, capsys, tmp_path):
-    present = extra.find_spec
+def test_a_missing_extra_is_named_with_its_fix(monkeypatch, capsys, tmp_path):
+    present = learning.find_spec
     monkeypatch.setattr(
-        extra, "find_spec", lambda name: None if name in ("torch", "sklearn") else present(name)
+        learning, "find_spec", lambda name: None if name in ("torch", "sklearn") else present(name)
     )
     assert run_cli(monkeypatch, "eval", tmp_path, "--data", tmp_path) == 2
     said = capsys.readouterr().err

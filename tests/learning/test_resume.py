@@ -48,19 +48,12 @@ def change(run: Path, change_state) -> None:
     torch.save(state, path)
 
 
-def test_where_the_first_weights_came_from_is_kept_and_not_asked_again(toy, run):
+def test_the_name_of_the_pretrained_weights_is_kept_and_not_looked_up_again(toy, run):
     """The weights may lie on the disk now that did not when the training began, or no longer."""
-    change(run, lambda state: state["backbone"].update(origin="imagenet (there before)"))
+    change(run, lambda state: state.update(pretrained="imagenet (there before)"))
     go_on(toy, run)
     origins = [line["weights"] for line in metrics_of(run)]
     assert origins == ["none", "none", "imagenet (there before)"]
-
-
-def test_a_backbone_of_another_library_is_refused(toy, run):
-    """Its parameters come in another order, by which the optimizer's state is kept."""
-    change(run, lambda state: state["backbone"].update(naming="another"))
-    with pytest.raises(LearningError, match="was that of another: install that"):
-        go_on(toy, run)
 
 
 def test_an_optimizer_of_other_shapes_is_refused(toy, run):
