@@ -113,13 +113,13 @@ def study(
     from tacgen.study.study_recipe import load_study
 
     require_learning_extra()
-    from tacgen.study.reality import Reality
+    from tacgen.study.real_data import RealData
     from tacgen.study.run import check_finished, run_study
 
     result = run_study(
         load_study(recipe),
         out,
-        Reality(real, calibrate_on, contact),
+        RealData(real, calibrate_on, contact),
         rows=row or (),
         quick=quick,
         workers=workers,

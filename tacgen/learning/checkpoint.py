@@ -14,7 +14,6 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from safetensors import safe_open
 from safetensors.torch import save_file
-from torch import Tensor
 
 import tacgen
 from tacgen.core.errors import LearningError
@@ -29,7 +28,7 @@ _REFERENCE_KEY = "input.reference"
 
 @dataclass(frozen=True, slots=True)
 class ModelCard:
-    """What a model file says of itself.
+    """The metadata of a model file.
 
     ``weights`` names the pre-trained weights (``none``: from scratch);
     ``epoch`` is that of the model, counted from 1.
@@ -51,7 +50,9 @@ def save_model(
     path: Path, network: StabilityNet, card: ModelCard, reference: NDArray[np.uint8] | None
 ) -> None:
     """Write a model, its card and the image of the undeformed gel, whole or not at all."""
-    tensors = {name: value.detach().cpu().contiguous() for name, value in state_of(network).items()}
+    tensors = {
+        name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()
+    }
     if reference is not None:
         tensors[_REFERENCE_KEY] = torch.from_numpy(np.ascontiguousarray(reference))
     with atomic_path(path) as partial:
@@ -59,7 +60,7 @@ def save_model(
 
 
 def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] | None]:
-    """A model, its card, and the image of the undeformed gel that it was trained with.
+    """Read a model, its card, and the image of the undeformed gel that it was trained with.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def save_state(path: Path, state: dict[str, Any]) -> None:
 
 
 def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
-    """A training state that holds ``keys``; nothing in the file is run.
+    """Read a training state that holds ``keys``; nothing in the file is run.
 
     Raises
     ------
@@ -109,14 +110,13 @@ def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except UNREADABLE as error:
         reason = f"{type(error).__name__} {str(error).strip()}".splitlines()[0][:200]
-        msg = f"{path}: cannot be read as a checkpoint ({reason}); remove it to train anew"
+        msg = (
+            f"{path}: cannot be read as a checkpoint ({reason}); remove it to train from the start"
+        )
         raise LearningError(msg) from error
     if not isinstance(state, dict) or set(state) != set(keys):
-        msg = f"{path}: not a checkpoint of this version of tacgen; remove it to train anew"
+        msg = (
+            f"{path}: not a checkpoint of this version of tacgen; remove it to train from the start"
+        )
         raise LearningError(msg)
     return state
-
-
-def state_of(network: StabilityNet) -> dict[str, Tensor]:
-    """All weights and statistics of a network."""
-    return network.state_dict()

@@ -1,4 +1,4 @@
-"""Where and how exactly torch computes, for the length of a ``with``."""
+"""The device that torch computes on, and settings that make its results reproducible."""
 
 from __future__ import annotations
 
@@ -48,10 +48,9 @@ def choose_device(options: TrainingOptions) -> Device:
 
 @contextlib.contextmanager
 def exact_torch(threads: int) -> Iterator[None]:
-    """Deterministic algorithms on a fixed number of threads; as it was before afterwards.
+    """Deterministic algorithms on a fixed number of threads, inside a ``with`` block.
 
-    The order in which threads add their parts decides the last bits of a sum, so the number of
-    threads belongs to what a result depends on.
+    The number of threads decides the order of sums, and thereby their last bits.
     """
     before = (
         torch.get_num_threads(),

@@ -194,8 +194,8 @@ class _Test:
                 "moment of grasp"
             )
         inputs = DecodedInputs(source, rows, spec, options.cache_mb)
-        labels, batch_size = source.table.label[rows], self.recipe.training.batch_size
-        return Batches(inputs, labels, spec, reference, batch_size, options.loader_workers)
+        batch_size = self.recipe.training.batch_size
+        return Batches(inputs, spec, reference, batch_size, options.loader_workers)
 
     def _note(self, text: str) -> None:
         if text not in self.notes:

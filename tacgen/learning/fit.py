@@ -1,7 +1,8 @@
-"""Training one model: epoch after epoch, each a function of the one before and the seed alone.
+"""Training of one model; an epoch depends on the state before it and the seed alone.
 
 All random numbers of an epoch follow from the recipe's seed, the model's name and the epoch, so
-a run that was stopped goes on from its last whole epoch to the same weights, bit for bit.
+a run that was stopped resumes after its last complete epoch and ends in the same weights, bit for
+bit.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ from tacgen.learning.splits import seed_of
 from tacgen.learning.training_recipe import TrainRecipe
 
 DIVERGED_LOSS = 50.0
-"""A mean loss no two-class network has unless its weights ran away; guessing has 0.69."""
+"""Mean cross entropy that only diverging weights reach; guessing has log 2 = 0.69."""
 CHOOSING_EPOCHS = 5
-"""Epochs that together say how good a model is: with some twenty grasps to choose by, a single
-epoch is good or bad by the luck of one grasp."""
+"""Epochs whose validation scores are summed to choose the best model: with some twenty validation
+grasps a single epoch is good or bad by chance."""
 _BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
 _STATE_KEYS = (
     "epoch",
@@ -55,7 +56,9 @@ _STATE_KEYS = (
     "scaler",
     "best",
 )
-_STREAM_START, _STREAM_EPOCH = 20, 21
+MIN_PROBABILITY = 1e-12
+"""Keeps the cross entropy of a certain and wrong prediction finite."""
+_STREAM_START, _STREAM_EPOCH = 20, 21  # keep the random numbers of one seed apart
 _ON_BOARD = (
     "train_loss",
     "train_accuracy",
@@ -87,10 +90,10 @@ class FitJob:
 
 
 class Fit:
-    """The state of one training, from its start or its last checkpoint on.
+    """The state of one training, from its start or its last checkpoint.
 
-    ``network`` learns; ``average`` is the running mean of what it was after each epoch, and the
-    model that is validated and kept.
+    ``network`` is trained; ``average`` is the running mean of its weights after each epoch, which
+    is the model that is validated and kept.
     """
 
     def __init__(self, job: FitJob, folder: ModelFolder, device: Device) -> None:
@@ -98,8 +101,8 @@ class Fit:
         self.job, self.folder, self.device = job, folder, device
         torch.manual_seed(self._seed(_STREAM_START))
         resumes = folder.checkpoint_path.is_file()
-        first_weights = "none" if resumes else job.recipe.model.weights
-        self.network = build_network(job.spec.kind, first_weights)
+        weights = "none" if resumes else job.recipe.model.weights
+        self.network = build_network(job.spec.kind, weights)
         self.network.to(device.name)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = AveragedModel(
@@ -108,8 +111,8 @@ class Fit:
         self.optimizer = build_optimizer(self.network, options)
         self.scheduler = build_scheduler(self.optimizer, options)
         self.scaler = torch.amp.GradScaler(device.name, enabled=device.mixed)
-        weights = torch.tensor(job.class_weights, dtype=torch.float32, device=device.name)
-        self.criterion = nn.CrossEntropyLoss(weight=weights)
+        balance = torch.tensor(job.class_weights, dtype=torch.float32, device=device.name)
+        self.criterion = nn.CrossEntropyLoss(weight=balance)
         self.epoch = 0
         self.best: dict[str, Any] = {"epoch": 0, "recent": 0.0}
         if resumes:
@@ -128,7 +131,7 @@ class Fit:
         bar = _epoch_bar(self.job.name, epochs, self.epoch)
         with bar, _Board(self.folder.board_path, self.epoch) as board:
             while self.epoch < epochs:
-                _stop_if_left_alone(self.job.name)
+                _stop_if_orphaned(self.job.name)
                 line = self._run_epoch(self.epoch + 1)
                 self.metrics.append(line)
                 self._keep(line)
@@ -193,7 +196,7 @@ class Fit:
         return loss_sum / n, n_right / n
 
     def _keep(self, line: dict[str, Any]) -> None:
-        """The best model first, then the state that counts this epoch as done.
+        """Save the best model, then the state that marks this epoch as done.
 
         Best is the highest sum of the last epochs' balanced accuracies; of equals, the later.
         """
@@ -253,11 +256,11 @@ class Fit:
             self.average.n_averaged.fill_(self.epoch)
             self.best = {name: state["best"][name] for name in _BEST_KEYS}
         except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-            msg = f"{path}: does not fit this network ({error}); remove it to train anew"
+            msg = f"{path}: does not fit this network ({error}); remove it to train from the start"
             raise LearningError(msg) from error
 
     def _check_moments(self, state: Mapping[str, Any]) -> None:
-        """Adam's fused step does not look at shapes: it would write beyond wrong ones."""
+        """Check shapes, which Adam's fused step does not: it would write out of bounds."""
         parameters = [p for group in self.optimizer.param_groups for p in group["params"]]
         for k, parameter in enumerate(parameters):
             for name in ("exp_avg", "exp_avg_sq"):
@@ -266,9 +269,7 @@ class Fit:
                     raise ValueError(msg)
 
     def _stop_diverged(self, epoch: int, value: float) -> None:
-        kept = (
-            f"the checkpoint of epoch {self.epoch} is kept" if self.epoch else "nothing is kept yet"
-        )
+        kept = f"the checkpoint of epoch {self.epoch} is kept" if self.epoch else "nothing is kept"
         rate = self.job.recipe.training.learning_rate
         msg = (
             f"{self.job.name}: the loss diverged to {value:g} in epoch {epoch} at a learning rate "
@@ -283,10 +284,10 @@ class Fit:
 def _weighted_loss(
     labels: NDArray[np.int64], probabilities: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> float:
-    """Cross entropy of predicted probabilities of success, classes weighed."""
+    """Cross entropy of predicted probabilities of success, each class with its weight."""
     right = np.where(labels == 1, probabilities, 1 - probabilities)
     each = weights[labels]
-    return float(np.sum(-each * np.log(np.maximum(right, 1e-12))) / each.sum())
+    return float(np.sum(-each * np.log(np.maximum(right, MIN_PROBABILITY))) / each.sum())
 
 
 def _epoch_bar(name: str, epochs: int, done: int) -> tqdm:
@@ -302,7 +303,7 @@ def _epoch_bar(name: str, epochs: int, done: int) -> tqdm:
 
 
 class _Board:
-    """A TensorBoard log; epochs after ``done`` that an earlier start left there are cut off."""
+    """A TensorBoard log; epochs after ``done``, of a run that was stopped, are cut off."""
 
     def __init__(self, folder: Path, done: int) -> None:
         from torch.utils.tensorboard import SummaryWriter
@@ -316,17 +317,20 @@ class _Board:
         self._writer.close()
 
     def add(self, line: dict[str, Any]) -> None:
-        """The figures of one epoch."""
+        """Write the metrics of one epoch."""
         for name in _ON_BOARD:
             group, _, rest = name.partition("_")
             self._writer.add_scalar(f"{group}/{rest}", line[name], line["epoch"])
 
 
-def _stop_if_left_alone(name: str) -> None:
-    """End with words where the process that asked for this training has been killed."""
+def _stop_if_orphaned(name: str) -> None:
+    """Stop where the process that started this training has been killed."""
     parent = multiprocessing.parent_process()
     if parent is not None and not parent.is_alive():
-        msg = f"{name}: the process that started this training is gone; start it again to go on"
+        msg = (
+            f"{name}: the process that started this training was killed; run the same command "
+            "again to resume"
+        )
         raise LearningError(msg)
 
 

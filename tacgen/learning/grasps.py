@@ -1,4 +1,4 @@
-"""Grasps to learn from: a table of what is known of each, and a source of their images."""
+"""Grasps for training and tests: a table of their parameters, and sources of their images."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class GraspTable:
     force_n, x_mm, y_mm, z_mm, yaw_rad : (N,) float64
         The configuration; see ``GraspConfig``.
     grasp_frame : (N,) int64
-        Frame of the moment of grasp; ``FRAME_UNKNOWN`` where nobody noted it.
+        Frame of the moment of grasp; ``FRAME_UNKNOWN`` where it was not recorded.
     """
 
     ids: NDArray[np.str_]
@@ -59,7 +59,7 @@ class GraspTable:
         return len(self.ids)
 
     def configurations(self) -> list[str]:
-        """A text for each grasp, equal for grasps that were asked to do the same."""
+        """A text for each grasp, equal for grasps of the same configuration."""
         numbers = np.stack([self.force_n, self.x_mm, self.y_mm, self.z_mm, self.yaw_rad], axis=1)
         rounded = np.round(numbers, CONFIGURATION_DIGITS) + 0.0  # no "-0"
         return [
@@ -72,7 +72,7 @@ class GraspTable:
         return sorted({str(name) for name in self.objects})
 
     def rows(self, *, objects: Sequence[str], split: str) -> NDArray[np.int64]:
-        """The rows of these objects on one side of the split."""
+        """The rows of these objects in one split."""
         return np.flatnonzero(np.isin(self.objects, list(objects)) & (self.split == split))
 
     def take(self, rows: NDArray[np.int64]) -> GraspTable:
@@ -143,7 +143,7 @@ class SimulatedGrasps:
         return self.reference_rgb
 
     def identity(self) -> dict[str, object]:
-        """What tells this dataset from any other."""
+        """The identity of this dataset."""
         return {
             "recipe_sha256": self.made_with,
             "shards_sha256": [line.sha256 for line in self.dataset.lines],
@@ -176,7 +176,7 @@ class RealGraspImages:
             more = f" and {len(missing) - MAX_NAMED} more" if len(missing) > MAX_NAMED else ""
             msg = (
                 f"{self.folder}: no images of {', '.join(missing[:MAX_NAMED])}{more}; "
-                "put them at images/<grasp_id>/0.png, 1.png, …, or take the rows out"
+                "put them at images/<grasp_id>/0.png, 1.png, …, or remove the rows"
             )
             raise LearningError(msg)
         self._grasps = found.grasps

@@ -1,4 +1,4 @@
-"""From tactile images to the network's input: frames chosen, resized, background off, scaled."""
+"""From tactile images to the network's input: choose, resize, subtract, normalise."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from tacgen.learning.grasps import FRAME_UNKNOWN, GraspSource
 from tacgen.learning.training_recipe import Augmentation
 
 MIN_STD = 1e-3
+"""Grey levels; a channel that never changes is not amplified beyond this."""
+PRESSED_FRACTION = 0.95
+"""Of the largest change; the simulation's moment of grasp is at this fraction of the force."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +32,13 @@ class InputSpec:
     n_frames : int
         Frames of a sequence, spread evenly over those there are; 1 for a single image.
     image : ``difference``, ``change`` or ``raw``
-        What is taken off: the image of the undeformed gel, the frame before (of the first frame:
-        that of the undeformed gel), or nothing.
+        What is subtracted: the image of the undeformed gel, the frame before (from the first frame:
+        the undeformed gel), or nothing.
     source_shape_px : (height, width)
         Size of the sensor's images; others are refused.
     grasp_fraction : float or None
-        Moment of grasp as a part of the sequence, for grasps that do not say it; None where the
-        training data has single images and so cannot tell it.
+        Moment of grasp as a fraction of the sequence, for grasps that do not state it; None where
+        the training data has single images.
     mean, std : (3,) floats, grey levels
         Of the training images, by channel; the input is (image − mean) / std.
     """
@@ -51,7 +54,7 @@ class InputSpec:
 
 
 def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[int]:
-    """Which of a grasp's images are looked at; ``grasp_frame`` may be unknown."""
+    """Indices of the images of a grasp that the network sees; ``grasp_frame`` may be unknown."""
     if spec.kind == "single":
         if grasp_frame == FRAME_UNKNOWN:
             grasp_frame = round((spec.grasp_fraction or 0.0) * (n_available - 1))
@@ -61,7 +64,7 @@ def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[i
 
 
 def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], where: str) -> None:
-    """Check that a source's images are such as the spec was made for.
+    """Check that a source's images are as the spec requires.
 
     Raises
     ------
@@ -99,7 +102,7 @@ def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.u
 def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
     """The frames of one grasp at the network's size, (T, h, w, 3)."""
     count, grasp_frame = source.frame_count(row), int(source.table.grasp_frame[row])
-    if must_find_moment(spec, count, grasp_frame):
+    if _must_find_moment(spec, count, grasp_frame):
         frames = resized(source.frames(row, range(count)), spec.size_px)
         reference = source.reference()
         rest = frames[0] if reference is None else resized(reference[None], spec.size_px)[0]
@@ -107,19 +110,16 @@ def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uin
     return resized(source.frames(row, chosen_frames(spec, count, grasp_frame)), spec.size_px)
 
 
-def must_find_moment(spec: InputSpec, n_available: int, grasp_frame: int) -> bool:
-    """Whether only a sequence's images can tell which one is the moment of grasp."""
+def _must_find_moment(spec: InputSpec, n_available: int, grasp_frame: int) -> bool:
+    """Whether the moment of grasp has to be found in the images themselves."""
     unknown = grasp_frame == FRAME_UNKNOWN and spec.grasp_fraction is None
     return spec.kind == "single" and n_available > 1 and unknown
 
 
 def pressed_frame(frames: NDArray[np.uint8], rest: NDArray[np.uint8]) -> int:
-    """The first of the frames (T, h, w, 3) that differs from ``rest`` by 95 % of the most.
-
-    The simulation takes the first frame at 95 % of the largest force for the moment of grasp.
-    """
+    """The first of the frames (T, h, w, 3) with 95 % of the largest difference from ``rest``."""
     change = np.abs(frames.astype(np.float32) - rest.astype(np.float32)).mean(axis=(1, 2, 3))
-    return int(np.argmax(change >= 0.95 * change.max()))
+    return int(np.argmax(change >= PRESSED_FRACTION * change.max()))
 
 
 def to_network(
@@ -135,7 +135,7 @@ def to_network(
     images = frames.astype(np.float32)
     if spec.image != "raw":
         if reference is None:
-            msg = "no image of the undeformed gel to take the difference to; add background.png"
+            msg = "no image of the undeformed gel to subtract; add background.png"
             raise LearningError(msg)
         images -= reference.astype(np.float32)
     if spec.image == "change":
@@ -167,10 +167,10 @@ def augmented(
     options: Augmentation,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """One grasp's frames (T, h, w, 3) shifted, brightened and with noise, all frames alike.
+    """One grasp's frames (T, h, w, 3) shifted, scaled in brightness, with noise.
 
-    The imprint moves over the gel, whose own light stays where it is; what a shift brings in from
-    outside repeats the edge.
+    All frames change alike. The imprint moves, the illumination of the gel at rest does not; what
+    a shift brings in from outside repeats the edge.
 
     Parameters
     ----------

@@ -15,20 +15,20 @@ from tacgen.learning.grasps import GraspSource
 from tacgen.learning.inputs import InputSpec, augmented, read_input, resized, to_network
 from tacgen.learning.training_recipe import Augmentation
 
-_STREAM_ORDER, _STREAM_AUGMENT = 10, 11
+_STREAM_ORDER, _STREAM_AUGMENT = 10, 11  # keep the random numbers of one seed apart
 
 
 class DecodedInputs(torch.utils.data.Dataset):
     """The frames of some grasps at the network's size: item ``i`` is (T, h, w, 3) uint8.
 
-    All are decoded once and kept if that takes at most ``cache_mb``; each process that reads
-    otherwise opens the shards by itself.
+    All are decoded once and kept in memory if they fit into ``cache_mb``; otherwise every process
+    of a loader opens the shards itself.
     """
 
     def __init__(
         self, source: GraspSource, rows: NDArray[np.int64], spec: InputSpec, cache_mb: int
     ) -> None:
-        self.rows = rows
+        self.rows, self.labels = rows, source.table.label[rows]
         self._source, self._spec = source, spec
         self.bytes = len(rows) * spec.n_frames * spec.size_px[0] * spec.size_px[1] * 3
         self._cache: list[NDArray[np.uint8]] | None = None
@@ -66,20 +66,19 @@ class Batches:
     def __init__(
         self,
         inputs: DecodedInputs,
-        labels: NDArray[np.int64],
         spec: InputSpec,
         reference: NDArray[np.uint8] | None,
         batch_size: int,
         workers: int = 0,
     ) -> None:
-        self._inputs, self._labels, self._spec = inputs, labels, spec
+        self._inputs, self._spec = inputs, spec
         self._reference = None if reference is None else resized(reference[None], spec.size_px)[0]
         self._batch_size = batch_size
         self._workers = 0 if inputs.cached else workers
         self.waited_s = 0.0
 
     def in_order(self) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
-        """Every grasp once, as they stand."""
+        """Every grasp once, in the order of the rows."""
         order = np.arange(len(self._inputs))
         yield from self._batches(self._divide(order), None, None)
 
@@ -122,7 +121,7 @@ class Batches:
                     for item, f in zip(items, frames, strict=True)
                 ]
             images = _as_batch(frames, self._reference, self._spec)
-            labels = torch.from_numpy(self._labels[items])
+            labels = torch.from_numpy(self._inputs.labels[items])
             self.waited_s += time.perf_counter() - start_s
             yield images, labels, items
             start_s = time.perf_counter()
@@ -133,7 +132,8 @@ def _as_batch(
 ) -> Tensor:
     """(B, T, 3, h, w) float32; shorter sequences repeat their last frame.
 
-    All are as long as the network's, so that no grasp's answer hangs on its neighbours.
+    All are padded to the network's length, so that no prediction depends on the other grasps of
+    its batch.
     """
     n = spec.n_frames
     filled = [np.concatenate([g, g[-1:].repeat(n - len(g), axis=0)]) for g in frames]

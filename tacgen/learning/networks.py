@@ -17,6 +17,7 @@ from tacgen.core.errors import LearningError
 from tacgen.learning.backbone import FEATURES, Backbone, make_backbone, shape_problem
 from tacgen.learning.training_recipe import TrainingOptions
 
+# Sizes are the paper's.
 CLASSES = 2
 DROPOUT = 0.2
 LSTM_LAYERS, LSTM_UNITS, SEQUENCE_HIDDEN = 3, 128, 64

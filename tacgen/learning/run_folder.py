@@ -1,4 +1,4 @@
-"""The folder of a training run: its paths, whose it is, and its measurements."""
+"""The folder of a training run: its paths, its identity and its metrics."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from tacgen.learning.training_recipe import TrainRecipe
 
 SCHEMA = 1
 MAX_JSON_BYTES = 64 << 20
+"""Some hundred times what a run of twelve objects writes; larger files are not tacgen's."""
 
 
 class ModelFolder:
-    """What one model leaves behind.
+    """The files of one model.
 
-    ``model.safetensors`` is the best model so far, ``checkpoint.pt`` the state to go on from,
-    ``metrics.jsonl`` one line an epoch.
+    ``model.safetensors`` is the best model so far, ``checkpoint.pt`` the state to resume from,
+    ``metrics.jsonl`` has one line an epoch.
     """
 
     def __init__(self, root: Path) -> None:
@@ -37,7 +38,7 @@ class ModelFolder:
         self.report_path = self.root / "report.html"
 
     def read_metrics(self, *, up_to_epoch: int) -> list[dict[str, Any]]:
-        """The lines of the first epochs; later ones are of work that was not finished."""
+        """The lines of the first epochs; later ones belong to an epoch that was not finished."""
         if not self.metrics_path.is_file():
             return []
         try:
@@ -45,7 +46,7 @@ class ModelFolder:
             metrics = [json.loads(line) for line in lines if line.strip()]
             return [line for line in metrics if line["epoch"] <= up_to_epoch]
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            msg = f"{self.metrics_path}: broken ({error}); remove {self.root} to train it anew"
+            msg = f"{self.metrics_path}: broken ({error}); remove {self.root} to start again"
             raise LearningError(msg) from error
 
     def write_metrics(self, metrics: Sequence[Mapping[str, Any]]) -> None:
@@ -53,10 +54,8 @@ class ModelFolder:
         write_text(self.metrics_path, "".join(f"{json.dumps(line)}\n" for line in metrics))
 
     @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        """Hold the folder: no other process trains this model meanwhile.
-
-        What a killed process left half-written is removed.
+    def locked(self) -> Iterator[None]:
+        """Keep other processes from training this model; removes unfinished files of killed ones.
 
         Raises
         ------
@@ -70,7 +69,7 @@ class ModelFolder:
             if held is False:
                 msg = (
                     f"{self.root}: {path.read_text(encoding='utf-8').strip() or 'another process'} "
-                    "trains this model at present; wait for it, or end it"
+                    "is training this model; wait for it, or end it"
                 )
                 raise LearningError(msg)
             write_holder(descriptor)
@@ -104,7 +103,7 @@ class RunFolder:
         return self.root / f"eval_{source}.json"
 
     def prepare(self, plan: Mapping[str, Any], recipe: Mapping[str, Any]) -> bool:
-        """Make the folder ready for this run; True where it goes on with an earlier start.
+        """Make the folder ready for this run; True where it resumes a run.
 
         Raises
         ------
@@ -124,7 +123,7 @@ class RunFolder:
         return False
 
     def plan(self) -> dict[str, Any]:
-        """What ``run.json`` says.
+        """The content of ``run.json``.
 
         Raises
         ------
@@ -158,37 +157,37 @@ class RunFolder:
         differing = sorted(k for k in {*made, *wanted} if made.get(k) != wanted.get(k))
         if not differing:
             return
-        told = [
+        settings = [
             f"recipe.{text}"
             for text in _differences(made.get("recipe", {}), wanted.get("recipe", {}))
         ]
         others = [key for key in differing if key not in ("recipe", "recipe_sha256")]
         msg = (
-            f"{self.root}: holds another run, which differs in {', '.join([*told, *others])}; "
+            f"{self.root}: holds another run, which differs in {', '.join([*settings, *others])}; "
             "give another --out, or remove the folder"
         )
         raise LearningError(msg)
 
 
-def read_json(path: Path, mend: str) -> dict[str, Any]:
-    """A JSON object.
+def read_json(path: Path, fix: str) -> dict[str, Any]:
+    """Read a JSON object.
 
     Raises
     ------
     LearningError
-        If there is none, ending in ``mend``.
+        If there is none; the message ends with ``fix``.
     """
     try:
         if path.stat().st_size <= MAX_JSON_BYTES:
             content = json.loads(path.read_text(encoding="utf-8"))
             if isinstance(content, dict):
                 return content
-        problem = "is not what was written"
+        problem = "is not a JSON object as tacgen writes it"
     except FileNotFoundError:
         problem = "is not there"
     except (OSError, ValueError, RecursionError) as error:
         problem = f"cannot be read ({error})"
-    msg = f"{path}: {problem}; {mend}"
+    msg = f"{path}: {problem}; {fix}"
     raise LearningError(msg)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 CALIBRATION_BINS = 10
+"""As usual for the expected calibration error; twelve grasps a bin of 120."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +27,7 @@ class ReliabilityBin:
 
 
 def wilson_interval(n_right: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Interval for a proportion of which ``n_right`` of ``n`` were seen.
+    """Confidence interval of a proportion of which ``n_right`` of ``n`` were observed.
 
     Source
     ------
@@ -38,14 +39,14 @@ def wilson_interval(n_right: int, n: int, confidence: float = 0.95) -> tuple[flo
     share = n_right / n
     middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-    # Rounding must not put the share itself outside.
+    # Rounding must not put the share itself outside of its interval.
     return max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half))
 
 
 def reliability(
     labels: NDArray[np.int64], probabilities: NDArray[np.float64], bins: int = CALIBRATION_BINS
 ) -> list[ReliabilityBin]:
-    """Predicted probability against what came true, in bins of equal width; empty ones left out."""
+    """Predicted probability against the true rate, in bins of equal width that hold grasps."""
     places = np.minimum((probabilities * bins).astype(np.int64), bins - 1)
     found = []
     for place in np.unique(places):
@@ -77,7 +78,7 @@ def expected_calibration_error(
 
 
 def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict[str, Any]:
-    """All figures of some predictions.
+    """All scores of some predictions.
 
     Parameters
     ----------
@@ -90,18 +91,18 @@ def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict
     -------
     dict
         ``accuracy`` with ``accuracy_interval`` (Wilson, 95 %), ``balanced_accuracy``, ``auroc``
-        (None where only one class is there), ``ece``, ``confusion`` ([[failures judged failure,
-        judged success], [successes judged failure, judged success]]), ``n``.
+        (None where only one class is there), ``ece``, ``confusion`` (rows: true
+        failure, success; columns: predicted failure, success), ``n``.
     """
     from sklearn.metrics import accuracy_score, confusion_matrix, roc_auc_score
 
-    judged = (probabilities >= 0.5).astype(np.int64)
-    confusion = confusion_matrix(labels, judged, labels=[0, 1])
+    predicted = (probabilities >= 0.5).astype(np.int64)
+    confusion = confusion_matrix(labels, predicted, labels=[0, 1])
     present = confusion.sum(axis=1) > 0
     recall = confusion.diagonal()[present] / confusion.sum(axis=1)[present]
     n_right = int(confusion.trace())
     return {
-        "accuracy": float(accuracy_score(labels, judged)),
+        "accuracy": float(accuracy_score(labels, predicted)),
         "accuracy_interval": list(wilson_interval(n_right, len(labels))),
         "balanced_accuracy": float(recall.mean()),
         "auroc": float(roc_auc_score(labels, probabilities)) if present.all() else None,

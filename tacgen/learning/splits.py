@@ -16,12 +16,13 @@ from tacgen.learning.grasps import GraspSource, GraspTable, SimulatedGrasps
 from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
 MIN_OF_A_CLASS = 2
-_STREAM_SUBSET, _STREAM_VALIDATION = 0, 1
+"""Grasps of each outcome to fit to; fewer teach a network nothing about it."""
+_STREAM_SUBSET, _STREAM_VALIDATION = 0, 1  # keep the random numbers of one seed apart
 
 
 @dataclass(frozen=True, slots=True)
 class ModelPlan:
-    """One model to train: rows of the table it learns from, and rows that choose its best epoch."""
+    """One model to train: the rows it is fitted to, and those that choose its best epoch."""
 
     name: str
     objects: tuple[str, ...]
@@ -30,7 +31,7 @@ class ModelPlan:
 
 
 def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[ModelPlan]:
-    """The models of a recipe, each with its training grasps divided.
+    """The models of a recipe, each with its grasps for fitting and validation.
 
     Parameters
     ----------
@@ -41,7 +42,7 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
     ------
     LearningError
         Lists every object that is unknown, or has too few grasps of one class, and a
-        configuration that stands on both sides of the split.
+        configuration that is in both splits.
     """
     objects = _chosen_objects(recipe, table, where)
     leaks = shared_configurations(
@@ -74,11 +75,11 @@ def shared_configurations(one: GraspTable, other: GraspTable) -> list[str]:
 def unseen_tests(
     plan: Mapping[str, Any], source: GraspSource, where: str
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """Which of a source's grasps are to be tested on, (N,), and what is to be said of it.
+    """Which of a source's grasps to test on, (N,), and notes about those left out.
 
-    Grasps of another dataset that ask for the same as one that was trained on are left out. Those
-    of a robot, or of another world that stands in for one, are not: there the same grasp has
-    another image and may have another outcome.
+    Of another dataset, grasps with the configuration of one that was trained on are left out. Real
+    grasps, or simulated ones written as real, are kept: there the same configuration has another
+    image and may have another outcome.
 
     Parameters
     ----------
@@ -94,10 +95,10 @@ def unseen_tests(
     tests = table.split == "test"
     trained = {text for model in plan["models"].values() for text in model["configurations"]}
     seen = tests & np.array([text in trained for text in table.configurations()], bool)
-    same_world = source.made_with is not None and (
+    same_recipe = source.made_with is not None and (
         source.made_with == plan["dataset"].get("recipe_sha256")
     )
-    if same_world and seen.any():
+    if same_recipe and seen.any():
         first = min(table.take(np.flatnonzero(seen)).configurations())
         msg = (
             f"{where}: {int(seen.sum())} test configurations were trained on, such as {first}; "
@@ -107,8 +108,8 @@ def unseen_tests(
     if not isinstance(source, SimulatedGrasps) or not seen.any():
         return tests, []
     return tests & ~seen, [
-        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are left out: they ask "
-        "for the same as grasps of another dataset that were trained on"
+        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are left out: a grasp "
+        "with the same configuration, from another dataset, was trained on"
     ]
 
 

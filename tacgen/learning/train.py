@@ -1,4 +1,4 @@
-"""``tacgen train``: from a recipe and a dataset to one trained model an object."""
+"""``tacgen train``: a trained model for each object of a dataset."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import tacgen
 from tacgen.core.errors import LearningError
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
 from tacgen.learning import library_versions
+from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
 from tacgen.learning.fit import Fit, FitJob
@@ -33,7 +33,7 @@ from tacgen.learning.splits import ModelPlan, class_weights, plan_models
 from tacgen.learning.training_recipe import TrainRecipe
 
 NO_WEIGHTS_WARNING = (
-    "NO ImageNet weights: the backbone starts from scratch, other than in the paper; "
+    "NO ImageNet weights: the backbone is trained from scratch, unlike the paper's; "
     "name a ResNet-18 weight file in model.weights to change that"
 )
 
@@ -67,7 +67,7 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     run = RunFolder(out)
     resumed = run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved())
     if resumed:
-        print_status(f"{out}: goes on with the run that is there")
+        print_status(f"{out}: resumes the run that is there")
     job = partial(_train_one, recipe, source, spec, run, device)
     done = _each(job, plans, workers)
     results = {plan.name: result for plan, result in zip(plans, done, strict=True)}
@@ -127,7 +127,7 @@ def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
 def _run_plan(
     recipe: TrainRecipe, source: SimulatedGrasps, plans: list[ModelPlan], device: Device
 ) -> dict[str, Any]:
-    """What tells this run from any other; a folder with another one is refused."""
+    """The identity of this run; a folder with another run is refused."""
     table = source.table
     models = {
         plan.name: {
@@ -160,7 +160,7 @@ def _train_one(
     plan: ModelPlan,
 ) -> dict[str, Any]:
     folder = run.model(plan.name)
-    with folder.alone(), exact_torch(recipe.training.threads):
+    with folder.locked(), exact_torch(recipe.training.threads):
         return _fitted(recipe, source, spec, folder, device, plan)
 
 
@@ -172,72 +172,54 @@ def _fitted(
     device: Device,
     plan: ModelPlan,
 ) -> dict[str, Any]:
-    labels = source.table.label
-    weights = class_weights(labels[plan.fit_rows])
+    """Train one model, or finish it; its entry in ``train.json``."""
+    options, batch_size = recipe.input, recipe.training.batch_size
+    fit_inputs = DecodedInputs(source, plan.fit_rows, spec, options.cache_mb)
+    validation_inputs = DecodedInputs(source, plan.validation_rows, spec, options.cache_mb)
     reference = resized(source.reference()[None], spec.size_px)[0]
-    fit_inputs = _decoded(recipe, source, plan.fit_rows, spec)
-    spec = with_normalisation(
-        spec, (fit_inputs[item] for item in range(len(fit_inputs))), reference
-    )
-    validation_inputs = _decoded(recipe, source, plan.validation_rows, spec)
+    every = (fit_inputs[item] for item in range(len(fit_inputs)))
+    spec = with_normalisation(spec, every, reference)
+    weights = class_weights(fit_inputs.labels)
+    validation = Batches(validation_inputs, spec, reference, batch_size, options.loader_workers)
     job = FitJob(
         name=plan.name,
         objects=plan.objects,
         recipe=recipe,
         spec=spec,
         sensor=source.dataset.sensor,
-        fit=_batches(recipe, fit_inputs, labels[plan.fit_rows], spec, reference),
-        validation=_batches(
-            recipe, validation_inputs, labels[plan.validation_rows], spec, reference
-        ),
+        fit=Batches(fit_inputs, spec, reference, batch_size, options.loader_workers),
+        validation=validation,
         class_weights=weights,
         reference=reference,
     )
     fit = Fit(job, folder, device)
-    if fit.network.backbone.origin == "none":
+    if fit.network.backbone.origin == NO_WEIGHTS:
         print_status(f"{plan.name}: {NO_WEIGHTS_WARNING}")
     metrics = fit.run()
     network, card, _ = load_model(folder.model_path)
     network.to(device.name)
-    probabilities, truth = predict(network, job.validation.in_order(), device)
-    last = metrics[-1]
+    probabilities, labels = predict(network, validation.in_order(), device)
+    epochs = metrics[-1]["epoch"]
     result = {
         "objects": list(plan.objects),
         "grasps_fit": len(plan.fit_rows),
         "grasps_validation": len(plan.validation_rows),
-        "successes_fit": int(labels[plan.fit_rows].sum()),
+        "successes_fit": int(fit_inputs.labels.sum()),
         "class_weights": weights.tolist(),
         "weights": card.weights,
         "best_epoch": card.epoch,
-        "epochs": last["epoch"],
-        "validation": score(truth, probabilities),
+        "epochs": epochs,
+        "validation": score(labels, probabilities),
         "decode_s": fit_inputs.decode_s + validation_inputs.decode_s,
         "cached": fit_inputs.cached,
-        "epoch_s": float(np.median([line["epoch_s"] for line in metrics])),
-        "fit_s": float(np.median([line["fit_s"] for line in metrics])),
-        "loader_share": float(np.median([line["loader_share"] for line in metrics])),
+        **{
+            name: float(np.median([line[name] for line in metrics]))
+            for name in ("epoch_s", "fit_s", "loader_share")
+        },
     }
     write_training_report(folder.report_path, recipe, plan.name, metrics, result)
     print_status(
-        f"{plan.name}: best epoch {card.epoch} of {last['epoch']}, validation accuracy "
-        f"{result['validation']['accuracy']:.3f} on {len(truth)} grasps"
+        f"{plan.name}: best epoch {card.epoch} of {epochs}, validation accuracy "
+        f"{result['validation']['accuracy']:.3f} on {len(labels)} grasps"
     )
     return result
-
-
-def _decoded(
-    recipe: TrainRecipe, source: SimulatedGrasps, rows: NDArray[np.int64], spec: InputSpec
-) -> DecodedInputs:
-    return DecodedInputs(source, rows, spec, recipe.input.cache_mb)
-
-
-def _batches(
-    recipe: TrainRecipe,
-    inputs: DecodedInputs,
-    labels: NDArray[np.int64],
-    spec: InputSpec,
-    reference: NDArray[np.uint8],
-) -> Batches:
-    return Batches(
-        inputs, labels, spec, reference, recipe.training.batch_size, recipe.input.loader_workers
-    )

@@ -1,4 +1,4 @@
-"""Training recipes: one YAML says the network, its input and how it is trained."""
+"""Training recipes: YAML files with the network, its input and how it is trained."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ from tacgen.core.errors import LearningError
 from tacgen.core.resources import find_recipe
 from tacgen.core.yaml_source import finite, read_yaml, validate
 
-MIN_INPUT_PX = 32
+MIN_INPUT_PX, MAX_INPUT_PX = 32, 2048
+"""ResNet-18 halves an image five times; no tactile camera has more pixels."""
 POOLED = "pooled"
+"""Name of the one model for all objects."""
 
 
 def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
-    if min(size_px) < MIN_INPUT_PX or max(size_px) > 2048:
-        msg = f"[height, width] must lie between {MIN_INPUT_PX} and 2048 pixels"
+    if min(size_px) < MIN_INPUT_PX or max(size_px) > MAX_INPUT_PX:
+        msg = f"[height, width] must lie between {MIN_INPUT_PX} and {MAX_INPUT_PX} pixels"
         raise ValueError(msg)
     return size_px
 
@@ -35,9 +37,9 @@ def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
 class ModelOptions(Section):
     """The network; its layers are the paper's and have no switches.
 
-    ``weights`` is ``none`` (from scratch), ``imagenet`` (from the cache of the hub or of
-    torchvision; an error where there is none), ``auto`` (``imagenet`` where they can be had,
-    else from scratch, said loudly), or the path of a ResNet-18 weight file.
+    ``weights`` is ``none`` (from scratch), ``imagenet`` (from the cache of the Hugging Face hub or
+    of torch; an error where there is none), ``auto`` (``imagenet`` where there is such a file, else
+    from scratch with a warning), or the path of a ResNet-18 weight file.
     """
 
     kind: Literal["single", "sequence"] = "single"
@@ -45,11 +47,11 @@ class ModelOptions(Section):
 
 
 class InputOptions(Section):
-    """What the network sees: pad, image size, frames, and what is taken off each image.
+    """The network's input: pad, image size, frames, and what is subtracted from each image.
 
     ``image`` is ``difference`` to the gel at rest, ``change`` since the frame before (of the first
-    frame: since the gel at rest), or ``raw``. A grasp that holds changes nothing, so slip and turn
-    stand out in ``change``; to a single image it is the same as ``difference``.
+    frame: since the gel at rest), or ``raw``. While a grasp holds, images do not change,
+    so slip and rotation stand out in ``change``; for a single image it equals ``difference``.
     """
 
     pad: Literal["left", "right"] | None = None
@@ -61,10 +63,10 @@ class InputOptions(Section):
 
 
 class Augmentation(Section):
-    """Changes drawn anew each epoch for each grasp, the same for all of its frames.
+    """Random changes of each grasp in each epoch, the same for all of its frames.
 
-    ``shift_fraction`` is the largest shift as a part of the image's sides, ``gain_relative`` and
-    ``noise_grey`` are standard deviations.
+    ``shift_fraction`` is the largest shift as a fraction of the image's sides; ``gain_relative``
+    and ``noise_grey`` are standard deviations.
     """
 
     on: bool = False
@@ -76,8 +78,8 @@ class Augmentation(Section):
 class TrainingOptions(Section):
     """How the network is trained. ``precision: auto`` is mixed precision on a GPU only.
 
-    ``average_epochs`` is over about how many of the latest epochs the weights of the kept model
-    are averaged; with 1 it is the latest itself.
+    The kept model is the mean of the weights over about the latest ``average_epochs`` epochs; with
+    1 it is the latest.
     """
 
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
@@ -99,7 +101,7 @@ class TrainRecipe(Section):
     """One training job.
 
     ``per_object`` trains one model an object, as the paper does; otherwise one for all of them.
-    ``objects`` narrows the dataset down; left out, every object in it is taken.
+    ``objects`` selects some of the dataset; if not given, all are used.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
@@ -127,7 +129,7 @@ def load_train_recipe(name: str | Path) -> TrainRecipe:
     Raises
     ------
     TacgenError
-        Lists everything that is wrong, each with its file, line and mend.
+        Lists everything that is wrong, each with its file, line and fix.
     """
     source = read_yaml(find_recipe(str(name)))
     if "grid" in source.data:
@@ -142,9 +144,7 @@ def load_train_recipe(name: str | Path) -> TrainRecipe:
         problems.append(source.problem(("objects",), "names an object twice; keep one"))
     if recipe.model.kind == "single" and recipe.input.frames is not None:
         problems.append(
-            source.problem(
-                ("input", "frames"), "only matters to `model.kind: sequence`; take it out"
-            )
+            source.problem(("input", "frames"), "only applies to `model.kind: sequence`; remove it")
         )
     if problems:
         raise LearningError.from_problems(problems)

@@ -1,10 +1,14 @@
-"""Collecting, training and testing the rows of a study, and the table of what came out."""
+"""Collecting, training and testing the rows of a study, and the table of the results.
+
+The folder of a study holds the datasets, the runs and ``table.json``, which keeps finished rows.
+"""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,25 +16,27 @@ from tacgen.calibrate.friction.sweep import friction_json, mu_range, sweep_frict
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError, TacgenError
-from tacgen.core.files import write_text
+from tacgen.core.files import sha256_of_content, write_text
 from tacgen.core.progress import print_status
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
+from tacgen.learning.run_folder import read_json
 from tacgen.learning.train import train
 from tacgen.learning.training_recipe import TrainRecipe
-from tacgen.study.reality import Reality, calibration_grasps, check_reality
-from tacgen.study.record import RECORD, declaration_sha256, kept_rows
-from tacgen.study.reduced import reductions
-from tacgen.study.study_recipe import Row, Study, run_folder_name, with_rows
+from tacgen.study.real_data import RealData, calibration_grasps, check_real_data
+from tacgen.study.study_recipe import Row, Study, reductions, run_folder_name, with_rows
 from tacgen.study.table import write_study
 
 MU_VALUES = "0:1:0.05"
+"""Friction coefficients tried for a row that calibrates friction; as ``tacgen friction`` does."""
+TABLE = "table.json"
+_FIX_TABLE = "remove it; finished datasets and runs stay and are not done again"
 
 
 def run_study(
     study: Study,
     out: Path,
-    real: Reality,
+    real: RealData,
     *,
     rows: Sequence[str] = (),
     quick: bool = False,
@@ -59,19 +65,20 @@ def run_study(
         table; ``check_finished`` raises it.
     """
     chosen = with_rows(study, rows)
-    kept_rows(study, out, quick=quick)
-    check_reality(chosen, real, quick=quick)
+    run = _StudyRun(study, out, real, quick, workers)
+    run.finished_rows()
+    check_real_data(chosen, real, quick=quick)
     start_s = time.perf_counter()
     done: dict[str, dict[str, Any]] = {}
-    result = _write_table(study, out, real, done, quick, 0.0)
+    result = run.write_table(done, 0.0)
     for row in chosen.rows:
-        done[row.name] = _run_row(study, row, out, real, quick, workers)
-        result = _write_table(study, out, real, done, quick, time.perf_counter() - start_s)
+        done[row.name] = run.run_row(row)
+        result = run.write_table(done, time.perf_counter() - start_s)
     return result
 
 
 def check_finished(result: Mapping[str, Any]) -> None:
-    """See that every row of this run was trained and tested.
+    """Check that every row of this run was trained and tested.
 
     Raises
     ------
@@ -80,123 +87,162 @@ def check_finished(result: Mapping[str, Any]) -> None:
     """
     if result["problems"]:
         first = (
-            "not all rows could be trained and tested; mend these and run the same command again, "
+            "not all rows could be trained and tested; fix these and run the same command again, "
             "what is finished stays:"
         )
         raise LearningError.from_problems([first, *result["problems"]])
 
 
-def _write_table(
-    study: Study,
-    out: Path,
-    real: Reality,
-    done: Mapping[str, Mapping[str, Any]],
-    quick: bool,
-    took_s: float,
-) -> dict[str, Any]:
-    """Write the rows that are done among those of earlier runs, in the study's order."""
-    # Read anew each time: another process may have added rows meanwhile.
-    found = kept_rows(study, out, quick=quick) | dict(done)
-    told = [row for row in study.rows if row.name in found]
-    result = {
-        "study": study.name,
-        "description": study.description,
-        "quick": quick,
-        "reduced": reductions(study, told) if quick else [],
-        "notes": list(study.notes),
-        "real": None if real.test is None else str(real.test),
-        "real_is_simulated": real.test is not None and _is_simulated(real.test),
-        "rows": [found[row.name] for row in told],
-        "problems": [
-            f"{row['name']}: {row[key]}"
-            for row in done.values()
-            for key in ("problem", "real_problem")
-            if row[key]
-        ],
-        "took_s": took_s,
-    }
-    write_text(out / RECORD, json.dumps(result, indent=1))
-    if told:
-        write_study(result, out)
-    return result
+@dataclass(frozen=True, slots=True)
+class _StudyRun:
+    """One call of ``run_study``."""
+
+    study: Study
+    out: Path
+    real: RealData
+    quick: bool
+    workers: int
+
+    def finished_rows(self) -> dict[str, dict[str, Any]]:
+        """The rows of the table in the folder whose settings are still the study's, by name.
+
+        Raises
+        ------
+        LearningError
+            If the table is of another study, or of the other version of this one.
+        """
+        path = self.out / TABLE
+        if not path.is_file():
+            return {}
+        table = read_json(path, _FIX_TABLE)
+        rows = table.get("rows")
+        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            msg = f"{path}: is not a table as tacgen writes it; {_FIX_TABLE}"
+            raise LearningError(msg)
+        found = _title(table.get("study"), table.get("quick") is True)
+        wanted = _title(self.study.name, self.quick)
+        if found != wanted:
+            msg = (
+                f"{self.out}: holds {found}, this is {wanted}; give another --out, or remove the "
+                "folder"
+            )
+            raise LearningError(msg)
+        current = {self._settings_sha256(row): row.name for row in self.study.rows}
+        kept = {str(row.get("settings_sha256")): row for row in rows}
+        return {current[key]: row for key, row in kept.items() if key in current}
+
+    def write_table(self, done: Mapping[str, Mapping[str, Any]], took_s: float) -> dict[str, Any]:
+        """Write the rows that are done among those of earlier runs, in the study's order."""
+        # Read anew each time: another process may have added rows meanwhile.
+        found = self.finished_rows() | dict(done)
+        rows = [row for row in self.study.rows if row.name in found]
+        test = self.real.test
+        simulated = test is not None and read_real_grasps(test).recipe_sha256 is not None
+        result = {
+            "study": self.study.name,
+            "description": self.study.description,
+            "quick": self.quick,
+            "reduced": reductions(self.study, rows) if self.quick else [],
+            "notes": list(self.study.notes),
+            "real": None if test is None else str(test),
+            "real_is_simulated": simulated,
+            "rows": [found[row.name] for row in rows],
+            "problems": [
+                f"{row['name']}: {row[key]}"
+                for row in done.values()
+                for key in ("problem", "real_problem")
+                if row[key]
+            ],
+            "took_s": took_s,
+        }
+        write_text(self.out / TABLE, json.dumps(result, indent=1))
+        if rows:
+            write_study(result, self.out)
+        return result
+
+    def run_row(self, row: Row) -> dict[str, Any]:
+        """Collect, train and test one row; its entry in the table."""
+        recipe = self.study.data_recipe(row, quick=self.quick)
+        training = self.study.train_recipe(row, quick=self.quick)
+        friction: Mapping[str, Any] = {}
+        if row.calibrate_contact and self.real.contact is not None:
+            contact = recipe.contact.model_copy(update={"file": str(self.real.contact)})
+            recipe = recipe.model_copy(update={"contact": contact})
+        if row.calibrate_friction and self.real.calibration is not None:
+            friction = self._fitted_friction(recipe, self.real.calibration)
+            recipe = _with_friction(recipe, friction)
+        data = self.out / "data" / recipe.sha256()[:12]
+        run = self.out / "runs" / run_folder_name(row.name)
+        print_status(f"{row.name}: collects into {data}")
+        collected = collect(recipe, data, workers=self.workers)
+        result: dict[str, Any] = {
+            "name": row.name,
+            "published": row.published.model_dump(),
+            "objects": [entry.name for entry in recipe.objects],
+            "kind": training.model.kind,
+            "contact_law": recipe.contact.law,
+            "input_px": list(training.input.size_px),
+            "epochs": training.training.epochs,
+            "average_epochs": training.training.average_epochs,
+            "weights": [],
+            "training_grasps": {},
+            "not_executed": collected.summary()["not_executed"],
+            "contact_file": recipe.contact.file,
+            "friction": {name: fit["mu"] for name, fit in friction.items()},
+            "settings_sha256": self._settings_sha256(row),
+            "problem": "",
+            "real_problem": "",
+        }
+        try:
+            result |= self._train(training, data, run)
+            result["sim"] = evaluate(run, data=data)
+        except LearningError as error:
+            # Such as grasps that all succeed: the other rows are still of use.
+            print_status(f"{row.name}: {error}")
+            return result | {"problem": str(error)}
+        if self.real.test is not None:
+            try:
+                result["real"] = evaluate(run, real=self.real.test)
+            except TacgenError as error:
+                print_status(f"{row.name}: {error}")
+                result["real_problem"] = str(error)
+        return result
+
+    def _train(self, recipe: TrainRecipe, data: Path, run: Path) -> dict[str, Any]:
+        """Train a row's networks; their pre-trained weights and numbers of grasps."""
+        models = train(recipe, data, run, workers=self.workers)["models"]
+        return {
+            "weights": sorted({model["weights"] for model in models.values()}),
+            "training_grasps": {
+                name: model["grasps_fit"] + model["grasps_validation"]
+                for name, model in models.items()
+            },
+        }
+
+    def _fitted_friction(self, recipe: Recipe, real: Path) -> Mapping[str, Any]:
+        """μ of each object of the recipe, as ``tacgen friction`` finds it."""
+        folder = self.out / "friction" / recipe.sha256()[:12]
+        grasps = calibration_grasps(recipe, real)
+        fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), folder, workers=self.workers)
+        fitted = friction_json(fits)
+        write_text(folder / "friction.json", json.dumps(fitted, indent=1))
+        return fitted
+
+    def _settings_sha256(self, row: Row) -> str:
+        """A hash of all settings of a row, before anything is calibrated."""
+        return sha256_of_content(
+            [
+                row.name,
+                self.study.data_recipe(row, quick=self.quick).sha256(),
+                self.study.train_recipe(row, quick=self.quick).sha256(),
+                row.calibrate_friction,
+                row.calibrate_contact,
+            ]
+        )
 
 
-def _is_simulated(folder: Path) -> bool:
-    return read_real_grasps(folder).recipe_sha256 is not None
-
-
-def _run_row(
-    study: Study, row: Row, out: Path, real: Reality, quick: bool, workers: int
-) -> dict[str, Any]:
-    data_recipe = study.data_recipe(row, quick=quick)
-    train_recipe = study.train_recipe(row, quick=quick)
-    friction: Mapping[str, Any] = {}
-    if row.calibrate_contact and real.contact is not None:
-        contact = data_recipe.contact.model_copy(update={"file": str(real.contact)})
-        data_recipe = data_recipe.model_copy(update={"contact": contact})
-    if row.calibrate_friction and real.calibration is not None:
-        friction = _fitted_friction(data_recipe, real.calibration, out, workers)
-        data_recipe = _with_friction(data_recipe, friction)
-    data = out / "data" / data_recipe.sha256()[:12]
-    run = out / "runs" / run_folder_name(row.name)
-    print_status(f"{row.name}: collects into {data}")
-    collected = collect(data_recipe, data, workers=workers)
-    result: dict[str, Any] = {
-        "name": row.name,
-        "published": row.published.model_dump(),
-        "objects": [entry.name for entry in data_recipe.objects],
-        "kind": train_recipe.model.kind,
-        "contact_law": data_recipe.contact.law,
-        "input_px": list(train_recipe.input.size_px),
-        "epochs": train_recipe.training.epochs,
-        "average_epochs": train_recipe.training.average_epochs,
-        "weights": [],
-        "training_grasps": {},
-        "not_executed": collected.summary()["not_executed"],
-        "contact_file": data_recipe.contact.file,
-        "friction": {name: fit["mu"] for name, fit in friction.items()},
-        "declaration_sha256": declaration_sha256(study, row, quick=quick),
-        "problem": "",
-        "real_problem": "",
-    }
-    try:
-        result |= _trained(train_recipe, data, run, workers)
-        result["sim"] = evaluate(run, data=data)
-    except LearningError as error:
-        # Such as grasps that all succeed: the other rows are worth having all the same.
-        print_status(f"{row.name}: {error}")
-        return result | {"problem": str(error)}
-    return result if real.test is None else result | _tested_on_real(row, run, real.test)
-
-
-def _trained(recipe: TrainRecipe, data: Path, run: Path, workers: int) -> dict[str, Any]:
-    """Train a row's networks, and what the table says of them."""
-    models = train(recipe, data, run, workers=workers)["models"]
-    return {
-        "weights": sorted({model["weights"] for model in models.values()}),
-        "training_grasps": {
-            name: model["grasps_fit"] + model["grasps_validation"] for name, model in models.items()
-        },
-    }
-
-
-def _tested_on_real(row: Row, run: Path, real: Path) -> dict[str, Any]:
-    """The row's scores on real grasps, or why there are none."""
-    try:
-        return {"real": evaluate(run, real=real)}
-    except TacgenError as error:
-        print_status(f"{row.name}: {error}")
-        return {"real_problem": str(error)}
-
-
-def _fitted_friction(recipe: Recipe, real: Path, out: Path, workers: int) -> Mapping[str, Any]:
-    """μ of each object of the recipe, as ``tacgen friction`` finds it."""
-    folder = out / "friction" / recipe.sha256()[:12]
-    grasps = calibration_grasps(recipe, real)
-    fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), folder, workers=workers)
-    fitted = friction_json(fits)
-    write_text(folder / "friction.json", json.dumps(fitted, indent=1))
-    return fitted
+def _title(name: object, quick: bool) -> str:
+    return f"the study {name!r}, {'reduced (--quick)' if quick else 'whole'}"
 
 
 def _with_friction(recipe: Recipe, friction: Mapping[str, Any]) -> Recipe:

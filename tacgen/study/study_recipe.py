@@ -27,7 +27,7 @@ class Published(Section):
 
 
 class Variant(Section):
-    """What to say otherwise than the study: objects, parts of ``data`` and of ``train``."""
+    """Changes to the study: its objects, parts of ``data`` and of ``train``."""
 
     objects: tuple[Any, ...] | None = None
     data: dict[str, Any] = Field(default_factory=dict)
@@ -105,7 +105,7 @@ def load_study(name: str | Path) -> Study:
         source.problem(
             ("rows", i, "name"),
             f"= {names[i]!r} would be kept in the folder of {names[folders.index(folder)]!r}, "
-            f"{folder}; tell the names apart by letters or digits",
+            f"{folder}; give names that differ in letters or digits",
         )
         for i, folder in enumerate(folders)
         if folder in folders[:i] and names[i] not in names[:i]
@@ -148,6 +148,31 @@ def with_rows(study: Study, names: Sequence[str]) -> Study:
     if not names:
         return study
     return study.model_copy(update={"rows": tuple(row for row in study.rows if row.name in names)})
+
+
+def reductions(study: Study, rows: Sequence[Row]) -> list[str]:
+    """What ``--quick`` changes in these rows, such as ``epochs: 15 instead of 30``."""
+    changes: dict[str, list[str]] = {}
+    for row in rows:
+        whole, quick = _sizes(study, row, quick=False), _sizes(study, row, quick=True)
+        for name, size in quick.items():
+            text = f"{size} instead of {whole[name]}"
+            if size != whole[name] and text not in changes.setdefault(name, []):
+                changes[name].append(text)
+    return [f"{name}: {', '.join(texts)}" for name, texts in changes.items() if texts]
+
+
+def _sizes(study: Study, row: Row, *, quick: bool) -> dict[str, str]:
+    data, train = study.data_recipe(row, quick=quick), study.train_recipe(row, quick=quick)
+    height, width = train.input.size_px
+    return {
+        "objects": str(len(data.objects)),
+        "frames": str(data.frames.count if data.frames.mode == "sequence" else 1),
+        "sampled grasps": str(data.grid.sample or "all"),
+        "training grasps": str(train.training.grasps or "all"),
+        "input": f"{width}×{height} px",
+        "epochs": str(train.training.epochs),
+    }
 
 
 def merged_mapping(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -146,7 +146,7 @@ def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, t
     data = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32), all_for_testing)
     result = evaluate(run, data=data)
     assert result["n"] == whole
-    assert "are left out: they ask for the same" in " ".join(result["notes"])
+    assert "are left out: a grasp with the same configuration" in " ".join(result["notes"])
 
 
 def test_the_training_grasps_written_as_real_ones_are_refused(run, toy, tmp_path):
@@ -256,7 +256,7 @@ def test_a_folder_that_is_no_run_is_refused(toy, tmp_path, run):
     with pytest.raises(LearningError, match=r"run\.json: is not there; give the folder"):
         evaluate(tmp_path, data=toy)
     (run / "run.json").write_text("[]")
-    with pytest.raises(LearningError, match=r"run\.json: is not what was written"):
+    with pytest.raises(LearningError, match=r"run\.json: is not a JSON object as tacgen writes it"):
         evaluate(run, data=toy)
 
 

@@ -142,7 +142,7 @@ def source(toy) -> SimulatedGrasps:
 
 def batches_of(source, spec=SEQUENCE, cache_mb=64, workers=0, n=9, size=4) -> Batches:
     inputs = DecodedInputs(source, np.arange(n), spec, cache_mb)
-    return Batches(inputs, source.table.label[:n], spec, REFERENCE, size, workers)
+    return Batches(inputs, spec, REFERENCE, size, workers)
 
 
 def test_batches_are_the_same_from_memory_from_disk_and_from_workers(source):

@@ -41,7 +41,7 @@ def test_every_mistake_is_told_at_once_with_its_line(tmp_path):
     [
         ("grid: {sample: 3}\n", "recipe for `tacgen collect`"),
         ("objects: [can, can]\n", "names an object twice"),
-        ("input: {frames: 4}\n", "only matters to `model.kind: sequence`"),
+        ("input: {frames: 4}\n", "only applies to `model.kind: sequence`"),
     ],
 )
 def test_a_recipe_that_cannot_be_meant_is_refused(tmp_path, text, word):

@@ -68,7 +68,10 @@ def test_an_optimizer_of_other_shapes_is_refused(toy, run):
 
 def test_two_processes_do_not_train_one_model(toy, run):
     folder = ModelFolder(run / "models/pooled")
-    with folder.alone(), pytest.raises(LearningError, match=r"process \d+ on .* trains this model"):
+    with (
+        folder.locked(),
+        pytest.raises(LearningError, match=r"process \d+ on .* is training this model"),
+    ):
         go_on(toy, run)
     go_on(toy, run)
     assert len(metrics_of(run)) == 3
@@ -88,7 +91,7 @@ def test_a_worker_whose_parent_was_killed_ends_after_its_epoch(toy, run, monkeyp
             return False
 
     monkeypatch.setattr(fit_module.multiprocessing, "parent_process", Gone)
-    with pytest.raises(LearningError, match="the process that started this training is gone"):
+    with pytest.raises(LearningError, match="the process that started this training was killed"):
         go_on(toy, run)
     monkeypatch.undo()
     assert len(metrics_of(run)) == 2

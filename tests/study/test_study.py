@@ -17,7 +17,7 @@ from tacgen.learning.scores import evaluation_lines
 from tacgen.objects import load_object
 from tacgen.objects.description import read_description
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
-from tacgen.study.reality import Reality
+from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
 from tacgen.study.study_recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.table import markdown_table
@@ -201,7 +201,7 @@ def toy(tmp_path) -> Path:
 
 def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy_collect):
     study, real = load_study(small_study(tmp_path)), write_real(tmp_path / "real")
-    result = run_study(study, tmp_path / "out", Reality(test=real), quick=True)
+    result = run_study(study, tmp_path / "out", RealData(test=real), quick=True)
     assert len(toy_collect) == 1
     assert [row["sim"]["source"] for row in result["rows"]] == ["sim", "sim"]
     assert all("sim_to_real_gap" in row["real"] for row in result["rows"])
@@ -218,7 +218,7 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy
 
 def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(tmp_path, toy_collect):
     study = load_study(small_study(tmp_path, ", train: {training: {grasps: 500}}"))
-    result = run_study(study, tmp_path / "out", Reality())
+    result = run_study(study, tmp_path / "out", RealData())
     assert "training.grasps asks for 500" in result["rows"][0]["problem"]
     assert result["rows"][1]["sim"]["n"] > 0
     text = (tmp_path / "out" / "table.md").read_text()
@@ -229,9 +229,9 @@ def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(tmp_
 def test_a_study_of_which_nothing_can_be_trained_says_so_in_its_table(tmp_path, toy_collect):
     path = small_study(tmp_path)
     path.write_text(path.read_text().replace("weights: none", "weights: missing.pth"))
-    result = run_study(load_study(path), tmp_path / "out", Reality())
+    result = run_study(load_study(path), tmp_path / "out", RealData())
     assert "one model for all: NOT trained. " in (tmp_path / "out" / "table.md").read_text()
-    with pytest.raises(LearningError, match="mend these and run the same command again") as caught:
+    with pytest.raises(LearningError, match="fix these and run the same command again") as caught:
         check_finished(result)
     assert str(caught.value).count("'missing.pth' is no file") == 2
 
@@ -240,7 +240,7 @@ def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect):
     """The folder says that it is simulated: no table and no line may call it real."""
     study = load_study(small_study(tmp_path))
     export_dataset(toy, tmp_path / "world", "real-grasps", split="test")
-    result = run_study(study, tmp_path / "out", Reality(test=tmp_path / "world"))
+    result = run_study(study, tmp_path / "out", RealData(test=tmp_path / "world"))
     assert result["real_is_simulated"] is True
     for name in ("table.md", "table.html"):
         text = (tmp_path / "out" / name).read_text()
@@ -257,11 +257,11 @@ def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, t
     study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
     real = write_real(tmp_path / "real")
     with pytest.raises(TacgenError, match=r"give them with --calibrate-on DIR"):
-        run_study(study, tmp_path / "out", Reality(test=real))
+        run_study(study, tmp_path / "out", RealData(test=real))
     with pytest.raises(TacgenError, match=r"share grasps, such as g00; calibrate on other"):
-        run_study(study, tmp_path / "out", Reality(test=real, calibration=real))
+        run_study(study, tmp_path / "out", RealData(test=real, calibration=real))
     with pytest.raises(TacgenError, match=r"nosuch/grasps\.csv: no such file"):
-        run_study(study, tmp_path / "out", Reality(calibration=tmp_path / "nosuch"))
+        run_study(study, tmp_path / "out", RealData(calibration=tmp_path / "nosuch"))
     assert not toy_collect
 
 
@@ -278,20 +278,20 @@ def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_coll
     table = pd.read_csv(real / "grasps.csv")
     table.loc[0, "object"] = "a_thing_of_no_study"
     table.to_csv(real / "grasps.csv", index=False)
-    run_study(study, tmp_path / "out", Reality(calibration=real))
+    run_study(study, tmp_path / "out", RealData(calibration=real))
     assert asked == [["can", "cup"]]
     table[table.object == "can"].to_csv(real / "grasps.csv", index=False)
     toy_collect.clear()
     with pytest.raises(TacgenError, match="has no grasps of cup, whose friction"):
-        run_study(study, tmp_path / "new", Reality(calibration=real))
+        run_study(study, tmp_path / "new", RealData(calibration=real))
     assert not toy_collect
 
 
 def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
     study = load_study(small_study(tmp_path, ", calibrate_contact: true"))
     with pytest.raises(TacgenError, match=r"contact\.yaml .*--contact FILE"):
-        run_study(study, tmp_path / "out", Reality())
-    given = Reality(contact=tmp_path / "contact.yaml")
+        run_study(study, tmp_path / "out", RealData())
+    given = RealData(contact=tmp_path / "contact.yaml")
     with pytest.raises(TacgenError, match=r"no contact law named .*contact\.yaml"):
         run_study(study, tmp_path / "out", given)
     assert not toy_collect

@@ -9,10 +9,9 @@ import pytest
 
 from tacgen import cli
 from tacgen.core.errors import LearningError, TacgenError
-from tacgen.study.reality import Reality
-from tacgen.study.reduced import reductions
+from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
-from tacgen.study.study_recipe import load_study
+from tacgen.study.study_recipe import load_study, reductions
 from tacgen.study.table import study_remarks
 from tests.learning.conftest import write_real
 from tests.study.conftest import small_study
@@ -47,7 +46,7 @@ def test_real_grasps_of_other_objects_leave_the_simulated_result_in_the_table(
     table = pd.read_csv(real / "grasps.csv")
     table.assign(object="mug").to_csv(real / "grasps.csv", index=False)
     study = load_study(small_study(tmp_path))
-    result = run_study(study, out, Reality(test=real), rows=[ROWS[0]])
+    result = run_study(study, out, RealData(test=real), rows=[ROWS[0]])
     row = table_of(out)["rows"][0]
     assert row["sim"]["n"] > 0
     assert "real" not in row
@@ -72,14 +71,14 @@ def test_real_grasps_of_other_objects_leave_the_simulated_result_in_the_table(
 def test_real_grasps_are_opened_before_anything_is_collected(tmp_path, toy_collect, make, words):
     real, out = make(tmp_path / "real"), tmp_path / "out"
     with pytest.raises(TacgenError, match=words):
-        run_study(load_study(small_study(tmp_path)), out, Reality(test=real))
+        run_study(load_study(small_study(tmp_path)), out, RealData(test=real))
     assert not toy_collect
     assert not out.exists()
 
 
-def test_what_cannot_be_read_of_the_real_world_is_told_at_once(tmp_path, toy_collect):
+def test_real_data_that_cannot_be_read_are_all_listed_at_once(tmp_path, toy_collect):
     (tmp_path / "contact.yaml").write_text("law: none\n")
-    given = Reality(tmp_path / "a", tmp_path / "b", tmp_path / "contact.yaml")
+    given = RealData(tmp_path / "a", tmp_path / "b", tmp_path / "contact.yaml")
     with pytest.raises(TacgenError) as caught:
         run_study(load_study(small_study(tmp_path)), tmp_path / "out", given)
     for text in ("a/grasps.csv: no such", "b/grasps.csv: no such", "contact.yaml: k_n_mm3_per_n"):
@@ -90,10 +89,10 @@ def test_what_cannot_be_read_of_the_real_world_is_told_at_once(tmp_path, toy_col
 @pytest.mark.parametrize("first", [True, False])
 def test_the_reduced_version_does_not_share_a_folder_with_the_whole(tmp_path, no_networks, first):
     study, out = load_study(small_study(tmp_path)), tmp_path / "out"
-    run_study(study, out, Reality(), rows=[ROWS[0]], quick=first)
+    run_study(study, out, RealData(), rows=[ROWS[0]], quick=first)
     before = (out / "table.md").read_bytes(), (out / "table.json").read_bytes()
     with pytest.raises(LearningError, match=r"out: holds the study 's'.*give another --out"):
-        run_study(study, out, Reality(), quick=not first)
+        run_study(study, out, RealData(), quick=not first)
     assert no_networks == ["single_image"]
     assert before == ((out / "table.md").read_bytes(), (out / "table.json").read_bytes())
 
@@ -108,16 +107,16 @@ def test_two_studies_do_not_share_a_folder_even_before_the_first_has_a_row(
 
     monkeypatch.setattr("tacgen.study.run.collect", fail)
     with pytest.raises(TacgenError, match="no simulator"):
-        run_study(study, out, Reality())
+        run_study(study, out, RealData())
     with pytest.raises(LearningError, match="'s', whole, this is the study 't', whole; give"):
-        run_study(study.model_copy(update={"name": "t"}), out, Reality())
+        run_study(study.model_copy(update={"name": "t"}), out, RealData())
 
 
 def test_rows_run_one_by_one_end_in_one_table_in_the_studys_order(tmp_path, no_networks):
     study, out = load_study(small_study(tmp_path)), tmp_path / "out"
-    run_study(study, out, Reality(), rows=[ROWS[1]])
+    run_study(study, out, RealData(), rows=[ROWS[1]])
     assert names_in(out) == [ROWS[1]]
-    run_study(study, out, Reality(), rows=[ROWS[0]])
+    run_study(study, out, RealData(), rows=[ROWS[0]])
     assert names_in(out) == list(ROWS)
     assert no_networks == ["one_model_for_all", "single_image"]
     text = (out / "table.md").read_text()
@@ -126,17 +125,17 @@ def test_rows_run_one_by_one_end_in_one_table_in_the_studys_order(tmp_path, no_n
 
 def test_a_row_that_the_study_now_says_otherwise_is_not_kept(tmp_path, no_networks):
     out = tmp_path / "out"
-    run_study(load_study(small_study(tmp_path)), out, Reality())
+    run_study(load_study(small_study(tmp_path)), out, RealData())
     changed = load_study(small_study(tmp_path, ", train: {training: {epochs: 2}}"))
-    run_study(changed, out, Reality(), rows=[ROWS[1]])
+    run_study(changed, out, RealData(), rows=[ROWS[1]])
     assert names_in(out) == [ROWS[1]]
 
 
 def test_rows_tested_on_different_grasps_say_on_which(tmp_path, no_networks):
     study, out = load_study(small_study(tmp_path)), tmp_path / "out"
     real, world = write_real(tmp_path / "real"), write_real(tmp_path / "world")
-    run_study(study, out, Reality(test=real), rows=[ROWS[0]])
-    run_study(study, out, Reality(test=world), rows=[ROWS[1]])
+    run_study(study, out, RealData(test=real), rows=[ROWS[0]])
+    run_study(study, out, RealData(test=world), rows=[ROWS[1]])
     text = (out / "table.md").read_text()
     column = "The column sim-to-real or other simulation of"
     assert f"{column} single image is measured on {real}.\n" in text
@@ -157,25 +156,25 @@ def test_a_row_that_stops_everything_leaves_the_table_of_those_before(
     out = tmp_path / "out"
     monkeypatch.setattr("tacgen.study.run.train", stopped)
     with pytest.raises(KeyboardInterrupt):
-        run_study(load_study(small_study(tmp_path)), out, Reality())
+        run_study(load_study(small_study(tmp_path)), out, RealData())
     assert names_in(out) == [ROWS[0]]
     assert "| single image | single | 0.900 |" in (out / "table.md").read_text()
 
 
 @pytest.mark.parametrize("text", ["{", '{"study": "s", "quick": false, "rows": 3}'])
-def test_a_broken_record_is_told_with_its_mend(tmp_path, no_networks, text):
+def test_a_broken_record_is_reported_with_its_fix(tmp_path, no_networks, text):
     out = tmp_path / "out"
     out.mkdir()
     (out / "table.json").write_text(text)
     with pytest.raises(
         LearningError, match=r"table\.json: .*remove it; finished datasets and runs"
     ):
-        run_study(load_study(small_study(tmp_path)), out, Reality())
+        run_study(load_study(small_study(tmp_path)), out, RealData())
     assert not no_networks
 
 
 @pytest.mark.parametrize(
-    ("quick", "told"),
+    ("quick", "changes"),
     [
         ("{}", []),
         ("{train: {training: {epochs: 1}}}", []),
@@ -194,9 +193,9 @@ def test_a_broken_record_is_told_with_its_mend(tmp_path, no_networks, text):
         ),
     ],
 )
-def test_what_the_reduced_version_has_less_of_is_told(tmp_path, quick, told):
+def test_what_the_reduced_version_has_less_of_is_listed(tmp_path, quick, changes):
     study = load_study(small_study(tmp_path, quick=quick))
-    assert reductions(study, study.rows) == told
+    assert reductions(study, study.rows) == changes
 
 
 def test_the_reductions_of_the_paper_table_are_those_of_each_row():
@@ -212,9 +211,9 @@ def test_the_reductions_of_the_paper_table_are_those_of_each_row():
 
 def test_the_table_says_what_is_reduced_and_nothing_else(tmp_path, no_networks):
     study = load_study(small_study(tmp_path, quick="{objects: [cup]}"))
-    remarks = study_remarks(run_study(study, tmp_path / "out", Reality(), quick=True))
+    remarks = study_remarks(run_study(study, tmp_path / "out", RealData(), quick=True))
     assert remarks[0] == "REDUCED VERSION (--quick): objects: 1 instead of 2."
-    whole = study_remarks(run_study(study, tmp_path / "whole", Reality()))
+    whole = study_remarks(run_study(study, tmp_path / "whole", RealData()))
     assert not any("REDUCED" in text for text in whole)
 
 
@@ -232,5 +231,5 @@ def test_the_command_prints_the_table_and_fails_where_a_row_did(
     printed = capsys.readouterr()
     assert "| single image | single | 0.900 |" in printed.out
     assert "one model for all: NOT trained. every grasp succeeded" in printed.out
-    assert "tacgen: not all rows could be trained and tested; mend these" in printed.err
+    assert "tacgen: not all rows could be trained and tested; fix these" in printed.err
     assert "\none model for all: every grasp succeeded" in printed.err

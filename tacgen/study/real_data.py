@@ -1,4 +1,4 @@
-"""What a study is told of the real world, looked at before anything is collected."""
+"""The real data that a study is given, checked before anything is collected."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tacgen.study.study_recipe import Study
 
 
 @dataclass(frozen=True, slots=True)
-class Reality:
-    """What is known of the real world: grasps to test on, others to calibrate on, a contact law.
+class RealData:
+    """Real grasps to test on, others to calibrate on, and a contact law.
 
     No grasp may be in both folders. ``contact`` is a ``contact.yaml`` of the real sensor.
     """
@@ -26,8 +26,8 @@ class Reality:
     contact: Path | None = None
 
 
-def check_reality(study: Study, real: Reality, *, quick: bool) -> None:
-    """See that the rows have what they need, and that what is given can be read.
+def check_real_data(study: Study, real: RealData, *, quick: bool) -> None:
+    """Check that the rows have what they need, and that what is given can be read.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def calibration_grasps(recipe: Recipe, folder: Path) -> RealGrasps:
     return grasps
 
 
-def _check_given(study: Study, real: Reality, _quick: bool) -> None:
+def _check_given(study: Study, real: RealData, _quick: bool) -> None:
     problems = []
     if any(row.calibrate_friction for row in study.rows) and real.calibration is None:
         problems.append(
@@ -75,14 +75,14 @@ def _check_given(study: Study, real: Reality, _quick: bool) -> None:
         )
     if any(row.calibrate_contact for row in study.rows) and real.contact is None:
         problems.append(
-            f"{study.name}: a row takes the real sensor's contact law; give the contact.yaml that "
+            f"{study.name}: a row uses the real sensor's contact law; give the contact.yaml that "
             "`tacgen calibrate contact` or `tacgen diagnose contact` wrote with --contact FILE"
         )
     if problems:
         raise TacgenError.from_problems(problems)
 
 
-def _check_tested(_study: Study, real: Reality, _quick: bool) -> None:
+def _check_tested(_study: Study, real: RealData, _quick: bool) -> None:
     if real.test is None:
         return
     tested = set(RealGraspImages(real.test).table.ids.tolist())
@@ -97,7 +97,7 @@ def _check_tested(_study: Study, real: Reality, _quick: bool) -> None:
         raise TacgenError(msg)
 
 
-def _check_calibration(study: Study, real: Reality, quick: bool) -> None:
+def _check_calibration(study: Study, real: RealData, quick: bool) -> None:
     if real.calibration is None:
         return
     read_real_grasps(real.calibration)
@@ -106,6 +106,6 @@ def _check_calibration(study: Study, real: Reality, quick: bool) -> None:
             calibration_grasps(study.data_recipe(row, quick=quick), real.calibration)
 
 
-def _check_contact(_study: Study, real: Reality, _quick: bool) -> None:
+def _check_contact(_study: Study, real: RealData, _quick: bool) -> None:
     if real.contact is not None:
         contact_law(Contact(file=str(real.contact)))
