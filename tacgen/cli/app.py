@@ -17,7 +17,7 @@ CLUSTER = "Cluster"
 MACHINE = "This machine"
 ORDER_OF_WORK = (
     *("collect", "grid", "inspect", "verify", "merge", "export", "objects"),
-    *("calibrate", "diagnose", "friction", "rig"),
+    *("import", "calibrate", "diagnose", "friction", "rig"),
     *("train", "eval", "study"),
     *("submit", "status"),
     *("doctor", "bench"),

@@ -29,6 +29,46 @@ ReportOption = Annotated[Path | None, typer.Option(help="Folder for a report (HT
 TableOutput = Annotated[Path, typer.Option("--out", help="Table file to write (table.npz).")]
 
 
+@app.command("import", rich_help_panel=CALIBRATION)
+def import_(
+    format_name: Annotated[
+        str,
+        typer.Argument(
+            metavar="FORMAT",
+            help="gs-sdk, py3dcal, 9dtact or gelsight-mini-pretrain (ball presses); poseit or "
+            "feeling-of-success (real grasps).",
+        ),
+    ],
+    source: Annotated[
+        Path, typer.Argument(metavar="SRC", help="Folder or file of the other project.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write; it must not exist yet.")],
+    mm_per_px: MmPerPxOption = None,
+    ball_radius_mm: BallRadiusOption = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Convert the ball presses or real grasps of another project into tacgen's layout."""
+    from tacgen.core.errors import DatasetError
+    from tacgen.dataset.import_formats import GRASP_FORMATS, import_grasps
+    from tacgen.presses.import_formats import PRESS_FORMATS, Options, import_presses
+
+    if format_name in PRESS_FORMATS:
+        options = Options(mm_per_px, ball_radius_mm)
+        found = import_presses(format_name, source, out, options)
+        count, notes, kind = len(found.presses), found.notes, "presses"
+        follow = f"tacgen calibrate lookup {out} --out table.npz"
+    elif format_name in GRASP_FORMATS:
+        count, notes = import_grasps(format_name, source, out)
+        kind, follow = "grasps", f"tacgen eval RUN --real {out}"
+    else:
+        known = ", ".join((*PRESS_FORMATS, *GRASP_FORMATS))
+        msg = f"FORMAT {format_name!r} is not known; give one of {known}"
+        raise DatasetError(msg)
+    warn(notes, "note")
+    record = {"folder": str(out), "format": format_name, kind: count, "notes": list(notes)}
+    print_result(record, f"{out}: {count} {kind}. Next: {follow}", json_output)
+
+
 @calibrate_app.command("lookup")
 def calibrate_lookup(
     presses: PressesArgument,
