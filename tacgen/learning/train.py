@@ -41,7 +41,7 @@ NO_WEIGHTS_WARNING = (
 def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> dict[str, Any]:
     """Train every model of ``recipe`` on the training grasps of ``data`` into the folder ``out``.
 
-    A run that was stopped goes on from its last whole epoch; models that are done stay.
+    A run that was stopped resumes after its last complete epoch; finished models stay.
 
     Parameters
     ----------

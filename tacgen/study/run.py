@@ -30,7 +30,7 @@ from tacgen.study.table import write_study
 MU_VALUES = "0:1:0.05"
 """Friction coefficients tried for a row that calibrates friction; as ``tacgen friction`` does."""
 TABLE = "table.json"
-_FIX_TABLE = "remove it; finished datasets and runs stay and are not done again"
+_FIX_TABLE = "remove it; finished datasets and runs stay and are not repeated"
 
 
 def run_study(
@@ -42,7 +42,7 @@ def run_study(
     quick: bool = False,
     workers: int = 1,
 ) -> dict[str, Any]:
-    """Run the rows of a study; what is finished in ``out`` is not done again.
+    """Run the rows of a study; what is finished in ``out`` is not repeated.
 
     The table is written anew after each row; rows that earlier runs finished stay in it.
 
@@ -242,7 +242,7 @@ class _StudyRun:
 
 
 def _title(name: object, quick: bool) -> str:
-    return f"the study {name!r}, {'reduced (--quick)' if quick else 'whole'}"
+    return f"the study {name!r}, {'reduced (--quick)' if quick else 'full'}"
 
 
 def _with_friction(recipe: Recipe, friction: Mapping[str, Any]) -> Recipe:

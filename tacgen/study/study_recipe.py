@@ -1,4 +1,4 @@
-"""Studies: one YAML that collects, trains and tests variants, for a table of them."""
+"""Studies: a YAML file with variants to collect, train and test, for a table of them."""
 
 from __future__ import annotations
 

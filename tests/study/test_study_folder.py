@@ -108,7 +108,7 @@ def test_two_studies_do_not_share_a_folder_even_before_the_first_has_a_row(
     monkeypatch.setattr("tacgen.study.run.collect", fail)
     with pytest.raises(TacgenError, match="no simulator"):
         run_study(study, out, RealData())
-    with pytest.raises(LearningError, match="'s', whole, this is the study 't', whole; give"):
+    with pytest.raises(LearningError, match="'s', full, this is the study 't', full; give"):
         run_study(study.model_copy(update={"name": "t"}), out, RealData())
 
 
