@@ -25,7 +25,16 @@ from tacgen.dataset.tally import Tally
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
-LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "pybullet", "h5py", "hdf5plugin")
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "pybullet",
+    "h5py",
+    "hdf5plugin",
+    "zstandard",
+)
 
 HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 32015, Zstandard)."
 
