@@ -26,7 +26,8 @@ from tacgen.core.records import GraspObject
 from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Pad
+from tacgen.sensor.gel_response import GelLoad
+from tacgen.sensor.tactile_pad import TactilePad
 
 FRAME_OBJECT = "tomato_soup_can"
 FRAME_VOLUME_MM3 = 40.0
@@ -80,11 +81,11 @@ def _frame_figures(repeats: int) -> list[Figure]:
         ("frame_ms_320x240", "gelsight_mini", False),
     ):
         sensor = load_sensor(sensor_name)
-        pad = Pad(sensor, load_table(sensor.table), shadows=shadows)
+        pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
         pose = _side_pose(grasped)
 
-        def frame(pad: Pad = pad, pose: NDArray[np.float64] = pose) -> None:
-            pad.feel(grasped.surface, pose, volume_mm3=FRAME_VOLUME_MM3)
+        def frame(pad: TactilePad = pad, pose: NDArray[np.float64] = pose) -> None:
+            pad.render(grasped.surface, pose, GelLoad(FRAME_VOLUME_MM3))
 
         what = f"{sensor_name}, {triangles} triangles{', shadows' if shadows else ''}"
         figures.append(Figure(name, 1e3 * _median_s(frame, repeats), "ms", what))

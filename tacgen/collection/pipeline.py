@@ -39,8 +39,8 @@ from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import deformation
-from tacgen.sensor.tactile_pad import Imprint, Pad
+from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 # Streams of one grasp's random numbers.
 _STREAM_VARIATION, _STREAM_NOISE = range(2)
@@ -58,7 +58,7 @@ class GraspPipeline:
         self.recipe = recipe
         self._frames = frame_request(recipe)
         self._law = contact_law(recipe.contact)
-        self._pad = felt_pad(recipe)
+        self._pad = tactile_pad(recipe)
         self.simulator = GraspSimulator(recipe.robot.name)
         self._object = lru_cache(maxsize=4)(recipe_object)
 
@@ -70,7 +70,7 @@ class GraspPipeline:
         self.simulator.__exit__(*raised)
 
     def sample(self, planned: PlannedGrasp) -> GraspSample:
-        """Simulate one grasp and what the pads feel of it."""
+        """Simulate one grasp and render the images of its pads."""
         entry = self.recipe.objects[planned.entry]
         variation = draw_variation(self.recipe.randomize, _rng(planned, _STREAM_VARIATION))
         grasped = vary_object(self._object(entry), variation)
@@ -81,7 +81,7 @@ class GraspPipeline:
         frame = grasp_frame(trace)
         noise = _rng(planned, _STREAM_NOISE)
         pads = {
-            pad: self._feel(grasped, frames, frame, planned.config.index, variation, noise)
+            pad: self._render(grasped, frames, frame, planned.config.index, variation, noise)
             for pad, frames in trace.frames.items()
             if trace.status == "executed"
         }
@@ -105,7 +105,7 @@ class GraspPipeline:
             reason=trace.reason,
         )
 
-    def _feel(
+    def _render(
         self,
         grasped: GraspObject,
         frames: tuple[ContactFrame, ...],
@@ -115,30 +115,27 @@ class GraspPipeline:
         noise: np.random.Generator,
     ) -> PadSample:
         """The images and depths of one pad over a grasp's frames."""
-        bulk = deformation(
+        loads = gel_loads(
             self._law, frames, grasp_index=grasp_index, k_n_factor=variation.k_n_factor
         )
-        felt = [
-            self._pad.feel(
+        rendered = [
+            self._pad.render(
                 grasped.surface,
                 frame.pose_gel_object,
-                volume_mm3=bulk.volume_mm3[k],
-                indentation_mm=bulk.depth_mm[k],
-                shear_sum_mm=bulk.shear_sum_mm[k],
-                turn_sum_mm2=bulk.turn_sum_mm2[k],
+                load,
                 rng=noise if self.recipe.optics.noise else None,
             )
-            for k, frame in enumerate(frames)
+            for frame, load in zip(frames, loads, strict=True)
         ]
         kept = None
         if self.recipe.dataset.depth:
-            depth_map = felt[grasp_frame].imprint.depth_map_mm(self._pad.sensor)
+            depth_map = rendered[grasp_frame].imprint.depth_map_mm(self._pad.sensor)
             kept = depth_map.astype(np.float16)
         return PadSample(
-            rgb=with_gain(np.stack([one.rgb for one in felt]), variation.gain_factor),
+            rgb=with_gain(np.stack([one.rgb for one in rendered]), variation.gain_factor),
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
-            indentation_mm=np.array([one.imprint.indentation_mm for one in felt]),
+            indentation_mm=np.array([one.imprint.indentation_mm for one in rendered]),
             depth_mm=kept,
         )
 
@@ -184,8 +181,8 @@ def contact_law(contact: Contact) -> ContactLaw:
     return law
 
 
-def felt_pad(recipe: Recipe) -> Pad:
-    """The tactile pad of a recipe with its table, ready to feel.
+def tactile_pad(recipe: Recipe) -> TactilePad:
+    """The tactile pad of a recipe with its table.
 
     Raises
     ------
@@ -201,7 +198,7 @@ def felt_pad(recipe: Recipe) -> Pad:
             f"of {width}×{height}; give the table that was calibrated on it"
         )
         raise TableError(msg)
-    return Pad(
+    return TactilePad(
         sensor,
         table,
         camera=recipe.contact.camera,
@@ -253,7 +250,7 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
         time_s=frame_times_s(recipe),
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,
-        reference_rgb=felt_pad(recipe).picture(_UNTOUCHED),
+        reference_rgb=tactile_pad(recipe).image(_UNTOUCHED),
         depth=recipe.dataset.depth,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
     )

@@ -1,4 +1,4 @@
-"""What a contact law asks of the gel over a grasp: the joint of physics' forces and contact."""
+"""The load on a pad's gel over a grasp: the physics' forces put through a contact law."""
 
 from __future__ import annotations
 
@@ -10,32 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.contact.law import ContactLaw
+from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame
 
 
 @dataclass(frozen=True, slots=True)
-class Deformation:
-    """The deformation of one pad's gel over T frames.
+class GelLoad:
+    """What a contact law asks of one pad's gel at one time; the default is an unloaded gel.
 
-    Of ``volume_mm3`` and ``depth_mm``, T values each, the one that the law does not give is None
-    throughout. ``shear_sum_mm`` (T, 2) is D; ``turn_sum_mm2`` (T,) its counterpart for the moment
-    about the gel's normal.
+    Attributes
+    ----------
+    volume_mm3, indentation_mm : float or None
+        The volume that the gel loses (V = k_n F_n), or the depth (δ = c F_n, TACTO's law): the
+        one that the law gives.
+    shear_sum_mm : (2,)
+        D = k_s F_s, the sum of the markers' shear motion; the object moves with them.
+    turn_sum_mm2 : float
+        k_s times the moment about the gel's normal: the sum of r × motion.
     """
 
-    volume_mm3: Sequence[float | None]
-    depth_mm: Sequence[float | None]
-    shear_sum_mm: NDArray[np.float64]
-    turn_sum_mm2: NDArray[np.float64]
+    volume_mm3: float | None = None
+    indentation_mm: float | None = None
+    shear_sum_mm: FloatArray | tuple[float, float] = (0.0, 0.0)
+    turn_sum_mm2: float = 0.0
 
 
-def deformation(
+def gel_loads(
     law: ContactLaw,
     frames: Sequence[ContactFrame],
     *,
     grasp_index: int = 0,
     k_n_factor: float = 1.0,
-) -> Deformation:
-    """The deformation of the gel at a grasp's frames.
+) -> tuple[GelLoad, ...]:
+    """The load on the gel at each of a grasp's frames.
 
     The history that the law sees starts unloaded at the start of closing, so that effects with
     memory know how long the load has been on. ``grasp_index`` counts the grasps on this gel, so
@@ -45,11 +52,12 @@ def deformation(
     volume_mm3, shear_sum_mm = (values[1:] for values in law.predict(history, simulate=True))
     k_s = 0.0 if math.isnan(law.k_s_mm_per_n.value) else law.k_s_mm_per_n.value
     turn_sum_mm2 = k_s * np.array([frame.torsion_n_mm for frame in frames])
-    nothing = [None] * len(frames)
     if law.law == "linear_depth":
-        depth_mm = law.predict_depth(history)[1:] * k_n_factor
-        return Deformation(nothing, depth_mm.tolist(), shear_sum_mm, turn_sum_mm2)
-    return Deformation((volume_mm3 * k_n_factor).tolist(), nothing, shear_sum_mm, turn_sum_mm2)
+        depths: list[float | None] = (law.predict_depth(history)[1:] * k_n_factor).tolist()
+        volumes: list[float | None] = [None] * len(frames)
+    else:
+        depths, volumes = [None] * len(frames), (volume_mm3 * k_n_factor).tolist()
+    return tuple(map(GelLoad, volumes, depths, shear_sum_mm, turn_sum_mm2.tolist()))
 
 
 def load_history(

@@ -1,11 +1,8 @@
-"""What a pad feels and sees: a posed mesh and a force's imprint in, the sensor's picture out.
-
-The joint of contact and optics, shared by collection, the virtual rig and the benchmark.
-"""
+"""A tactile pad: from a posed mesh and the load on the gel to the imprint and the image."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -15,11 +12,13 @@ from tacgen.contact.gap import GAP_GRAIN_MM, FeltGap, GapMapper, checked_mesh
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
+from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh, Sensor
 from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer
 from tacgen.optics.smooth import Window
 from tacgen.optics.table import LookupTable
+from tacgen.sensor.gel_response import GelLoad
 
 USUAL_REACH_MM = 1.25
 """Triangles this far beyond first touch are left out of the first look at a contact."""
@@ -67,8 +66,8 @@ class Imprint:
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
-    """One tactile frame: the picture (H, W, 3) uint8 and the imprint it shows."""
+class TactileFrame:
+    """One tactile frame: the image (H, W, 3) uint8 and the imprint it shows."""
 
     rgb: NDArray[np.uint8]
     imprint: Imprint
@@ -110,7 +109,7 @@ def _fill_depth(
             out[k] = max(0.0, (delta - row[k]) * grain_mm)
 
 
-class Pad:
+class TactilePad:
     """One tactile pad, made ready for frame after frame.
 
     Parameters
@@ -154,60 +153,28 @@ class Pad:
         self._x_mm, self._y_mm = pixel_centers_mm(sensor)
         self._markers_drawn = draws
 
-    def press(
-        self,
-        mesh: Mesh,
-        pose_gel_object: NDArray[np.floating],
-        *,
-        volume_mm3: float | None = None,
-        indentation_mm: float | None = None,
-        shear_sum_mm: NDArray[np.floating] | tuple[float, float] = (0.0, 0.0),
-        turn_sum_mm2: float = 0.0,
-    ) -> Imprint:
-        """The imprint of a posed object: by the gel's lost volume, or by depth.
+    def press(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
+        """The imprint of an object at a pose (4, 4), object to gel frame in mm.
 
         Where along z the object stands does not matter: it is taken to first touch, and from
-        there pressed in until the gel has lost ``volume_mm3`` (V = k_n F_n) or to
-        ``indentation_mm`` (TACTO's law, depth = c F_n).
-
-        Parameters
-        ----------
-        mesh : Mesh
-        pose_gel_object : (4, 4)
-            Object to gel frame, mm.
-        volume_mm3, indentation_mm : float
-            One of the two.
-        shear_sum_mm : (2,)
-            D = k_s F_s, the sum of the markers' shear motion; the object moves with them.
-        turn_sum_mm2 : float
-            k_s times the moment about the gel's normal: the sum of r × motion.
+        there pressed in until the gel has lost the load's volume, or to the load's depth.
         """
         vertices_mm, faces, pose = checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object)
-        imprint = self._indent(vertices_mm, faces, pose, volume_mm3, indentation_mm)
-        shear = np.asarray(shear_sum_mm, dtype=np.float64)
-        moves = bool(np.any(shear)) or turn_sum_mm2 != 0.0
+        imprint = self._indent(vertices_mm, faces, pose, load)
+        shear = np.asarray(load.shear_sum_mm, dtype=np.float64)
+        moves = bool(np.any(shear)) or load.turn_sum_mm2 != 0.0
         if imprint.indentation_mm <= 0 or not (moves or self._markers_drawn):
             return imprint
-        motion = self._field(imprint).motion(shear, turn_sum_mm2)
+        motion = self._field(imprint).motion(shear, load.turn_sum_mm2)
         if moves:
-            imprint = self._indent(
-                vertices_mm, faces, motion.moved(pose), volume_mm3, indentation_mm
-            )
+            imprint = self._indent(vertices_mm, faces, motion.moved(pose), load)
         field = self._field(imprint) if self._markers_drawn and imprint.depth_mm.size else None
-        return Imprint(
-            imprint.indentation_mm,
-            imprint.volume_mm3,
-            imprint.saturated,
-            imprint.window,
-            imprint.depth_mm,
-            motion,
-            field,
-        )
+        return replace(imprint, motion=motion, field=field)
 
-    def picture(
+    def image(
         self, imprint: Imprint, *, rng: np.random.Generator | None = None
     ) -> NDArray[np.uint8]:
-        """The sensor's picture (H, W, 3) of an imprint; ``rng`` draws the camera's noise."""
+        """The sensor's image (H, W, 3) of an imprint; ``rng`` draws the camera's noise."""
         deformation, window = self._deformation(imprint)
         markers_mm = None
         if self._markers_drawn:
@@ -216,30 +183,20 @@ class Pad:
                 markers_mm = imprint.field.displaced_mm(imprint.motion)
         return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng)
 
-    def feel(
+    def render(
         self,
         mesh: Mesh,
-        pose_gel_object: NDArray[np.floating],
+        pose_gel_object: FloatArray,
+        load: GelLoad,
         *,
-        volume_mm3: float | None = None,
-        indentation_mm: float | None = None,
-        shear_sum_mm: NDArray[np.floating] | tuple[float, float] = (0.0, 0.0),
-        turn_sum_mm2: float = 0.0,
         rng: np.random.Generator | None = None,
-    ) -> Felt:
-        """``press`` and ``picture`` in one."""
-        imprint = self.press(
-            mesh,
-            pose_gel_object,
-            volume_mm3=volume_mm3,
-            indentation_mm=indentation_mm,
-            shear_sum_mm=shear_sum_mm,
-            turn_sum_mm2=turn_sum_mm2,
-        )
-        return Felt(self.picture(imprint, rng=rng), imprint)
+    ) -> TactileFrame:
+        """``press`` and ``image`` in one."""
+        imprint = self.press(mesh, pose_gel_object, load)
+        return TactileFrame(self.image(imprint, rng=rng), imprint)
 
     def height_map_mm(self, imprint: Imprint) -> NDArray[np.float32]:
-        """The deformed gel surface (H, W), gel frame, that ``picture`` shows."""
+        """The deformed gel surface (H, W), gel frame, that ``image`` shows."""
         height = gel_map_mm(self.sensor).astype(np.float32)
         deformation, (top, bottom, left, right) = self._deformation(imprint)
         height[top:bottom, left:right] -= deformation
@@ -250,8 +207,7 @@ class Pad:
         vertices_mm: NDArray[np.float64],
         faces: NDArray[np.int32],
         pose: NDArray[np.float64],
-        volume_mm3: float | None,
-        indentation_mm: float | None,
+        load: GelLoad,
     ) -> Imprint:
         sensor = self.sensor
         deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
@@ -260,10 +216,10 @@ class Pad:
         while True:
             gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=reach_mm)
             delta = 0.0
-            if gap.touches and volume_mm3 is not None:
-                delta = solve_grains(gap.grains, volume_mm3 / grain_mm3, deepest)
-            elif gap.touches and indentation_mm is not None:
-                delta = min(max(0.0, indentation_mm / GAP_GRAIN_MM), deepest)
+            if gap.touches and load.volume_mm3 is not None:
+                delta = solve_grains(gap.grains, load.volume_mm3 / grain_mm3, deepest)
+            elif gap.touches and load.indentation_mm is not None:
+                delta = min(max(0.0, load.indentation_mm / GAP_GRAIN_MM), deepest)
             # What lies beyond the reach could only have made the gel give less: δ is a bound.
             if delta * GAP_GRAIN_MM <= reach_mm:
                 return self._imprint_at(gap, delta, saturated=delta >= deepest)

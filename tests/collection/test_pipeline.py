@@ -2,7 +2,7 @@
 
 import pytest
 
-from tacgen.collection.pipeline import contact_law, dataset_spec, felt_pad, recipe_object
+from tacgen.collection.pipeline import contact_law, dataset_spec, recipe_object, tactile_pad
 from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
 from tacgen.core.errors import RecipeError, TableError
 from tacgen.core.resources import packaged
@@ -24,7 +24,7 @@ def test_a_table_of_another_resolution_is_named_with_both():
     choice = {"name": "digit", "table": str(packaged("recipes") / "sensors/gelsight.table.npz")}
     recipe = Recipe.model_validate({"name": "r", "objects": ["cup"], "sensor": choice})
     with pytest.raises(TableError, match=r"gelsight.table.npz: .* 640×480 .* 'digit' of 240×320"):
-        felt_pad(recipe)
+        tactile_pad(recipe)
 
 
 def test_a_recipe_overrides_what_the_object_says():

@@ -1,4 +1,4 @@
-"""From forces to the deformation of the gel: linear where the law is, with memory where not."""
+"""From forces to the gel_loads of the gel: linear where the law is, with memory where not."""
 
 import math
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.records import ContactFrame, Estimate
-from tacgen.sensor.gel_response import deformation, load_history
+from tacgen.sensor.gel_response import gel_loads, load_history
 
 
 def frames(forces_n, times_s, shear_n=(0.0, 0.0), torsion_n_mm=0.0):
@@ -31,38 +31,38 @@ def with_creep(amount, tau_s):
 
 def test_a_linear_law_is_linear_in_force_shear_and_torsion():
     law = ContactLaw.linear(5.0, 0.8)
-    felt = deformation(law, frames([0, 2, 4], [0, 1, 2], (0.3, -0.5), 10.0))
-    assert felt.volume_mm3 == pytest.approx([0, 10, 20])
-    np.testing.assert_allclose(felt.shear_sum_mm, np.tile([0.24, -0.4], (3, 1)))
-    np.testing.assert_allclose(felt.turn_sum_mm2, 8.0)
-    assert felt.depth_mm == [None] * 3
+    loads = gel_loads(law, frames([0, 2, 4], [0, 1, 2], (0.3, -0.5), 10.0))
+    assert [load.volume_mm3 for load in loads] == pytest.approx([0, 10, 20])
+    np.testing.assert_allclose([load.shear_sum_mm for load in loads], np.tile([0.24, -0.4], (3, 1)))
+    np.testing.assert_allclose([load.turn_sum_mm2 for load in loads], 8.0)
+    assert [load.indentation_mm for load in loads] == [None] * 3
 
 
 def test_randomised_compliance_scales_the_volume():
-    felt = deformation(ContactLaw.linear(5.0), frames([2, 4], [0, 1]), k_n_factor=1.2)
-    assert felt.volume_mm3 == pytest.approx([12, 24])
+    loads = gel_loads(ContactLaw.linear(5.0), frames([2, 4], [0, 1]), k_n_factor=1.2)
+    assert [load.volume_mm3 for load in loads] == pytest.approx([12, 24])
 
 
 def test_tactos_law_gives_a_depth_and_no_volume():
     law = replace(
         ContactLaw.linear(5.0), law="linear_depth", k_depth_mm_per_n=Estimate(0.02, 0.0, "mm/N")
     )
-    felt = deformation(law, frames([2, 4], [0, 1]))
-    assert felt.volume_mm3 == [None, None]
-    assert felt.depth_mm == pytest.approx([0.04, 0.08])
+    loads = gel_loads(law, frames([2, 4], [0, 1]))
+    assert [load.volume_mm3 for load in loads] == [None, None]
+    assert [load.indentation_mm for load in loads] == pytest.approx([0.04, 0.08])
 
 
 def test_a_law_without_shear_moves_no_marker():
-    felt = deformation(ContactLaw.linear(5.0), frames([2], [0.5], (1.0, 0.0), 5.0))
-    assert not felt.shear_sum_mm.any()
-    assert not felt.turn_sum_mm2.any()
+    loads = gel_loads(ContactLaw.linear(5.0), frames([2], [0.5], (1.0, 0.0), 5.0))
+    assert not loads[0].shear_sum_mm.any()
+    assert not loads[0].turn_sum_mm2
 
 
 def test_creep_shows_in_the_sequence_and_ends_at_its_asymptote():
     """A held force: the gel goes on yielding, to 1 + amount times the elastic imprint."""
     times = np.array([0.0, 0.1, 0.5, 1.0, 2.0, 20.0])
-    felt = deformation(with_creep(0.3, 0.8), frames([0, 4, 4, 4, 4, 4], times))
-    volume = np.array(felt.volume_mm3)
+    loads = gel_loads(with_creep(0.3, 0.8), frames([0, 4, 4, 4, 4, 4], times))
+    volume = np.array([load.volume_mm3 for load in loads])
     assert volume[0] == 0
     assert (np.diff(volume[1:]) > 0).all()
     assert volume[-1] == pytest.approx(5.0 * 4 * 1.3, rel=1e-6)
@@ -73,7 +73,7 @@ def test_creep_shows_in_the_sequence_and_ends_at_its_asymptote():
 
 def test_a_single_frame_knows_how_long_the_load_has_been_on():
     early, late = (
-        deformation(with_creep(0.3, 0.8), frames([4], [t])).volume_mm3[0] for t in (0.1, 3.0)
+        gel_loads(with_creep(0.3, 0.8), frames([4], [t]))[0].volume_mm3 for t in (0.1, 3.0)
     )
     assert 20 < early < late < 26
 
@@ -83,8 +83,7 @@ def test_a_gel_is_conditioned_by_the_first_grasps_of_a_dataset():
     effect = FittedEffect("conditioning", "normal", MappingProxyType(parameters))
     law = replace(ContactLaw.linear(5.0), effects=(effect,))
     volume = [
-        deformation(law, frames([4], [1.0]), grasp_index=index).volume_mm3[0]
-        for index in (0, 1, 100)
+        gel_loads(law, frames([4], [1.0]), grasp_index=index)[0].volume_mm3 for index in (0, 1, 100)
     ]
     # Gain 1 + 0.5 exp(−n / 2), n the grasps before this one.
     expected = [20 * (1 + 0.5 * math.exp(-n / 2)) for n in (0, 1, 100)]

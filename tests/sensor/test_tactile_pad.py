@@ -15,7 +15,8 @@ from tacgen.optics import deform, load_table, render_rgb
 from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Pad
+from tacgen.sensor.gel_response import GelLoad
+from tacgen.sensor.tactile_pad import TactilePad
 
 LEDS = tuple(
     ((0.866 * math.cos(a), 0.866 * math.sin(a), -0.5), tuple(1.5 * (i == k) for k in range(3)))
@@ -50,10 +51,10 @@ BOX = mesh_of(trimesh.creation.box((40, 40, 20)))
 @settings(max_examples=20, deadline=None)
 @given(x=st.floats(-6, 6), y=st.floats(-5, 5), shift_mm=st.floats(-10, 10), shadows=st.booleans())
 def test_moving_the_object_along_the_normal_changes_no_pixel(table, x, y, shift_mm, shadows):
-    pad = Pad(SENSOR, table, shadows=shadows)
+    pad = TactilePad(SENSOR, table, shadows=shadows)
+    load = GelLoad(4.0, shear_sum_mm=(1.0, 0.5))
     here, there = (
-        pad.feel(ball(3.0, 3), pose_at(x, y, z), volume_mm3=4.0, shear_sum_mm=(1.0, 0.5)).rgb
-        for z in (5.0, 5.0 + shift_mm)
+        pad.render(ball(3.0, 3), pose_at(x, y, z), load).rgb for z in (5.0, 5.0 + shift_mm)
     )
     np.testing.assert_array_equal(here, there)
 
@@ -61,28 +62,29 @@ def test_moving_the_object_along_the_normal_changes_no_pixel(table, x, y, shift_
 @settings(max_examples=12, deadline=None)
 @given(x=st.floats(-8, 8), y=st.floats(-6, 6), volume_mm3=st.floats(0.01, 30))
 def test_the_quick_way_is_the_contract_functions_one_after_another(table, x, y, volume_mm3):
-    pad = Pad(SENSOR, table)
+    pad = TactilePad(SENSOR, table)
     mesh = ball(4.0, 4)
-    felt = pad.feel(mesh, pose_at(x, y, 4.2), volume_mm3=volume_mm3)
+    frame = pad.render(mesh, pose_at(x, y, 4.2), GelLoad(volume_mm3))
     gap = gap_map(mesh.vertices_mm, mesh.faces, pose_at(x, y, 4.2), SENSOR)
     delta = solve_indentation(gap, volume_mm3, SENSOR.pixel_area_mm2)
-    assert felt.imprint.indentation_mm == pytest.approx(
+    assert frame.imprint.indentation_mm == pytest.approx(
         min(delta - gap.min(), SENSOR.gel_depth_mm), abs=1e-6
     )
-    depth = contact_depth(gap, float(gap.min()) + felt.imprint.indentation_mm)
+    depth = contact_depth(gap, float(gap.min()) + frame.imprint.indentation_mm)
     rgb = render_rgb(gel_map_mm(SENSOR) - deform(depth, SENSOR.mm_per_px), table)
     # δ differs by the grain of the gap, 2 nm: a pixel here and there rounds the other way.
-    difference = abs(rgb.astype(int) - felt.rgb)
+    difference = abs(rgb.astype(int) - frame.rgb)
     assert difference.max() <= 1
     assert (difference > 0).mean() < 1e-3
-    np.testing.assert_array_equal(render_rgb(pad.height_map_mm(felt.imprint), table), felt.rgb)
+    np.testing.assert_array_equal(render_rgb(pad.height_map_mm(frame.imprint), table), frame.rgb)
 
 
 @settings(max_examples=12, deadline=None)
 @given(radius_mm=st.floats(0.5, 8), volume_mm3=st.floats(0.01, 60), x=st.floats(-7, 7))
 def test_the_gel_loses_the_volume_that_was_asked_for(table, radius_mm, volume_mm3, x):
     """However deep the press: nothing that touches was left out."""
-    imprint = Pad(SENSOR, table).press(ball(radius_mm, 4), pose_at(x), volume_mm3=volume_mm3)
+    pad = TactilePad(SENSOR, table)
+    imprint = pad.press(ball(radius_mm, 4), pose_at(x), GelLoad(volume_mm3))
     if imprint.saturated:
         assert imprint.indentation_mm == SENSOR.gel_depth_mm
         assert imprint.volume_mm3 <= volume_mm3 * (1 + 1e-6)
@@ -91,9 +93,9 @@ def test_the_gel_loses_the_volume_that_was_asked_for(table, radius_mm, volume_mm
 
 
 def test_a_flat_face_leaves_a_patch_that_grows_with_force(table):
-    pad = Pad(SENSOR, table)
+    pad = TactilePad(SENSOR, table)
     for volume_mm3 in (1.0, 5.0, 25.0):
-        imprint = pad.press(BOX, pose_at(), volume_mm3=volume_mm3)
+        imprint = pad.press(BOX, pose_at(), GelLoad(volume_mm3))
         radius_mm = math.sqrt(60 * imprint.indentation_mm - imprint.indentation_mm**2)
         area_mm2 = (imprint.depth_mm > 0).sum() * SENSOR.pixel_area_mm2
         assert area_mm2 == pytest.approx(math.pi * radius_mm**2, rel=0.03)
@@ -101,37 +103,37 @@ def test_a_flat_face_leaves_a_patch_that_grows_with_force(table):
 
 def test_a_flat_face_on_a_flat_gel_leaves_no_imprint(table):
     flat = replace(SENSOR, dome_radius_mm=0.0)
-    pad = Pad(flat, table)
+    pad = TactilePad(flat, table)
     np.testing.assert_array_equal(
-        pad.feel(BOX, pose_at(), volume_mm3=30.0).rgb, pad.feel(BOX, pose_at(), volume_mm3=0.0).rgb
+        pad.render(BOX, pose_at(), GelLoad(30.0)).rgb, pad.render(BOX, pose_at(), GelLoad()).rgb
     )
 
 
 def test_too_much_force_presses_the_gel_through_and_says_so(table):
-    imprint = Pad(SENSOR, table).press(ball(2.0), pose_at(), volume_mm3=1e4)
+    imprint = TactilePad(SENSOR, table).press(ball(2.0), pose_at(), GelLoad(1e4))
     assert imprint.saturated
     assert imprint.indentation_mm == SENSOR.gel_depth_mm
     assert imprint.volume_mm3 < 1e4
 
 
 def test_an_object_beside_the_pad_leaves_the_picture_of_the_gel_at_rest(table):
-    pad = Pad(SENSOR, table)
-    felt = pad.feel(ball(2.0), pose_at(x_mm=30), volume_mm3=10.0, shear_sum_mm=(1.0, 0.0))
-    np.testing.assert_array_equal(felt.rgb, render_rgb(gel_map_mm(SENSOR), table))
-    assert felt.imprint.indentation_mm == 0
-    assert not felt.imprint.saturated
+    pad = TactilePad(SENSOR, table)
+    frame = pad.render(ball(2.0), pose_at(x_mm=30), GelLoad(10.0, shear_sum_mm=(1.0, 0.0)))
+    np.testing.assert_array_equal(frame.rgb, render_rgb(gel_map_mm(SENSOR), table))
+    assert frame.imprint.indentation_mm == 0
+    assert not frame.imprint.saturated
 
 
 def test_the_depth_law_presses_to_its_depth(table):
-    imprint = Pad(SENSOR, table).press(ball(4.0), pose_at(), indentation_mm=0.7)
+    imprint = TactilePad(SENSOR, table).press(ball(4.0), pose_at(), GelLoad(indentation_mm=0.7))
     assert imprint.indentation_mm == pytest.approx(0.7, abs=1e-6)
     assert imprint.depth_mm.max() == pytest.approx(0.7, abs=1e-6)
 
 
 def test_shear_carries_the_imprint_along_and_the_markers_sum_to_it(table):
-    pad = Pad(SENSOR, table, markers=True)
-    still = pad.press(ball(3.0), pose_at(), volume_mm3=5.0)
-    sheared = pad.press(ball(3.0), pose_at(), volume_mm3=5.0, shear_sum_mm=(6.0, -3.0))
+    pad = TactilePad(SENSOR, table, markers=True)
+    still = pad.press(ball(3.0), pose_at(), GelLoad(5.0))
+    sheared = pad.press(ball(3.0), pose_at(), GelLoad(5.0, shear_sum_mm=(6.0, -3.0)))
     shift_px = sheared.motion.shift_mm / SENSOR.mm_per_px
     assert shift_px[0] > 1
 
@@ -148,28 +150,28 @@ def test_shear_carries_the_imprint_along_and_the_markers_sum_to_it(table):
 
 
 def test_frames_do_not_depend_on_the_frames_before(table):
-    pad = Pad(SENSOR, table, shadows=True, markers=True)
+    pad = TactilePad(SENSOR, table, shadows=True, markers=True)
 
     def frame():
-        rng = np.random.default_rng(7)
-        return pad.feel(ball(3.0), pose_at(1, 2), volume_mm3=4.0, shear_sum_mm=(2, 1), rng=rng).rgb
+        load, rng = GelLoad(4.0, shear_sum_mm=(2, 1)), np.random.default_rng(7)
+        return pad.render(ball(3.0), pose_at(1, 2), load, rng=rng).rgb
 
     first = frame()
-    pad.feel(BOX, pose_at(-3, 1), volume_mm3=20.0, rng=np.random.default_rng(8))
+    pad.render(BOX, pose_at(-3, 1), GelLoad(20.0), rng=np.random.default_rng(8))
     np.testing.assert_array_equal(frame(), first)
 
 
 def test_both_cameras_press_the_same(table, monkeypatch):
     """The other camera's part of the joint, with the exact depth in place of GL."""
     mesh, pose = ball(4.0), pose_at(1, -1, 4)
-    exact = Pad(SENSOR, table).press(mesh, pose, volume_mm3=6.0)
+    exact = TactilePad(SENSOR, table).press(mesh, pose, GelLoad(6.0))
 
     def by_gap(vertices_mm, faces, pose_gel_object, sensor):
         gap = gap_map(vertices_mm, faces, pose_gel_object, sensor).astype(float)
         return gap + gel_map_mm(sensor) - pose_gel_object[2, 3]
 
     monkeypatch.setattr("tacgen.contact.pyrender_camera.depth_map_mm", by_gap)
-    other = Pad(SENSOR, table, camera="pyrender").press(mesh, pose, volume_mm3=6.0)
+    other = TactilePad(SENSOR, table, camera="pyrender").press(mesh, pose, GelLoad(6.0))
     assert other.indentation_mm == pytest.approx(exact.indentation_mm, abs=1e-5)
 
 
@@ -179,14 +181,14 @@ def test_the_shipped_tables_render_unseen_presses_as_the_virtual_sensor(name):
     sensor = load_sensor(name)
     made = load_table(sensor.table)
     virtual = VirtualSensor.like(sensor)
-    pad = Pad(sensor, made)
+    pad = TactilePad(sensor, made)
     reference = render_rgb(gel_map_mm(sensor), made).astype(float)
     assert abs(reference - virtual.grey_levels(gel_map_mm(sensor))).max() < 0.6
     for radius_mm, depth_mm, x, y in ((3.0, 0.8, 2.0, 1.0), (1.5, 0.6, 3.0, -3.5), (6, 0.5, -4, 2)):
-        imprint = pad.press(ball(radius_mm, 6), pose_at(x, y), indentation_mm=depth_mm)
+        imprint = pad.press(ball(radius_mm, 6), pose_at(x, y), GelLoad(indentation_mm=depth_mm))
         truth = virtual.grey_levels(pad.height_map_mm(imprint))
         touched = imprint.depth_map_mm(sensor) > 0
-        error = pad.picture(imprint).astype(float) - truth
+        error = pad.image(imprint).astype(float) - truth
         signal = (truth - reference)[touched]
         rmse = np.sqrt((error[touched] ** 2).mean())
         # Rounding and a quadratic in position are worth about one grey level of it.

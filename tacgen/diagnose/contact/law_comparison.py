@@ -1,4 +1,4 @@
-"""The same grasp felt by two contact laws: what an effect that was found changes in the images."""
+"""One grasp rendered with two contact laws: what an effect that was found changes."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.collection.grid import plan_recipe
-from tacgen.collection.pipeline import felt_pad, frame_request, recipe_object
+from tacgen.collection.pipeline import frame_request, recipe_object, tactile_pad
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import ContactLaw
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import ContactFrame, GraspObject
 from tacgen.physics import GraspSimulator, run_grasp
 from tacgen.report import Section, figure_section, image_section, write_page
-from tacgen.sensor.gel_response import deformation
-from tacgen.sensor.tactile_pad import Felt, Pad
+from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.tactile_pad import TactileFrame, TactilePad
 
 STRIP_FRAMES = 6
 THUMBNAIL_WIDTH_PX = 170
@@ -38,13 +38,13 @@ def write_before_after(recipe: Recipe, before: ContactLaw, after: ContactLaw, pa
         msg = f"recipe {recipe.name!r} asks for single images; memory shows in `mode: sequence`"
         raise RecipeError(msg)
     grasped, frames = _strongest_grasp(recipe)
-    pad = felt_pad(recipe)
-    felt = {
-        name: _feel(pad, grasped, frames, law)
+    pad = tactile_pad(recipe)
+    rendered = {
+        name: _render(pad, grasped, frames, law)
         for name, law in (("before", before), ("after", after))
     }
-    sections = [_curves(frames, felt), _strips(felt)]
-    write_page(path, "The same grasp before and after", sections, summary=_sentence(felt))
+    sections = [_curves(frames, rendered), _strips(rendered)]
+    write_page(path, "The same grasp before and after", sections, summary=_sentence(rendered))
 
 
 def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, ...]]:
@@ -65,41 +65,34 @@ def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, .
     return grasped, frames
 
 
-def _feel(
-    pad: Pad, grasped: GraspObject, frames: Sequence[ContactFrame], law: ContactLaw
-) -> list[Felt]:
-    bulk = deformation(law, frames)
+def _render(
+    pad: TactilePad, grasped: GraspObject, frames: Sequence[ContactFrame], law: ContactLaw
+) -> list[TactileFrame]:
+    loads = gel_loads(law, frames)
     return [
-        pad.feel(
-            grasped.surface,
-            frame.pose_gel_object,
-            volume_mm3=bulk.volume_mm3[k],
-            indentation_mm=bulk.depth_mm[k],
-            shear_sum_mm=bulk.shear_sum_mm[k],
-            turn_sum_mm2=bulk.turn_sum_mm2[k],
-        )
-        for k, frame in enumerate(frames)
+        pad.render(grasped.surface, frame.pose_gel_object, load)
+        for frame, load in zip(frames, loads, strict=True)
     ]
 
 
-def _curves(frames: Sequence[ContactFrame], felt: dict[str, list[Felt]]) -> Section:
+def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFrame]]) -> Section:
     figure = Figure(figsize=(10, 3), layout="constrained")
     force, volume = figure.subplots(1, 2)
     times_s = [frame.time_s for frame in frames]
     force.plot(times_s, [frame.force_normal_n for frame in frames], color="#1c2430")
     force.set(xlabel="time (s)", ylabel="normal force (N)")
     for name, color in (("before", "#8a94a3"), ("after", "#0b6e99")):
-        volumes = [one.imprint.volume_mm3 for one in felt[name]]
+        volumes = [one.imprint.volume_mm3 for one in rendered[name]]
         volume.plot(times_s, volumes, color=color, label=name)
     volume.set(xlabel="time (s)", ylabel="imprint volume (mm³)")
     volume.legend(frameon=False)
     return figure_section("Force and imprint", figure)
 
 
-def _strips(felt: dict[str, list[Felt]]) -> Section:
-    count = len(felt["before"])
+def _strips(rendered: dict[str, list[TactileFrame]]) -> Section:
+    count = len(rendered["before"])
     chosen = np.unique(np.linspace(0, count - 1, min(STRIP_FRAMES, count)).astype(int))
-    rows = {name: np.stack([felt[name][k].rgb for k in chosen]) for name in felt}
+    rows = {name: np.stack([rendered[name][k].rgb for k in chosen]) for name in rendered}
     difference = rows["after"].astype(int) - rows["before"]
     grey = np.clip(128 + DIFFERENCE_GAIN * difference, 0, 255).astype(np.uint8)
     strips = [_strip(images) for images in (rows["before"], rows["after"], grey)]
@@ -118,14 +111,14 @@ def _strip(images: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.concatenate(small, axis=1)
 
 
-def _sentence(felt: dict[str, list[Felt]]) -> str:
+def _sentence(rendered: dict[str, list[TactileFrame]]) -> str:
     before, after = (
-        np.array([one.imprint.volume_mm3 for one in felt[name]]) for name in ("before", "after")
+        np.array([one.imprint.volume_mm3 for one in rendered[name]]) for name in ("before", "after")
     )
     grey = np.mean(
         [
             np.abs(a.rgb.astype(int) - b.rgb).mean()
-            for a, b in zip(felt["after"], felt["before"], strict=True)
+            for a, b in zip(rendered["after"], rendered["before"], strict=True)
         ]
     )
     most = int(np.argmax(np.abs(after - before)))
