@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from tacgen.dataset.real_grasps import BACKGROUND, RealGrasp, read_real_grasps
 CONFIGURATION_DIGITS = 6
 """Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
 FRAME_UNKNOWN = -1
-MAX_IMAGE_BYTES, MAX_SIDE_PX = 64 << 20, 8192
+MAX_IMAGE_BYTES = 64 << 20
 """More than any tactile camera gives; a larger file is not an image of one."""
 MAX_NAMED = 5
 """Grasps without images that a message names; it counts the others."""
@@ -219,10 +219,10 @@ class RealGraspImages:
             raise LearningError(msg)
 
 
-def _table_of_simulated(columns: dict[str, NDArray]) -> GraspTable:
+def _table_of_simulated(columns: dict[str, NDArray[Any]]) -> GraspTable:
     executed = columns["label"] != LABEL_NOT_EXECUTED
 
-    def column(name: str, dtype: type) -> NDArray:
+    def column(name: str, dtype: type) -> NDArray[Any]:
         return columns[name][executed].astype(dtype)
 
     return GraspTable(
@@ -263,7 +263,7 @@ def _read_image(path: Path) -> NDArray[np.uint8]:
         msg = f"{path}: larger than {MAX_IMAGE_BYTES >> 20} MB; save a smaller image"
         raise LearningError(msg)
     image = read_bgr(path)
-    if image is None or max(image.shape) > MAX_SIDE_PX:
+    if image is None:
         msg = f"{path}: cannot be read as an image; save it again as 8-bit PNG"
         raise LearningError(msg)
     return np.ascontiguousarray(image[..., ::-1])

@@ -189,6 +189,6 @@ def augmented(
     return np.clip(np.rint(gain * moved + noise), 0, 255).astype(np.uint8)
 
 
-def _three(values: Sequence[float] | NDArray) -> tuple[float, float, float]:
+def _three(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float, float]:
     red, green, blue = (float(value) for value in values)
     return red, green, blue

@@ -13,8 +13,9 @@ import yaml
 from pydantic import ValidationError
 
 from tacgen.core.errors import LearningError
-from tacgen.core.files import write_text
+from tacgen.core.files import read_small_text, write_text
 from tacgen.dataset.locks import open_locked, write_holder
+from tacgen.dataset.plan import differences
 from tacgen.learning.training_recipe import TrainRecipe
 
 SCHEMA = 1
@@ -154,19 +155,15 @@ class RunFolder:
     def _refuse_another(self, plan: Mapping[str, Any]) -> None:
         made = self.plan()
         wanted = json.loads(json.dumps(dict(plan)))
-        differing = sorted(k for k in {*made, *wanted} if made.get(k) != wanted.get(k))
-        if not differing:
-            return
-        settings = [
-            f"recipe.{text}"
-            for text in _differences(made.get("recipe", {}), wanted.get("recipe", {}))
-        ]
-        others = [key for key in differing if key not in ("recipe", "recipe_sha256")]
-        msg = (
-            f"{self.root}: holds another run, which differs in {', '.join([*settings, *others])}; "
-            "give another --out, or remove the folder"
-        )
-        raise LearningError(msg)
+        differing = {key for key in {*made, *wanted} if made.get(key) != wanted.get(key)}
+        if differing:
+            settings = differences(made.get("recipe"), wanted.get("recipe"), "recipe")
+            others = sorted(differing - {"recipe", "recipe_sha256"})
+            msg = (
+                f"{self.root}: holds another run, which differs in "
+                f"{'; '.join([*settings, *others])}; give another --out, or remove the folder"
+            )
+            raise LearningError(msg)
 
 
 def read_json(path: Path, fix: str) -> dict[str, Any]:
@@ -178,17 +175,14 @@ def read_json(path: Path, fix: str) -> dict[str, Any]:
         If there is none; the message ends with ``fix``.
     """
     try:
-        if path.stat().st_size <= MAX_JSON_BYTES:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(content, dict):
-                return content
-        problem = "is not a JSON object as tacgen writes it"
-    except FileNotFoundError:
-        problem = "is not there"
+        content = json.loads(read_small_text(path, MAX_JSON_BYTES))
     except (OSError, ValueError, RecursionError) as error:
-        problem = f"cannot be read ({error})"
-    msg = f"{path}: {problem}; {fix}"
-    raise LearningError(msg)
+        msg = f"{path}: cannot be read ({error}); {fix}"
+        raise LearningError(msg) from error
+    if not isinstance(content, dict):
+        msg = f"{path}: is not a JSON object as tacgen writes it; {fix}"
+        raise LearningError(msg)
+    return content
 
 
 def _is_plan(plan: Mapping[str, Any]) -> bool:
@@ -202,14 +196,3 @@ def _is_plan(plan: Mapping[str, Any]) -> bool:
             for model in models.values()
         )
     )
-
-
-def _differences(old: Any, new: Any, where: str = "") -> list[str]:
-    if isinstance(old, dict) and isinstance(new, dict):
-        keys = list(dict.fromkeys([*old, *new]))
-        parts = [
-            _differences(old.get(key), new.get(key), f"{where}.{key}" if where else key)
-            for key in keys
-        ]
-        return [text for part in parts for text in part]
-    return [] if old == new else [f"{where} ({json.dumps(old)} there, {json.dumps(new)} now)"]

@@ -253,7 +253,10 @@ def test_a_model_that_was_swapped_or_damaged_is_refused(run, sequence, toy):
 
 
 def test_a_folder_that_is_no_run_is_refused(toy, tmp_path, run):
-    with pytest.raises(LearningError, match=r"run\.json: is not there; give the folder"):
+    with pytest.raises(
+        LearningError,
+        match=r"run\.json: cannot be read \(missing, or not a file\); give the folder",
+    ):
         evaluate(tmp_path, data=toy)
     (run / "run.json").write_text("[]")
     with pytest.raises(LearningError, match=r"run\.json: is not a JSON object as tacgen writes it"):

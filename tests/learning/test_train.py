@@ -244,7 +244,7 @@ def test_the_threads_belong_to_the_run(toy, recipe, trained):
     changed = recipe.model_copy(
         update={"training": recipe.training.model_copy(update={"threads": 2})}
     )
-    with pytest.raises(LearningError, match=r"recipe\.training\.threads \(1 there, 2 now\)"):
+    with pytest.raises(LearningError, match=r"recipe\.training\.threads: 1 there, 2 now"):
         train(changed, toy, trained)
 
 

@@ -103,8 +103,9 @@ class GraspDiagnosis:
         n = len(self.real)
         before, after = round(n * self.rate_before), round(n * self.rate_after)
         if self.verdict == "sufficient":
-            few = " So few grasps could hardly show more." if n < FEW else ""
-            return f"The simulated grasps suffice: {before} of {n} end otherwise.{few}"
+            few = " With so few grasps, an effect could hardly be detected." if n < FEW else ""
+            count = f"{n - before} of {n}" if before else f"all {n}"
+            return f"The simulation reproduces {count} labels.{few}"
         left = ", ".join(d.covariate for d in self.dependences)
         follows = f" follows {left}" if left else " follows none of the known columns"
         if not self.found:
