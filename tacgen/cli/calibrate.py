@@ -144,19 +144,21 @@ def calibrate_contact(
     report: ReportOption = None,
     by: Annotated[
         str | None,
-        typer.Option(help="Also fit k for each value of this column and compare; or `trial`."),
+        typer.Option(
+            help="Column whose values are compared by a k each, or `trial`; if not given, the "
+            "indenters or the first text column."
+        ),
     ] = None,
     contact_point: Annotated[
         str,
         typer.Option(
-            help="Depth at first contact: fixed (as logged), free (fitted for each press), or auto."
+            help="Depth at first contact: fixed (as logged), free (fitted for each press), or auto "
+            "(free where the volume was computed from the depth of a ball)."
         ),
     ] = "auto",
     force_unit: Annotated[
         str | None,
-        typer.Option(
-            help="Unit of the force columns, unless their names state it: n, mn, gf or kgf."
-        ),
+        typer.Option(help="Unit of the force columns, if not newtons: n, mn, gf or kgf."),
     ] = None,
     marker_pitch_mm: MarkerPitchOption = None,
     radius_mm: Annotated[

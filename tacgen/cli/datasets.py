@@ -170,6 +170,6 @@ def _looks_whole(out: Path) -> bool:
     """Whether it seems that no worker will be needed; a guess that only saves time."""
     try:
         plan = json.loads((out / "dataset.json").read_text(encoding="utf-8"))
-        return len(list(out.glob("shards/shard-*.json"))) >= plan["n_shards"]
+        return len(list(out.glob("shards/shard-*.json"))) >= int(plan["n_shards"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False

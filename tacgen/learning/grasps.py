@@ -223,7 +223,7 @@ def _table_of_simulated(columns: dict[str, NDArray[Any]]) -> GraspTable:
     executed = columns["label"] != LABEL_NOT_EXECUTED
 
     def column(name: str, dtype: type) -> NDArray[Any]:
-        return columns[name][executed].astype(dtype)
+        return np.asarray(columns[name][executed], dtype)
 
     return GraspTable(
         ids=column("index", np.str_),

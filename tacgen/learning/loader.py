@@ -18,7 +18,7 @@ from tacgen.learning.training_recipe import Augmentation
 _STREAM_ORDER, _STREAM_AUGMENT = 10, 11  # keep the random numbers of one seed apart
 
 
-class DecodedInputs(torch.utils.data.Dataset):
+class DecodedInputs(torch.utils.data.Dataset[NDArray[np.uint8]]):
     """The frames of some grasps at the network's size: item ``i`` is (T, h, w, 3) uint8.
 
     All are decoded once and kept in memory if they fit into ``cache_mb``; otherwise every process

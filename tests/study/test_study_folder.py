@@ -139,7 +139,9 @@ def test_rows_tested_on_different_grasps_say_on_which(tmp_path, no_networks):
     text = (out / "table.md").read_text()
     column = "The column sim-to-real or other simulation of"
     assert f"{column} single image is measured on {real}.\n" in text
-    assert f"{column} one model for all is measured on {world}, simulated" in text
+    assert (
+        f"{column} one model for all is measured on {world}, grasps of another simulation" in text
+    )
     assert "| single image | sim-to-real | 0.900 |" in text
     assert "| one model for all | other simulation | 0.900 |" in text
 

@@ -193,14 +193,14 @@ class _Export:
         )
         return n_frames
 
-    def _values(self, sample: GraspSample) -> dict[str, NDArray]:
+    def _values(self, sample: GraspSample) -> dict[str, NDArray[Any]]:
         """What a grasp contributes to each feature, (T, …)."""
         n_frames = self.dataset.n_frames
         felt = [
             np.column_stack([pad.force_normal_n, pad.force_shear_n, pad.indentation_mm])
             for pad in sample.pads.values()
         ]
-        images: dict[str, NDArray] = {
+        images: dict[str, NDArray[Any]] = {
             f"observation.images.{self._image_name(name)}": pad.rgb
             for name, pad in sample.pads.items()
         }

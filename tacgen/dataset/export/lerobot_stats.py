@@ -58,7 +58,7 @@ class VectorStats:
     rows: NDArray[np.float64]
 
     @classmethod
-    def of(cls, values: NDArray) -> VectorStats:
+    def of(cls, values: NDArray[Any]) -> VectorStats:
         """Those of (T, n) or (T,)."""
         return cls(np.asarray(values, np.float64).reshape(len(values), -1))
 

@@ -34,7 +34,7 @@ def arrow_schema(features: Mapping[str, Mapping[str, Any]]) -> pa.Schema:
 
 
 def episode_table(
-    values: Mapping[str, NDArray], features: Mapping[str, Mapping[str, Any]], schema: pa.Schema
+    values: Mapping[str, NDArray[Any]], features: Mapping[str, Mapping[str, Any]], schema: pa.Schema
 ) -> pa.Table:
     """One episode as a table: ``values`` holds (T, …) of every feature."""
     columns = []
