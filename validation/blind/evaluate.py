@@ -142,7 +142,7 @@ def ratios(case: Case, diagnosis: dict[str, Any]) -> dict[str, dict[str, float]]
                 "after_over_true_noise": after / noise,
                 "after_over_floor": after / record["noise_floor"]["rmse"],
                 "floor_over_true_noise": record["noise_floor"]["rmse"] / noise,
-                "after_over_gp": after / (record["gp_yardstick"]["rmse"] or np.nan),
+                "after_over_gp": after / (record["gp_baseline"]["rmse"] or np.nan),
                 "later_over_after": diagnosis["later"][channel] / after,
             }
     return found

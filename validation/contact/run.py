@@ -22,8 +22,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tacgen.diagnose.contact.attribution import Tracer
-from tacgen.diagnose.contact.channel import channel_data
+from tacgen.contact.effects import CHANNELS, Channel
+from tacgen.diagnose.contact.channel import ChannelSamples
+from tacgen.diagnose.contact.model import standard_errors, without_noise_bias
+from tacgen.diagnose.contact.selection import Selection
 from validation.contact.cases import (
     NORMAL_FORMS,
     OUTSIDE_FORMS,
@@ -91,9 +93,9 @@ def run_case(
     truth = blank_log(rng)
     k_n = float(truth.volume_mm3.max() / truth.force_n.max())
     columns, noise = make_case(effects, strength, rng, truth)
-    channel = "shear" if effects and effects[0][0] == "shear" else "normal"
+    channel: Channel = "shear" if effects and effects[0][0] == "shear" else "normal"
     outcomes = []
-    for name in ("normal", "shear") if kind in ("clean", "single") else (channel,):
+    for name in CHANNELS if kind in ("clean", "single") else (channel,):
         names = tuple(sorted(e[1] for e in effects)) if name == channel else ()
         outcomes.append(
             _trace(columns, name, names, kind, strength, seed, noise[name], k_n, effects)
@@ -103,7 +105,7 @@ def run_case(
 
 def _trace(
     columns: Columns,
-    channel: str,
+    channel: Channel,
     names: tuple[str, ...],
     kind: str,
     strength: float,
@@ -112,10 +114,8 @@ def _trace(
     k_n: float,
     effects: list[tuple[str, str, int]],
 ) -> Outcome:
-    from tacgen.diagnose.contact.model import standard_errors, without_noise_bias
-
-    data = channel_data(columns, "shear" if channel == "shear" else "normal")
-    result = Tracer(data, np.random.default_rng(seed)).run()
+    data = ChannelSamples(columns, channel).thinned()
+    result = Selection(data, np.random.default_rng(seed)).run()
     chosen = [c.candidate for c in result.chosen]
     covered = None
     if kind == "clean" and channel == "normal":

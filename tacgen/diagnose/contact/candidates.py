@@ -12,54 +12,59 @@ from tacgen.contact.effects import Effect, Variant, all_effects
 from tacgen.contact.law import respond
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
-from tacgen.diagnose.contact.covariates import Nuisance, numeric_nuisances, text_nuisances
+from tacgen.diagnose.contact.covariates import Covariate, numeric_covariates, text_covariates
 from tacgen.diagnose.contact.model import Fit, Model, references_of
-
-CONTRACT_COLUMNS = frozenset(
-    {
-        *("trial", "time_s", "indenter", "radius_mm", "x_mm", "y_mm", "force_normal_n"),
-        *("force_shear_x_n", "force_shear_y_n", "volume_mm3", "shear_x_mm", "shear_y_mm"),
-        "temperature_c",
-    }
-)
-MAX_SHARE_BESIDE_LOAD = 0.4
-"""Part of a column's variation within trials that load, turn and time must leave, for the column
-to count as a condition of its own."""
+from tacgen.presses.press_log import CONTRACT
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A variant of an effect, or a nuisance, and its reduced columns (R, M)."""
+    """A variant of an effect, or a covariate, and its reduced columns (R, M)."""
 
     name: str
     columns: FloatArray
     effect: Effect | None = None
     variant: Variant | None = None
-    nuisance: Nuisance | None = None
+    covariate: Covariate | None = None
 
     @property
     def is_effect(self) -> bool:
-        """Whether it is an effect of the list."""
+        """Whether it is a registered effect."""
         return self.effect is not None
 
     @property
-    def fitted(self) -> tuple[str, ...]:
-        """Names of the parameters that a fit of an effect frees."""
-        return self.variant.free if self.variant is not None else ()
+    def is_oscillation(self) -> bool:
+        """Whether it is an oscillation in session time."""
+        return self.covariate is not None and self.covariate.kind == "oscillation"
+
+    @property
+    def is_between_trials(self) -> bool:
+        """Whether it is an effect that differs from trial to trial."""
+        return self.effect is not None and self.effect.kind == "between trials"
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether it is an effect that follows the course of the load."""
+        return self.effect is not None and self.effect.kind == "memory"
 
     @property
     def n_parameters(self) -> int:
         """Number of parameters that a fit of it frees."""
         if self.variant is not None:
             return len(self.variant.free)
-        return self.nuisance.n_parameters if self.nuisance is not None else 0
+        return self.covariate.n_parameters if self.covariate is not None else 0
 
     @property
     def label(self) -> str:
-        """In words."""
+        """Its name for a reader."""
         if self.variant is not None:
             return f"{self.name}: {self.variant.label}"
-        return self.nuisance.label if self.nuisance is not None else self.name
+        return self.covariate.label if self.covariate is not None else self.name
+
+
+def known_columns() -> frozenset[str]:
+    """Columns of a press log that have a meaning: every other one is a covariate."""
+    return frozenset({*CONTRACT, *(name for effect in all_effects() for name in effect.needs)})
 
 
 def usable_effects(data: ChannelData) -> list[Effect]:
@@ -94,32 +99,33 @@ def effect_candidates(
     return candidates
 
 
-def covariate_nuisances(data: ChannelData, skip: Sequence[str] = ()) -> list[Nuisance]:
-    """Nuisances of every column that the contract does not know."""
-    found: list[Nuisance] = []
+def log_covariates(data: ChannelData, skip: Sequence[str] = ()) -> list[Covariate]:
+    """Covariates of every column that the contract does not know."""
+    found: list[Covariate] = []
+    known = known_columns()
     for name, values in data.columns.items():
-        if name in CONTRACT_COLUMNS or name in skip or name in TARGETS[data.channel]:
+        if name in known or name in skip or name in TARGETS[data.channel]:
             continue
         if np.issubdtype(np.asarray(values).dtype, np.number):
             if not follows_load(data, name):
-                found += numeric_nuisances(name, data)
+                found += numeric_covariates(name, data)
         else:
-            found += text_nuisances(name, data)
+            found += text_covariates(name, data)
     return found
 
 
-def nuisance_candidates(
-    data: ChannelData, fit: Fit, nuisances: Sequence[Nuisance]
+def covariate_candidates(
+    data: ChannelData, fit: Fit, covariates: Sequence[Covariate]
 ) -> list[Candidate]:
     """Their columns at the fitted law's response."""
     response = fit.model.law_response(data)
     return [
         Candidate(
-            nuisance.covariate,
-            np.stack([data.reduce(c) for c in nuisance.columns(data, response)], axis=1),
-            nuisance=nuisance,
+            covariate.column,
+            np.stack([data.reduce(c) for c in covariate.columns(data, response)], axis=1),
+            covariate=covariate,
         )
-        for nuisance in nuisances
+        for covariate in covariates
     ]
 
 
@@ -144,7 +150,7 @@ def follows_load(data: ChannelData, name: str) -> bool:
         return False
     share = np.linalg.lstsq(design, centred, rcond=None)[0]
     left = centred - design @ share
-    return float(left @ left) < MAX_SHARE_BESIDE_LOAD * total
+    return float(left @ left) < data.rules.max_share_beside_load * total
 
 
 def _within(values: FloatArray, trial_index: NDArray[np.int64]) -> FloatArray:

@@ -3,40 +3,36 @@
 The force is measured with noise too, and a fit that takes it as exact finds curvature near 0 N
 and a compliance that seems to vanish where there is no load. So neighbouring rows are put into
 two halves, A and B, whose noise is independent: a product of what is seen in A and what is left
-in B has no share of the noise, be it of the volume or of the force. Sums of such products stand
-wherever a sum of squares would be judged.
+in B has no share of the noise, be it of the volume or of the force. Sums of such products take
+the place of every sum of squares that is judged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from tacgen.contact.effects import Channel, LoadHistory
 from tacgen.contact.effects.kernels import moving_mean
 from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 
 TARGETS: dict[Channel, tuple[str, ...]] = {
     "normal": ("volume_mm3",),
     "shear": ("shear_x_mm", "shear_y_mm"),
 }
 UNITS: dict[Channel, str] = {"normal": "mm3", "shear": "mm"}
-ROWS_PER_TRIAL = 60
-MIN_ROWS = 1200
-MIN_UNITS = 36
-"""With few trials, parts of trials are the units that tests resample: about so many."""
-MIN_TRIALS_AS_UNITS = 12
-MIN_TRIALS_AS_FOLDS = 4
-OUTLIER_SIGMAS = 7.0
-MAX_SPIKES = 0.12
-"""Share of samples that stick out of their neighbours beyond which it is the signal that jumps."""
+_MEDIAN_OF_CHI2 = 0.455
+"""Median of a squared standard normal number."""
 
-Columns = Mapping[str, NDArray[Any]]
+Columns: TypeAlias = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -46,6 +42,7 @@ class ChannelData:
     Attributes
     ----------
     channel : str
+    rules : SelectionRules
     history : LoadHistory
     target : (N, C) float64
         Measured volume (C = 1) or shear motion (C = 2), in the history's order.
@@ -62,6 +59,7 @@ class ChannelData:
     """
 
     channel: Channel
+    rules: SelectionRules
     history: LoadHistory
     columns: Columns
     target: FloatArray
@@ -81,13 +79,25 @@ class ChannelData:
         """Number of units."""
         return int(self.pair_unit.max()) + 1
 
-    def folds(self, count: int) -> NDArray[np.int64]:
+    @property
+    def few_trials(self) -> bool:
+        """Whether units are parts of trials."""
+        return self.history.n_trials < self.rules.min_trials_as_units
+
+    @property
+    def row_unit(self) -> NDArray[np.int64]:
+        """The unit of each row (N,)."""
+        unit = np.zeros(self.history.n_samples, dtype=np.int64)
+        unit[self.pairs] = self.pair_unit
+        return unit
+
+    def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
+        count, n_trials = self.rules.n_folds, self.history.n_trials
+        if n_trials < self.rules.min_trials_as_folds:
+            return np.arange(self.n_units) % min(count, self.n_units)
         unit_trial = np.zeros(self.n_units, dtype=np.int64)
         unit_trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
-        n_trials = self.history.n_trials
-        if n_trials < MIN_TRIALS_AS_FOLDS:
-            return np.arange(self.n_units) % min(count, self.n_units)
         return unit_trial % min(count, n_trials)
 
     @property
@@ -112,55 +122,95 @@ class ChannelData:
         return shaped[self.pairs[0]].reshape(flat), shaped[self.pairs[1]].reshape(flat), unit
 
 
-def channel_data(columns: Columns, channel: Channel, *, rows_per_trial: int = 0) -> ChannelData:
-    """Prepare one channel of a press log's columns (finite where they are used).
+class ChannelSamples:
+    """Every sample of one channel, from which rows are averaged.
 
-    ``rows_per_trial`` 0 keeps ``ROWS_PER_TRIAL``, and more where trials are few.
+    Parameters
+    ----------
+    columns : mapping of name to (N,) array
+        A press log's, finite where they are used.
+    channel : str
+    rules : SelectionRules
     """
-    history = LoadHistory(columns)
-    rows_per_trial = rows_per_trial or max(ROWS_PER_TRIAL, MIN_ROWS // max(history.n_trials, 1))
-    target = np.stack([history.column(name) for name in TARGETS[channel]], axis=1)
-    load = history.force_normal_n[:, None] if channel == "normal" else history.force_shear_n
-    rough_k = float((load * target).sum() / max(float((load**2).sum()), 1e-12))
-    # Smoothed, since weights that follow a sample's own noise would bias every fit.
-    size = np.linalg.norm(_smoothed(load, history.starts), axis=1)
-    noise, precision = noise_and_weight(target - rough_k * load, size, history.starts)
-    n_samples = history.n_samples
-    columns, weight = _thinned(columns, history, precision, rows_per_trial)
-    history = LoadHistory(columns)
-    target = np.stack([history.column(name) for name in TARGETS[channel]], axis=1)
-    pairs, pair_unit = _pairs(history.starts)
-    return ChannelData(
-        channel, history, columns, target, noise, n_samples, weight, pairs, pair_unit
-    )
+
+    def __init__(
+        self, columns: Columns, channel: Channel, rules: SelectionRules = DEFAULT_RULES
+    ) -> None:
+        self.columns, self.channel, self.rules = columns, channel, rules
+        self.history = history = LoadHistory(columns)
+        target, load = self._target(history), history.load(channel)
+        rough_k = linear_compliance(load, target)
+        # Smoothed, since weights that follow a sample's own noise would bias every fit.
+        parts = [moving_mean(np.ascontiguousarray(axis), history.starts, 4) for axis in load.T]
+        size = np.linalg.norm(np.stack(parts, axis=1), axis=1)
+        residual = target - rough_k * load
+        self.noise, self.precision = noise_and_weight(residual, size, history.starts, rules)
+        self.thinned = lru_cache(maxsize=None)(self._thinned)
+
+    @property
+    def n_spikes(self) -> int:
+        """Number of samples that have no weight."""
+        return int((self.precision == 0).sum())
+
+    def _target(self, history: LoadHistory) -> FloatArray:
+        return np.stack([history.column(name) for name in TARGETS[self.channel]], axis=1)
+
+    def _thinned(self, rows_per_trial: int | None = None) -> ChannelData:
+        """Means over neighbouring samples, at most so many rows a trial, in order.
+
+        Without a number, as many as choosing among effects needs.
+        """
+        rules, history = self.rules, self.history
+        rows = rows_per_trial or max(
+            rules.rows_per_trial, rules.min_rows // max(history.n_trials, 1)
+        )
+        starts = [
+            np.arange(first, stop, max(1, int(np.ceil((stop - first) / rows))), dtype=np.int64)
+            for first, stop in pairwise(history.starts)
+        ]
+        edges = np.concatenate(starts)
+        precision = self.precision
+        weight = np.add.reduceat(precision, edges)
+        share = np.where(np.repeat(weight, np.diff([*edges, precision.size])) > 0, precision, 1.0)
+        total = np.add.reduceat(share, edges)
+        columns: dict[str, NDArray[Any]] = {}
+        for name, values in self.columns.items():
+            ordered = np.asarray(values)[history.order]
+            if name == "trial" or not np.issubdtype(ordered.dtype, np.number):
+                columns[name] = ordered[edges]
+            else:
+                columns[name] = np.add.reduceat(ordered * share, edges) / total
+        thinned = LoadHistory(columns)
+        return ChannelData(
+            self.channel,
+            rules,
+            thinned,
+            columns,
+            self._target(thinned),
+            self.noise,
+            history.n_samples,
+            weight,
+            *_pairs(thinned.starts, rules),
+        )
+
+    def every_sample(self) -> ChannelData:
+        """A row a sample."""
+        rows: ChannelData = self.thinned(int(np.diff(self.history.starts).max()))
+        return rows
 
 
-def _thinned(
-    columns: Columns, history: LoadHistory, precision: FloatArray, rows: int
-) -> tuple[dict[str, NDArray[Any]], FloatArray]:
-    """Means over neighbouring samples so that a trial has at most ``rows`` rows, in order."""
-    starts = [
-        np.arange(first, stop, max(1, int(np.ceil((stop - first) / rows))), dtype=np.int64)
-        for first, stop in pairwise(history.starts)
-    ]
-    edges = np.concatenate(starts)
-    weight = np.add.reduceat(precision, edges)
-    share = np.where(np.repeat(weight, np.diff([*edges, precision.size])) > 0, precision, 1.0)
-    total = np.add.reduceat(share, edges)
-    thinned: dict[str, NDArray[Any]] = {}
-    for name, values in columns.items():
-        ordered = np.asarray(values)[history.order]
-        if name == "trial" or not np.issubdtype(ordered.dtype, np.number):
-            thinned[name] = ordered[edges]
-        else:
-            thinned[name] = np.add.reduceat(ordered * share, edges) / total
-    return thinned, weight
+def linear_compliance(load: FloatArray, target: FloatArray) -> float:
+    """Least-squares compliance of ``target`` on ``load``, both (N, C): where a fit starts."""
+    return float((load * target).sum() / max(float((load**2).sum()), 1e-12))
 
 
-def _pairs(starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pairs(
+    starts: NDArray[np.int64], rules: SelectionRules
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Neighbouring rows of each trial, which of the two is A in turn, and the unit of each."""
     n_trials = starts.size - 1
-    parts = 1 if n_trials >= MIN_TRIALS_AS_UNITS else int(np.ceil(MIN_UNITS / max(n_trials, 1)))
+    few = n_trials < rules.min_trials_as_units
+    parts = int(np.ceil(rules.min_units / max(n_trials, 1))) if few else 1
     first_rows, units = [], []
     for trial, (first, stop) in enumerate(pairwise(starts)):
         here = np.arange(first, stop - 1, 2, dtype=np.int64)
@@ -173,7 +223,7 @@ def _pairs(starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def noise_and_weight(
-    rough: FloatArray, load: FloatArray, starts: NDArray[np.int64]
+    rough: FloatArray, load: FloatArray, starts: NDArray[np.int64], rules: SelectionRules
 ) -> tuple[float, FloatArray]:
     """Noise of one sample, and each sample's precision, from differences along each trial.
 
@@ -187,30 +237,83 @@ def noise_and_weight(
     rows = np.flatnonzero(inside)
     if rows.size < 8:
         return float(rough.std()) or 1e-12, np.ones(n)
-    second = rough[rows - 1] - 2.0 * rough[rows] + rough[rows + 1]
-    square = (second**2).mean(axis=1) / 6.0
-    typical = float(np.median(square)) / 0.455 or 1e-24
-    clean = square < OUTLIER_SIGMAS**2 * typical
+    square = _difference_square(rough[rows - 1], rough[rows], rough[rows + 1])
+    clean = is_clean(square, rules)
     noise = float(np.sqrt(square[clean].mean()))
-    weight = _precision(square[clean], load[rows[clean]], load)
-    weight[_spikes(rough, starts, noise / np.sqrt(weight))] = 0.0
+    weight = _precision(square[clean], load[rows[clean]], load, rules)
+    weight[_spikes(rough, starts, noise / np.sqrt(weight), rules)] = 0.0
     return max(noise, 1e-12), weight
 
 
-def _precision(square: FloatArray, load: FloatArray, everywhere: FloatArray) -> FloatArray:
-    """1/variance by a + b·load², the mean at 1 and the ratio of extremes at most 25."""
-    from scipy.optimize import nnls
+def _difference_square(before: FloatArray, here: FloatArray, after: FloatArray) -> FloatArray:
+    """Square of second differences (N, C), averaged to (N,), on the scale of one sample's."""
+    second = before - 2.0 * here + after
+    return (second**2).mean(axis=1) / 6.0
 
+
+def is_clean(square: FloatArray, rules: SelectionRules) -> BoolArray:
+    """Which squares of noise are no outliers."""
+    typical = float(np.median(square)) / _MEDIAN_OF_CHI2 or 1e-24
+    return square < rules.outlier_sigmas**2 * typical
+
+
+def noise_floor(
+    residual: FloatArray, starts: NDArray[np.int64], rules: SelectionRules = DEFAULT_RULES
+) -> float:
+    """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
+
+    Second differences along each trial: what varies slowly is not seen. Noise that goes on from
+    one sample to the next is seen whole by differences over 2, 4 and 8 samples, which are taken
+    as long as they rise little. Single samples that stick out do not count.
+    """
+    first, *wider_lags = rules.floor_lags
+    floor = _difference_noise(residual, starts, first, rules)
+    if not np.isfinite(floor):
+        return float(residual.std())
+    shortest = float(np.median(np.diff(starts)))
+    for lag in wider_lags:
+        wider = _difference_noise(residual, starts, lag, rules)
+        if shortest < rules.rows_per_lag * lag or not wider <= rules.max_floor_rise * floor:
+            break
+        floor = max(wider, floor)
+    return floor
+
+
+def _difference_noise(
+    residual: FloatArray, starts: NDArray[np.int64], lag: int, rules: SelectionRules
+) -> float:
+    """Noise by second differences over ``lag`` samples; NaN where no trial is long enough."""
+    parts = [
+        _difference_square(
+            residual[first : stop - 2 * lag],
+            residual[first + lag : stop - lag],
+            residual[first + 2 * lag : stop],
+        )
+        for first, stop in pairwise(starts)
+        if stop - first > 2 * lag
+    ]
+    if not parts:
+        return float("nan")
+    square = np.concatenate(parts)
+    return float(np.sqrt(square[is_clean(square, rules)].mean()))
+
+
+def _precision(
+    square: FloatArray, load: FloatArray, everywhere: FloatArray, rules: SelectionRules
+) -> FloatArray:
+    """1/variance by a + b·load², its mean 1 and the ratio of its extremes bounded."""
     scale = float(np.mean(load**2)) or 1.0
     design = np.stack([np.ones_like(load), load**2 / scale], axis=1)
     (base, slope), _ = nnls(design, square)
     variance = base + slope * everywhere**2 / scale
-    variance = np.maximum(variance, max(variance.max() / 25.0, 1e-24))
+    variance = np.maximum(variance, max(variance.max() / rules.max_variance_ratio, 1e-24))
     weight = 1.0 / variance
     return weight / weight.mean()
 
 
-def _spikes(rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray) -> BoolArray:
+def _spikes(
+    rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray, rules: SelectionRules
+) -> BoolArray:
     """Single samples far from the median of their neighbours on both sides."""
     sticks = np.zeros(rough.shape[0], dtype=bool)
     for first, stop in pairwise(starts):
@@ -220,15 +323,5 @@ def _spikes(rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray) -> 
         padded = np.pad(part, ((2, 2), (0, 0)), mode="edge")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
         distance = np.abs(part - np.median(windows, axis=-1)).max(axis=1)
-        sticks[first:stop] = distance > OUTLIER_SIGMAS * noise[first:stop]
-    if sticks.mean() > MAX_SPIKES:
-        return np.zeros_like(sticks)
-    return sticks
-
-
-def _smoothed(values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
-    """Means (N, C) over nine neighbouring samples of a trial."""
-    parts = [
-        moving_mean(np.ascontiguousarray(values[:, k]), starts, 4) for k in range(values.shape[1])
-    ]
-    return np.stack(parts, axis=1)
+        sticks[first:stop] = distance > rules.outlier_sigmas * noise[first:stop]
+    return sticks if sticks.mean() <= rules.max_spike_share else np.zeros_like(sticks)

@@ -15,18 +15,25 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tacgen.contact.effects import CHANNELS, Channel
+from tacgen.contact.effects.history import SHEAR_FORCE
 from tacgen.contact.law import ContactLaw, FittedEffect, save_law
+from tacgen.core.arrays import BoolArray
 from tacgen.core.errors import PressError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import heldout
-from tacgen.diagnose.contact.attribution import ALPHA, Attribution, Tracer
-from tacgen.diagnose.contact.channel import TARGETS, ChannelData, Columns, channel_data
+from tacgen.diagnose.contact.channel import (
+    TARGETS,
+    ChannelData,
+    ChannelSamples,
+    Columns,
+    noise_floor,
+)
 from tacgen.diagnose.contact.gp_baseline import gp_rmse
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.notes import channel_notes, log_notes
-from tacgen.diagnose.contact.residuals import Dependence, dependences, noise_floor
+from tacgen.diagnose.contact.residuals import Dependence, dependences
 from tacgen.diagnose.contact.result import (
     ChannelDiagnosis,
     Diagnosis,
@@ -34,18 +41,13 @@ from tacgen.diagnose.contact.result import (
     shown_parameters,
     unit_of,
 )
+from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
+from tacgen.diagnose.contact.selection import Attribution, Selection
 from tacgen.presses.press_log import read_press_log
 
 SEED = 20220804
-WHOLE = 1_000_000
-"""Rows a trial: all of them."""
-MIN_SHARE_LEFT = 0.04
-"""Part of the held-out sum of squares, noise included, below which what is left is not named."""
-FORM_SHARE_LEFT = 0.06
-"""Part of what the effects explain that may be left by their formula being a little different."""
-UNFIT, UNFIT_FORM = 1.0, 0.5
-"""Structure as large as the noise, and half of what there was before, is no law that fits."""
-FULL_FIT_ROWS = 250
+MIN_ROWS_OF_A_TRIAL, MIN_ROWS = 4, 12
+"""What halves and second differences need."""
 
 
 def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")) -> Diagnosis:
@@ -79,7 +81,11 @@ def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")
 
 
 def diagnose(
-    columns: Columns, *, notes: Sequence[str] = (), session_clock: bool = True
+    columns: Columns,
+    *,
+    notes: Sequence[str] = (),
+    session_clock: bool = True,
+    rules: SelectionRules = DEFAULT_RULES,
 ) -> Diagnosis:
     """Diagnose the columns of a press log.
 
@@ -89,136 +95,133 @@ def diagnose(
         As ``PressLog.columns``: the required ones finite, shear NaN where it was not measured.
     session_clock : bool
         Whether ``time_s`` runs on from trial to trial.
+    rules : SelectionRules
 
     Raises
     ------
     PressError
         If no channel has enough samples to fit.
     """
-    said = list(notes)
+    notes = list(notes)
     channels: dict[str, ChannelDiagnosis] = {}
     # Thousands of products of small matrices: threads would only wait for each other.
     with threadpool_limits(limits=1):
         for channel in CHANNELS:
-            usable, words = _usable_columns(columns, channel)
-            if words:
-                said.append(words)
+            usable, note = _usable_columns(columns, channel)
+            if note:
+                notes.append(note)
             if usable is not None:
-                channels[channel] = _diagnose_channel(usable, channel, session_clock)
-                said += channel_notes(channels[channel])
+                channels[channel] = _Channel(usable, channel, session_clock, rules).diagnosis()
+                notes += channel_notes(channels[channel])
     if "normal" not in channels:
-        raise PressError.from_problems(said)
-    return Diagnosis(MappingProxyType(channels), _law_of(channels), tuple(dict.fromkeys(said)))
+        raise PressError.from_problems(notes)
+    return Diagnosis(MappingProxyType(channels), _law_of(channels), tuple(dict.fromkeys(notes)))
 
 
-def _diagnose_channel(columns: Columns, channel: Channel, session_clock: bool) -> ChannelDiagnosis:
-    rng = np.random.default_rng(SEED)
-    n_trials = np.unique(columns["trial"]).size
-    scale = _scale(columns, channel)
-    gp = float("nan")
-    if n_trials >= heldout.MIN_TRIALS_TO_SPLIT:
-        out = np.isin(columns["trial"], heldout.test_trials(columns, rng))
-        fit_columns, test_columns = (heldout.select(columns, m) for m in (~out, out))
-        attribution = _trace(fit_columns, channel, session_clock)
-        fits = (attribution.base.fit, attribution.final.fit)
-        before, after = _test_errors(fit_columns, test_columns, channel, fits, scale)
-        gp = _yardstick(fit_columns, test_columns, channel, attribution, rng)
-        n_fit, n_test = np.unique(fit_columns["trial"]).size, before.squares.size
-        how = "a quarter of the trials, spread over the session"
-    elif n_trials >= 2:
-        attribution = _trace(columns, channel, session_clock)
-        before, after = _leave_one_out(columns, channel, session_clock, scale)
-        n_fit, n_test, how = n_trials - 1, 1, "each trial in turn, all of the choice repeated"
-    else:
-        attribution = _trace(columns, channel, session_clock)
-        fits = (attribution.base.fit, attribution.final.fit)
-        before, after = _test_errors(columns, columns, channel, fits, scale)
-        n_fit, n_test, how = n_trials, 0, "none could be: there is one trial"
-    data = channel_data(columns, channel, rows_per_trial=FULL_FIT_ROWS)
-    base = _final_fit(data, Model(attribution.base.fit.model.compliance))
-    final = _final_fit(data, attribution.final.fit.model)
-    every = channel_data(columns, channel, rows_per_trial=WHOLE)
-    floor = noise_floor(every.target - final.model.response(every), every.history.starts)
-    skip = () if session_clock else ("time_s",)
-    before_structure = dependences(data, base, rng, skip)
-    after_structure = dependences(data, final, rng, skip)
-    return ChannelDiagnosis(
-        data=data,
-        attribution=attribution,
-        base=base,
-        final=final,
-        base_errors=standard_errors(data, base),
-        final_errors=standard_errors(data, final),
-        before=before,
-        after=after,
-        gain_interval=heldout.gain_interval(before, after, rng),
-        floor=floor,
-        n_spikes=int((every.weight == 0).sum()),
-        gp_rmse=gp,
-        n_fit=n_fit,
-        n_test=n_test,
-        how=how,
-        dependences_before=before_structure,
-        dependences_after=after_structure,
-        unexplained=_unexplained(attribution, data, base, final, after_structure),
-    )
+class _Channel:
+    """The steps of one channel's diagnosis, on columns that are finite where it needs them."""
+
+    def __init__(
+        self, columns: Columns, channel: Channel, session_clock: bool, rules: SelectionRules
+    ) -> None:
+        self._columns, self._channel, self._rules = columns, channel, rules
+        self._session_clock = session_clock
+        self._rng = np.random.default_rng(SEED)
+        square = sum(np.asarray(columns[name], np.float64) ** 2 for name in TARGETS[channel])
+        self._rms = float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
+
+    def diagnosis(self) -> ChannelDiagnosis:
+        rules, rng = self._rules, self._rng
+        n_trials = np.unique(self._columns["trial"]).size
+        every, gp = self._samples(self._columns), float("nan")
+        if n_trials >= rules.min_trials_to_split:
+            out = np.isin(self._columns["trial"], heldout.test_trials(self._columns, rng, rules))
+            fitted, test = self._split(out)
+            attribution = self._attribution(fitted)
+            before, after = self._test_errors(fitted, test, attribution)
+            gp = self._gp_rmse(fitted, test, attribution.base.fit.model)
+            n_fit, n_test = fitted.history.n_trials, before.squares.size
+            how = "a quarter of the trials, spread over the session"
+        elif n_trials >= 2:
+            attribution = self._attribution(every)
+            before, after = self._leave_one_out()
+            n_fit, n_test = n_trials - 1, 1
+            how = "each trial in turn, all of the choice repeated"
+        else:
+            attribution = self._attribution(every)
+            before, after = self._test_errors(every, every, attribution)
+            n_fit, n_test, how = n_trials, 0, "none could be: there is one trial"
+        data = every.thinned(rules.refit_rows_per_trial)
+        base = _refitted(data, Model(attribution.base.fit.model.compliance))
+        final = _refitted(data, attribution.final.fit.model)
+        samples = every.every_sample()
+        left = samples.target - final.model.response(samples)
+        skip = () if self._session_clock else ("time_s",)
+        before_structure = dependences(data, base, rng, skip)
+        after_structure = dependences(data, final, rng, skip)
+        return ChannelDiagnosis(
+            data=data,
+            attribution=attribution,
+            base=base,
+            final=final,
+            base_errors=standard_errors(data, base),
+            final_errors=standard_errors(data, final),
+            before=before,
+            after=after,
+            gain_interval=heldout.gain_interval(before, after, rng, rules),
+            floor=noise_floor(left, samples.history.starts, rules),
+            n_spikes=every.n_spikes,
+            gp_rmse=gp,
+            n_fit=n_fit,
+            n_test=n_test,
+            how=how,
+            dependences_before=before_structure,
+            dependences_after=after_structure,
+            unexplained=_unexplained(attribution, data, base, final, after_structure),
+        )
+
+    def _samples(self, columns: Columns) -> ChannelSamples:
+        return ChannelSamples(columns, self._channel, self._rules)
+
+    def _split(self, out: BoolArray) -> tuple[ChannelSamples, ChannelSamples]:
+        """Samples to fit, and those of the rows ``out``."""
+        fitted, test = (heldout.select(self._columns, rows) for rows in (~out, out))
+        return self._samples(fitted), self._samples(test)
+
+    def _attribution(self, samples: ChannelSamples) -> Attribution:
+        rng = np.random.default_rng(SEED)
+        return Selection(samples.thinned(), rng, session_clock=self._session_clock).run()
+
+    def _test_errors(
+        self, fitted: ChannelSamples, test: ChannelSamples, attribution: Attribution
+    ) -> tuple[Errors, Errors]:
+        """Errors of the law alone on whole test trials, before and after; spikes do not count."""
+        rows = test.every_sample()
+        kept = rows.weight > 0
+        found = []
+        for fit in (attribution.base.fit, attribution.final.fit):
+            model = without_noise_bias(fitted.thinned(), fit).model
+            residual = rows.target - model.law_response(rows)
+            found.append(heldout.errors(residual[kept], rows.history.trial[kept], self._rms))
+        return found[0], found[1]
+
+    def _leave_one_out(self) -> tuple[Errors, Errors]:
+        before, after = [], []
+        for trial in np.unique(self._columns["trial"]):
+            fitted, test = self._split(np.asarray(self._columns["trial"]) == trial)
+            one, other = self._test_errors(fitted, test, self._attribution(fitted))
+            before.append(one)
+            after.append(other)
+        return heldout.pooled(before), heldout.pooled(after)
+
+    def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
+        data, rows = fitted.thinned(self._rules.gp_rows_per_trial), test.every_sample()
+        left, test_left = (d.target - linear.law_response(d) for d in (data, rows))
+        return gp_rmse(data, left, rows, test_left, self._rng)
 
 
-def _trace(columns: Columns, channel: Channel, session_clock: bool) -> Attribution:
-    data = channel_data(columns, channel)
-    return Tracer(data, np.random.default_rng(SEED), session_clock=session_clock).run()
-
-
-def _final_fit(data: ChannelData, start: Model) -> Fit:
+def _refitted(data: ChannelData, start: Model) -> Fit:
     return without_noise_bias(data, fit_model(data, start))
-
-
-def _test_errors(
-    fit_columns: Columns,
-    test_columns: Columns,
-    channel: Channel,
-    fits: tuple[Fit, Fit],
-    scale: float,
-) -> tuple[Errors, Errors]:
-    """Errors of the law alone on whole test trials, before and after; spikes do not count."""
-    data = channel_data(fit_columns, channel)
-    test = channel_data(test_columns, channel, rows_per_trial=WHOLE)
-    found = []
-    for fit in fits:
-        model = without_noise_bias(data, fit).model
-        residual = test.target - model.law_response(test)
-        kept = test.weight > 0
-        found.append(heldout.errors(residual[kept], test.history.trial[kept], scale))
-    return found[0], found[1]
-
-
-def _leave_one_out(
-    columns: Columns, channel: Channel, session_clock: bool, scale: float
-) -> tuple[Errors, Errors]:
-    before, after = [], []
-    for trial in np.unique(columns["trial"]):
-        out = np.asarray(columns["trial"]) == trial
-        fit_columns, test_columns = (heldout.select(columns, m) for m in (~out, out))
-        attribution = _trace(fit_columns, channel, session_clock)
-        fits = (attribution.base.fit, attribution.final.fit)
-        one, other = _test_errors(fit_columns, test_columns, channel, fits, scale)
-        before.append(one)
-        after.append(other)
-    return heldout.pooled(before), heldout.pooled(after)
-
-
-def _yardstick(
-    fit_columns: Columns,
-    test_columns: Columns,
-    channel: Channel,
-    attribution: Attribution,
-    rng: np.random.Generator,
-) -> float:
-    base = attribution.base.fit.model
-    data = channel_data(fit_columns, channel, rows_per_trial=30)
-    test = channel_data(test_columns, channel, rows_per_trial=WHOLE)
-    left, test_left = (d.target - base.law_response(d) for d in (data, test))
-    return gp_rmse(data, left, test, test_left, rng)
 
 
 def _unexplained(
@@ -229,17 +232,19 @@ def _unexplained(
     structure: tuple[Dependence, ...],
 ) -> tuple[Dependence, ...]:
     """Covariates that compete as well as effects, and what else the residual clearly follows."""
+    rules = data.rules
     found = [
         Dependence(c.candidate.name, c.p_value, c.gain)
         for c in attribution.chosen
         if not c.candidate.is_effect
     ]
     explained = max(base.loss - final.loss, 0.0) / max(base.loss, 1e-300)
-    least = max(MIN_SHARE_LEFT, FORM_SHARE_LEFT * explained * base.loss / (2 * data.noise_loss))
-    left = [d for d in structure if d.p_value <= ALPHA and d.share > least]
+    of_form = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)
+    least = max(rules.min_share_left, of_form)
+    left = [d for d in structure if d.p_value <= rules.alpha and d.share > least]
     if not found and left:
         found.append(max(left, key=lambda d: d.share))
-    if not found and structure and _is_far_from_noise(attribution, data):
+    if not found and structure and _is_misfit(attribution, data):
         found.append(max(structure, key=lambda d: d.share))
         name, share = attribution.best_covariate
         if share > found[0].share:
@@ -247,12 +252,13 @@ def _unexplained(
     return tuple(found)
 
 
-def _is_far_from_noise(attribution: Attribution, data: ChannelData) -> bool:
+def _is_misfit(attribution: Attribution, data: ChannelData) -> bool:
     """Whether held-out trials keep so much structure that no law that fits was found."""
-    left, start = attribution.final.unit_losses, attribution.base.loss
-    least = max(UNFIT * data.noise_loss * left.size / data.n_units, UNFIT_FORM * start)
+    rules, left = data.rules, attribution.final.unit_losses
+    noise_loss = data.noise_loss * left.size / data.n_units
+    least = max(rules.misfit * noise_loss, rules.misfit_share * attribution.base.loss)
     error = float(left.std() * np.sqrt(left.size))
-    return float(left.sum()) > least and float(left.sum()) > 2.0 * error
+    return float(left.sum()) > max(least, rules.misfit_in_se * error)
 
 
 def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
@@ -292,38 +298,25 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
 def _usable_columns(
     columns: Columns, channel: Channel
 ) -> tuple[dict[str, NDArray[Any]] | None, str]:
-    """Rows in which the channel was measured, or None and why it cannot be diagnosed."""
-    names = (*TARGETS[channel],)
-    if channel == "shear":
-        names += ("force_shear_x_n", "force_shear_y_n")
-    lacking = [name for name in names if name not in columns]
+    """Rows in which the channel was measured, and how many are not; or None and why."""
+    forces = ("force_normal_n",) if channel == "normal" else SHEAR_FORCE
+    targets = TARGETS[channel]
+    refusal = f"{channel} channel: not diagnosed,"
+    lacking = [name for name in (*targets, *forces) if name not in columns]
     if lacking:
-        return None, f"{channel} channel: not diagnosed, the log has no {', '.join(lacking)}"
+        return None, f"{refusal} the log has no {', '.join(lacking)}"
+    names = (*targets, *forces, "force_normal_n", "time_s")
     known = np.logical_and.reduce([np.isfinite(columns[name]) for name in names])
-    known &= np.isfinite(columns["force_normal_n"]) & np.isfinite(columns["time_s"])
     numbers, counts = np.unique(np.asarray(columns["trial"])[known], return_counts=True)
-    long_enough = np.isin(columns["trial"], numbers[counts >= 4])
+    long_enough = np.isin(columns["trial"], numbers[counts >= MIN_ROWS_OF_A_TRIAL])
     kept = heldout.select(columns, known & long_enough)
-    load = kept["force_normal_n"] if channel == "normal" else kept["force_shear_x_n"]
-    if load.size < 12 or not np.any(load != 0):
-        return None, f"{channel} channel: not diagnosed, fewer than 12 samples under load"
-    if _response(kept, channel) <= 0:
-        signs = "volume_mm3" if channel == "normal" else "shear_x_mm, shear_y_mm"
-        words = f"{signs} falls as the force grows; check the signs of both"
-        return None, f"{channel} channel: not diagnosed, {words}"
+    load = kept[forces[0]]
+    if load.size < MIN_ROWS or not np.any(load != 0):
+        return None, f"{refusal} fewer than {MIN_ROWS} samples under load"
+    pairs = zip(forces, targets, strict=True)
+    if sum(float((kept[force] * kept[name]).sum()) for force, name in pairs) <= 0:
+        return None, (
+            f"{refusal} {', '.join(targets)} falls as the force grows; check the signs of both"
+        )
     dropped = int((~known).sum())
-    words = f"{channel} channel: {dropped} rows without a finite value left out" if dropped else ""
-    return kept, words
-
-
-def _response(columns: Columns, channel: Channel) -> float:
-    """Sum of products of load and response: its sign is the compliance's."""
-    forces = ("force_normal_n",) if channel == "normal" else ("force_shear_x_n", "force_shear_y_n")
-    pairs = zip(forces, TARGETS[channel], strict=True)
-    return float(sum(np.nansum(columns[force] * columns[name]) for force, name in pairs))
-
-
-def _scale(columns: Columns, channel: Channel) -> float:
-    """RMS of what is measured, which ``nrmse`` is relative to."""
-    square = sum(np.asarray(columns[name], dtype=np.float64) ** 2 for name in TARGETS[channel])
-    return float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
+    return kept, f"{channel} channel: {dropped} rows without a finite value are not used" if dropped else ""

@@ -1,4 +1,4 @@
-"""Covariates that are no effect of the list, as columns that compete with those that are."""
+"""Columns of a log, and oscillations, that compete with the effects."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ import numpy as np
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 
-MAX_LEVELS_IF_FEW = 4
-"""Levels of a text column that may be compared however few trials there are."""
-
 How = Literal["gain", "added"]
 HOWS: tuple[How, ...] = ("gain", "added")
 
 
 @dataclass(frozen=True)
-class Nuisance:
-    """A dependence on ``covariate`` that acts on the compliance (``gain``) or is added.
+class Covariate:
+    """A dependence on ``column`` that acts on the compliance (``gain``) or is added.
 
     ``kind`` says of what form: ``levels`` of a text column, a ``polynomial`` in a numeric one, a
-    ``wave`` of ``frequency_hz`` in the session's clock.
+    ``oscillation`` of ``frequency_hz`` in the session's clock.
     """
 
-    covariate: str
-    kind: Literal["levels", "polynomial", "wave"]
+    column: str
+    kind: Literal["levels", "polynomial", "oscillation"]
     how: How
     levels: tuple[str, ...] = ()
     center: float = 0.0
@@ -40,30 +37,30 @@ class Nuisance:
     @property
     def n_columns(self) -> int:
         """Number of columns; ``added`` has its own for each output."""
-        basis = {"levels": len(self.levels), "polynomial": self.degree, "wave": 2}[self.kind]
+        basis = {"levels": len(self.levels), "polynomial": self.degree, "oscillation": 2}[self.kind]
         return basis * (self.n_outputs if self.how == "added" else 1)
 
     @property
     def n_parameters(self) -> int:
         """Columns, and the frequency."""
-        return self.n_columns + (self.kind == "wave")
+        return self.n_columns + (self.kind == "oscillation")
 
     @property
     def label(self) -> str:
-        """In words."""
-        if self.kind == "wave":
+        """Its name for a reader."""
+        if self.kind == "oscillation":
             period = f"period {1 / self.frequency_hz:.4g} s"
-            return f"oscillation in {self.covariate}, {period} ({self.how})"
+            return f"oscillation in {self.column}, {period} ({self.how})"
         power = f", degree {self.degree}" if self.kind == "polynomial" else ""
-        return f"{self.covariate} ({self.how}{power})"
+        return f"{self.column} ({self.how}{power})"
 
     def basis(self, data: ChannelData) -> list[FloatArray]:
         """Functions of the covariate, each (N,)."""
         if self.kind == "levels":
-            text = data.history.text(self.covariate)
+            text = data.history.text(self.column)
             return [(text == level).astype(np.float64) for level in self.levels]
-        values = data.history.column(self.covariate)
-        if self.kind == "wave":
+        values = data.history.column(self.column)
+        if self.kind == "oscillation":
             phase = 2.0 * np.pi * self.frequency_hz * (values - self.center)
             return [np.cos(phase), np.sin(phase)]
         scaled = np.nan_to_num((values - self.center) / self.scale, nan=0.0)
@@ -77,12 +74,18 @@ class Nuisance:
         return [basis[:, None] * axis for axis in axes for basis in self.basis(data)]
 
 
-def text_nuisances(covariate: str, data: ChannelData) -> list[Nuisance]:
+def max_levels(data: ChannelData) -> int:
+    """Most levels of a text column that the trials are enough to compare."""
+    rules = data.rules
+    return max(rules.max_levels_if_few, data.history.n_trials // rules.trials_per_level)
+
+
+def text_covariates(column: str, data: ChannelData) -> list[Covariate]:
     """Both forms for a text column; none if it has one level, or hardly any level twice."""
-    text = data.history.text(covariate)
+    text = data.history.text(column)
     per_trial = text[data.history.starts[:-1]]
     levels, counts = np.unique(per_trial, return_counts=True)
-    if levels.size < 2 or levels.size > max(MAX_LEVELS_IF_FEW, data.history.n_trials // 3):
+    if levels.size < 2 or levels.size > max_levels(data):
         return []
     used = tuple(str(level) for level, count in zip(levels, counts, strict=True) if count >= 2)
     if not used:
@@ -91,8 +94,8 @@ def text_nuisances(covariate: str, data: ChannelData) -> list[Nuisance]:
     # what is added to one of them alone is not taken for a zero offset beside the others.
     every = len(used) == levels.size
     return [
-        Nuisance(
-            covariate,
+        Covariate(
+            column,
             "levels",
             how,
             levels=used[1:] if every and how == "gain" else used,
@@ -102,17 +105,17 @@ def text_nuisances(covariate: str, data: ChannelData) -> list[Nuisance]:
     ]
 
 
-def numeric_nuisances(covariate: str, data: ChannelData) -> list[Nuisance]:
+def numeric_covariates(column: str, data: ChannelData) -> list[Covariate]:
     """Line and parabola, on the compliance and added; none if the column is constant."""
-    values = data.history.column(covariate)
+    values = data.history.column(column)
     finite = values[np.isfinite(values)]
     spread = float(finite.std()) if finite.size else 0.0
     if finite.size < 0.5 * values.size or spread <= 1e-9 * (1.0 + float(np.abs(finite).max())):
         return []
     center = float(finite.mean())
     return [
-        Nuisance(
-            covariate,
+        Covariate(
+            column,
             "polynomial",
             how,
             center=center,

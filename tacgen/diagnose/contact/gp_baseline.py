@@ -1,6 +1,6 @@
 """A Gaussian process on the covariates: how far any smooth model could have come.
 
-It is a yardstick and never the answer: it has no physics, and its error is only reported.
+It is a baseline and never the answer: it has no physics, and its error is only reported.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.residuals import covariates_of
 
-MAX_ROWS = 700
-LENGTHS = (1.0, 2.0, 4.0)
+_MAX_ROWS = 700
+"""Of the training set: its kernel matrix is factored nine times."""
+_LENGTHS, _NOISES = (1.0, 2.0, 4.0), (0.03, 0.2, 0.8)
+"""Tried by marginal likelihood, in standard deviations of the covariates and of the residual."""
 
 
 def features(data: ChannelData) -> FloatArray:
@@ -46,7 +48,7 @@ def gp_rmse(
     if x.shape[1] != test.shape[1]:
         return float("nan")
     center, scale = x.mean(axis=0), x.std(axis=0) + 1e-12
-    rows = rng.permutation(x.shape[0])[:MAX_ROWS]
+    rows = rng.permutation(x.shape[0])[:_MAX_ROWS]
     x, test = (x[rows] - center) / scale, (test - center) / scale
     left = np.empty_like(test_residual)
     for axis in range(fit_residual.shape[1]):
@@ -59,10 +61,10 @@ def _predict(x: FloatArray, y: FloatArray, test: FloatArray) -> FloatArray:
     squared = cdist(x, x, "sqeuclidean")
     best, chosen = -np.inf, None
     variance = float(y.var()) or 1e-12
-    for length in LENGTHS:
+    for length in _LENGTHS:
         width = length**2 * x.shape[1]
         correlation = np.exp(-0.5 * squared / width)
-        for noise in (0.03, 0.2, 0.8):
+        for noise in _NOISES:
             factor = cho_factor(correlation + noise * np.eye(y.size), lower=True)
             weights = cho_solve(factor, y)
             fitted = float(y @ weights) / y.size

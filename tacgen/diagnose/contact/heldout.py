@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import Columns
-
-TEST_SHARE = 4
-"""One trial in so many is held out."""
-MIN_TRIALS_TO_SPLIT = 8
-N_BOOTSTRAP = 1000
+from tacgen.diagnose.contact.rules import SelectionRules
 
 
 @dataclass(frozen=True)
@@ -28,7 +24,7 @@ class Errors:
     counts: NDArray[np.int64]
 
 
-def test_trials(columns: Columns, rng: np.random.Generator) -> NDArray[Any]:
+def test_trials(columns: Columns, rng: np.random.Generator, rules: SelectionRules) -> NDArray[Any]:
     """Trials to hold out: one of every four in the order of the session.
 
     Neighbours in time are on both sides, and so is every part of the session; the first trial
@@ -39,8 +35,9 @@ def test_trials(columns: Columns, rng: np.random.Generator) -> NDArray[Any]:
     start = np.asarray(columns["time_s"])[first]
     ordered = numbers[np.lexsort((numbers, start))]
     chosen = []
-    for begin in range(0, ordered.size, TEST_SHARE):
-        group = ordered[begin : begin + TEST_SHARE]
+    count = rules.trials_per_test_trial
+    for begin in range(0, ordered.size, count):
+        group = ordered[begin : begin + count]
         low = 1 if begin == 0 else 0
         if group.size > 1 + low:
             chosen.append(group[int(rng.integers(low, group.size))])
@@ -71,10 +68,12 @@ def pooled(parts: Sequence[Errors]) -> Errors:
     return Errors(rmse, rmse / scale, squares, counts)
 
 
-def gain_interval(before: Errors, after: Errors, rng: np.random.Generator) -> tuple[float, float]:
+def gain_interval(
+    before: Errors, after: Errors, rng: np.random.Generator, rules: SelectionRules
+) -> tuple[float, float]:
     """95 % interval of 1 − error_after/error_before, by resampling the held-out trials."""
     n = before.squares.size
-    drawn = rng.integers(0, n, size=(N_BOOTSTRAP, n))
+    drawn = rng.integers(0, n, size=(rules.n_bootstrap, n))
     ratio = after.squares[drawn].sum(axis=1) / np.maximum(before.squares[drawn].sum(axis=1), 1e-300)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return float(low), float(high)

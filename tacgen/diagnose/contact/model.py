@@ -11,10 +11,11 @@ from tacgen.contact.effects import Effect, Parameter, Variant
 from tacgen.contact.law import respond
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
-from tacgen.diagnose.contact.covariates import Nuisance
+from tacgen.diagnose.contact.covariates import Covariate
 
-MAX_STEPS = 25
-MAX_LOG_STEP = 0.5
+_MAX_STEPS = 25
+_MAX_LOG_STEP = 0.5
+"""Longest step of what is fitted on a logarithmic scale: a factor of 1.6 each."""
 
 
 @dataclass(frozen=True)
@@ -32,29 +33,29 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Model:
-    """A compliance, effects, and covariates that no effect explains but that must not mislead.
+class CovariateTerm:
+    """A covariate with a coefficient for each of its columns."""
 
-    ``coefficients`` are those of the nuisances' columns, flattened.
-    """
+    covariate: Covariate
+    coefficients: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A compliance, effects, and covariates that no effect explains but that must not mislead."""
 
     compliance: float
     terms: tuple[Term, ...] = ()
-    nuisances: tuple[Nuisance, ...] = ()
-    coefficients: tuple[float, ...] = ()
+    covariates: tuple[CovariateTerm, ...] = ()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the effects."""
-        return tuple(term.name for term in self.terms)
-
-    def without(self, name: str) -> Model:
+    def without_effect(self, name: str) -> Model:
         """The model less the effect ``name``."""
         return replace(self, terms=tuple(t for t in self.terms if t.name != name))
 
-    def n_free(self) -> int:
-        """Number of fitted parameters, the compliance included."""
-        return 1 + sum(len(t.variant.free) for t in self.terms) + len(self.coefficients)
+    def without_covariate(self, covariate: Covariate) -> Model:
+        """The model less ``covariate``."""
+        kept = tuple(term for term in self.covariates if term.covariate != covariate)
+        return replace(self, covariates=kept)
 
     def law_response(self, data: ChannelData) -> FloatArray:
         """What the law alone predicts, (N, C), in the history's order."""
@@ -62,16 +63,11 @@ class Model:
         return respond(data.history, data.channel, self.compliance, acting)
 
     def response(self, data: ChannelData) -> FloatArray:
-        """The law and the nuisances, (N, C)."""
-        result = self.law_response(data)
-        if not self.nuisances:
-            return result
-        law, position = result, 0
-        for nuisance in self.nuisances:
-            columns = nuisance.columns(data, law)
-            share = np.asarray(self.coefficients[position : position + len(columns)])
-            result = result + np.tensordot(share, np.stack(columns), axes=1)
-            position += len(columns)
+        """The law and the covariates, (N, C)."""
+        law = result = self.law_response(data)
+        for term in self.covariates:
+            columns = np.stack(term.covariate.columns(data, law))
+            result = result + np.tensordot(np.asarray(term.coefficients), columns, axes=1)
         return result
 
 
@@ -120,7 +116,7 @@ def fit_model(data: ChannelData, start: Model) -> Fit:
     residual = target - data.reduce(space.model(vector).response(data))
     damping = 1e-3
     jacobian = space.jacobian(vector, target - residual)
-    for _ in range(MAX_STEPS):
+    for _ in range(_MAX_STEPS):
         inner = space.inner(vector, jacobian.T @ residual)
         open_jacobian = jacobian[:, inner]
         normal, gradient = open_jacobian.T @ open_jacobian, open_jacobian.T @ residual
@@ -147,8 +143,8 @@ def fit_model(data: ChannelData, start: Model) -> Fit:
         if gain < 1e-5:
             break
     inner = space.inner(vector, jacobian.T @ residual)
-    felt = np.linalg.norm(jacobian, axis=0) > 1e-3 * np.linalg.norm(residual)
-    return Fit(space.model(vector), residual, jacobian * (inner & felt))
+    acts = np.linalg.norm(jacobian, axis=0) > 1e-3 * np.linalg.norm(residual)
+    return Fit(space.model(vector), residual, jacobian * (inner & acts))
 
 
 def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
@@ -195,10 +191,7 @@ def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor.
     """
     space = _Space(data, fit.model)
-    unit = np.zeros(data.history.n_samples, dtype=np.int64)
-    unit[data.pairs[0]] = data.pair_unit
-    unit[data.pairs[1]] = data.pair_unit
-    rows = np.repeat(unit, data.n_outputs)
+    rows = np.repeat(data.row_unit, data.n_outputs)
     products = fit.jacobian * fit.residual[:, None]
     sums = np.stack([np.bincount(rows, column) for column in products.T], axis=1)
     inverse = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, rcond=1e-12, hermitian=True)
@@ -233,15 +226,14 @@ class _Space:
                 start.append(mapped[0])
                 lows.append(mapped[1])
                 highs.append(mapped[2])
-        n_nuisance = sum(n.n_columns for n in model.nuisances)
-        coefficients = list(model.coefficients) or [0.0] * n_nuisance
+        coefficients = [c for term in model.covariates for c in term.coefficients]
         start += coefficients
-        lows += [-np.inf] * n_nuisance
-        highs += [np.inf] * n_nuisance
+        lows += [-np.inf] * len(coefficients)
+        highs += [np.inf] * len(coefficients)
         self.start = np.asarray(start)
         logarithmic_slots = [slot[3] for slot in self._slots]
         self.reach = np.full(self.start.size, np.inf)
-        self.reach[1 : 1 + len(self._slots)] = np.where(logarithmic_slots, MAX_LOG_STEP, np.inf)
+        self.reach[1 : 1 + len(self._slots)] = np.where(logarithmic_slots, _MAX_LOG_STEP, np.inf)
         self._low, self._high = np.asarray(lows), np.asarray(highs)
 
     @property
@@ -275,11 +267,12 @@ class _Space:
         terms = tuple(
             replace(term, values=v) for term, v in zip(self._template.terms, values, strict=True)
         )
-        coefficients = tuple(float(v) for v in vector[1 + len(self._slots) :])
-        compliance = float(vector[0]) * self._compliance_scale
-        return replace(
-            self._template, compliance=compliance, terms=terms, coefficients=coefficients
+        numbers = iter(vector[1 + len(self._slots) :])
+        covariates = tuple(
+            replace(term, coefficients=tuple(float(next(numbers)) for _ in term.coefficients))
+            for term in self._template.covariates
         )
+        return Model(float(vector[0]) * self._compliance_scale, terms, covariates)
 
     def jacobian(self, vector: FloatArray, response: FloatArray) -> FloatArray:
         """d(reduced response)/d(vector) (R, P) by forward differences, inwards at a bound."""

@@ -6,9 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from tacgen.diagnose.contact.candidates import CONTRACT_COLUMNS, follows_load
+from tacgen.diagnose.contact.candidates import follows_load, known_columns
 from tacgen.diagnose.contact.channel import ChannelData
-from tacgen.diagnose.contact.covariates import MAX_LEVELS_IF_FEW
+from tacgen.diagnose.contact.covariates import max_levels
 from tacgen.diagnose.contact.result import ChannelDiagnosis
 from tacgen.presses.press_log import PressLog
 
@@ -28,7 +28,7 @@ def _column_notes(found: ChannelDiagnosis) -> list[str]:
     """What is not taken as a covariate, and why."""
     data, notes = found.data, []
     for column, values in data.columns.items():
-        if column in CONTRACT_COLUMNS:
+        if column in known_columns():
             continue
         array = np.asarray(values)
         levels = np.unique(array)
@@ -36,7 +36,7 @@ def _column_notes(found: ChannelDiagnosis) -> list[str]:
             notes.append(f"column {column!r} is constant: nothing can be said of it")
         elif not np.issubdtype(array.dtype, np.number):
             per_trial = np.unique(data.history.text(column)[data.history.starts[:-1]])
-            if levels.size > max(MAX_LEVELS_IF_FEW, data.history.n_trials // 3):
+            if levels.size > max_levels(data):
                 notes.append(
                     f"column {column!r} has {levels.size} values for {data.history.n_trials} "
                     f"trials ({per_trial.size} at their starts): too many to compare"
@@ -52,9 +52,10 @@ def _column_notes(found: ChannelDiagnosis) -> list[str]:
 def _spike_notes(found: ChannelDiagnosis, name: str) -> list[str]:
     if not found.n_spikes:
         return []
+    sigmas = found.data.rules.outlier_sigmas
     return [
         f"{name} channel: {found.n_spikes} samples stick out of their neighbours by more than "
-        "seven times the noise; neither the fit nor the errors count them"
+        f"{sigmas:g} times the noise; neither the fit nor the errors count them"
     ]
 
 
@@ -64,7 +65,7 @@ def _equal_columns(data: ChannelData) -> list[str]:
     return [
         f"columns {a!r} and {b!r} are equal: what follows the one cannot be told from the other"
         for a, b in combinations(names, 2)
-        if b not in CONTRACT_COLUMNS and np.array_equal(values[a], values[b])
+        if b not in known_columns() and np.array_equal(values[a], values[b])
     ]
 
 

@@ -9,17 +9,14 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.contact.channel import MIN_TRIALS_AS_UNITS, ChannelData
-from tacgen.diagnose.contact.covariates import HOWS, How, Nuisance
+from tacgen.diagnose.contact.channel import ChannelData
+from tacgen.diagnose.contact.covariates import HOWS, Covariate, How
 from tacgen.diagnose.contact.model import Fit
 
-MIN_CYCLES = 1.5
-"""Slower than this within the session is a drift, not an oscillation."""
-MAX_POINTS = 1 << 17
+_MAX_POINTS = 1 << 17
 """Of the search's clock; a session that needs more is searched for slower oscillations only."""
-POINTS_PER_PERIOD = 8
-ROWS_PER_PERIOD = 4
-REFINED = 41
+_POINTS_PER_PERIOD = 8
+_REFINED = 41
 """Frequencies between the neighbours of the best one that are tried afterwards."""
 
 
@@ -39,23 +36,22 @@ class _Clock:
 
 
 def search_clock(data: ChannelData) -> _Clock:
-    """A clock for ``MIN_CYCLES`` a session up to periods of a few rows, half a cycle apart.
+    """A clock for ``min_cycles`` a session up to periods of a few rows, half a cycle apart.
 
     Where trials are few an oscillation must show in each of them: a slower one fits any few.
     """
     time = data.history.time_s - float(data.history.time_s.min())
     session = max(float(time.max()), data.history.sample_period_s)
-    highest = 1.0 / (ROWS_PER_PERIOD * data.history.sample_period_s)
-    tick = max(1.0 / (POINTS_PER_PERIOD * highest), 2.0 * session / MAX_POINTS)
+    highest = 1.0 / (data.rules.rows_per_period * data.history.sample_period_s)
+    tick = max(1.0 / (_POINTS_PER_PERIOD * highest), 2.0 * session / _MAX_POINTS)
     ticks = np.rint(time / tick).astype(np.int64)
     n_points = next_fast_len(2 * int(ticks.max() + 1), real=True)
-    few = data.history.n_trials < MIN_TRIALS_AS_UNITS
-    slowest = data.history.trial_duration_s if few else session
-    first = int(np.ceil(MIN_CYCLES * n_points * tick / slowest))
-    return _Clock(ticks, tick, n_points, first, n_points // POINTS_PER_PERIOD)
+    slowest = data.history.trial_duration_s if data.few_trials else session
+    first = int(np.ceil(data.rules.min_cycles * n_points * tick / slowest))
+    return _Clock(ticks, tick, n_points, first, n_points // _POINTS_PER_PERIOD)
 
 
-def find_waves(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Nuisance]:
+def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Covariate]:
     """The best frequency for an oscillation of the compliance, and for an added one.
 
     ``signs`` (F, n_units) flip the residual of whole units; how high the highest of all peaks
@@ -74,12 +70,12 @@ def find_waves(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Nuisance]
         power = np.sum([_powers(clock, *part, signs_of_rows) for part in parts], axis=0)
         peaks = power.max(axis=0)
         coarse = clock.first + int(np.argmax(power[:, 0]))
-        near = np.array([clock.frequency_hz(coarse + s) for s in np.linspace(-1, 1, REFINED)])
+        near = np.array([clock.frequency_hz(coarse + s) for s in np.linspace(-1, 1, _REFINED)])
         exact = np.sum([_power_at(near, time - start, *part) for part in parts], axis=0)
         found.append(
-            Nuisance(
+            Covariate(
                 "time_s",
-                "wave",
+                "oscillation",
                 how,
                 center=start,
                 frequency_hz=float(near[np.argmax(exact)]),
@@ -104,11 +100,8 @@ def _products(
 
 def _row_signs(data: ChannelData, signs: FloatArray) -> FloatArray:
     """Signs (N, F + 1) of every row, the first column without a flip."""
-    unit = np.zeros(data.history.n_samples, dtype=np.int64)
-    unit[data.pairs[0]] = data.pair_unit
-    unit[data.pairs[1]] = data.pair_unit
     flips = np.vstack([np.ones(signs.shape[1]), signs])
-    return flips[:, unit].T
+    return flips[:, data.row_unit].T
 
 
 def _powers(
@@ -117,12 +110,12 @@ def _powers(
     square: FloatArray,
     signs: FloatArray,
 ) -> FloatArray:
-    """Sum of squares that a wave of each frequency takes, for each flip: (frequencies, F + 1)."""
-    wave = np.stack(
+    """Sum of squares that each frequency explains under each flip: (frequencies, F + 1)."""
+    spectrum = np.stack(
         [_spectrum(clock, product * flip)[clock.first : clock.stop] for flip in signs.T]
     )
     double = _spectrum(clock, square)[2 * clock.first : 2 * clock.stop : 2]
-    return _taken(wave.T, double[:, None], float(square.sum()))
+    return _explained(spectrum.T, double[:, None], float(square.sum()))
 
 
 def _spectrum(clock: _Clock, values: FloatArray) -> NDArray[np.complex128]:
@@ -138,19 +131,19 @@ def _power_at(
 ) -> FloatArray:
     """``_powers`` at frequencies of one's own (F,), at the rows' exact times."""
     phase = np.exp(-2j * np.pi * np.outer(frequencies, time))
-    return _taken(phase @ product, phase**2 @ square, float(square.sum()))
+    return _explained(phase @ product, phase**2 @ square, float(square.sum()))
 
 
-def _taken(
-    wave: NDArray[np.complex128], double: NDArray[np.complex128], total: float
+def _explained(
+    spectrum: NDArray[np.complex128], double: NDArray[np.complex128], total: float
 ) -> FloatArray:
-    """What a cosine and a sine take together, from sums of products with both."""
+    """Sum of squares that a cosine and a sine explain together, from sums of products with both."""
     cos_cos, sin_sin, cos_sin = (
         (total + double.real) / 2,
         (total - double.real) / 2,
         -double.imag / 2,
     )
-    a, b = wave.real, -wave.imag
+    a, b = spectrum.real, -spectrum.imag
     determinant = np.maximum(cos_cos * sin_sin - cos_sin**2, 1e-3 * total**2)
     return (sin_sin * a**2 - 2 * cos_sin * a * b + cos_cos * b**2) / determinant
 

@@ -55,7 +55,7 @@ def _error_table(heading: str, found: ChannelDiagnosis) -> Section:
         ["error before", f"{found.before.rmse:.4g} {unit}", f"{100 * found.before.nrmse:.2f} %"],
         ["error after", f"{found.after.rmse:.4g} {unit}", f"{100 * found.after.nrmse:.2f} %"],
         ["noise floor", f"{found.floor:.4g} {unit}", ""],
-        ["Gaussian process (yardstick)", f"{found.gp_rmse:.4g} {unit}", ""],
+        ["Gaussian process (baseline)", f"{found.gp_rmse:.4g} {unit}", ""],
         ["gain, 95 % interval", f"{100 * low:.1f} to {100 * high:.1f} %", ""],
         [
             "compliance before",

@@ -1,66 +1,21 @@
-"""What a model leaves over: its noise floor, and what the residual still depends on."""
+"""What the residual of a model still depends on."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import scores
-from tacgen.diagnose.contact.candidates import CONTRACT_COLUMNS, follows_load
-from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, TARGETS, ChannelData
+from tacgen.diagnose.contact.candidates import follows_load, known_columns
+from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import Fit
-
-DEGREE = 3
-MAX_LEVELS = 12
-N_SHUFFLES = 1999
-N_FOLDS = 10
-
-
-FLOOR_LAGS = (1, 2, 4, 8)
-ROWS_PER_LAG = 10
-MAX_RISE = 1.1
-"""From one lag to twice it: noise that goes on for some samples rises less, and levels out; what
-a law leaves of a load's course goes on rising."""
-
-
-def noise_floor(residual: FloatArray, starts: NDArray[np.int64]) -> float:
-    """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
-
-    Second differences along each trial: what varies slowly is not seen. Noise that goes on from
-    one sample to the next is seen whole by differences over 2, 4 and 8 samples, which are taken
-    as long as they rise little. Single samples that stick out do not count.
-    """
-    floor = _difference_noise(residual, starts, 1)
-    if not np.isfinite(floor):
-        return float(residual.std())
-    shortest = float(np.median(np.diff(starts)))
-    for lag in FLOOR_LAGS[1:]:
-        wider = _difference_noise(residual, starts, lag)
-        if shortest < ROWS_PER_LAG * lag or not wider <= MAX_RISE * floor:
-            break
-        floor = max(wider, floor)
-    return floor
-
-
-def _difference_noise(residual: FloatArray, starts: NDArray[np.int64], lag: int) -> float:
-    """Noise by second differences over ``lag`` samples; NaN where no trial is long enough."""
-    parts = [
-        residual[first : stop - 2 * lag]
-        - 2.0 * residual[first + lag : stop - lag]
-        + residual[first + 2 * lag : stop]
-        for first, stop in pairwise(starts)
-        if stop - first > 2 * lag
-    ]
-    if not parts:
-        return float("nan")
-    square = (np.concatenate(parts) ** 2).mean(axis=1) / 6.0
-    typical = float(np.median(square)) / 0.455
-    return float(np.sqrt(square[square <= OUTLIER_SIGMAS**2 * typical].mean()))
+from tacgen.diagnose.contact.rules import SelectionRules
 
 
 @dataclass(frozen=True)
@@ -76,13 +31,13 @@ class Dependence:
     share: float
 
 
-def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDArray]:
+def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
     """Everything a residual may follow, (N,) each: load, history, place, time, other columns."""
     history = data.history
     load = history.force_normal_n if data.channel == "normal" else history.shear_size_n
     _, unloading = history.reversal(data.channel)
     peak_row, _ = history.reversal("normal")
-    found: dict[str, NDArray] = {
+    found: dict[str, NDArray[Any]] = {
         "load": load,
         "unloading": unloading.astype(np.float64),
         "load_rate": _rate(load, history.time_s, history.starts),
@@ -97,9 +52,10 @@ def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDAr
         found["shear_force" if data.channel == "normal" else "force_normal_n"] = (
             history.shear_size_n if data.channel == "normal" else history.force_normal_n
         )
+    known = known_columns()
     for name, values in data.columns.items():
         named = name in ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
-        other = name not in CONTRACT_COLUMNS and name not in TARGETS[data.channel]
+        other = name not in known and name not in TARGETS[data.channel]
         if (named or other) and name not in skip and not _is_reading(data, name, other):
             numeric = np.issubdtype(np.asarray(values).dtype, np.number)
             found[name] = history.column(name) if numeric else history.text(name)
@@ -120,11 +76,11 @@ def dependences(
     Units of resampling are trials (`scores.shuffle_statistics`); each covariate enters as a
     cubic, or as levels, on the compliance and added.
     """
-    response = fit.model.law_response(data)
+    rules, response = data.rules, fit.model.law_response(data)
     added = 0.1 * data.span
     names, blocks = [], []
     for name, values in covariates_of(data, skip).items():
-        for basis in _basis(values):
+        for basis in _basis(values, data.rules):
             functions = [f[:, None] * response for f in basis]
             functions += [
                 f[:, None] * added * axis for axis in np.eye(data.n_outputs) for f in basis
@@ -142,12 +98,12 @@ def dependences(
     design = np.column_stack([fit.jacobian, *blocks, constant, fit.residual])
     grams = scores.unit_grams(data, design)
     base = list(range(start))
-    shuffled = scores.shuffles(data.n_units, N_SHUFFLES, rng)
-    statistics = scores.shuffle_statistics(grams, base, groups, shuffled, position)
-    p_values = np.minimum(scores.shuffle_p_values(statistics) * len(groups), 1.0)
-    folds = data.folds(N_FOLDS)
-    without = scores.cv_losses(grams, folds, [base]).sum()
-    losses = scores.losses_of_groups(grams, folds, base, groups).sum(axis=1)
+    shuffled = scores.shuffles(data.n_units, rules.n_shuffles, rng)
+    statistics = scores.shuffle_statistics(grams, base, groups, shuffled, position, rules)
+    p_values = np.minimum(scores.shuffle_p_values(statistics, rules) * len(groups), 1.0)
+    folds = data.folds()
+    without = scores.cv_losses(grams, folds, [base], rules).sum()
+    losses = scores.losses_of_groups(grams, folds, base, groups, rules).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)
     found = [
         Dependence(name, float(p), float(without - loss) / total)
@@ -156,11 +112,11 @@ def dependences(
     return tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
 
 
-def _basis(values: NDArray) -> list[list[FloatArray]]:
+def _basis(values: NDArray[Any], rules: SelectionRules) -> list[list[FloatArray]]:
     """Functions (N,) of a covariate, one list; empty where it is constant or has no repeats."""
     if not np.issubdtype(values.dtype, np.number):
         levels, counts = np.unique(values, return_counts=True)
-        common = levels[np.argsort(-counts)][:MAX_LEVELS]
+        common = levels[np.argsort(-counts)][: rules.residual_levels]
         if levels.size < 2 or counts.max() < 2:
             return []
         return [[(values == level).astype(np.float64) for level in common[1:]]]
@@ -169,7 +125,7 @@ def _basis(values: NDArray) -> list[list[FloatArray]]:
     if spread <= 1e-9 * (1.0 + float(np.abs(values[finite]).max(initial=0.0))):
         return []
     scaled = np.nan_to_num((values - values[finite].mean()) / spread, nan=0.0)
-    degree = min(DEGREE, np.unique(scaled[:2000]).size - 1)
+    degree = min(rules.residual_degree, np.unique(scaled[:2000]).size - 1)
     return [[np.clip(scaled, -3, 3) ** power for power in range(1, degree + 1)]]
 
 

@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 from tacgen.contact.effects import separating_measurement
 from tacgen.contact.law import ContactLaw
-from tacgen.diagnose.contact.attribution import Attribution
 from tacgen.diagnose.contact.channel import UNITS, ChannelData
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, StandardErrors
 from tacgen.diagnose.contact.residuals import Dependence
+from tacgen.diagnose.contact.selection import Attribution
 
 SCHEMA = 1
 Verdict = Literal["sufficient", "effect_found", "unexplained"]
@@ -165,7 +165,7 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
             "how": "second differences, over 1 to 8 samples of a trial, of what the law leaves",
         },
         "gain_interval_95": [_number(v) for v in found.gain_interval],
-        "gp_yardstick": {"rmse": _number(found.gp_rmse), "unit": unit},
+        "gp_baseline": {"rmse": _number(found.gp_rmse), "unit": unit},
         "trials": {"fit": found.n_fit, "test": found.n_test},
         "held_out": found.how,
         "compliance": {

@@ -18,17 +18,7 @@ from scipy.stats import chi2
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
-
-RIDGE = 1e-8
-"""Relative to the diagonal: enough to solve with columns that are equal but for noise."""
-LEAST_SEEN = 0.02
-"""Part of a column's sum of squares that must be in the units that are fitted."""
-IMPOSSIBLE = 0.25
-"""Part of the noise by which a sum of products between the halves may fall below nothing. Chance
-hardly brings it there; columns that only noise tells apart do."""
-
-TRIAL_LEVEL = 0.97
-"""Share of a column that must be constant, or follow the response, within trials."""
+from tacgen.diagnose.contact.rules import SelectionRules
 
 
 def unit_grams(data: ChannelData, columns: FloatArray) -> FloatArray:
@@ -43,7 +33,10 @@ def unit_grams(data: ChannelData, columns: FloatArray) -> FloatArray:
 
 
 def cv_losses(
-    grams: FloatArray, folds: NDArray[np.int64], sets: Sequence[Sequence[int]]
+    grams: FloatArray,
+    folds: NDArray[np.int64],
+    sets: Sequence[Sequence[int]],
+    rules: SelectionRules,
 ) -> FloatArray:
     """Held-out sum of squares of every unit, for every set of columns: (S, U).
 
@@ -56,7 +49,7 @@ def cv_losses(
     for fold in range(int(folds.max()) + 1):
         out = folds == fold
         kept = total - grams[out].sum(axis=0)
-        weights = _solve(kept, index, total)
+        weights = _solve(kept, index, rules, total)
         held = grams[out]
         cross = held[:, index, -1]
         block = held[:, index[:, :, None], index[:, None, :]]
@@ -71,41 +64,52 @@ def losses_of_groups(
     folds: NDArray[np.int64],
     base: Sequence[int],
     groups: Sequence[Sequence[int]],
+    rules: SelectionRules,
 ) -> FloatArray:
     """``cv_losses`` of the base with each group, which may differ in length: (groups, U)."""
     losses = np.empty((len(groups), grams.shape[0]))
     for size in {len(group) for group in groups}:
         same = [i for i, group in enumerate(groups) if len(group) == size]
-        losses[same] = cv_losses(grams, folds, [[*base, *groups[i]] for i in same])
+        losses[same] = cv_losses(grams, folds, [[*base, *groups[i]] for i in same], rules)
     return losses
 
 
-def training_losses(total: FloatArray, sets: Sequence[Sequence[int]]) -> NDArray:
+def training_losses(
+    total: FloatArray, sets: Sequence[Sequence[int]], rules: SelectionRules
+) -> FloatArray:
     """Sum of squares left by each set of columns on all units: (S,)."""
     index = np.asarray(sets, dtype=np.int64)
-    weights = _solve(total, index)
+    weights = _solve(total, index, rules)
     return total[-1, -1] - np.einsum("si,si->s", weights, total[index, -1])
 
 
-def believable(losses: FloatArray, without: FloatArray, noise_loss: float) -> FloatArray:
+def believable(
+    losses: FloatArray,
+    without: FloatArray,
+    noise_loss: float,
+    rules: SelectionRules,
+) -> FloatArray:
     """``losses`` (S, U) of units; a set whose sum cannot be takes the losses ``without`` (U,) it.
 
     Products between the halves are not positive definite, so that a set of columns that are
     nearly the same can seem to leave less than nothing.
     """
-    least = min(float(without.sum()), 0.0) - IMPOSSIBLE * noise_loss
+    least = min(float(without.sum()), 0.0) - rules.negative_loss_tolerance * noise_loss
     impossible: BoolArray = ~(losses.sum(axis=1) >= least)
     result: FloatArray = np.where(impossible[:, None], without, losses)
     return result
 
 
-def coefficients(total: FloatArray, columns: Sequence[int]) -> FloatArray:
+def coefficients(total: FloatArray, columns: Sequence[int], rules: SelectionRules) -> FloatArray:
     """Least-squares coefficients of ``columns`` for the target."""
-    return _solve(total, np.asarray([columns], dtype=np.int64))[0]
+    return _solve(total, np.asarray([columns], dtype=np.int64), rules)[0]
 
 
 def _solve(
-    gram: FloatArray, index: NDArray[np.int64], whole: FloatArray | None = None
+    gram: FloatArray,
+    index: NDArray[np.int64],
+    rules: SelectionRules,
+    whole: FloatArray | None = None,
 ) -> FloatArray:
     """Coefficients (S, P) by the normal equations; 0 for what ``gram`` has hardly any of.
 
@@ -115,9 +119,9 @@ def _solve(
     own = np.abs(np.diagonal(block, axis1=1, axis2=2))
     size = np.sqrt(np.maximum(own, 1e-12 * own.max(axis=1, keepdims=True)) + 1e-290)
     scaled = block / (size[:, :, None] * size[:, None, :])
-    scaled = scaled + RIDGE * np.eye(index.shape[1])
+    scaled = scaled + rules.ridge * np.eye(index.shape[1])
     if whole is not None:
-        lacking = np.diag(gram)[index] < LEAST_SEEN * np.diag(whole)[index]
+        lacking = np.diag(gram)[index] < rules.min_column_share_in_fold * np.diag(whole)[index]
         scaled = scaled + 1e12 * lacking[:, :, None] * np.eye(index.shape[1])
     right = gram[index, -1] / size
     return np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / size
@@ -145,6 +149,7 @@ def shuffle_statistics(
     groups: Sequence[Sequence[int]],
     shuffled: Shuffles,
     ones: int,
+    rules: SelectionRules,
 ) -> FloatArray:
     """−log p of the score of every group of columns under every shuffle: (F + 1, groups).
 
@@ -159,7 +164,7 @@ def shuffle_statistics(
     """
     total = grams.sum(axis=0)
     base = list(base)
-    weights = coefficients(total, base)
+    weights = coefficients(total, base, rules)
     left = grams[:, :, -1] - grams[:, :, base] @ weights
     statistics = np.empty((shuffled.signs.shape[0], len(groups)))
     for number, group in enumerate(groups):
@@ -167,7 +172,7 @@ def shuffle_statistics(
         projection = np.linalg.lstsq(
             total[np.ix_(base, base)], total[np.ix_(base, columns)], rcond=1e-10
         )[0]
-        shape = _shape_within_units(grams, base[0], ones, columns)
+        shape = _shape_within_units(grams, base[0], ones, columns, rules)
         if shape is None:
             scores = left[:, columns] - left[:, base] @ projection
             scores = scores / (np.sqrt((scores**2).sum(axis=0)) + 1e-300)
@@ -190,14 +195,14 @@ def shuffle_statistics(
 
 
 def _shape_within_units(
-    grams: FloatArray, compliance: int, ones: int, columns: Sequence[int]
+    grams: FloatArray, compliance: int, ones: int, columns: Sequence[int], rules: SelectionRules
 ) -> int | None:
     """The column that all of ``columns`` are proportional to within each unit, if any is."""
     own = grams[:, columns, columns].sum()
     for shape in (compliance, ones):
         information = _information(grams, shape)
         explained = (grams[:, shape, columns] ** 2 / information[:, None]).sum()
-        if explained > TRIAL_LEVEL * own:
+        if explained > rules.one_number_a_trial_share * own:
             return shape
     return None
 
@@ -208,7 +213,7 @@ def _information(grams: FloatArray, shape: int) -> FloatArray:
     return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
 
 
-def shuffle_p_values(statistics: FloatArray) -> FloatArray:
+def shuffle_p_values(statistics: FloatArray, rules: SelectionRules) -> FloatArray:
     """Return the p of each group (columns) by its own shuffles.
 
     Beyond the largest twentieth of the shuffles an exponential tail, fitted to that twentieth,
@@ -216,7 +221,7 @@ def shuffle_p_values(statistics: FloatArray) -> FloatArray:
     """
     null = np.sort(statistics[1:], axis=0)
     count = null.shape[0]
-    top = max(5, count // 20)
+    top = max(5, int(rules.shuffle_tail_share * count))
     threshold = null[-top - 1]
     excess = (null[-top:] - threshold).mean(axis=0) + 1e-12
     observed = statistics[0]

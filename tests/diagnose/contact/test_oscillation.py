@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tacgen.diagnose.contact.channel import channel_data
+from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import Model, fit_model
-from tacgen.diagnose.contact.oscillation import find_waves
+from tacgen.diagnose.contact.oscillation import find_oscillations
 from tacgen.diagnose.contact.scores import shuffles
 
 K_N = 4.0
@@ -27,9 +27,9 @@ def log(period_s, amplitude, n_trials=30, n_samples=50, seed=0):
 
 
 def best_wave(columns):
-    data = channel_data(columns, "normal")
+    data = ChannelSamples(columns, "normal").thinned()
     flips = shuffles(data.n_units, 40, np.random.default_rng(1)).signs[1:]
-    waves = find_waves(data, fit_model(data, Model(K_N)), flips)
+    waves = find_oscillations(data, fit_model(data, Model(K_N)), flips)
     return min(waves, key=lambda wave: wave.p_search) if waves else None
 
 

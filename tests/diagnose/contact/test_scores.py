@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tacgen.diagnose.contact import scores
-from tacgen.diagnose.contact.channel import channel_data
-from tacgen.diagnose.contact.residuals import noise_floor
+from tacgen.diagnose.contact.channel import ChannelSamples, noise_floor
+from tacgen.diagnose.contact.rules import DEFAULT_RULES as RULES
 
 N_TRIALS, N_SAMPLES = 40, 40
 
@@ -25,7 +25,7 @@ def log(rng, force_noise=0.3, volume_noise=0.5, bend=0.0):
 
 def grams_of(columns):
     """Gram matrices of force, force² and volume less k·force."""
-    data = channel_data(columns, "normal")
+    data = ChannelSamples(columns, "normal").thinned()
     force = data.history.force_normal_n[:, None]
     load = data.reduce(force)
     target = data.reduce(data.target)
@@ -41,7 +41,7 @@ def test_the_compliance_is_not_diluted_by_noise_of_the_force():
     for _ in range(20):
         _, grams, k = grams_of(log(rng, force_noise=1.5))
         diluted.append(k)
-        free.append(k + scores.coefficients(grams.sum(axis=0), [0])[0])
+        free.append(k + scores.coefficients(grams.sum(axis=0), [0], RULES)[0])
     assert np.mean(diluted) < 3.85
     assert np.mean(free) == pytest.approx(4.0, abs=0.03)
 
@@ -64,8 +64,8 @@ def test_shuffles_keep_their_level_and_see_a_bend():
 
     def p_value(bend):
         _, grams, _ = grams_of(log(rng, bend=bend))
-        statistics = scores.shuffle_statistics(grams, [0], [[1]], shuffled, 2)
-        return scores.shuffle_p_values(statistics)[0]
+        statistics = scores.shuffle_statistics(grams, [0], [[1]], shuffled, 2, RULES)
+        return scores.shuffle_p_values(statistics, RULES)[0]
 
     null = np.array([p_value(0.0) for _ in range(150)])
     assert 0.0 <= np.mean(null < 0.1) < 0.2
@@ -75,7 +75,7 @@ def test_shuffles_keep_their_level_and_see_a_bend():
 def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
     _, grams, _ = grams_of(log(np.random.default_rng(4), bend=0.02))
     folds = np.arange(N_TRIALS) % 5
-    quick = scores.cv_losses(grams, folds, [[0, 1]])[0]
+    quick = scores.cv_losses(grams, folds, [[0, 1]], RULES)[0]
     for fold in range(5):
         kept = grams[folds != fold].sum(axis=0)
         weights = np.linalg.solve(kept[:2, :2], kept[:2, -1])
@@ -87,15 +87,15 @@ def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
 def test_groups_of_different_size_are_scored_as_they_are_alone():
     _, grams, _ = grams_of(log(np.random.default_rng(5)))
     folds = np.arange(N_TRIALS) % 4
-    both = scores.losses_of_groups(grams, folds, [0], [[1], [1, 2]])
-    np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]])[0])
-    np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]])[0])
+    both = scores.losses_of_groups(grams, folds, [0], [[1], [1, 2]], RULES)
+    np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]], RULES)[0])
+    np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]], RULES)[0])
 
 
 def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
     without = np.array([3.0, 2.0, 1.0])
     losses = np.array([[1.0, 0.5, -0.2], [-60.0, -50.0, 3.0], [np.nan, 1.0, 1.0]])
-    kept = scores.believable(losses, without, 10.0)
+    kept = scores.believable(losses, without, 10.0, RULES)
     np.testing.assert_array_equal(kept, [losses[0], without, without])
 
 
@@ -104,8 +104,8 @@ def test_a_column_that_acts_in_one_unit_says_nothing_without_it():
     alone = grams.copy()
     alone[1:, 1, :], alone[1:, :, 1] = 1e-9 * grams[1:, 1, :], 1e-9 * grams[1:, :, 1]
     folds = np.arange(N_TRIALS) % 5
-    with_it = scores.cv_losses(alone, folds, [[0, 1]])[0]
-    without = scores.cv_losses(alone, folds, [[0]])[0]
+    with_it = scores.cv_losses(alone, folds, [[0, 1]], RULES)[0]
+    without = scores.cv_losses(alone, folds, [[0]], RULES)[0]
     assert with_it[0] == pytest.approx(without[0], rel=1e-6)
 
 

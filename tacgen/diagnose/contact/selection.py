@@ -1,0 +1,608 @@
+"""Which effects does a residual come from: forward, pairwise and backward selection.
+
+Candidates are first compared as linear columns (`scores`), all singles and all pairs, by
+cross-validation over whole trials; the best few are then fitted in full. An effect is kept if a
+sign-flip test over trials, corrected for everything that was looked at, and a least gain on
+held-out trials both allow it. Columns that no effect explains (an operator, an oscillation)
+compete on the same terms, so that they are not taken for an effect.
+
+``CandidateSets`` fits sets of candidates and tests their members; ``Selection`` searches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.contact.effects import Effect, FittedForm, Tie, lead_in_se
+from tacgen.core.arrays import FloatArray
+from tacgen.diagnose.contact import candidates as cand
+from tacgen.diagnose.contact import scores
+from tacgen.diagnose.contact.candidates import Candidate
+from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
+from tacgen.diagnose.contact.covariates import Covariate
+from tacgen.diagnose.contact.model import (
+    CovariateTerm,
+    Fit,
+    Model,
+    Term,
+    fit_model,
+    start_term,
+)
+from tacgen.diagnose.contact.oscillation import find_oscillations
+
+
+@dataclass(frozen=True)
+class FittedSet:
+    """A set of candidates that was fitted, and its losses on held-out units (U,)."""
+
+    members: tuple[Candidate, ...]
+    fit: Fit
+    unit_losses: FloatArray
+
+    @property
+    def loss(self) -> float:
+        """Held-out sum of squares."""
+        return float(self.unit_losses.sum())
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the members."""
+        return frozenset(member.name for member in self.members)
+
+    def lead_in_se(self, other: FittedSet) -> float:
+        """By how many standard errors over units it predicts better than ``other``."""
+        return lead_in_se(self.unit_losses, other.unit_losses)
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Candidates beside a fitted set, and the held-out losses (K, U) with each."""
+
+    candidates: list[Candidate]
+    unit_losses: FloatArray
+    gains: FloatArray
+    """What each explains of the held-out sum of squares (K,)."""
+
+    @property
+    def order(self) -> NDArray[np.int64]:
+        """Numbers of the candidates, best first."""
+        return np.argsort(self.unit_losses.sum(axis=1))
+
+    def best_of_each(
+        self, order: Sequence[int] | NDArray[np.int64], n_names: int, variants: int, share: float
+    ) -> list[Candidate]:
+        """The best ``variants`` of each of the ``n_names`` best names; ``order`` best first.
+
+        What gains less than ``share`` of the best one's gain is left out.
+        """
+        by_name: dict[str, list[Candidate]] = {}
+        for index in order:
+            if self.gains[index] >= share * self.gains[order[0]]:
+                found = self.candidates[index]
+                by_name.setdefault(found.name, []).append(found)
+        return [c for found in list(by_name.values())[:n_names] for c in found[:variants]]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A member of the final model, what it is worth, and what explains nearly the same."""
+
+    candidate: Candidate
+    gain: float
+    p_value: float
+    runner_up: str
+    runner_up_margin: float
+    margin_in_se: float
+    confusable: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """What a channel's residual was traced to.
+
+    ``base`` and ``final`` are fits to the trials that were given; ``chosen`` is in the order in
+    which the members were added; ``ranking`` lists the single candidates at the start (label,
+    gain of the held-out RMSE, p); ``best_covariate`` is the covariate that would explain most of
+    what remains, and its share of the held-out sum of squares, significant or not.
+    """
+
+    base: FittedSet
+    final: FittedSet
+    chosen: tuple[Chosen, ...]
+    ranking: tuple[tuple[str, float, float], ...] = field(default=())
+    best_covariate: tuple[str, float] = ("", 0.0)
+
+
+class CandidateSets:
+    """Fits and cross-validates sets of candidates on one channel, and tests their members.
+
+    Parameters
+    ----------
+    data : ChannelData
+    rng : numpy.random.Generator
+        For the shuffles of its tests.
+    session_clock : bool
+        Whether ``time_s`` runs on from trial to trial.
+    """
+
+    def __init__(
+        self, data: ChannelData, rng: np.random.Generator, *, session_clock: bool = True
+    ) -> None:
+        self.data, self.rules = data, data.rules
+        rules, few = self.rules, data.few_trials
+        self.effects: list[Effect] = [
+            e for e in cand.usable_effects(data) if session_clock or not e.needs_session_clock
+        ]
+        self.alpha = rules.few_alpha if few else rules.alpha
+        self._min_gain = rules.few_min_gain if few else rules.min_gain
+        self._parameter_price = rules.few_parameter_price if few else rules.parameter_price
+        self._covariates = cand.log_covariates(data)
+        self._session_clock = session_clock
+        self._oscillations: list[Covariate] = []
+        self._folds = data.folds()
+        self._shuffled = scores.shuffles(data.n_units, rules.n_shuffles, rng)
+        self._fits: dict[tuple[str, ...], FittedSet] = {}
+
+    def linear(self) -> FittedSet:
+        """The law without effects."""
+        data = self.data
+        rough_k = linear_compliance(data.history.load(data.channel), data.target)
+        return self._fitted((), Model(rough_k or 1e-6))
+
+    def _fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
+        """Fit ``members`` from ``start``, once, and cross-validate around the fit."""
+        key = tuple(sorted(member.label for member in members))
+        if key not in self._fits:
+            fit = fit_model(self.data, start)
+            design = np.column_stack([fit.jacobian, fit.residual])
+            grams = scores.unit_grams(self.data, design)
+            plain = grams[:, -1, -1]
+            columns = range(fit.jacobian.shape[1])
+            losses = scores.cv_losses(grams, self._folds, [list(columns)], self.rules)
+            losses = self._believable(losses, plain)[0]
+            if not self._is_converged(fit):
+                losses = np.maximum(plain, losses)
+            self._fits[key] = FittedSet(members, fit, losses)
+        return replace(self._fits[key], members=members)
+
+    def _believable(self, losses: FloatArray, without: FloatArray) -> FloatArray:
+        return scores.believable(losses, without, self.data.noise_loss, self.rules)
+
+    def _is_converged(self, fit: Fit) -> bool:
+        """Whether one more linear step would change little, so that it may stand for a refit."""
+        step = np.linalg.lstsq(fit.jacobian, fit.residual, rcond=1e-9)[0]
+        predicted = fit.jacobian @ step
+        return float(predicted @ predicted) < self.rules.max_newton_gain * fit.loss
+
+    def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
+        """``current`` with ``more`` members, fitted from the linear solution."""
+        fit = current.fit
+        grams, groups, base = self.grams(fit, more)
+        columns = [*base, *(i for group in groups for i in group)]
+        share = scores.coefficients(grams.sum(axis=0), columns, self.rules)[len(base) :]
+        model, position = fit.model, 0
+        for candidate in more:
+            width = candidate.columns.shape[1]
+            part = share[position : position + width]
+            position += width
+            if candidate.effect is not None and candidate.variant is not None:
+                scales = part if candidate.variant.scales else np.ones(len(part))
+                term = start_term(candidate.effect, candidate.variant, self.data, list(scales))
+                model = replace(model, terms=(*model.terms, term))
+            elif candidate.covariate is not None:
+                added = CovariateTerm(candidate.covariate, tuple(float(v) for v in part))
+                model = replace(model, covariates=(*model.covariates, added))
+        return self._fitted((*current.members, *more), model)
+
+    def without(self, full: FittedSet, member: Candidate) -> FittedSet:
+        """``full`` without ``member``, refitted."""
+        members = tuple(m for m in full.members if m.label != member.label)
+        model = full.fit.model
+        if member.covariate is not None:
+            return self._fitted(members, model.without_covariate(member.covariate))
+        return self._fitted(members, model.without_effect(member.name))
+
+    def pool(self, current: FittedSet, *, new_oscillations: bool = False) -> Pool:
+        """Candidates beside ``current`` and the losses that each leaves on held-out units."""
+        fit, taken = current.fit, current.names
+        effects = [e for e in self.effects if e.name not in taken]
+        covariates = [c for c in self._covariates if c.column not in taken]
+        if "time_s" not in taken and self._session_clock:
+            if new_oscillations or not self._oscillations:
+                flips = self._shuffled.signs[1 : 1 + self.rules.n_oscillation_flips]
+                self._oscillations = find_oscillations(self.data, fit, flips)
+            covariates += self._oscillations
+        found = cand.effect_candidates(self.data, fit.model, effects)
+        found += cand.covariate_candidates(self.data, fit, covariates)
+        found = [
+            c
+            for c in found
+            if (c.is_effect and not c.is_between_trials) or self.is_determined(c, *current.members)
+        ]
+        grams, groups, base = self.grams(fit, found)
+        losses = scores.losses_of_groups(grams, self._folds, base, groups, self.rules)
+        losses = self._believable(losses, current.unit_losses)
+        return Pool(found, losses, current.loss - losses.sum(axis=1))
+
+    def pairs(self, current: FittedSet, pool: Pool) -> list[tuple[Candidate, Candidate]]:
+        """The pairs of candidates beside ``current`` that are worth a fit, best first."""
+        rules, found = self.rules, pool.candidates
+        grams, groups, base = self.grams(current.fit, found)
+        by_size: dict[int, list[tuple[int, int]]] = {}
+        for a, b in combinations(self._pair_members(pool), 2):
+            both = (found[a], found[b], *current.members)
+            if found[a].name != found[b].name and self.is_determined(*both):
+                by_size.setdefault(len(groups[a]) + len(groups[b]), []).append((a, b))
+        ranked: list[tuple[float, tuple[int, int]]] = []
+        total = grams.sum(axis=0)
+        for pairs in by_size.values():
+            sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
+            ranked += zip(scores.training_losses(total, sets, rules), pairs, strict=True)
+        least = min(current.loss, 0.0) - rules.negative_loss_tolerance * self.data.noise_loss
+        ranked = [item for item in ranked if item[0] >= least]
+        ranked.sort(key=lambda item: item[0])
+        short = [pair for _, pair in ranked[: rules.pairs_scored]]
+        both_groups = [[*groups[a], *groups[b]] for a, b in short]
+        losses = scores.losses_of_groups(grams, self._folds, base, both_groups, rules)
+        sums = self._believable(losses, current.unit_losses).sum(axis=1)
+        gains = current.loss - sums
+        best: dict[frozenset[str], tuple[Candidate, Candidate]] = {}
+        for index in np.argsort(sums):
+            if gains[index] >= rules.pair_share * gains.max():
+                a, b = (found[i] for i in short[index])
+                best.setdefault(frozenset((a.name, b.name)), (a, b))
+        return list(best.values())[: rules.pairs_fitted]
+
+    def _pair_members(self, pool: Pool) -> list[int]:
+        """About ``pair_pool`` candidates, every name with its best few."""
+        kept: list[int] = []
+        for depth in range(1, 8):
+            counts: dict[str, int] = {}
+            kept = []
+            for index in pool.order:
+                name = pool.candidates[index].name
+                counts[name] = counts.get(name, 0) + 1
+                if counts[name] <= depth:
+                    kept.append(int(index))
+            if len(kept) >= self.rules.pair_pool:
+                break
+        return kept
+
+    def is_determined(self, *members: Candidate) -> bool:
+        """Whether there are trials enough for the members that have one number a trial."""
+        widths = [
+            member.columns.shape[1]
+            for member in members
+            if not member.is_oscillation and (not member.is_effect or member.is_between_trials)
+        ]
+        most = self.rules.coefficients_per_trial * self.data.history.n_trials
+        return sum(widths) <= max(1.0, most)
+
+    def grams(
+        self, fit: Fit, candidates: Sequence[Candidate]
+    ) -> tuple[FloatArray, list[list[int]], list[int]]:
+        """Gram matrices of a fit's and the candidates' columns, and the numbers of both."""
+        base = list(range(fit.jacobian.shape[1]))
+        groups, position = [], len(base)
+        for candidate in candidates:
+            width = candidate.columns.shape[1]
+            groups.append(list(range(position, position + width)))
+            position += width
+        columns = [candidate.columns for candidate in candidates]
+        design = np.column_stack([fit.jacobian, *columns, fit.residual])
+        return scores.unit_grams(self.data, design), groups, base
+
+    def p_values(self, current: FittedSet, candidates: Sequence[Candidate]) -> FloatArray:
+        """Return the p of each candidate, corrected for the number of names looked at."""
+        ones = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
+        grams, groups, base = self.grams(current.fit, [*candidates, ones])
+        statistics = scores.shuffle_statistics(
+            grams, base, groups[:-1], self._shuffled, groups[-1][0], self.rules
+        )
+        search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
+        n_names = 1 if self.data.few_trials else len({c.name for c in candidates})
+        by_shuffle = np.maximum(scores.shuffle_p_values(statistics, self.rules), search)
+        return np.minimum(by_shuffle * n_names, 1.0)
+
+    def p_value(self, full: FittedSet, member: Candidate) -> float:
+        """Return the p of the member's columns beside the others, not corrected for a choice."""
+        rest = self.without(full, member)
+        fresh = self._linearised(rest, member)
+        return 1.0 if fresh is None else float(self.p_values(rest, [fresh])[0])
+
+    def _linearised(self, fitted: FittedSet, member: Candidate) -> Candidate | None:
+        """``member`` with columns linearised at another fit."""
+        fit = fitted.fit
+        if member.covariate is not None:
+            return cand.covariate_candidates(self.data, fit, [member.covariate])[0]
+        effects = [member.effect] if member.effect is not None else []
+        same = cand.effect_candidates(self.data, fit.model, effects)
+        return next((c for c in same if c.label == member.label), None)
+
+    def total(self, fitted: FittedSet) -> float:
+        """Held-out sum of squares, the noise included."""
+        noise_loss = self.data.noise_loss
+        return max(noise_loss + fitted.loss, 0.5 * noise_loss)
+
+    def score(self, fitted: FittedSet) -> float:
+        """Loss for comparing rivals: a covariate, and a further parameter, must pay for itself."""
+        n_covariates = sum(not member.is_effect for member in fitted.members)
+        n_parameters = sum(member.n_parameters for member in fitted.members)
+        price = self.rules.min_gain * n_covariates + self._parameter_price * n_parameters
+        return fitted.loss + price * self.total(fitted)
+
+    def is_worth(self, smaller: FittedSet, larger: FittedSet) -> bool:
+        """Whether the larger set's gain on held-out units is large and above its own error."""
+        difference = smaller.unit_losses - larger.unit_losses
+        error = float(difference.std() * np.sqrt(difference.size))
+        gain = float(difference.sum())
+        if self.data.few_trials:
+            at_bound = any(_is_at_bound(term) for term in larger.fit.model.terms)
+            if at_bound or gain < self.rules.clear_share * smaller.loss:
+                return False
+        least = self._min_gain * self.total(larger)
+        return gain > least and gain > self.rules.min_gain_in_se * error
+
+    def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
+        """Whether ``gain`` over ``without`` is so large that a weak p is enough."""
+        rules = self.rules
+        least = max(rules.clear_share * without.loss, rules.clear_gain * self.total(without))
+        return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
+
+    def is_needed(self, full: FittedSet, member: Candidate, alpha: float | None = None) -> bool:
+        """Whether held-out trials, shuffles and the other members' worth call for ``member``."""
+        rest = self.without(full, member)
+        if not self.is_worth(rest, full):
+            return False
+        if member.is_oscillation:
+            alpha = self.rules.oscillation_alpha_share * self.alpha
+        p_value = self.p_value(full, member)
+        if p_value > (alpha or self.alpha) and not self.is_clear(
+            rest, rest.loss - full.loss, p_value
+        ):
+            return False
+        worth = self._worth(full, member)
+        return all(
+            worth >= self._least_share(full, member, rival) * self._worth_of_rival(full, rival)
+            for rival in full.members
+            if rival.label != member.label
+        )
+
+    def _least_share(self, full: FittedSet, member: Candidate, rival: Candidate) -> float:
+        """Share of what ``rival`` is worth that ``member`` must be worth."""
+        rules = self.rules
+        if member.has_memory and rival.has_memory and sum(m.has_memory for m in full.members) > 2:
+            return rules.third_memory_share
+        if member.is_oscillation or not rival.is_effect:
+            return rules.covariate_share
+        same_kind = member.is_between_trials == rival.is_between_trials
+        return rules.same_kind_share if same_kind else rules.other_kind_share
+
+    def _worth(self, full: FittedSet, member: Candidate) -> float:
+        """What ``full`` gains by ``member`` over the others in whatever forms were fitted."""
+        rest = self.without(full, member)
+        return min(rest.loss, self._least_loss(rest.names)) - full.loss
+
+    def _worth_of_rival(self, full: FittedSet, rival: Candidate) -> float:
+        """What ``rival`` is worth in ``full``, or alone where others can imitate it."""
+        alone = self._least_loss(frozenset()) - self._least_loss(frozenset({rival.name}))
+        return max(self._worth(full, rival), alone)
+
+    def _least_loss(self, names: frozenset[str]) -> float:
+        """Least loss of the sets of these names that were fitted; infinite if there are none."""
+        return min((f.loss for f in self._fits.values() if f.names == names), default=np.inf)
+
+
+class Selection:
+    """The search for the effects of one channel; arguments as ``CandidateSets`` has them."""
+
+    def __init__(
+        self, data: ChannelData, rng: np.random.Generator, *, session_clock: bool = True
+    ) -> None:
+        self.data, self.rules = data, data.rules
+        self.sets = CandidateSets(data, rng, session_clock=session_clock)
+        most = data.history.n_trials // self.rules.trials_per_member_if_few
+        self._max_members = max(1, most) if data.few_trials else self.rules.max_members
+
+    def run(self) -> Attribution:
+        """Select forward by singles and pairs, then drop, swap and name the runners-up."""
+        base = current = self.sets.linear()
+        ranking, best_covariate = None, ("", 0.0)
+        visited = {base.names}
+        while len(current.members) < self._max_members:
+            pool = self.sets.pool(current, new_oscillations=True)
+            p_values = self.sets.p_values(current, pool.candidates)
+            best_covariate = self._best_covariate(current, pool)
+            ranking = ranking or self._ranking(current, pool, p_values)
+            extended = self._extended(current, pool, p_values)
+            if extended is None:
+                break
+            current = self._pruned(self._prefer_effects(self._swapped(extended)))
+            if current.names in visited:
+                break
+            visited.add(current.names)
+        current = self._ties_broken(self._pruned(current))
+        return Attribution(base, current, self._described(current), ranking or (), best_covariate)
+
+    def _extended(self, current: FittedSet, pool: Pool, p_values: FloatArray) -> FittedSet | None:
+        """The best set with one or two members more; None if nothing is significant."""
+        sets, rules = self.sets, self.rules
+        n_names = len({candidate.name for candidate in pool.candidates})
+        significant = [
+            i
+            for i in pool.order
+            if p_values[i] <= sets.alpha
+            or sets.is_clear(current, pool.gains[i], p_values[i] / n_names)
+        ]
+        best = pool.best_of_each(significant, rules.singles_fitted, 2, rules.single_share)
+        singles = [sets.add(current, [candidate]) for candidate in best]
+        singles = [single for single in singles if sets.is_worth(current, single)]
+        best_single = min(singles, key=sets.score, default=None)
+        if len(current.members) + 2 > self._max_members:
+            return best_single
+        pairs = [sets.add(current, pair) for pair in sets.pairs(current, pool)]
+        for pair in sorted(pairs, key=sets.score):
+            if sets.is_worth(best_single or current, pair) and self._both_needed(current, pair):
+                return pair
+        return best_single
+
+    def _both_needed(self, current: FittedSet, pair: FittedSet) -> bool:
+        """Whether either of the last two members is missed when it is left out."""
+        alpha = self.rules.pair_alpha_share * self.sets.alpha
+        new = [member for member in pair.members if member.name not in current.names]
+        return all(self.sets.is_needed(pair, member, alpha) for member in new)
+
+    def _swapped(self, fitted: FittedSet) -> FittedSet:
+        """Exchange members, and their variants, as long as held-out trials gain."""
+        sets = self.sets
+        for _ in range(4):
+            best = fitted
+            for member in fitted.members:
+                rest = sets.without(fitted, member)
+                for other in self._alternatives(rest, fitted):
+                    trial = sets.add(rest, [other])
+                    least = self.rules.min_swap_gain * sets.total(best)
+                    if sets.score(trial) < sets.score(best) - least:
+                        best = trial
+            if best is fitted:
+                return fitted
+            fitted = best
+        return fitted
+
+    def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:
+        """The few best candidates beside ``rest``, the same name in other variants included."""
+        pool, rules = self.sets.pool(rest), self.rules
+        picked: list[Candidate] = []
+        for in_full, variants in ((True, 3), (False, 2)):
+            order = [i for i in pool.order if (pool.candidates[i].name in full.names) == in_full]
+            picked += pool.best_of_each(order, rules.singles_fitted, variants, rules.single_share)
+        return picked
+
+    def _prefer_effects(self, fitted: FittedSet) -> FittedSet:
+        """Exchange a covariate for an effect that explains nearly all that it explains.
+
+        Levels or a parabola bend to whatever is near them; what an effect explains with its own
+        few numbers needs no further column.
+        """
+        for member in fitted.members:
+            if member.is_effect:
+                continue
+            rest = self.sets.without(fitted, member)
+            least = (1.0 - self.rules.effect_slack) * (rest.loss - fitted.loss)
+            for other in self._alternatives(rest, fitted):
+                trial = self.sets.add(rest, [other]) if other.is_effect else rest
+                if rest.loss - trial.loss >= least and self.sets.is_needed(trial, other):
+                    return self._prefer_effects(trial)
+        return fitted
+
+    def _pruned(self, fitted: FittedSet) -> FittedSet:
+        """Drop members that are not needed beside the others: covariates, then the least needed."""
+        while fitted.members:
+            idle = [
+                (m.is_effect, self.sets.without(fitted, m).loss, i)
+                for i, m in enumerate(fitted.members)
+                if not self.sets.is_needed(fitted, m)
+            ]
+            if not idle:
+                break
+            fitted = self.sets.without(fitted, fitted.members[min(idle)[-1]])
+        return fitted
+
+    def _ties_broken(self, fitted: FittedSet) -> FittedSet:
+        """Where two effects predict equally well, let the rule that one declares decide."""
+        for effect in self.sets.effects:
+            for rival, decide in effect.tie_breaks.items():
+                found = {effect.name, rival} & fitted.names
+                if len(found) == 1:
+                    fitted = self._tie_broken(fitted, found.pop(), decide)
+        return fitted
+
+    def _tie_broken(
+        self, fitted: FittedSet, name: str, decide: Callable[[Tie], FittedForm]
+    ) -> FittedSet:
+        rest = self.sets.without(fitted, next(m for m in fitted.members if m.name == name))
+        set_of_form: list[tuple[FittedForm, FittedSet]] = []
+
+        def form_of(candidate_set: FittedSet, name: str) -> FittedForm:
+            term = next(t for t in candidate_set.fit.model.terms if t.name == name)
+            form = FittedForm(name, term.values, term.variant.free, candidate_set.unit_losses)
+            set_of_form.append((form, candidate_set))
+            return form
+
+        def forms(name: str) -> list[FittedForm]:
+            pool = self.sets.pool(rest)
+            named = [pool.candidates[i] for i in pool.order if pool.candidates[i].name == name]
+            return [form_of(self.sets.add(rest, [candidate]), name) for candidate in named]
+
+        found = form_of(fitted, name)
+        decided = decide(Tie(found, self.data.history, self.rules.tie_in_se, forms))
+        return next(candidate_set for form, candidate_set in set_of_form if form is decided)
+
+    def _best_covariate(self, current: FittedSet, pool: Pool) -> tuple[str, float]:
+        """Name and share of the best candidate that is no effect."""
+        shares = pool.gains / self.sets.total(current)
+        found = [
+            (float(share), candidate.name)
+            for share, candidate in zip(shares, pool.candidates, strict=True)
+            if not candidate.is_effect
+        ]
+        share, name = max(found, default=(0.0, ""))
+        return name, share
+
+    def _ranking(
+        self, current: FittedSet, pool: Pool, p_values: FloatArray
+    ) -> tuple[tuple[str, float, float], ...]:
+        """(label, gain of held-out RMSE, p) of the best variant of each name, best first."""
+        rows: dict[str, tuple[str, float, float]] = {}
+        for index in pool.order:
+            candidate = pool.candidates[index]
+            after = max(self.data.noise_loss + float(pool.unit_losses[index].sum()), 0.0)
+            gain = 1.0 - float(np.sqrt(after / self.sets.total(current)))
+            rows.setdefault(candidate.name, (candidate.label, gain, float(p_values[index])))
+        return tuple(rows.values())
+
+    def _described(self, final: FittedSet) -> tuple[Chosen, ...]:
+        described = []
+        sets, least_lead = self.sets, self.rules.confusable_in_se
+        for member in final.members:
+            rest = sets.without(final, member)
+            rivals = [
+                sets.add(rest, [other])
+                for other in self._alternatives(rest, final)
+                if other.name not in final.names
+            ]
+            rivals.sort(key=lambda rival: rival.loss)
+            close = [r.members[-1].name for r in rivals if final.lead_in_se(r) < least_lead]
+            name, margin, lead = "", np.inf, np.inf
+            if rivals:
+                name = rivals[0].members[-1].name
+                margin = float(np.sqrt(sets.total(rivals[0]) / sets.total(final))) - 1.0
+                lead = final.lead_in_se(rivals[0])
+            described.append(
+                Chosen(
+                    member,
+                    gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
+                    p_value=sets.p_value(final, member),
+                    runner_up=name,
+                    runner_up_margin=margin,
+                    margin_in_se=lead,
+                    confusable=tuple(dict.fromkeys(close)),
+                )
+            )
+        return tuple(described)
+
+
+def _is_at_bound(term: Term) -> bool:
+    """Whether a fitted amount ended where its bound stopped it: then it is no measurement."""
+    for name in term.variant.free:
+        parameter = term.effect.parameter(name)
+        if parameter is not None and parameter.role == "amount":
+            value = term.values[name]
+            if value != parameter.identity and not parameter.low < value < parameter.high:
+                return True
+    return False
