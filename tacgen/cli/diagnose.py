@@ -79,7 +79,7 @@ def diagnose_optics(
     diagnosis, used = write_optics_diagnosis(
         presses, out, table_path=table, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
-    warn((*used.warnings, *used.doubtful))
+    warn((*used.warnings, *used.dropped))
     print_result(diagnosis.as_dict(), sentence(diagnosis), json_output)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from tacgen.core.arrays import FloatArray
 
 
-def ball_volume_mm3(depth_mm: ArrayLike, radius_mm: ArrayLike) -> Floats:
-    """Volume of the gel that a ball at ``depth_mm`` takes, over a flat gel at rest.
+def ball_volume_mm3(depth_mm: ArrayLike, radius_mm: ArrayLike) -> FloatArray:
+    """Volume of the gel that a ball displaces at ``depth_mm``, over a flat gel at rest.
 
     Up to its own radius a cap, π d² (R − d/3); deeper, the half ball and the cylinder above it,
     as the gel cannot close behind it. 0 where the depth is negative.
@@ -20,8 +20,8 @@ def ball_volume_mm3(depth_mm: ArrayLike, radius_mm: ArrayLike) -> Floats:
     return np.pi * cap**2 * (radius - cap / 3.0) + np.pi * radius**2 * (depth - cap)
 
 
-def ball_depth_mm(volume_mm3: ArrayLike, radius_mm: ArrayLike) -> Floats:
-    """The depth at which a ball takes ``volume_mm3``; 0 where the volume is not positive.
+def ball_depth_mm(volume_mm3: ArrayLike, radius_mm: ArrayLike) -> FloatArray:
+    """The depth at which a ball displaces ``volume_mm3``; 0 where the volume is not positive.
 
     The cap's cubic d³ − 3R d² + 3V/π = 0 by its trigonometric root.
     """
@@ -33,7 +33,7 @@ def ball_depth_mm(volume_mm3: ArrayLike, radius_mm: ArrayLike) -> Floats:
     return cap + np.maximum(volume - half, 0.0) / (np.pi * radius**2)
 
 
-def cap_volume_from_circle_mm3(contact_radius_mm: ArrayLike, radius_mm: ArrayLike) -> Floats:
+def cap_volume_from_circle_mm3(contact_radius_mm: ArrayLike, radius_mm: ArrayLike) -> FloatArray:
     """Volume of the cap of a ball whose contact circle has ``contact_radius_mm``.
 
     A circle at least as wide as the ball means that the ball is in to its middle or deeper; the

@@ -159,7 +159,7 @@ def _edge_points(
 ) -> FloatArray:
     """Where the change falls to half of its largest along each direction (n, 2).
 
-    Directions without a clear change, and those whose edge lies out of view, are left out.
+    Directions without a clear change, and those whose edge lies out of view, are skipped.
     """
     profile, top = _profiles(strength, center, radius)
     level = EDGE_SHARE * top

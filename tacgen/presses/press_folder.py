@@ -1,8 +1,8 @@
-"""Readers of press images: a folder of PNGs with a list, or Taxim's ``dataPack.npz``."""
+"""Press images: a folder of pictures with a list, or Taxim's ``dataPack.npz``."""
 
 from __future__ import annotations
 
-import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -11,17 +11,23 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.safe_io import MAX_SIDE_PX, check_archive, read_bgr
 from tacgen.core.yaml_source import read_yaml
 from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_log import SHEAR_FORCES, column_problems, numeric_columns, read_table
 
 COORDINATES = ("center_x_px", "center_y_px", "contact_radius_px")
 STAGE = ("x_mm", "y_mm")
 """Where a stage says a press was: a ruler for the scale."""
 
-COLUMNS = ("file", "radius_mm", *COORDINATES)
+NUMBERS = ("radius_mm", *COORDINATES, *STAGE, "trial", "time_s", "force_normal_n", *SHEAR_FORCES)
+
+WITH_BALLS = ("file", "radius_mm")
+WITH_FORCES = ("file", "force_normal_n")
+"""What a list of presses needs: for a table, and for a press log."""
 
 TAXIM_FULL_MM_PER_PX, TAXIM_FULL_WIDTH_PX = 0.0295, 640
 """Scale of Taxim's sensor at its full width; a smaller picture of it has larger pixels."""
@@ -36,12 +42,107 @@ WIDTHS_MM = (1.0, 150.0)
 _DATAPACK = ("f0", "imgs", "touch_center", "touch_radius")
 
 
+@dataclass(frozen=True, slots=True)
+class PressFolder:
+    """A folder of press images, read and checked; pictures are loaded on demand.
+
+    Attributes
+    ----------
+    path : Path
+    table : DataFrame
+        ``presses.csv``, one row a press: known columns as numbers, others as text.
+    background : (H, W, 3) uint8
+        RGB, the gel with nothing on it.
+    mm_per_px : float
+    dome_radius_mm : float
+        0 for a flat gel.
+    sensor : str
+    dot_pitch_mm : float
+        0 where it is not known.
+    """
+
+    path: Path
+    table: pd.DataFrame
+    background: NDArray[np.uint8]
+    mm_per_px: float
+    dome_radius_mm: float = 0.0
+    sensor: str = ""
+    dot_pitch_mm: float = 0.0
+
+    def numbers(self, name: str) -> FloatArray:
+        """A column (N,); NaN where it is empty or absent."""
+        if name not in self.table:
+            return np.full(len(self.table), np.nan)
+        return self.table[name].to_numpy(np.float64)
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        """One picture (H, W, 3), RGB.
+
+        Raises
+        ------
+        PressError
+            Where it cannot be read or is of another size than the background.
+        """
+        path, row = self.path / self.table["file"].iloc[index], index + 2
+        image = _read_image(path, f"row {row} of presses.csv")
+        if image.shape != self.background.shape:
+            seen, wanted = image.shape[1::-1], self.background.shape[1::-1]
+            msg = (
+                f"{path}: (row {row}) is {seen[0]}×{seen[1]} px, the background "
+                f"{wanted[0]}×{wanted[1]}: take all at one resolution"
+            )
+            raise PressError(msg)
+        return image
+
+
+def read_press_folder(
+    path: Path,
+    required: tuple[str, ...] = WITH_BALLS,
+    *,
+    mm_per_px: float | None = None,
+    ball_radius_mm: float | None = None,
+) -> PressFolder:
+    """Read ``presses.csv``, ``background.png`` and ``sensor.yaml`` of a folder.
+
+    ``required`` are the columns that the list must have; ``mm_per_px`` and ``ball_radius_mm``
+    replace what the files hold.
+
+    Raises
+    ------
+    PressError
+        Lists everything that is missing or wrong.
+    """
+    path, problems = Path(path), []
+    files = {
+        "background.png": "take a picture of the gel with nothing on it",
+        "presses.csv": f"list the presses in it: {', '.join(required)}",
+        "sensor.yaml": "write `mm_per_px: <size of a pixel>` into it",
+    }
+    there = {name: (path / name).is_file() for name in files}
+    for name, fix in files.items():
+        if not there[name] and not (name == "sensor.yaml" and mm_per_px is not None):
+            problems.append(f"{path / name}: missing; {fix}")
+    sensor = (mm_per_px or np.nan, 0.0, "", 0.0)
+    if there["sensor.yaml"]:
+        sensor = _read_sensor(path / "sensor.yaml", mm_per_px, problems)
+    background = np.zeros((0, 0, 3), np.uint8)
+    if there["background.png"]:
+        background = _read_image(path / "background.png", "the gel with nothing on it")
+        problems += _scale_problems(path / "sensor.yaml", sensor[0], background.shape[1])
+    table = pd.DataFrame()
+    if there["presses.csv"]:
+        table = _read_list(path / "presses.csv", required, ball_radius_mm, problems)
+    if problems:
+        raise PressError.from_problems(problems)
+    return PressFolder(path, table, background, *sensor)
+
+
 def read_presses(
     path: Path, *, mm_per_px: float | None = None, ball_radius_mm: float | None = None
 ) -> PressImages:
-    """Read the presses at ``path``, a folder or a ``dataPack.npz``, as they stand in the files.
+    """Read the presses at ``path``, a folder or a ``dataPack.npz``.
 
-    ``mm_per_px`` and ``ball_radius_mm`` replace what the files say; for a dataPack, which says
+    ``mm_per_px`` and ``ball_radius_mm`` replace what the files hold; for a dataPack, which holds
     neither, the default is Taxim's own sensor and ball.
 
     Raises
@@ -55,7 +156,9 @@ def read_presses(
             msg = f"{name} = {value:g} must be a positive number"
             raise PressError(msg)
     if path.is_dir():
-        return _read_folder(path, mm_per_px, ball_radius_mm)
+        return _images_of(
+            read_press_folder(path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
+        )
     if path.is_file():
         return _read_datapack(path, mm_per_px, ball_radius_mm)
     msg = (
@@ -110,7 +213,6 @@ def _read_datapack(
         ball_radius_mm=np.full(count, ball_radius_mm),
         mm_per_px=float(mm_per_px),
         sensor="taxim",
-        found=np.zeros(count, dtype=bool),
         warnings=tuple(warnings),
         sha256={path.name: sha256_of(path)},
     )
@@ -147,56 +249,40 @@ def _datapack_problems(path: Path, arrays: dict[str, NDArray]) -> list[str]:
     return problems
 
 
-def _read_folder(path: Path, mm_per_px: float | None, ball_radius_mm: float | None) -> PressImages:
-    problems: list[str] = []
-    sensor = read_sensor_file(path / "sensor.yaml", mm_per_px, problems)
-    table = _read_list(path / "presses.csv", ball_radius_mm, problems)
-    background = _read_image(path / "background.png", "the gel with nothing on it", problems)
-    images, rows = [], []
-    if table is not None:
-        for row, name in zip(table.index, table["file"], strict=True):
-            file = path / str(name)
-            image = _read_image(file, f"row {row} of presses.csv", problems)
-            if image is None:
-                continue
-            if background is not None and image.shape != background.shape:
-                problems.append(
-                    f"{file}: (row {row}) is {image.shape[1]}×{image.shape[0]} px, the background "
-                    f"{background.shape[1]}×{background.shape[0]}: take all at one resolution"
-                )
-            images.append(image)
-            rows.append(row)
-    if background is not None and sensor is not None:
-        problems += scale_problems(path / "sensor.yaml", sensor[0], background.shape[1])
-    if problems or table is None or background is None or sensor is None:
+def _images_of(folder: PressFolder) -> PressImages:
+    """All pictures of a folder."""
+    images, problems = [], []
+    for index in range(len(folder.table)):
+        try:
+            images.append(folder.picture(index))
+        except PressError as error:
+            problems.append(str(error))
+    if problems:
         raise PressError.from_problems(problems)
-    scale, dome, name, pitch = sensor
-    kept = table.loc[rows]
-    files = [path / str(file) for file in kept["file"]]
+    names = tuple(folder.table["file"])
     return PressImages(
         images=np.stack(images),
-        background=background,
-        names=tuple(str(file) for file in kept["file"]),
-        center_px=kept[["center_x_px", "center_y_px"]].to_numpy(np.float64),
-        radius_px=kept["contact_radius_px"].to_numpy(np.float64),
-        ball_radius_mm=kept["radius_mm"].to_numpy(np.float64),
-        mm_per_px=scale,
-        dome_radius_mm=dome,
-        sensor=name,
-        stage_mm=kept[list(STAGE)].to_numpy(np.float64),
-        dot_pitch_mm=pitch,
-        found=np.zeros(len(kept), dtype=bool),
+        background=folder.background,
+        names=names,
+        center_px=np.column_stack([folder.numbers(name) for name in COORDINATES[:2]]),
+        radius_px=folder.numbers("contact_radius_px"),
+        ball_radius_mm=folder.numbers("radius_mm"),
+        mm_per_px=folder.mm_per_px,
+        dome_radius_mm=folder.dome_radius_mm,
+        sensor=folder.sensor,
+        stage_mm=np.column_stack([folder.numbers(name) for name in STAGE]),
+        dot_pitch_mm=folder.dot_pitch_mm,
         sha256={
             file.name: sha256_of(file)
-            for file in (path / "background.png", path / "presses.csv", *files)
+            for file in (folder.path / name for name in ("background.png", "presses.csv", *names))
         },
     )
 
 
-def scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
+def _scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
     """What is wrong with a scale that makes the picture wider or narrower than a sensor sees."""
     wide = mm_per_px * width_px
-    if WIDTHS_MM[0] <= wide <= WIDTHS_MM[1]:
+    if np.isnan(wide) or WIDTHS_MM[0] <= wide <= WIDTHS_MM[1]:
         return []
     return [
         f"{path}: mm_per_px = {mm_per_px:g} makes the picture {wide:.3g} mm wide; a tactile sensor "
@@ -204,15 +290,10 @@ def scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
     ]
 
 
-def read_sensor_file(
+def _read_sensor(
     path: Path, mm_per_px: float | None, problems: list[str]
-) -> tuple[float, float, str, float] | None:
-    """Scale, dome radius, name and pitch of the printed dots (0 where there are none)."""
-    if not path.is_file():
-        if mm_per_px is not None:
-            return mm_per_px, 0.0, "", 0.0
-        problems.append(f"{path}: missing; write `mm_per_px: <size of a pixel>` into it")
-        return None
+) -> tuple[float, float, str, float]:
+    """Scale (NaN where it is wrong), dome radius, name and pitch of the dots (0 for none)."""
     data = read_yaml(path).data
     scale: Any = mm_per_px if mm_per_px is not None else data.get("mm_per_px")
     dome: Any = data.get("dome_radius_mm") or 0.0
@@ -220,7 +301,7 @@ def read_sensor_file(
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not number or not np.isfinite(value) or value < least:
             problems.append(f"{path}: {name} = {value!r} must be a positive number of mm")
-            return None
+            return np.nan, 0.0, "", 0.0
     markers = data.get("markers")
     pitch: Any = markers.get("pitch_mm") if isinstance(markers, dict) else None
     known = isinstance(pitch, (int, float)) and np.isfinite(pitch) and pitch > 0
@@ -228,71 +309,51 @@ def read_sensor_file(
 
 
 def _read_list(
-    path: Path, ball_radius_mm: float | None, problems: list[str]
-) -> pd.DataFrame | None:
-    """``presses.csv`` with every column, indexed by the row of the file (the header is row 1)."""
-    if not path.is_file():
-        problems.append(f"{path}: missing; list the presses in it: {', '.join(COLUMNS)}")
-        return None
-    try:
-        table = pd.read_csv(path, skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError) as error:
-        problems.append(f"{path}: cannot be read as CSV: {error}")
-        return None
-    table.index = pd.RangeIndex(2, len(table) + 2)
-    table.columns = [str(name).strip() for name in table.columns]
+    path: Path, required: tuple[str, ...], ball_radius_mm: float | None, problems: list[str]
+) -> pd.DataFrame:
+    """``presses.csv`` with every column; its first press is in row 2 of the file."""
+    frame = read_table(path)
     if ball_radius_mm is not None:
-        table["radius_mm"] = ball_radius_mm
-    missing = [name for name in ("file", "radius_mm") if name not in table]
-    if missing:
-        problems.append(
-            f"{path}: column {' and '.join(missing)} missing; it needs `file` and `radius_mm` "
-            f"(the ball's radius), and may have {', '.join(COORDINATES)}"
-        )
-        return None
-    if len(table) == 0:
-        problems.append(f"{path}: lists no presses")
-        return None
-    for name in (*COORDINATES, *STAGE):
-        if name not in table:
-            table[name] = np.nan
-    for name in ("radius_mm", *COORDINATES, *STAGE):
-        numbers = pd.to_numeric(table[name], errors="coerce")
-        wrong = table.index[numbers.isna() & table[name].notna()]
-        problems += [
-            f"{path}: row {row}: {name} = {table.loc[row, name]!r} is no number" for row in wrong
-        ]
-        table[name] = numbers.replace([np.inf, -np.inf], np.nan)
-    balls = table["radius_mm"]
-    problems += [
-        f"{path}: row {row}: radius_mm is {'empty' if np.isnan(balls[row]) else balls[row]}; give "
-        "the ball's radius in mm"
-        for row in table.index[~(balls > 0)]
-    ]
-    problems += [
-        f"{path}: row {row}: radius_mm = {balls[row]:g} is no ball that a gel can feel; give the "
-        f"radius in mm, {BALLS_MM[0]:g} to {BALLS_MM[1]:g}"
-        for row in table.index[(balls > 0) & ~balls.between(*BALLS_MM)]
-    ]
-    empty = table.index[table["file"].isna()]
-    problems += [f"{path}: row {row}: file is empty" for row in empty]
-    doubled = table.index[table["file"].duplicated() & table["file"].notna()]
-    problems += [
-        f"{path}: row {row}: {table.loc[row, 'file']} is listed twice; list each press once"
-        for row in doubled
-    ]
-    return table.drop(index=empty)
+        frame["radius_mm"] = str(ball_radius_mm)
+    problems += column_problems(frame, path, required)
+    numbers, cells = numeric_columns(frame, path, NUMBERS)
+    problems += cells
+    if "radius_mm" in numbers:
+        for index, radius in enumerate(numbers["radius_mm"]):
+            where = f"{path}: row {index + 2}: radius_mm"
+            if BALLS_MM[0] <= radius <= BALLS_MM[1]:
+                continue
+            if not np.isnan(radius):
+                problems.append(
+                    f"{where} = {radius:g} is not a ball's; give the radius in mm, "
+                    f"{BALLS_MM[0]:g} to {BALLS_MM[1]:g}"
+                )
+            elif "radius_mm" in required and not str(frame["radius_mm"].iloc[index]).strip():
+                problems.append(f"{where} is empty; give the ball's radius in mm")
+    if "file" in frame:
+        frame["file"] = frame["file"].str.strip()
+        repeated = frame["file"].duplicated()
+        for index, name in enumerate(frame["file"]):
+            where = f"{path}: row {index + 2}"
+            if not name:
+                problems.append(f"{where}: file is empty; name the press's picture")
+            elif repeated.iloc[index]:
+                problems.append(f"{where}: {name} is listed twice; list each press once")
+            elif not (path.parent / name).is_file():
+                problems.append(
+                    f"{path.parent / name}: missing (row {index + 2} of presses.csv); add the "
+                    "picture or delete the row"
+                )
+    return frame.assign(**numbers)
 
 
-def _read_image(path: Path, what: str, problems: list[str]) -> NDArray[np.uint8] | None:
+def _read_image(path: Path, what: str) -> NDArray[np.uint8]:
     """An image as RGB (H, W, 3) uint8."""
-    if not os.path.isfile(path):
-        problems.append(f"{path}: missing ({what})")
-        return None
     image = read_bgr(path)
     if image is None:
-        problems.append(
-            f"{path}: cannot be read as an image of at most {MAX_SIDE_PX} pixels a side ({what})"
+        msg = (
+            f"{path}: cannot be read as an image of at most {MAX_SIDE_PX} pixels a side ({what}); "
+            "save it as PNG"
         )
-        return None
+        raise PressError(msg)
     return np.ascontiguousarray(image[..., ::-1])

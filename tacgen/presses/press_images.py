@@ -1,4 +1,4 @@
-"""Images of ball presses: the records that the readers fill and the fit of the table takes."""
+"""Images of ball presses: what the readers give and what a fit of the table needs."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from tacgen.core.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class DoubtfulPress:
-    """A press that is left out: which file, which row of the list, why, and the mend."""
+class DroppedPress:
+    """A press that is not used: which file, which row of the list, why, and the fix."""
 
     file: str
     row: int
     reason: str
-    mend: str
+    fix: str
 
     def __str__(self) -> str:
         where = f"{self.file} (row {self.row})" if self.row else self.file
-        return f"{where}: {self.reason}; left out: {self.mend}"
+        return f"{where}: {self.reason}; dropped: {self.fix}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class PressImages:
         Pixels of the background that printed dots cover; None where there are none.
     hidden : (N, H, W) bool, optional
         The same for each press: pixels that show a dot and not the gel.
-    doubtful : tuple of DoubtfulPress
+    dropped : tuple of DroppedPress
     warnings : tuple of str
     sha256 : mapping
         Hash of each file read, by name.
@@ -79,7 +79,7 @@ class PressImages:
     found: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     dots: NDArray[np.bool_] | None = None
     hidden: NDArray[np.bool_] | None = None
-    doubtful: tuple[DoubtfulPress, ...] = ()
+    dropped: tuple[DroppedPress, ...] = ()
     warnings: tuple[str, ...] = ()
     sha256: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -101,7 +101,7 @@ class PressImages:
         return None if self.hidden is None else self.hidden[k]
 
     def select(self, which: NDArray) -> PressImages:
-        """The presses that an index array or mask picks; what is said about the set stays."""
+        """The presses that an index array or mask picks; notes on the set stay."""
         found = self.found if len(self.found) else np.zeros(len(self), dtype=bool)
         return replace(
             self,

@@ -1,15 +1,16 @@
 """Press logs: the samples of ball presses, read from CSV or Parquet and checked once.
 
-Columns are those of the contract (``trial``, ``time_s``, ``force_normal_n``, ``volume_mm3`` and
-the optional ones below); any other column is a covariate. What makes a whole file useless raises;
-what makes one press doubtful leaves that press out and says so in ``PressLog.dropped``.
+Columns are ``trial``, ``time_s``, ``force_normal_n``, ``volume_mm3`` and the optional ones below;
+any other column is a covariate. What makes a whole file useless raises;
+what makes one press unusable drops that press, with the reason in ``PressLog.dropped``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,10 +19,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
-from tacgen.presses.log_checks import DroppedTrial, check_trials, force_unit_problem
 
 REQUIRED = ("trial", "time_s", "force_normal_n", "volume_mm3")
 SHEAR_FORCES = ("force_shear_x_n", "force_shear_y_n")
@@ -36,7 +37,42 @@ FORCE_UNITS_N = MappingProxyType(
 MAX_LISTED = 5
 """Bad cells of one column that an error spells out."""
 
+MAX_EMPTY_SHARE = 0.5
+"""Up to this share of a trial's samples may be empty before the whole trial is dropped: what is
+measured beside them is as good as ever."""
+
+MAX_WARNED = 5
+"""Presses whose empty cells or gaps are spelled out."""
+
+MAX_PLAUSIBLE_FORCE_N = 100.0
+"""Above what a gripper presses on a gel with: the WSG-50 ends at 80 N."""
+
+PLAUSIBLE_COMPLIANCE_MM3_PER_N = (0.15, 150.0)
+"""Published gels are between 1 and 10 mm³/N; an order of magnitude more."""
+
+OUTLIER_FACTOR = 25.0
+"""A trial this many times softer or stiffer than the median one was logged in another unit."""
+
+GAP_FACTOR = 25.0
+"""A step of the clock this many times the trial's median step is a gap."""
+
 Columns = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedTrial:
+    """A press that is not used: which, where, why, and the fix."""
+
+    trial: int
+    rows: tuple[int, int]
+    reason: str
+    fix: str
+    path: str = ""
+
+    def __str__(self) -> str:
+        first, last = self.rows
+        where = f"row {first}" if first == last else f"rows {first} to {last}"
+        return f"{self.path}: {where}: trial {self.trial} is dropped: {self.reason}; {self.fix}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +90,7 @@ class PressLog:
     rows : (N,) int64
         Row in the file of each sample, counted as a spreadsheet does: the header is row 1.
     dropped : tuple of DroppedTrial
-        Presses that were left out, and why.
+        Presses that are not used, and why.
     warnings : tuple of str
         What the reader of any result should know about this log.
     session_clock : bool
@@ -65,7 +101,7 @@ class PressLog:
 
     columns: Columns
     path: Path
-    rows: NDArray[np.int64]
+    rows: IntArray
     dropped: tuple[DroppedTrial, ...] = ()
     warnings: tuple[str, ...] = ()
     session_clock: bool = True
@@ -81,10 +117,10 @@ class PressLog:
         return name in self.columns
 
     @property
-    def trials(self) -> NDArray[np.int64]:
+    def trials(self) -> IntArray:
         """Trial numbers in the order in which they were pressed."""
         numbers, first = np.unique(self.columns["trial"], return_index=True)
-        ordered: NDArray[np.int64] = numbers[np.argsort(first)]
+        ordered: IntArray = numbers[np.argsort(first)]
         return ordered
 
     @property
@@ -98,8 +134,8 @@ class PressLog:
         """Columns beyond the contract's, in the file's order."""
         return tuple(name for name in self.columns if name not in CONTRACT)
 
-    def select(self, mask: NDArray[np.bool_]) -> PressLog:
-        """The samples where ``mask`` (N,) holds; what is said about the file stays."""
+    def select(self, mask: BoolArray) -> PressLog:
+        """The samples where ``mask`` (N,) holds; notes on the file stay."""
         columns = {name: _frozen(values[mask]) for name, values in self.columns.items()}
         return replace(self, columns=MappingProxyType(columns), rows=_frozen(self.rows[mask]))
 
@@ -111,7 +147,7 @@ class PressLog:
         """The columns as a DataFrame, to write or to look at."""
         return pd.DataFrame(dict(self.columns))
 
-    def _shear_mask(self) -> NDArray[np.bool_]:
+    def _shear_mask(self) -> BoolArray:
         known = [np.isfinite(self.columns[name]) for name in (*SHEAR_FORCES, *SHEAR_MOTIONS)]
         return np.logical_and.reduce(known)
 
@@ -125,13 +161,13 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
         CSV, or Parquet by its suffix (``.parquet``, ``.pq``).
     force_unit : str, optional
         Unit of the force columns (a key of ``FORCE_UNITS_N``). By default newtons, and forces
-        that cannot be newtons are an error; a unit that is given is believed.
+        that cannot be newtons are an error; a unit that is given is not checked.
 
     Raises
     ------
     PressError
         With every problem of the file at once: unreadable or empty, missing or doubled columns,
-        cells that are not numbers, forces in another unit, no press left that can be trusted.
+        cells that are not numbers, forces in another unit, no usable press.
     """
     path = Path(path)
     frame = read_table(path)
@@ -153,7 +189,7 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
         for name in frame.columns
     }
     columns["trial"] = columns["trial"].astype(np.int64)
-    if force_unit is None and (problem := force_unit_problem(columns, path)):
+    if force_unit is None and (problem := _force_unit_problem(columns, path)):
         raise PressError(problem)
     return _checked(columns, path)
 
@@ -193,7 +229,7 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def column_names(path: Path) -> list[str]:
-    """The header of a table; empty where it cannot be read, which ``read_table`` then says."""
+    """The header of a table; empty where it cannot be read, which ``read_table`` then reports."""
     try:
         if Path(path).suffix.lower() in (".parquet", ".pq"):
             return [str(name) for name in pd.read_parquet(path).columns]
@@ -226,14 +262,16 @@ _MEANINGS = {
     "volume_mm3": "indented volume in mm³",
     "depth_mm": "indentation in mm",
     "curve": "a name a curve",
+    "file": "the name of each press's picture",
+    "radius_mm": "the ball's radius in mm",
 }
 
 
 def numeric_columns(
     frame: pd.DataFrame, path: Path, names: tuple[str, ...]
-) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+) -> tuple[dict[str, FloatArray], list[str]]:
     """Those of ``names`` that the table has, as float64; empty cells are NaN; and the problems."""
-    numbers: dict[str, NDArray[np.float64]] = {}
+    numbers: dict[str, FloatArray] = {}
     problems = []
     for name in names:
         if name not in frame.columns:
@@ -243,15 +281,15 @@ def numeric_columns(
         bad = np.isnan(values) & ~text.str.lower().isin(["", "nan", "na", "n/a", "none", "null"])
         for index in np.flatnonzero(bad)[:MAX_LISTED]:
             cell = text.iloc[index]
-            mend = "use a decimal point" if "," in cell else "write a number or leave it empty"
-            problems.append(f"{path}: row {index + 2}: {name} = {cell!r} is not a number; {mend}")
+            fix = "use a decimal point" if "," in cell else "write a number or leave it empty"
+            problems.append(f"{path}: row {index + 2}: {name} = {cell!r} is not a number; {fix}")
         if bad.sum() > MAX_LISTED:
             problems.append(f"{path}: … and {bad.sum() - MAX_LISTED} more such cells in {name}")
         numbers[name] = np.where(np.isfinite(values), values, np.nan)
     return numbers, problems
 
 
-def _trial_number_problems(trial: NDArray[np.float64], path: Path) -> list[str]:
+def _trial_number_problems(trial: FloatArray, path: Path) -> list[str]:
     wrong = np.flatnonzero(~(trial == np.round(trial)))
     return [
         f"{path}: row {index + 2}: trial is "
@@ -262,21 +300,34 @@ def _trial_number_problems(trial: NDArray[np.float64], path: Path) -> list[str]:
 
 
 def _checked(columns: Columns, path: Path) -> PressLog:
+    """The log of the presses that pass every check, and why the others do not."""
     rows = np.arange(len(columns["trial"]), dtype=np.int64) + 2
-    checked = check_trials(columns, rows, path)
-    if not checked.keep.any():
-        reasons = [str(trial) for trial in checked.dropped[:MAX_LISTED]]
-        if len(checked.dropped) > MAX_LISTED:
-            reasons.append(f"… and {len(checked.dropped) - MAX_LISTED} more")
-        raise PressError.from_problems([f"{path}: no press is left that can be trusted", *reasons])
-    frozen = {name: _frozen(values[checked.keep]) for name, values in columns.items()}
+    found = _Findings(columns, rows, path, np.ones(len(rows), dtype=bool))
+    blocks = _trial_blocks(columns["trial"])
+    for block in blocks:
+        _check_cells(found, block)
+        _check_clock(found, block)
+    _shorten(found)
+    _check_repeats(found, blocks)
+    for block in blocks:
+        _check_contact(found, block)
+    _check_stray_units(found, blocks)
+    session_clock = _check_session_clock(found, blocks)
+    _check_covariates(found)
+    dropped = tuple(sorted(found.dropped, key=lambda each: each.rows))
+    if not found.keep.any():
+        reasons = [str(trial) for trial in dropped[:MAX_LISTED]]
+        if len(dropped) > MAX_LISTED:
+            reasons.append(f"… and {len(dropped) - MAX_LISTED} more")
+        raise PressError.from_problems([f"{path}: no usable press remains", *reasons])
+    frozen = {name: _frozen(values[found.keep]) for name, values in columns.items()}
     return PressLog(
         columns=MappingProxyType(frozen),
         path=path,
-        rows=_frozen(rows[checked.keep]),
-        dropped=checked.dropped,
-        warnings=checked.warnings,
-        session_clock=checked.session_clock,
+        rows=_frozen(rows[found.keep]),
+        dropped=dropped,
+        warnings=tuple(found.warnings),
+        session_clock=session_clock,
         sha256=sha256_of(path),
     )
 
@@ -301,3 +352,224 @@ def _frozen(values: NDArray[Any]) -> NDArray[Any]:
     values = np.array(values)
     values.setflags(write=False)
     return values
+
+
+@dataclass(slots=True)
+class _Findings:
+    """What the checks have found so far."""
+
+    columns: Columns
+    rows: IntArray
+    path: Path
+    keep: BoolArray
+    dropped: list[DroppedTrial] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def drop(self, block: slice, reason: str, fix: str) -> None:
+        if self.keep[block].any():
+            span = (int(self.rows[block.start]), int(self.rows[block.stop - 1]))
+            trial = int(self.columns["trial"][block.start])
+            self.keep[block] = False
+            self.dropped.append(DroppedTrial(trial, span, reason, fix, str(self.path)))
+
+    def warn(self, text: str) -> None:
+        self.warnings.append(f"{self.path}: {text}")
+
+
+def _trial_blocks(trial: IntArray) -> list[slice]:
+    """Runs of consecutive samples of one trial."""
+    edges = np.flatnonzero(np.diff(trial)) + 1
+    starts, stops = np.r_[0, edges], np.r_[edges, len(trial)]
+    return [slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
+
+
+def _force_unit_problem(columns: Columns, path: Path) -> str:
+    """The problem where the forces of the whole log cannot be newtons; empty where they can."""
+    peak, compliance = _peaks_and_compliances(columns, _trial_blocks(columns["trial"]))
+    if not np.isfinite(compliance).any():
+        return ""
+    typical_peak, typical = float(np.nanmedian(peak)), float(np.nanmedian(compliance))
+    softest, stiffest = PLAUSIBLE_COMPLIANCE_MM3_PER_N[1], PLAUSIBLE_COMPLIANCE_MM3_PER_N[0]
+    suspicious = typical_peak > MAX_PLAUSIBLE_FORCE_N or (typical_peak > 20 and typical < stiffest)
+    unit, newtons, option = "grams", STANDARD_GRAVITY_M_S2 * 1e-3, "gf"
+    if typical_peak * newtons > MAX_PLAUSIBLE_FORCE_N:
+        unit, newtons, option = "millinewtons", 1e-3, "mn"
+    if not suspicious or typical / newtons > softest:
+        return ""
+    row = int(np.nanargmax(columns["force_normal_n"])) + 2
+    return (
+        f"{path}: row {row}: force_normal_n reaches {np.nanmax(peak):.4g} (median over presses "
+        f"{typical_peak:.4g}) at {typical:.2g} mm³ a unit of force: these look like {unit}, not "
+        f"newtons; multiply the force columns by {newtons:.6g}, or give --force-unit {option} "
+        "(--force-unit n if they are newtons)"
+    )
+
+
+def _peaks_and_compliances(columns: Columns, blocks: list[slice]) -> tuple[FloatArray, FloatArray]:
+    """Peak force of each block, and its volume per force there; NaN where nothing is known."""
+    peak, compliance = np.full(len(blocks), np.nan), np.full(len(blocks), np.nan)
+    for index, block in enumerate(blocks):
+        force, volume = columns["force_normal_n"][block], columns["volume_mm3"][block]
+        known = np.isfinite(force) & np.isfinite(volume)
+        if known.any():
+            loaded = known & (force >= 0.5 * force[known].max())
+            peak[index] = force[known].max()
+            if peak[index] > 0:
+                compliance[index] = np.median(volume[loaded]) / np.median(force[loaded])
+    return peak, compliance
+
+
+def _check_cells(found: _Findings, block: slice) -> None:
+    """Empty or infinite cells: a few drop their samples, many the trial."""
+    finite = {name: np.isfinite(found.columns[name][block])
+              for name in ("time_s", "force_normal_n", "volume_mm3")}  # fmt: skip
+    shear = {name: np.isfinite(found.columns[name][block])
+             for name in (*SHEAR_FORCES, *SHEAR_MOTIONS) if name in found.columns}  # fmt: skip
+    finite |= {name: known for name, known in shear.items() if known.any()}
+    bad = ~np.logical_and.reduce(list(finite.values()))
+    if not bad.any():
+        return
+    guilty = ", ".join(name for name, known in finite.items() if not known.all())
+    where = ", ".join(str(row) for row in found.rows[block][bad][:5])
+    what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
+    if bad.mean() > MAX_EMPTY_SHARE:
+        found.drop(block, f"{what} (row {where})", "fill the cells or delete the press")
+        return
+    found.keep[block] &= ~bad
+    trial = found.columns["trial"][block.start]
+    found.warn(
+        f"row {where}: trial {trial}: {what}; these samples are dropped, fill the cells "
+        "or delete the rows"
+    )
+
+
+def _shorten(found: _Findings) -> None:
+    """One line for what is the same of very many presses, after the first few."""
+    more = len(found.warnings) - MAX_WARNED
+    if more > 0:
+        del found.warnings[MAX_WARNED:]
+        found.warn(f"{more} more presses have empty cells or gaps in their clock likewise")
+
+
+def _check_clock(found: _Findings, block: slice) -> None:
+    """Time that runs backwards drops the press; a gap is a warning."""
+    kept = np.flatnonzero(found.keep[block]) + block.start
+    steps = np.diff(found.columns["time_s"][kept])
+    if (steps < 0).any():
+        row = found.rows[kept[1:][steps < 0][0]]
+        count = int((steps < 0).sum())
+        found.drop(
+            block,
+            f"time_s goes backwards at row {row}" + (f" and {count - 1} more" if count > 1 else ""),
+            "sort the rows by trial and time, and give each press its own trial number",
+        )
+        return
+    if not (steps > 0).any():
+        return
+    gaps = steps > GAP_FACTOR * np.median(steps[steps > 0])
+    if gaps.any():
+        first = kept[1:][gaps][0]
+        found.warn(
+            f"row {found.rows[first]}: trial {found.columns['trial'][block.start]}: the clock "
+            f"jumps by {steps[gaps][0]:.3g} s ({gaps.sum()} such gaps): what depends on the load's "
+            "history is not known across it"
+        )
+
+
+def _check_repeats(found: _Findings, blocks: list[slice]) -> None:
+    """Copies of a press under any number, and numbers that stand for several presses."""
+    seen: dict[bytes, slice] = {}
+    by_trial: dict[int, list[slice]] = {}
+    for block in blocks:
+        if not found.keep[block].any():
+            continue
+        trial = int(found.columns["trial"][block.start])
+        measured = np.array(
+            [found.columns[name][block] for name in ("force_normal_n", "volume_mm3")]
+        )
+        original = seen.setdefault(measured.tobytes(), block)
+        if original is not block and block.stop - block.start > 3:
+            twin = found.columns["trial"][original.start]
+            found.drop(
+                block,
+                f"it is a copy of trial {twin} (from row {found.rows[original.start]})",
+                "delete one of the two",
+            )
+        else:
+            by_trial.setdefault(trial, []).append(block)
+    for trial, parts in by_trial.items():
+        for part in parts[1:]:
+            first = found.rows[parts[0].start]
+            found.drop(
+                part,
+                f"trial {trial} is already at row {first}, so it is not known which press "
+                "this one is",
+                "give each press its own trial number, in one block of rows",
+            )
+
+
+def _check_contact(found: _Findings, block: slice) -> None:
+    """A press needs a load and an imprint."""
+    kept = np.flatnonzero(found.keep[block]) + block.start
+    if not len(kept):
+        return
+    force, volume = found.columns["force_normal_n"][kept], found.columns["volume_mm3"][kept]
+    if len(kept) > 1 and np.ptp(force) == 0.0:
+        found.drop(block, f"the force never changes ({force[0]:g} N)", "check the gauge")
+    elif not (force > 0).any():
+        found.drop(block, "the force is never positive", "zero the gauge, check its sign")
+    elif not (volume != 0).any():
+        found.drop(block, "the volume is always 0: no contact was seen", "check the images")
+
+
+def _check_stray_units(found: _Findings, blocks: list[slice]) -> None:
+    """Single presses logged in another unit than the rest."""
+    blocks = [block for block in blocks if found.keep[block].any()]
+    if not blocks:
+        return
+    peak, compliance = _peaks_and_compliances(found.columns, blocks)
+    typical_peak, typical = np.nanmedian(peak), np.nanmedian(compliance)
+    if typical > PLAUSIBLE_COMPLIANCE_MM3_PER_N[1]:
+        found.warn(
+            f"volume per force is {typical:.3g} mm³/N, far above any gel's: is it in mm³ and N, "
+            "or in px³ or kgf?"
+        )
+    if len(blocks) < 3 or not typical > 0:
+        return
+    for block, one_peak, one in zip(blocks, peak, compliance, strict=True):
+        stiff = one < typical / OUTLIER_FACTOR and one_peak > typical_peak * OUTLIER_FACTOR
+        soft = one > typical * OUTLIER_FACTOR and one_peak < typical_peak / OUTLIER_FACTOR
+        if stiff or soft:
+            found.drop(
+                block,
+                f"its force peaks at {one_peak:.3g}, the others at {typical_peak:.3g} (median), "
+                f"and volume per force is {one:.2g} against {typical:.2g} mm³/N: it looks like "
+                "another unit (grams?)",
+                "write its force in newtons",
+            )
+
+
+def _check_session_clock(found: _Findings, blocks: list[slice]) -> bool:
+    """Whether time runs on from press to press; a warning where it does not."""
+    kept = [np.flatnonzero(found.keep[block]) + block.start for block in blocks]
+    time_s = found.columns["time_s"]
+    spans = [(time_s[rows[0]], time_s[rows[-1]]) for rows in kept if len(rows)]
+    runs = all(after[0] >= before[1] for before, after in pairwise(spans))
+    if not runs:
+        found.warn(
+            "time_s does not run on from trial to trial (it starts again, or presses overlap): "
+            "drift with session time is not known; record one clock for the whole session"
+        )
+    return runs
+
+
+def _check_covariates(found: _Findings) -> None:
+    """A warning for covariates with empty cells: tests of them use the other samples."""
+    for name, values in found.columns.items():
+        if name in ("radius_mm", *SHEAR_FORCES, *SHEAR_MOTIONS) or not found.keep.any():
+            continue
+        kept = values[found.keep]
+        empty = np.isnan(kept) if kept.dtype.kind == "f" else kept == ""
+        if kept.dtype.kind in "fU" and empty.any():
+            row = found.rows[found.keep][np.argmax(empty)]
+            found.warn(f"row {row}: {name} is empty in {empty.sum()} of {len(kept)} samples")

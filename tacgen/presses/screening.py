@@ -1,4 +1,4 @@
-"""Which presses can be used: circles found where none are labelled, doubtful presses left out."""
+"""Which presses can be used: circles are found where none are labelled, others dropped."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import PressError
 from tacgen.presses.circles import Circle, find_circle, outside_share
 from tacgen.presses.dots import dots_in, printed_dots
-from tacgen.presses.press_images import DoubtfulPress, PressImages
+from tacgen.presses.press_images import DroppedPress, PressImages
 
 MIN_PRESSES = 3
 
@@ -48,7 +48,7 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
     found = ~presses.labelled
     copy_of = _first_alike(presses.images)
     seen_px = np.full((len(presses), 3), np.nan)
-    doubtful: list[DoubtfulPress] = []
+    dropped: list[DroppedPress] = []
     for k in range(len(presses)):
         seen = find_circle(presses.images[k], presses.background, presses.hidden_in(k))
         if not seen.problem:
@@ -57,28 +57,28 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
         if found[k]:
             circle = seen
             center[k], radius[k] = circle.center_px, circle.radius_px
-        reason, mend = circle.problem, "press again, with the ball well in view"
+        reason, fix = circle.problem, "press again, with the ball well in view"
         if copy_of[k] != k:
             reason = f"is the same picture as {presses.names[copy_of[k]]}"
-            mend = "list each press once"
+            fix = "list each press once"
         if not reason:
-            reason, mend = _doubt(presses, k, circle, labelled=not found[k])
+            reason, fix = _press_problem(presses, k, circle, labelled=not found[k])
         if not reason and not found[k]:
-            reason, mend = _label_doubt(circle, seen)
+            reason, fix = _label_problem(circle, seen)
         if reason:
-            doubtful.append(DoubtfulPress(presses.names[k], k + 2, reason, mend))
-    bad = {press.row - 2 for press in doubtful}
+            dropped.append(DroppedPress(presses.names[k], k + 2, reason, fix))
+    bad = {press.row - 2 for press in dropped}
     keep = np.array([k for k in range(len(presses)) if k not in bad], dtype=int)
     if len(keep) < least:
         head = (
             f"{len(keep)} usable presses, at least {least} are needed; take more, spread over the "
             "whole gel"
         )
-        raise PressError.from_problems([head, *(str(press) for press in doubtful)])
+        raise PressError.from_problems([head, *(str(press) for press in dropped)])
     marked = replace(presses, center_px=center, radius_px=radius, found=found, seen_px=seen_px)
     return replace(
         marked.select(keep),
-        doubtful=(*presses.doubtful, *doubtful),
+        dropped=(*presses.dropped, *dropped),
         warnings=(*presses.warnings, *_grey_warning(presses)),
     )
 
@@ -87,7 +87,7 @@ def _grey_warning(presses: PressImages) -> tuple[str, ...]:
     if np.ptp(presses.background, axis=2).any():
         return ()
     return (
-        "the pictures are grey: slopes that are alike in brightness cannot be told apart; save "
+        "the pictures are grey: slopes that are alike in brightness look the same; save "
         "them in colour",
     )
 
@@ -112,15 +112,17 @@ def _check_background(presses: PressImages) -> None:
         raise PressError(msg)
 
 
-def _doubt(presses: PressImages, k: int, circle: Circle, *, labelled: bool) -> tuple[str, str]:
-    """Why a press cannot be trusted and the mend; empty where it can."""
+def _press_problem(
+    presses: PressImages, k: int, circle: Circle, *, labelled: bool
+) -> tuple[str, str]:
+    """Why a press cannot be used and the fix; empty where it can."""
     ball_px = presses.ball_radius_mm[k] / presses.mm_per_px
-    said = "labelled" if labelled else "found"
+    source = "labelled" if labelled else "found"
     if circle.radius_px <= 1:
-        return f"the {said} contact radius is {circle.radius_px:.1f} px", "correct the label"
+        return f"the {source} contact radius is {circle.radius_px:.1f} px", "correct the label"
     if circle.radius_px > MAX_LABEL_SHARE * ball_px:
         return (
-            f"the {said} contact radius of {circle.radius_px:.1f} px is over {MAX_LABEL_SHARE:g} "
+            f"the {source} contact radius of {circle.radius_px:.1f} px is over {MAX_LABEL_SHARE:g} "
             f"times the ball's own {ball_px:.1f} px",
             "check the label, the ball's radius_mm and mm_per_px",
         )
@@ -135,7 +137,7 @@ def _doubt(presses: PressImages, k: int, circle: Circle, *, labelled: bool) -> t
     return "", ""
 
 
-def _label_doubt(label: Circle, seen: Circle) -> tuple[str, str]:
+def _label_problem(label: Circle, seen: Circle) -> tuple[str, str]:
     """What speaks against a labelled circle where another is clearly seen; empty if nothing."""
     apart = float(np.hypot(*(label.center_px - seen.center_px)))
     if seen.problem or apart <= MAX_LABEL_OFF * max(seen.radius_px, label.radius_px):

@@ -171,9 +171,9 @@ def _force_images(spoiled: str) -> Callable[[Path], Path]:
 
 
 def _read_force_images(path: Path) -> object:
-    from tacgen.presses.press_forces import read_force_images
+    from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
 
-    found = read_force_images(path.parent)
+    found = read_press_folder(path.parent, WITH_FORCES)
     return [found.picture(k) for k in range(len(found.table))]
 
 

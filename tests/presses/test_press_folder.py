@@ -77,7 +77,7 @@ def test_every_missing_file_is_said_at_once(tmp_path, presses):
 
 def test_a_missing_column_names_the_mend(tmp_path, presses):
     folder = write_folder(tmp_path / "p", presses, columns=("file",))
-    with pytest.raises(PressError, match="column radius_mm missing"):
+    with pytest.raises(PressError, match="column 'radius_mm' is missing; add it"):
         read_presses(folder)
 
 
@@ -87,7 +87,7 @@ def test_wrong_cells_name_their_row(tmp_path, presses):
     with pytest.raises(PressError) as error:
         read_presses(folder)
     text = str(error.value)
-    assert "row 2: radius_mm = 'two' is no number" in text
+    assert "row 2: radius_mm = 'two' is not a number" in text
     assert "row 3: radius_mm is empty" in text
     assert "row 4: 1.png is listed twice" in text
 
@@ -104,7 +104,7 @@ def test_a_press_with_no_contact_is_left_out_and_said(tmp_path, presses):
     cv2.imwrite(str(folder / "4.png"), presses.background[..., ::-1])
     used = usable_presses(read_presses(folder))
     assert len(used) == 5
-    assert "4.png (row 6): shows no contact; left out" in str(used.doubtful[0])
+    assert "4.png (row 6): shows no contact; dropped" in str(used.dropped[0])
 
 
 def test_saturated_out_of_view_and_impossible_presses_are_left_out(presses):
@@ -121,7 +121,7 @@ def test_saturated_out_of_view_and_impossible_presses_are_left_out(presses):
     from dataclasses import replace
 
     used = usable_presses(replace(presses, images=images, center_px=center, radius_px=radius))
-    reasons = "\n".join(str(press) for press in used.doubtful)
+    reasons = "\n".join(str(press) for press in used.dropped)
     assert "0.png (row 2): 100% of its contact is saturated" in reasons
     assert "1.png (row 3): " in reasons
     assert "of its contact lies out of view" in reasons
@@ -137,8 +137,8 @@ def test_copies_and_labels_of_something_else_are_left_out(presses):
     # Labelled half way off the contact: its rim still changes there.
     center[3] += [0.9 * presses.radius_px[3], 0.0]
     used = usable_presses(replace(presses, images=images, center_px=center))
-    reasons = "\n".join(str(press) for press in used.doubtful)
-    assert "5.png (row 7): is the same picture as 0.png; left out: list each press once" in reasons
+    reasons = "\n".join(str(press) for press in used.dropped)
+    assert "5.png (row 7): is the same picture as 0.png; dropped: list each press once" in reasons
     assert "3.png (row 5): its labelled centre is " in reasons
     assert len(used) == 4
 
@@ -150,7 +150,7 @@ def test_radius_and_scale_in_another_unit(tmp_path, presses):
     (folder / "sensor.yaml").write_text("mm_per_px: 140.0\n")
     with pytest.raises(PressError) as error:
         read_presses(folder)
-    assert "row 2: radius_mm = 2000 is no ball that a gel can feel; give the" in str(error.value)
+    assert "row 2: radius_mm = 2000 is not a ball's; give the" in str(error.value)
     assert "mm_per_px = 140 makes the picture 1.79e+04 mm wide" in str(error.value)
 
 

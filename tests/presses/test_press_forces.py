@@ -16,8 +16,9 @@ from tacgen.optics import save_table
 from tacgen.optics.reconstruct import Reconstructor, integrate
 from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.presses.markers import dot_mask, dots_at_rest, follow
-from tacgen.presses.press_forces import measure_presses, read_force_images
+from tacgen.presses.dots import dots_at_rest, follow, printed_dots
+from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
+from tacgen.presses.press_forces import measure_presses
 from tacgen.rig import load_rig_recipe, run_rig
 from tacgen.rig.images import Camera, press_ball, rig_sensor
 
@@ -53,7 +54,7 @@ def folder(recipe, table, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def by_table(folder, table):
-    return measure_presses(read_force_images(folder / "presses"), table)
+    return measure_presses(read_press_folder(folder / "presses", WITH_FORCES), table)
 
 
 def test_slopes_integrate_to_the_surface_they_came_from():
@@ -85,7 +86,7 @@ def test_the_gel_at_rest_has_no_volume(recipe, sensor, table):
     camera = Camera(recipe, sensor)
     rng = np.random.default_rng(0)
     background = camera.take(None, rng)
-    hidden = dot_mask(background)
+    hidden = printed_dots(background)
     shape = Reconstructor(table, background).shape_of(camera.take(None, rng), hidden)
     assert shape.depth_mm.max() < 0.02
 
@@ -121,7 +122,7 @@ def test_volumes_by_the_circle_of_a_known_ball(folder):
     """Where the change has fallen to half is 2 or 3 % outside of where the ball meets the gel's
     level, and a volume goes with the fourth power: up to 12 % too much, and little scatter.
     """
-    frame = measure_presses(read_force_images(folder / "presses")).frame
+    frame = measure_presses(read_press_folder(folder / "presses", WITH_FORCES)).frame
     ratio = frame["volume_mm3"] / frame["force_normal_n"]
     assert np.median(ratio) == pytest.approx(K_N, rel=0.12)
     assert np.std(ratio) < 0.08 * K_N
@@ -161,7 +162,7 @@ def test_labelled_circles_are_believed(folder, tmp_path):
         (copy / path.name).write_bytes(path.read_bytes())
     listing = pd.read_csv(copy / "presses.csv").assign(contact_radius_px=40.0)
     listing.to_csv(copy / "presses.csv", index=False)
-    found = measure_presses(read_force_images(copy)).frame
+    found = measure_presses(read_press_folder(copy, WITH_FORCES)).frame
     a = 40.0 * 0.058
     for radius in (4.0, 6.0):
         depth = radius - np.sqrt(radius**2 - a**2)
@@ -183,30 +184,30 @@ def broken(tmp_path):
 
 def test_pictures_without_contact(broken):
     with pytest.raises(PressError, match=r"no picture shows a contact; check background\.png"):
-        measure_presses(read_force_images(broken))
+        measure_presses(read_press_folder(broken, WITH_FORCES))
 
 
 def test_what_is_missing_is_said(broken):
     (broken / "presses.csv").write_text("picture,radius_mm\na.png,4.0\n")
     with pytest.raises(PressError) as error:
-        read_force_images(broken)
+        read_press_folder(broken, WITH_FORCES)
     assert "column 'file' is missing" in str(error.value)
     assert "column 'force_normal_n' is missing" in str(error.value)
     (broken / "sensor.yaml").unlink()
-    with pytest.raises(PressError, match=r"sensor\.yaml missing"):
-        read_force_images(broken)
+    with pytest.raises(PressError, match=r"sensor\.yaml: missing; write"):
+        read_press_folder(broken, WITH_FORCES)
 
 
 def test_pictures_of_another_size(broken):
     cv2.imwrite(str(broken / "a.png"), np.zeros((30, 40, 3), np.uint8))
-    with pytest.raises(PressError, match=r"a\.png: 40×30 px where background\.png has 80×60"):
-        measure_presses(read_force_images(broken))
+    with pytest.raises(PressError, match=r"a\.png: \(row 2\) is 40×30 px, the background 80×60"):
+        measure_presses(read_press_folder(broken, WITH_FORCES))
 
 
 def test_neither_table_nor_ball(broken):
     (broken / "presses.csv").write_text("file,force_normal_n\na.png,2.0\n")
     with pytest.raises(PressError, match="give the ball's radius or the sensor's table"):
-        measure_presses(read_force_images(broken))
+        measure_presses(read_press_folder(broken, WITH_FORCES))
 
 
 def test_rows_that_cannot_be_are_all_named(broken):
@@ -215,9 +216,9 @@ def test_rows_that_cannot_be_are_all_named(broken):
     )
     (broken / "sensor.yaml").write_text("mm_per_px: 30\n")
     with pytest.raises(PressError) as error:
-        read_force_images(broken)
+        read_press_folder(broken, WITH_FORCES)
     text = str(error.value)
     assert "mm_per_px = 30 makes the picture 2.4e+03 mm wide" in text
-    assert "row 2: radius_mm = -4 is no ball that a gel can feel" in text
-    assert "row 3: b.png is not in the folder" in text
+    assert "row 2: radius_mm = -4 is not a ball's; give the radius in mm" in text
+    assert "b.png: missing (row 3 of presses.csv)" in text
     assert "row 4: a.png is listed twice" in text

@@ -102,9 +102,10 @@ def calibrate_contact(
 
 def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
     """The press log that a folder of images with forces holds, written to ``log``."""
-    from tacgen.presses.press_forces import measure_presses, read_force_images
+    from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
+    from tacgen.presses.press_forces import measure_presses
 
-    images = read_force_images(folder)
+    images = read_press_folder(folder, WITH_FORCES)
     lookup = None
     if table is not None:
         lookup = load_table(table)

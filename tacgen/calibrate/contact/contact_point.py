@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tacgen.calibrate.contact.slope_fit import fit_slope
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.ball import ball_depth_mm, ball_volume_mm3
 from tacgen.presses.press_log import PressLog
 
@@ -57,8 +56,8 @@ def free_contact_points(log: PressLog) -> tuple[PressLog, tuple[ContactPoint, ..
 
 
 def _shift_depth(
-    trial: int, depth_mm: NDArray[Any], radius_mm: NDArray[Any], force_n: NDArray[Any]
-) -> tuple[ContactPoint, NDArray[Any]]:
+    trial: int, depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray
+) -> tuple[ContactPoint, FloatArray]:
     """Fit F = F₀ + V(d + d₀)/k: the depth comes from a stage and is exact, the force is not."""
     touching = depth_mm > 0
     before = np.flatnonzero(~touching)
@@ -69,7 +68,7 @@ def _shift_depth(
     load = force_n - zero_n
     scale_n = float(load.max())
 
-    def misfit(parameters: NDArray[Any]) -> NDArray[Any]:
+    def misfit(parameters: FloatArray) -> FloatArray:
         shift, compliance, zero = parameters
         volume = ball_volume_mm3(depth_mm + shift, radius_mm)
         return (load / scale_n - zero - volume / np.exp(compliance) / scale_n)[touching]
@@ -96,7 +95,7 @@ def _shift_force(trial: int, log: PressLog) -> ContactPoint:
     return ContactPoint(trial, 0.0, float(-fit.offsets[0] / fit.value) if fit.value else 0.0)
 
 
-def _with_columns(log: PressLog, changed: Mapping[str, NDArray[Any]]) -> PressLog:
+def _with_columns(log: PressLog, changed: Mapping[str, FloatArray]) -> PressLog:
     for values in changed.values():
         values.setflags(write=False)
     return replace(log, columns=MappingProxyType({**log.columns, **changed}))

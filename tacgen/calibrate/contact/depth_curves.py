@@ -11,13 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import fdtrc
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.presses.ball import ball_volume_mm3
 from tacgen.presses.press_log import (
@@ -26,8 +25,6 @@ from tacgen.presses.press_log import (
     numeric_columns,
     read_table,
 )
-
-Floats = NDArray[Any]
 
 RADII_MM = (0.1, 100.0)
 """Indenters outside this range are no balls that a gel is pressed with."""
@@ -40,8 +37,8 @@ class DepthCurve:
     """One curve: depth and force (N,), in the file's order."""
 
     name: str
-    depth_mm: Floats
-    force_n: Floats
+    depth_mm: FloatArray
+    force_n: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +191,7 @@ def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
     )
 
 
-def _radius_grid(radius_mm: float | None, size: int) -> Floats:
+def _radius_grid(radius_mm: float | None, size: int) -> FloatArray:
     return np.geomspace(*RADII_MM, size) if radius_mm is None else np.array([radius_mm])
 
 
@@ -202,11 +199,11 @@ def _span(logs: list[float]) -> tuple[float, float]:
     return float(np.exp(min(logs))), float(np.exp(max(logs)))
 
 
-def _predict(curve: DepthCurve, radius_mm: float, k_log: float, shift_mm: float) -> Floats:
+def _predict(curve: DepthCurve, radius_mm: float, k_log: float, shift_mm: float) -> FloatArray:
     return ball_volume_mm3(curve.depth_mm + shift_mm, radius_mm) / np.exp(k_log)
 
 
-def _squares(curve: DepthCurve, parameters: Floats) -> float:
+def _squares(curve: DepthCurve, parameters: FloatArray) -> float:
     predicted = _predict(curve, np.exp(parameters[0]), parameters[1], parameters[2])
     return float(((curve.force_n - predicted) ** 2).sum())
 
@@ -236,7 +233,7 @@ def _fit_at_radius(
     return result
 
 
-def _polish(curve: DepthCurve, parameters: Floats) -> Floats:
+def _polish(curve: DepthCurve, parameters: FloatArray) -> FloatArray:
     low, high = _shift_bounds(curve)
     found = least_squares(
         lambda p: _predict(curve, np.exp(p[0]), p[1], p[2]) - curve.force_n,

@@ -1,4 +1,4 @@
-"""What a press log cannot tell, and which press would."""
+"""What a press log cannot identify, and which press would."""
 
 from __future__ import annotations
 
@@ -6,17 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tacgen.core.arrays import FloatArray
 from tacgen.presses.press_log import PressLog
 
 FEW_TRIALS = 10
+"""With fewer presses the t quantile makes intervals clearly wider."""
+
 SMALL_SPREAD_MM = 1.0
+"""Positions closer together than a contact is wide are one place."""
+
 HOLD_S = 1.0
 """A hold long enough to tell creep from the speed of loading."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What cannot be told from a log, and what to press next to tell it."""
+    """What a log cannot identify, and what to press next to identify it."""
 
     subject: str
     cannot_tell: str
@@ -45,7 +50,7 @@ def _geometry(log: PressLog) -> Limit | None:
         return None
     return Limit(
         "geometry",
-        "one ball only: whether k_n depends on the indenter's size or shape cannot be told",
+        "one ball only: whether k_n depends on the indenter's size or shape is unknown",
         "press a second ball of at least twice the radius",
     )
 
@@ -55,7 +60,7 @@ def _shear(log: PressLog) -> Limit | None:
         return None
     return Limit(
         "shear",
-        "no trial holds both shear force and marker motion: k_s cannot be told",
+        "no trial holds both shear force and marker motion: k_s is unknown",
         "push sideways while pressing and track the markers",
     )
 
@@ -76,7 +81,7 @@ def _unloading(log: PressLog) -> Limit | None:
             return None
     return Limit(
         "unloading",
-        "no press is unloaded: hysteresis cannot be told from stiffening",
+        "no press is unloaded: hysteresis and stiffening look the same",
         "log the way back as well",
     )
 
@@ -90,7 +95,7 @@ def _hold(log: PressLog) -> Limit | None:
             return None
     return Limit(
         "hold",
-        f"no press is held for {HOLD_S:g} s near its peak: creep cannot be told",
+        f"no press is held for {HOLD_S:g} s near its peak: creep is unknown",
         "hold some presses for several seconds",
     )
 
@@ -102,11 +107,10 @@ def _position(log: PressLog) -> Limit | None:
         return None
     return Limit(
         "position",
-        "positions on the gel are not known or all alike: whether k_n depends on them cannot "
-        "be told",
+        "positions on the gel are not known or all alike: whether k_n depends on them is unknown",
         "press on a grid over the gel and log x_mm and y_mm",
     )
 
 
-def _forces(log: PressLog) -> list[np.ndarray]:
+def _forces(log: PressLog) -> list[FloatArray]:
     return [log["force_normal_n"][log["trial"] == trial] for trial in log.trials]

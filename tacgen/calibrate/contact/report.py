@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.contact.channel_fit import channel_arrays
 from tacgen.calibrate.contact.depth_curves import DepthCurve, DepthReport
-from tacgen.calibrate.contact.law_fit import ContactFit
+from tacgen.calibrate.contact.law_fit import ContactFit, channel_arrays
 from tacgen.calibrate.contact.summary import (
     SYMBOLS,
     agreement_text,

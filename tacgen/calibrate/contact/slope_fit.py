@@ -13,15 +13,12 @@ are correlated. Three things make the interval honest:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import sqrtm
 from scipy.special import stdtrit
 
-Floats = NDArray[np.floating[Any]]
-Integers = NDArray[np.integer[Any]]
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 
 TUKEY = 4.685
 """95 % efficiency at normal noise (Holland & Welsch 1977)."""
@@ -68,7 +65,7 @@ class SlopeFit:
     value: float
     stderr: float
     dof: float
-    offsets: Floats
+    offsets: FloatArray
     scatter: float
     r_squared: float
     n_samples: int
@@ -84,7 +81,7 @@ class SlopeFit:
 
 
 def fit_slope(
-    load: Floats, response: Floats, trial: Integers, *, free_offset: bool = False
+    load: FloatArray, response: FloatArray, trial: IntArray, *, free_offset: bool = False
 ) -> SlopeFit:
     """Fit response = k · load (+ an offset) over presses.
 
@@ -140,12 +137,12 @@ def fit_slope(
     )
 
 
-def _columns(values: Floats) -> Floats:
+def _columns(values: FloatArray) -> FloatArray:
     values = np.asarray(values, dtype=np.float64)
     return values[:, None] if values.ndim == 1 else values
 
 
-def _design(load: Floats, free_offset: bool) -> Floats:
+def _design(load: FloatArray, free_offset: bool) -> FloatArray:
     """(N·c, p): the load, then one indicator a component where the offset is free."""
     n_samples, n_components = load.shape
     if not free_offset:
@@ -153,7 +150,7 @@ def _design(load: Floats, free_offset: bool) -> Floats:
     return np.column_stack([load.ravel(), np.tile(np.eye(n_components), (n_samples, 1))])
 
 
-def _instrument(load: Floats, trial: Integers) -> Floats:
+def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
     """The mean load of the samples two before and two after (one, in short presses).
 
     Where there are no neighbours, or they say little (a force that jumps at random), the load
@@ -174,14 +171,14 @@ def _instrument(load: Floats, trial: Integers) -> Floats:
 
 
 def _solve_robustly(
-    design: Floats,
-    instruments: Floats,
-    y: Floats,
-    loaded: NDArray[np.bool_],
+    design: FloatArray,
+    instruments: FloatArray,
+    y: FloatArray,
+    loaded: BoolArray,
     widening: float,
-) -> tuple[Floats, float]:
+) -> tuple[FloatArray, float]:
     """Coefficients (p,) and the residuals' scale, by reweighting from an L1 start."""
-    beta: Floats = np.zeros(design.shape[1])
+    beta: FloatArray = np.zeros(design.shape[1])
     beta[0] = _weighted_median(y[loaded] / design[loaded, 0], np.abs(design[loaded, 0]))
     if design.shape[1] > 1:
         beta = _least_absolute(design, y, beta)
@@ -199,16 +196,16 @@ def _solve_robustly(
     return beta, scale
 
 
-def _predicted(design: Floats, beta: Floats) -> Floats:
+def _predicted(design: FloatArray, beta: FloatArray) -> FloatArray:
     return np.einsum("np,p->n", design, beta)
 
 
-def _gram(left: Floats, right: Floats) -> Floats:
+def _gram(left: FloatArray, right: FloatArray) -> FloatArray:
     """leftᵀ right of tall matrices; a BLAS would wake all its threads for so little work."""
     return np.einsum("ni,nj->ij", left, right)
 
 
-def _least_absolute(design: Floats, y: Floats, beta: Floats) -> Floats:
+def _least_absolute(design: FloatArray, y: FloatArray, beta: FloatArray) -> FloatArray:
     """A few reweighted steps towards the smallest absolute residuals."""
     for _ in range(20):
         residual = np.abs(y - _predicted(design, beta))
@@ -219,17 +216,17 @@ def _least_absolute(design: Floats, y: Floats, beta: Floats) -> Floats:
     return beta
 
 
-def _weighted_median(values: Floats, weights: Floats) -> float:
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     order = np.argsort(values)
     cumulated = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(cumulated, 0.5 * cumulated[-1])])
 
 
-def _robust_scale(residual: Floats) -> float:
+def _robust_scale(residual: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(residual)))
 
 
-def _tukey(residual: Floats, scale: float) -> tuple[Floats, Floats]:
+def _tukey(residual: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
     """Bisquare weights, and the derivative of the weighted residual."""
     if scale <= 0.0:
         exact = np.ones_like(residual)
@@ -240,11 +237,11 @@ def _tukey(residual: Floats, scale: float) -> tuple[Floats, Floats]:
 
 
 def _clustered_error(
-    design: Floats,
-    instruments: Floats,
-    influence: Floats,
-    slope: Floats,
-    groups: Integers,
+    design: FloatArray,
+    instruments: FloatArray,
+    influence: FloatArray,
+    slope: FloatArray,
+    groups: IntArray,
     n_groups: int,
 ) -> tuple[float, float]:
     """Standard error of the first coefficient and its degrees of freedom."""
@@ -273,7 +270,7 @@ def _clustered_error(
     return float(np.sqrt(variance) * factor), dof
 
 
-def _leverage_root(remaining: Floats) -> Floats:
+def _leverage_root(remaining: FloatArray) -> FloatArray:
     """(I − H)^−½ of one press; its leverage is bounded so that one press cannot blow up."""
     if remaining.size == 1:
         return np.array([[1.0 / np.sqrt(max(float(remaining[0, 0]), 0.1))]])
@@ -281,7 +278,11 @@ def _leverage_root(remaining: Floats) -> Floats:
 
 
 def _degrees_of_freedom(
-    instrument: Floats, influence: Floats, groups: Integers, n_groups: int, score: Floats
+    instrument: FloatArray,
+    influence: FloatArray,
+    groups: IntArray,
+    n_groups: int,
+    score: FloatArray,
 ) -> float:
     """Satterthwaite's, for noise that is partly each sample's own and partly each press's."""
     power = np.bincount(groups, instrument**2, n_groups)

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.calibrate.contact.channel_fit import PLAIN_UNITS, ChannelFit
 from tacgen.calibrate.contact.depth_curves import RADII_MM, BallFit, DepthReport
 from tacgen.calibrate.contact.identifiability import limits_of
-from tacgen.calibrate.contact.law_fit import ContactFit
+from tacgen.calibrate.contact.law_fit import PLAIN_UNITS, ChannelFit, ContactFit
 from tacgen.calibrate.contact.slope_fit import SlopeFit
 from tacgen.report.formatting import interval, number, p_value, percent, unit_text, with_error
 
@@ -36,7 +35,7 @@ def summary_dict(fit: ContactFit) -> dict[str, Any]:
         ],
         "trials": {"fit": len(fit.log.trials), "left_out": len(fit.log.dropped)},
         "left_out": [
-            {"trial": t.trial, "rows": list(t.rows), "reason": t.reason, "mend": t.mend}
+            {"trial": t.trial, "rows": list(t.rows), "reason": t.reason, "mend": t.fix}
             for t in fit.log.dropped
         ],
         "warnings": list(fit.warnings),

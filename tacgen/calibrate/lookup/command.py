@@ -76,7 +76,7 @@ def warning_lines(presses: PressImages, scale: ScaleEvidence | None = None) -> I
     yield from presses.warnings
     if scale is not None:
         yield from (*scale.warnings, *scale.notes)
-    yield from (str(press) for press in presses.doubtful)
+    yield from (str(press) for press in presses.dropped)
 
 
 def lookup_text(made: Calibration, presses: PressImages, *, json_output: bool = False) -> str:
@@ -87,7 +87,7 @@ def lookup_text(made: Calibration, presses: PressImages, *, json_output: bool = 
     if made.scale is not None:
         found["scale"] = made.scale.as_dict()
     found["left_out"] = [
-        {"file": press.file, "row": press.row, "reason": press.reason} for press in presses.doubtful
+        {"file": press.file, "row": press.row, "reason": press.reason} for press in presses.dropped
     ]
     return json.dumps(found)
 

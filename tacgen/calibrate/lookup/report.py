@@ -65,7 +65,7 @@ def _summary(presses: PressImages, calibration: Calibration) -> Section:
         f"{presses.mm_per_px:.4f} mm/px; {int(presses.found.sum())} circles were found in the "
         "image, the others were labelled.",
         *presses.warnings,
-        *(str(press) for press in presses.doubtful),
+        *(str(press) for press in presses.dropped),
     ]
     if presses.dots is not None:
         lines.append(

@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares, press_sums
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly, sample_design
 from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
-from tacgen.presses.dots import dot_centers
+from tacgen.presses.dots import find_spots, nearest_px
 from tacgen.presses.press_images import PressImages
 
 MIN_RULER_PRESSES = 4
@@ -171,8 +170,8 @@ def by_dots(presses: PressImages) -> Ruler | None:
     """mm/px from the spacing of printed dots of known pitch."""
     if presses.dots is None or not presses.dot_pitch_mm > 0:
         return None
-    places = dot_centers(presses.background)
-    nearest = cKDTree(places).query(places, k=2)[0][:, 1]
+    spots = find_spots(presses.background)
+    nearest = nearest_px(spots.places_px[spots.alike])
     spacing = float(np.median(nearest))
     usual = nearest[np.abs(nearest - spacing) < 0.2 * spacing]
     error = 1.25 * usual.std() / np.sqrt(len(usual)) + 0.002 * spacing

@@ -167,7 +167,7 @@ def _tabulate(
         "made_by": f"tacgen {__version__} calibrate lookup",
         "data_sha256": dict(presses.sha256),
         "n_presses": len(presses),
-        "left_out": [str(press) for press in presses.doubtful],
+        "left_out": [str(press) for press in presses.dropped],
         "ball_radius_mm": sorted({float(r) for r in presses.ball_radius_mm}),
         "press_model": fit.press_model.as_dict(),
         "settings": {

@@ -195,7 +195,7 @@ def _provenance(presses: PressImages, entry: Entry, press_model: PressModel) -> 
         "made_by": f"tacgen {__version__} diagnose optics",
         "data_sha256": dict(presses.sha256),
         "n_presses": len(presses),
-        "left_out": [str(press) for press in presses.doubtful],
+        "left_out": [str(press) for press in presses.dropped],
         "ball_radius_mm": sorted({float(r) for r in presses.ball_radius_mm}),
         "press_model": press_model.as_dict(),
         "form": entry.state.form,

@@ -92,7 +92,7 @@ def _sections(
             f"{high:.2f} grey levels. Inside the labelled circles alone the error falls from "
             f"{diagnosis.inside_before:.2f} to {diagnosis.inside_after:.2f}. The camera's own "
             f"noise is {diagnosis.noise_floor:.2f}.",
-            *(str(press) for press in presses.doubtful),
+            *(str(press) for press in presses.dropped),
         ),
         _effects(diagnosis),
         *_pictures(presses, diagnosis),

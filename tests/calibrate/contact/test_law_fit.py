@@ -11,9 +11,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from tacgen.calibrate.contact.channel_fit import agreement_of
 from tacgen.calibrate.contact.identifiability import limits_of
-from tacgen.calibrate.contact.law_fit import fit_contact
+from tacgen.calibrate.contact.law_fit import agreement_of, fit_contact
 from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.cli import app
 from tacgen.contact.law import load_law
@@ -141,7 +140,7 @@ def test_left_out_presses_are_said_where_the_user_looks(tmp_path):
     frame.loc[120, "time_s"] -= 9.0
     result = calibrate(write(frame, tmp_path), "--out", tmp_path / "c.yaml", "--json")
     assert result.exit_code == 0
-    assert "trial 2 is left out: time_s goes backwards at row 122" in result.stderr
+    assert "trial 2 is dropped: time_s goes backwards at row 122" in result.stderr
     content = json.loads(result.stdout)
     assert [entry["trial"] for entry in content["left_out"]] == [2]
     assert content["trials"] == {"fit": 15, "left_out": 1}
@@ -159,7 +158,7 @@ def test_a_log_without_shear_has_no_k_s(tmp_path):
     frame = session().drop(columns=["shear_x_mm", "shear_y_mm"])
     result = calibrate(write(frame, tmp_path), "--out", tmp_path / "c.yaml")
     assert np.isnan(load_law(tmp_path / "c.yaml").k_s_mm_per_n.value)
-    assert "k_s cannot be told" in result.stderr
+    assert "k_s is unknown" in result.stderr
 
 
 def test_what_a_schedule_leaves_open(tmp_path):

@@ -51,7 +51,7 @@ def test_unseen_balls_are_rendered(name, labels, tmp_path):
     sensor = SENSORS[name]
     train = read(draw_presses(sensor, 41), tmp_path / "a", labels=labels, scatter_px=0.7)
     test = read(draw_presses(sensor, 42, count=8), tmp_path / "b", labels=labels, scatter_px=0.7)
-    assert len(train) == 24, [str(press) for press in train.doubtful]
+    assert len(train) == 24, [str(press) for press in train.dropped]
     error = score_table(fit_lookup(train), test).rmse("refined")[0]
     assert error < 0.25 * change_in_contact(test)
 
