@@ -78,8 +78,8 @@ def find_spots(image: Image) -> Spots:
     """The dark spots of a picture (H, W, 3)."""
     dark = _darkness(image)
     mask = (dark > 1.0 - DARKER_THAN).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    labels = np.asarray(labels, dtype=np.int32)
+    count, spots, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    labels = np.asarray(spots, dtype=np.int32)
     areas = np.asarray(stats[1:, cv2.CC_STAT_AREA], dtype=np.int32)
     rows, columns = np.nonzero(mask)
     index = labels[rows, columns] - 1

@@ -245,7 +245,7 @@ def test_nothing_left_is_an_error_that_says_why(tmp_path):
     frame = log_frame(3)
     frame["time_s"] = frame["time_s"].to_numpy()[::-1]
     message = refusal(frame, tmp_path)
-    assert "no press is left" in message
+    assert "no usable press remains" in message
     assert message.count("goes backwards") == 3
 
 

@@ -158,7 +158,8 @@ def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = Non
 
 def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
     radii = _radius_grid(radius_mm, 121)
-    best, parameters = np.inf, np.zeros(3)
+    best = np.inf
+    parameters: FloatArray = np.zeros(3)
     for radius in radii:
         cost, k_log, shift = _fit_at_radius(curve, float(radius))
         if cost < best:
