@@ -17,7 +17,7 @@ from tacgen.calibrate.contact.contact_point import ContactPoint, free_contact_po
 from tacgen.calibrate.contact.identifiability import limits_of
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
 from tacgen.contact.law import ContactLaw
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
@@ -216,7 +216,7 @@ def agreement_of(groups: Mapping[str, SlopeFit], pooled: float) -> Agreement | N
     return Agreement(statistic, (n - 1.0, dof_within), p_value, float(np.ptp(k) / pooled))
 
 
-def _fit_group(load: FloatArray, response: FloatArray, trial: FloatArray) -> SlopeFit:
+def _fit_group(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeFit:
     """A group of one trial is cut into blocks of equal load, whose scatter gives its error."""
     if len(np.unique(trial)) > 1:
         return fit_slope(load, response, trial)
@@ -229,7 +229,7 @@ def _loaded(load: FloatArray) -> bool:
     return len(load) > 1 and bool(np.abs(load).max() > 0)
 
 
-def _held_out(load: FloatArray, response: FloatArray, trial: FloatArray, unit: str) -> HeldOut:
+def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str) -> HeldOut:
     """Every trial predicted by a fit to the other folds' trials."""
     numbers = np.unique(trial)
     folds = min(len(numbers), MAX_FOLDS)
@@ -246,7 +246,7 @@ def _held_out(load: FloatArray, response: FloatArray, trial: FloatArray, unit: s
     return HeldOut(rmse, rmse / size, unit, MappingProxyType(by_trial), folds)
 
 
-def _own_noise(residual: FloatArray, trial: FloatArray) -> float:
+def _own_noise(residual: FloatArray, trial: IntArray) -> float:
     """Robust noise of a sample, all components: second differences know no slow course."""
     bends = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
     _, index, counts = np.unique(trial, return_inverse=True, return_counts=True)

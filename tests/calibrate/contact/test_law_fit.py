@@ -131,7 +131,7 @@ def test_held_out_trials_had_no_part(tmp_path):
 def test_too_few_presses(tmp_path):
     result = calibrate(write(session(n_trials=2), tmp_path), "--out", tmp_path / "c.yaml")
     assert isinstance(result.exception, PressError)
-    assert "2 presses that can be used, fewer than 3" in str(result.exception)
+    assert "2 usable presses, fewer than 3" in str(result.exception)
     assert not (tmp_path / "c.yaml").exists()
 
 
