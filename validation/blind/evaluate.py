@@ -24,6 +24,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tacgen.diagnose.contact.command import diagnose
+from tacgen.diagnose.contact.notes import log_notes
+from tacgen.diagnose.contact.result import diagnosis_record
+from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
+from tacgen.presses.press_log import read_press_log
 from validation.blind.blind_forms import ALL_NORMAL, ALL_SHEAR, ALL_UNLISTED
 from validation.blind.generator import Case, draw_case
 
@@ -88,18 +93,15 @@ def split(frame: pd.DataFrame, seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     return frame[~away], frame[away]
 
 
-def run(case: Case, seed: int) -> dict[str, Any]:
+def run(case: Case, seed: int, rules: SelectionRules = DEFAULT_RULES) -> dict[str, Any]:
     """The diagnosis of a case, as its JSON, with the law's error on trials kept from it."""
-    from tacgen.diagnose.contact.command import diagnose
-    from tacgen.diagnose.contact.notes import log_notes
-    from tacgen.diagnose.contact.result import diagnosis_record
-    from tacgen.presses.press_log import read_press_log
-
     given, later = split(case.frame, seed)
     with tempfile.TemporaryDirectory() as folder:
         given.to_csv(Path(folder) / "log.csv", index=False)
         log = read_press_log(Path(folder) / "log.csv")
-    found = diagnose(log.columns, notes=log_notes(log), session_clock=log.session_clock)
+    found = diagnose(
+        log.columns, notes=log_notes(log), session_clock=log.session_clock, rules=rules
+    )
     record = diagnosis_record(found)
     volume, shear = found.law.predict(later)
     record["later"] = {"normal": _rms(later["volume_mm3"].to_numpy() - volume)}

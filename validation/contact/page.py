@@ -59,8 +59,8 @@ by Bouc-Wen against plays and loops, a Gaussian bump against polynomials, and so
 numbers of trials (30 to 80), noise in volume and in force, and schedules are drawn at random.
 The strength of an effect is the RMS of what it changes beside the best k, in units of the noise
 of one sample. {count} channels were traced. Thresholds were set on other seeds and on
-`validation/blind`'s logs; the wrong logs of earlier runs of this study were looked at too, when rules
-were changed. Shares at strengths that were not run are missing from the figure.
+`validation/blind`'s logs; the wrong logs of earlier runs of this study were looked at too, when
+rules were changed. Shares at strengths that were not run are missing from the figure.
 
 | | measured (95 % interval) | aim |
 |---|---|---|
@@ -88,8 +88,8 @@ cent of the row.
 ## What this does not show
 
 The study draws its sessions from one rig's habits: every press is loaded and unloaded, trials are
-independent, the noise is white. `validation/blind/evaluate.py` has other rigs, noise that goes on from
-sample to sample, and 12 to 80 trials. A log without an unloading phase cannot show hysteresis,
+independent, the noise is white. `validation/blind/evaluate.py` has other rigs, noise that goes on
+from sample to sample, and 12 to 80 trials. A log without an unloading phase cannot show hysteresis,
 one ball cannot show geometry, and a soft limit that is only neared cannot be told from
 stiffening; the report of a diagnosis says which effects its data cannot tell apart.
 """

@@ -10,7 +10,6 @@ where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections import defaultdict
@@ -20,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.diagnose.contact.channel import ChannelSamples
@@ -170,19 +168,3 @@ def run_study(repeats: int, store: Path, *, kept_only: bool = False) -> list[Out
 def _outcome_of(item: dict[str, Any]) -> Outcome:
     values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in item.items()}
     return Outcome(**values)
-
-
-def main() -> None:
-    """Run the study and write the page."""
-    from validation.contact.page import write_page
-
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--repeats", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("docs/trust.md"))
-    parser.add_argument("--store", type=Path, default=Path("out/trust/outcomes.jsonl"))
-    parser.add_argument("--kept-only", action="store_true", help="trace nothing that is not kept")
-    parser.add_argument("--note", default="", help="a sentence for the page, under its table")
-    arguments = parser.parse_args()
-    with threadpool_limits(limits=1):
-        outcomes = run_study(arguments.repeats, arguments.store, kept_only=arguments.kept_only)
-    write_page(outcomes, arguments.out, arguments.note)

@@ -319,4 +319,5 @@ def _usable_columns(
             f"{refusal} {', '.join(targets)} falls as the force grows; check the signs of both"
         )
     dropped = int((~known).sum())
-    return kept, f"{channel} channel: {dropped} rows without a finite value are not used" if dropped else ""
+    note = f"{channel} channel: {dropped} rows without a finite value are not used"
+    return kept, note if dropped else ""
