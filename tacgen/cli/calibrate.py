@@ -226,7 +226,7 @@ def friction(
     write_friction_report(out / "report.html", grasps, outcomes, fits, doubts)
     if write_objects:
         write_object_copies(fits, out / "objects")
-    verdicts = [verdict_of(name, fit) for name, fit in fits.items()]
+    verdicts = [verdict_of(name, fit) for name, fit in friction_json(fits).items()]
     print_result(friction_json(fits), verdicts, json_output)
 
 

@@ -48,9 +48,9 @@ def diagnose_contact(
     warn(diagnosis.notes, "note")
     if grasp is not None:
         from tacgen.collection.recipe import load_recipe
-        from tacgen.diagnose.contact.law_comparison import write_before_after
+        from tacgen.diagnose.contact.law_comparison import write_law_comparison
 
-        write_before_after(
+        write_law_comparison(
             load_recipe(grasp), diagnosis.linear_law, diagnosis.law, out / "grasp.html"
         )
     sentences = [found.sentence for found in diagnosis.channels.values()]
@@ -74,13 +74,13 @@ def diagnose_optics(
     json_output: JsonFlag = False,
 ) -> None:
     """Find the optical effects that explain a table's image residuals on ball presses."""
-    from tacgen.diagnose.optics.report import sentence, write_optics_diagnosis
+    from tacgen.diagnose.optics.command import diagnose_presses
 
-    diagnosis, used = write_optics_diagnosis(
+    diagnosis, used = diagnose_presses(
         presses, out, table_path=table, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
     warn((*used.warnings, *used.dropped))
-    print_result(diagnosis.as_dict(), sentence(diagnosis), json_output)
+    print_result(diagnosis.as_dict(), diagnosis.sentence, json_output)
 
 
 @diagnose_app.command("grasps")
@@ -106,6 +106,7 @@ def diagnose_grasps_command(
     with progress_counter("grasp") as show:
         findings = diagnose_grasps(loaded, grasps, out, workers=workers, show=lambda what: show)
     warn(findings.diagnosis.notes, "note")
-    write_grasp_report(out / "report.html", grasps, findings)
     record = record_of(findings, loaded, list(grasps.by_object()))
+    before, after = findings.diagnosis.simulated_before, findings.simulated_after
+    write_grasp_report(out / "report.html", record, grasps, before, after)
     print_result(record, findings.diagnosis.sentence, json_output)

@@ -1,15 +1,14 @@
-"""``README.md`` of a dataset: what it is, how it was made, how to read it, what to beware of."""
+"""``README.md`` of a dataset: what it is, how it was made, how to read it, its limits."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader
-
 from tacgen.core.files import write_text
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.summary import summarize
+from tacgen.report.page import templates
 
 
 def write_card(root: Path | str) -> Path:
@@ -24,15 +23,16 @@ def write_card(root: Path | str) -> Path:
     summary = summarize(folder.root)
     dataset = Dataset(folder.root, partial=True)
     height, width = dataset.shape_px
-    environment = Environment(
-        loader=PackageLoader("tacgen.dataset"), trim_blocks=True, lstrip_blocks=True
-    )
-    text = environment.get_template("card.md").render(
-        summary=summary,
-        arrays=list(dataset.layout.arrays()),
-        height=height,
-        width=width,
-        first=int(dataset.indices[0]),
+    text = (
+        templates("tacgen.dataset", escaped=False)
+        .get_template("card.md")
+        .render(
+            summary=summary,
+            arrays=list(dataset.layout.arrays()),
+            height=height,
+            width=width,
+            first=int(dataset.indices[0]),
+        )
     )
     dataset.close()
     write_text(folder.card_path, text)

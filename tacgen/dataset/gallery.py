@@ -1,20 +1,17 @@
-"""``index.html``: a page on which a person sees what the grasps of a dataset look like.
+"""``index.html``: a page that shows the grasps of a dataset.
 
-It needs no network and stays below ``MAX_PAGE_BYTES``: of a large dataset it shows grasps taken
-evenly, and says so.
+It needs no network and stays below ``MAX_PAGE_BYTES``: a large dataset is represented by grasps
+taken evenly, and the page says so.
 """
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from jinja2 import Environment, PackageLoader
 from numpy.typing import NDArray
 
 from tacgen.core.errors import RecipeError
@@ -22,10 +19,15 @@ from tacgen.core.files import write_text
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.summary import Summary, summarize
+from tacgen.report.images import evenly, jpeg_uri, no_wider, side_by_side
+from tacgen.report.page import templates
 
 MAX_PAGE_BYTES = 15_000_000
+"""What a browser opens at once."""
 MAX_CARDS, MAX_SHARDS, MAX_STRIP = 200, 200, 8
-IMAGE_WIDTH_PX, STRIP_WIDTH_PX, JPEG_QUALITY = 280, 110, 82
+IMAGE_WIDTH_PX, STRIP_WIDTH_PX = 280, 110
+CARD_TEXT_BYTES = 2000
+"""Of a card's markup, beside its images."""
 OUTCOMES = {
     "success": "success",
     "translational_slip": "translational slip",
@@ -56,7 +58,7 @@ class Card:
     @property
     def n_bytes(self) -> int:
         """Roughly what it adds to the page."""
-        return len(self.picture) + sum(map(len, (*self.images, *self.strips))) + 2000
+        return len(self.picture) + sum(map(len, (*self.images, *self.strips))) + CARD_TEXT_BYTES
 
 
 class CardMaker:
@@ -77,10 +79,10 @@ class CardMaker:
 
     def __init__(self, root: Path | str) -> None:
         self.dataset = Dataset(root, partial=True)
-        shards = _evenly(range(len(self.dataset.lines)), MAX_SHARDS)
+        shards = evenly(len(self.dataset.lines), MAX_SHARDS)
         self._columns = self.dataset.columns(shards, contact=True)
         self.points = _points(self._columns)
-        self.rows: list[int] = _evenly(range(len(self.points)), MAX_CARDS)
+        self.rows = evenly(len(self.points), MAX_CARDS)
 
     def card(self, row: int) -> Card:
         """The card of one grasp: this is where images are decoded and made small."""
@@ -113,14 +115,8 @@ def render_gallery(
     """The page as text, with as many of the cards as there is room for."""
     dataset, points = maker.dataset, maker.points
     cards = _fit(cards)
-    environment = Environment(
-        loader=PackageLoader("tacgen.dataset"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    reference = _jpeg(dataset.reference(), IMAGE_WIDTH_PX)
-    return environment.get_template("gallery.html").render(
+    page = templates("tacgen.dataset").get_template("gallery.html")
+    return page.render(
         summary=summary,
         description=_description(folder),
         cards=cards,
@@ -131,7 +127,7 @@ def render_gallery(
         present=[name for name in OUTCOMES if any(p["outcome"] == name for p in points)],
         objects=sorted({p["object"] for p in points}),
         forces=sorted({p["force"] for p in points}),
-        reference=reference,
+        reference=_jpeg(dataset.reference()),
         time_s=[float(t) for t in dataset.time_s],
     )
 
@@ -167,7 +163,7 @@ def _card(dataset: Dataset, columns: Mapping[str, NDArray], row: int, outcome: s
     index = int(columns["index"][row])
     executed = outcome != "not_executed"
     moment = int(columns["grasp_frame"][row])
-    shown = _evenly(range(dataset.n_frames), MAX_STRIP) if dataset.n_frames > 1 else []
+    shown = evenly(dataset.n_frames, MAX_STRIP) if dataset.n_frames > 1 else []
     pads = dataset.pads if executed else ()
     picture = dataset.picture(index)
     place = ", ".join(f"{columns[axis][row]:g}" for axis in ("x_mm", "y_mm", "z_mm"))
@@ -179,8 +175,8 @@ def _card(dataset: Dataset, columns: Mapping[str, NDArray], row: int, outcome: s
         split=str(columns["split"][row]),
         place=place,
         facts=tuple(_facts(columns, row, moment)) if executed else (),
-        picture="" if picture is None or not picture.any() else _jpeg(picture, IMAGE_WIDTH_PX),
-        images=tuple(_jpeg(dataset.rgb(index, pad, moment), IMAGE_WIDTH_PX) for pad in pads),
+        picture="" if picture is None or not picture.any() else _jpeg(picture),
+        images=tuple(_jpeg(dataset.rgb(index, pad, moment)) for pad in pads),
         strips=tuple(_strip(dataset, index, pad, shown) for pad in pads if shown),
         curves=_curves(columns, row, dataset.time_s) if executed and shown else (),
         curve_top_n=_top_n(columns, row),
@@ -230,46 +226,26 @@ def _top_n(columns: Mapping[str, NDArray], row: int) -> float:
 
 def _strip(dataset: Dataset, index: int, pad: str, frames: Sequence[int]) -> str:
     """Frames side by side, in time order, as one image."""
-    small = [_scaled(dataset.rgb(index, pad, frame), STRIP_WIDTH_PX) for frame in frames]
-    gap = np.full((small[0].shape[0], 3, 3), 255, np.uint8)
-    return _encoded(np.concatenate([part for frame in small for part in (frame, gap)][:-1], axis=1))
+    return jpeg_uri(
+        side_by_side([dataset.rgb(index, pad, frame) for frame in frames], STRIP_WIDTH_PX)
+    )
 
 
-def _jpeg(rgb: NDArray[np.uint8], width_px: int) -> str:
-    return _encoded(_scaled(rgb, width_px))
-
-
-def _scaled(rgb: NDArray[np.uint8], width_px: int) -> NDArray[np.uint8]:
-    """``rgb`` no wider than ``width_px``."""
-    height, width = rgb.shape[:2]
-    if width <= width_px:
-        return rgb
-    size = (width_px, max(1, round(height * width_px / width)))
-    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _encoded(rgb: NDArray[np.uint8]) -> str:
-    quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), quality)
-    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+def _jpeg(rgb: NDArray[np.uint8]) -> str:
+    return jpeg_uri(no_wider(rgb, IMAGE_WIDTH_PX))
 
 
 def _fit(cards: Sequence[Card]) -> Sequence[Card]:
     """As many cards, taken evenly, as the page has room for."""
     room = MAX_PAGE_BYTES * 0.9
     total = sum(card.n_bytes for card in cards)
-    return cards if total <= room else _evenly(cards, max(1, int(len(cards) * room / total)))
-
-
-def _evenly(items: Sequence[Any], most: int) -> list[Any]:
-    """``items``, or ``most`` of them at even distances, the first and the last included."""
-    if len(items) <= most:
-        return list(items)
-    return [items[i] for i in np.linspace(0, len(items) - 1, most).round().astype(int)]
+    if total <= room:
+        return cards
+    return [cards[k] for k in evenly(len(cards), max(1, int(len(cards) * room / total)))]
 
 
 def _description(folder: DatasetFolder) -> str:
     try:
         return str(folder.recipe().get("description", ""))
-    except RecipeError:  # `verify` tells of it; the page does without
+    except RecipeError:  # `verify` reports it; the page has no description then
         return ""

@@ -1,30 +1,36 @@
-"""The pages that a person looks at after a training or an evaluation."""
+"""The pages of a training and of an evaluation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tacgen.learning.figures import confusion_figure, curves, reliability_figure, strip
+import numpy as np
+from numpy.typing import NDArray
+
 from tacgen.learning.predictions import Predictions
 from tacgen.learning.scores import reliability, tested_on
 from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.report import (
     Section,
+    facts_section,
     figure_section,
-    image_section,
+    pictures_section,
     table_section,
     text_section,
     write_page,
 )
+from tacgen.report import figures as plots
+from tacgen.report.formatting import number, percent
+from tacgen.report.images import evenly, side_by_side
 
 MAX_MISJUDGED = 24
-_ABOUT_CURVES = (
-    "Training: the network that learns, on the way. "
-    "Validation: the mean of its weights, which is kept."
-)
-_SCORES = ("accuracy", "95 % interval", "balanced", "AUROC", "ECE", "n")
+"""Misjudged grasps that the page shows, the most certain first."""
+MAX_FRAMES, FRAME_WIDTH_PX = 8, 160
+"""Of the strip of images of a misjudged grasp."""
+CLASS_NAMES = ("failure", "success")
+SCORE_HEADER = ("accuracy", "95 % interval", "balanced", "AUROC", "ECE", "n")
 
 
 def write_training_report(
@@ -34,57 +40,87 @@ def write_training_report(
     metrics: Sequence[Mapping[str, Any]],
     result: Mapping[str, Any],
 ) -> None:
-    """Curves, the confusion matrix on the validation grasps, and what the model started from."""
-    facts = [
-        ("network", recipe.model.kind),
-        ("objects", ", ".join(result["objects"])),
-        ("pre-trained weights", started_from(result["weights"])),
-        ("grasps to learn from", result["grasps_fit"]),
-        ("of these successes", result["successes_fit"]),
-        ("grasps to choose the best epoch", result["grasps_validation"]),
-        ("best epoch", result["best_epoch"]),
-        ("weights averaged over about so many epochs", recipe.training.average_epochs),
-        ("seconds an epoch (median)", result["epoch_s"]),
-        ("share of the loader (median)", result["loader_share"]),
-        ("seconds to decode the images once", result["decode_s"]),
-    ]
+    """Curves, scores on the validation grasps, and what the model started from."""
+    validation = result["validation"]
     sections = [
-        table_section("What was trained", ("", ""), facts),
-        figure_section("Curves", curves(metrics, result["best_epoch"]), _ABOUT_CURVES),
         figure_section(
-            "Validation grasps",
-            confusion_figure(result["validation"]["confusion"]),
-            "These chose the best epoch, so they flatter it; the test grasps are for tacgen eval.",
+            "Curves",
+            plots.training_curves(metrics, result["best_epoch"]),
+            "Training: the network during the epoch. Validation: the averaged weights, which are "
+            "kept.",
         ),
+        _confusion("Validation grasps: confusion", validation["confusion"]),
         table_section(
-            "Scores on the validation grasps", _SCORES, [score_row(result["validation"])]
+            "Validation grasps: scores",
+            SCORE_HEADER,
+            [score_row(validation)],
+            "These grasps chose the best epoch, so the scores are optimistic; tacgen eval scores "
+            "the test grasps.",
+        ),
+        facts_section(
+            "What was trained",
+            [
+                ("network", recipe.model.kind),
+                ("objects", ", ".join(result["objects"])),
+                ("pre-trained weights", started_from(result["weights"])),
+                ("training grasps", result["grasps_fit"]),
+                ("of these successes", result["successes_fit"]),
+                ("validation grasps", result["grasps_validation"]),
+                ("best epoch", result["best_epoch"]),
+                ("epochs over which weights are averaged", recipe.training.average_epochs),
+                ("time per epoch, median", f"{number(result['epoch_s'], 3)} s"),
+                ("share of it in the data loader, median", percent(result["loader_share"])),
+                ("time to decode the images once", f"{number(result['decode_s'], 3)} s"),
+            ],
         ),
     ]
-    write_page(path, f"Training: {name}", sections, summary=recipe.description)
+    summary = (
+        f"Validation accuracy {validation['accuracy']:.3f} at epoch {result['best_epoch']} "
+        f"(n = {validation['n']}). {recipe.description}".strip()
+    )
+    write_page(path, f"Training: {name}", sections, summary=summary)
 
 
 def write_evaluation_report(
     path: Path, result: Mapping[str, Any], predictions: Sequence[Predictions]
 ) -> None:
     """Scores overall and in parts, calibration, and the grasps that were misjudged."""
-    labels, probabilities = Predictions.joined(predictions)
+    bins = reliability(*Predictions.joined(predictions))
+    parts = (
+        ("By object", "object", result["by_object"], result["auroc_note"]),
+        ("By force", "force, N", result["by_force_n"], ""),
+        ("By height", "height of the pad, mm", result["by_z_mm"], ""),
+    )
     sections = [
-        _overview(result),
-        table_section(
-            "By object", ("object", *_SCORES), _rows(result["by_object"]), result["auroc_note"]
-        ),
-        table_section("By force", ("force, N", *_SCORES), _rows(result["by_force_n"])),
-        table_section("By height", ("height of the pad, mm", *_SCORES), _rows(result["by_z_mm"])),
-        figure_section("Confusion", confusion_figure(result["confusion"])),
+        _confusion("Confusion", result["confusion"]),
         figure_section(
             "Calibration",
-            reliability_figure(reliability(labels, probabilities)),
+            plots.reliability_diagram(
+                [one.predicted for one in bins],
+                [one.succeeded for one in bins],
+                {(one.lo + one.hi) / 2: one.n for one in bins},
+            ),
             f"Expected calibration error {result['ece']:.3f}.",
         ),
-        *_misjudged(predictions),
+        _overview(result),
+        *(
+            table_section(
+                title,
+                (column, *SCORE_HEADER),
+                [(name, *score_row(scores)) for name, scores in rows.items()],
+                note,
+            )
+            for title, column, rows, note in parts
+        ),
+        _misjudged(predictions),
     ]
     title = "Evaluation on simulated grasps" if result["source"] == "sim" else "Evaluation"
-    write_page(path, title, sections, summary=result["data"])
+    lo, hi = result["accuracy_interval"]
+    summary = (
+        f"Accuracy {result['accuracy']:.3f} ({lo:.3f} to {hi:.3f}) on {result['n']} "
+        f"{tested_on(result)} grasps: {result['data']}"
+    )
+    write_page(path, title, sections, summary=summary)
 
 
 def started_from(weights: str) -> str:
@@ -105,12 +141,11 @@ def score_row(scores: Mapping[str, Any]) -> tuple[object, ...]:
     )
 
 
-def _rows(parts: Mapping[str, Mapping[str, Any]]) -> list[tuple[object, ...]]:
-    return [(name, *score_row(scores)) for name, scores in parts.items()]
+def _confusion(title: str, confusion: Sequence[Sequence[int]]) -> Section:
+    return figure_section(title, plots.confusion(np.asarray(confusion), CLASS_NAMES, CLASS_NAMES))
 
 
 def _overview(result: Mapping[str, Any]) -> Section:
-    rows: list[tuple[object, ...]] = [(tested_on(result), *score_row(result))]
     note = f"Pre-trained weights: {started_from(result['weights'])}."
     gap = result.get("sim_to_real_gap")
     if gap is not None:
@@ -118,32 +153,36 @@ def _overview(result: Mapping[str, Any]) -> Section:
             f" On simulated test grasps the accuracy was {result['sim_accuracy']:.3f}: "
             f"a gap of {gap:+.3f}."
         )
-    notes = " ".join([note, *result["notes"]])
-    return table_section("Overall", ("source", *_SCORES), rows, notes)
+    row = (tested_on(result), *score_row(result))
+    return table_section(
+        "Overall", ("tested on", *SCORE_HEADER), [row], " ".join([note, *result["notes"]])
+    )
 
 
-def _misjudged(predictions: Sequence[Predictions]) -> list[Section]:
+def _misjudged(predictions: Sequence[Predictions]) -> Section:
     wrong = sorted(
         ((part, i) for part in predictions for i in part.wrong()),
         key=lambda found: -abs(found[0].probabilities[found[1]] - 0.5),
     )
     if not wrong:
-        return [text_section("Misjudged grasps", "None.")]
-    sections = [
-        text_section(
-            "Misjudged grasps",
-            f"{len(wrong)} in all; the most certain {min(len(wrong), MAX_MISJUDGED)} are shown.",
+        return text_section("Misclassified grasps", "None.")
+    return pictures_section(
+        "Misclassified grasps",
+        _strips(wrong[:MAX_MISJUDGED]),
+        f"{len(wrong)} in all; shown: the {min(len(wrong), MAX_MISJUDGED)} with the most confident "
+        "wrong prediction.",
+    )
+
+
+def _strips(wrong: Sequence[tuple[Predictions, int]]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Captions and images of misjudged grasps."""
+    for part, i in wrong:
+        table, frames = part.table, part.frames(i)
+        truth = CLASS_NAMES[int(table.label[i] == 1)]
+        caption = (
+            f"{table.objects[i]}, grasp {table.ids[i]}: a {truth}, predicted "
+            f"{part.probabilities[i]:.3f} likely to succeed; {table.force_n[i]:g} N at height "
+            f"{table.z_mm[i]:g} mm"
         )
-    ]
-    for part, i in wrong[:MAX_MISJUDGED]:
-        table = part.table
-        truth = "success" if table.label[i] else "failure"
-        sections.append(
-            image_section(
-                f"{table.objects[i]}, grasp {table.ids[i]}",
-                strip(part.frames(i)),
-                f"A {truth}, judged {part.probabilities[i]:.3f} likely to succeed; "
-                f"{table.force_n[i]:g} N at height {table.z_mm[i]:g} mm.",
-            )
-        )
-    return sections
+        chosen = [frames[k] for k in evenly(len(frames), MAX_FRAMES)]
+        yield caption, side_by_side(chosen, FRAME_WIDTH_PX)

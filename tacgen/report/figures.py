@@ -20,6 +20,8 @@ MAX_POINTS = 20_000
 """Samples drawn in a scatter plot; more only make the page heavy."""
 MEAN_BINS = 14
 """Bins of equal count whose means a residual plot shows."""
+MAX_ZEROS_SHOWN = 9
+"""Cells of a confusion matrix up to which zeros are written too."""
 MAX_TICKS = 24
 """Names of bars that fit beside each other."""
 
@@ -145,7 +147,8 @@ def columns(values: Mapping[str, float], line: float, labels: tuple[str, str]) -
     axes.bar(range(len(values)), list(values.values()), color=ACCENT, width=0.8)
     axes.axhline(line, color=BAD, lw=1.2)
     every = max(1, len(values) // MAX_TICKS)
-    axes.set_xticks(range(0, len(values), every), list(values)[::every])
+    turned = 90 if max(map(len, values)) > 4 else 0
+    axes.set_xticks(range(0, len(values), every), list(values)[::every], rotation=turned)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     return figure
 
@@ -238,6 +241,8 @@ def draw_confusion(
     largest = max(float(counts.max()), 1.0)
     axes.imshow(counts, cmap="Blues", vmin=0, vmax=largest, aspect="auto")
     for (row, column), value in np.ndenumerate(counts):
+        if not value and counts.size > MAX_ZEROS_SHOWN:
+            continue
         color = "white" if value > 0.6 * largest else "black"
         axes.text(column, row, f"{value:.0f}", ha="center", va="center", color=color, fontsize=9)
     turned = 90 if max(map(len, columns)) > 9 else 0
@@ -267,14 +272,17 @@ def training_curves(metrics: Sequence[Mapping[str, Any]], best_epoch: int) -> Fi
 
 
 def reliability_diagram(
-    predicted: Sequence[float], observed: Sequence[float], counts: Sequence[int]
+    predicted: Sequence[float], observed: Sequence[float], counts: Mapping[float, int]
 ) -> Figure:
-    """Predicted probability of success against the share that succeeded, and the counts."""
+    """Predicted probability of success against the share that succeeded, of each bin.
+
+    ``counts`` maps the middle of a bin to the number of its grasps.
+    """
     figure, grid = new_figure(4.6, 4.2, 2, 1, height_ratios=(3, 1), sharex=True)
     upper, lower = grid[:, 0]
     upper.plot([0, 1], [0, 1], color=MUTED, lw=0.8, ls=":")
     upper.plot(predicted, observed, "o-", color=ACCENT)
     upper.set(ylabel="share that succeeded", ylim=(-0.03, 1.03))
-    lower.bar(predicted, counts, width=0.05, color=ACCENT)
+    lower.bar(list(counts), list(counts.values()), width=0.09, color=ACCENT)
     lower.set(ylabel="grasps", xlabel="predicted probability of success", xlim=(-0.02, 1.02))
     return figure

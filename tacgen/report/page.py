@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURE_DPI = 110
+_COLUMN_WIDTHS = ((2.0, "240px"), (4.5, "470px"), (math.inf, "100%"))
+"""Least width of a column of pictures whose width over height is below a limit."""
 _NUMBER_TEXT = re.compile(r"[-+−]?\d+(\.\d+)?(·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( %)?|–")
 
 
@@ -72,9 +74,12 @@ def image_section(title: str, rgb: Image, note: str = "", *, width_px: int = 0) 
 
 
 def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str = "") -> Section:
-    """Captions with their RGB images, in as many columns as the page has room for."""
-    captioned = [(typeset(caption), jpeg_uri(rgb)) for caption, rgb in items]
-    return _section(title, "pictures", captioned, typeset(note))
+    """Captions with their RGB images, in as many columns as their shapes leave room for."""
+    shown = list(items)
+    aspect = max((rgb.shape[1] / rgb.shape[0] for _, rgb in shown), default=1.0)
+    column = next(width for limit, width in _COLUMN_WIDTHS if aspect < limit)
+    captioned = [(typeset(caption), jpeg_uri(rgb)) for caption, rgb in shown]
+    return _section(title, "pictures", captioned, column, typeset(note))
 
 
 def write_page(
@@ -85,24 +90,21 @@ def write_page(
     ``summary`` is the result in a sentence or two; ``verdict`` colours it: ``sufficient`` and
     ``unexplained`` stand out.
     """
-    text = (
-        environment()
-        .get_template("page.html")
-        .render(title=title, summary=typeset(summary), verdict=verdict, sections=sections)
-    )
-    write_text(path, text)
+    page = templates().get_template("page.html")
+    summary = typeset(summary)
+    write_text(path, page.render(title=title, summary=summary, verdict=verdict, sections=sections))
 
 
 @functools.cache
-def environment() -> Environment:
-    """The templates of the pages, which escape what is put into them."""
+def templates(package: str = "tacgen.report", *, escaped: bool = True) -> Environment:
+    """The templates of a package; HTML ones escape what is put into them."""
     return Environment(
-        loader=PackageLoader("tacgen.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader(package), autoescape=escaped, trim_blocks=True, lstrip_blocks=True
     )
 
 
 def _section(title: str, macro: str, *arguments: Any) -> Section:
-    macros: Any = environment().get_template("macros.html").module
+    macros: Any = templates().get_template("macros.html").module
     return Section(typeset(title), Markup(getattr(macros, macro)(*arguments)))
 
 

@@ -19,7 +19,7 @@ from tacgen.core.records import Sensor
 from tacgen.optics.deform import deform
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.report.page import encode_png
+from tacgen.report.images import encode_png
 from tacgen.rig.effects import SessionTruth
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import camera_rng

@@ -9,6 +9,7 @@ from typing import Any
 from tacgen.core.files import write_text
 from tacgen.learning.reports import started_from
 from tacgen.report import Section, table_section, text_section, write_page
+from tacgen.report.formatting import MISSING
 
 OTHER_SIMULATION = "other simulation"
 """Name of the column "sim-to-real" where another simulation made the grasps, not a robot."""
@@ -32,7 +33,7 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
     sections: list[Section] = [
         table_section("Accuracy", header, rows),
         table_section("By object", object_header, object_rows),
-        text_section("What this is", *remarks),
+        text_section("How the figures were made", *remarks),
     ]
     write_page(out / "table.html", result["study"], sections, summary=result["description"])
 
@@ -51,7 +52,7 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
         f"epochs: {', '.join(map(str, epochs))}; training grasps a model (of which some choose "
         f"the epoch): {', '.join(map(str, counts)) or 'none'}.",
         f"Weights averaged over about {', '.join(map(str, averaged))} epochs (the paper: 1).",
-        f"Took {result['took_s'] / 60:.1f} minutes, without what was there already.",
+        f"Took {result['took_s'] / 60:.1f} minutes, without rows of earlier runs.",
         *_where_tested(result),
     ]
     remarks += [
@@ -137,20 +138,20 @@ def _row(row: Mapping[str, Any]) -> tuple[object, ...]:
         row["kind"],
         *_scores(row.get("sim")),
         *_scores(row.get("real")),
-        _figure(published["sim"]),
-        _figure(published["real"]),
+        _accuracy(published["sim"]),
+        _accuracy(published["real"]),
     )
 
 
 def _scores(scores: Mapping[str, Any] | None) -> tuple[str, str, str]:
     if scores is None:
-        return "–", "–", "–"
+        return MISSING, MISSING, MISSING
     lo, hi = scores["accuracy_interval"]
     return f"{scores['accuracy']:.3f}", f"{lo:.3f} to {hi:.3f}", str(scores["n"])
 
 
-def _figure(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3f}"
+def _accuracy(value: float | None) -> str:
+    return MISSING if value is None else f"{value:.3f}"
 
 
 def _by_object(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
@@ -163,7 +164,7 @@ def _by_object(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[o
         for source in sources:
             scores = row.get(source)
             parts = scores["by_object"] if scores else {}
-            cells = [_figure(parts[n]["accuracy"]) if n in parts else "–" for n in names]
+            cells = [_accuracy(parts[n]["accuracy"]) if n in parts else MISSING for n in names]
             rows.append((row["name"], _column_of(result, source, scores), *cells))
     return ("variant", "tested on", *names), rows
 

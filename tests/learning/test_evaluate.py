@@ -82,7 +82,7 @@ def test_the_report_shows_the_scores_and_the_misjudged_grasps(run, toy, tmp_path
     assert len(result["misclassified"]) == round((1 - result["accuracy"]) * result["n"])
     page = (run / "eval.html").read_text()
     assert f"{len(result['misclassified'])} in all" in page
-    assert "judged" in page
+    assert "likely to succeed" in page
     assert evaluate(run, data=toy)["notes"] == []
 
 

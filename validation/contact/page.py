@@ -1,4 +1,4 @@
-"""The page of the trust study: shares with their intervals, figures, and every wrong log."""
+"""The page of the study: shares with their intervals, figures, and every wrong diagnosis."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tacgen.core.files import atomic_path, write_text
+from tacgen.report.figures import draw_confusion, new_figure
 from validation.contact.cases import NORMAL_FORMS, SHEAR_FORMS
 from validation.contact.run import NONE, Outcome, is_right
 
@@ -79,7 +80,7 @@ Share of logs in which the effect was named (and nothing else), by strength.
 What was put in (rows, at 1.5 times the noise and more) against what was named (columns), in per
 cent of the row.
 
-## Every wrong one
+## Every wrong diagnosis
 
 | class | channel | put in (form) | found | | seed |
 |---|---|---|---|---|---|
@@ -126,8 +127,8 @@ def _interval(right: int, count: int) -> tuple[float, float]:
 
 
 def _power_figure(single: list[Outcome]) -> Figure:
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
-    for axis, channel in zip(figure.subplots(1, 2, sharey=True), ("normal", "shear"), strict=True):
+    figure, grid = new_figure(9, 3.4, 1, 2, sharey=True)
+    for axis, channel in zip(grid[0], ("normal", "shear"), strict=True):
         by_name: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
         for o in single:
             if o.channel == channel:
@@ -144,10 +145,9 @@ def _power_figure(single: list[Outcome]) -> Figure:
 
 
 def _confusion_figure(strong: list[Outcome]) -> Figure:
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    axes = figure.subplots(1, 2, width_ratios=[2, 1])
+    figure, grid = new_figure(11, 6, 1, 2, width_ratios=[2, 1])
     for axis, channel, forms in zip(
-        axes, ("normal", "shear"), (NORMAL_FORMS, SHEAR_FORMS), strict=True
+        grid[0], ("normal", "shear"), (NORMAL_FORMS, SHEAR_FORMS), strict=True
     ):
         names = sorted(forms)
         columns = [*names, "unexplained", NONE]
@@ -158,13 +158,7 @@ def _confusion_figure(strong: list[Outcome]) -> Figure:
                 found = [*o.found, *(["unexplained"] if o.unexplained else [])] or [NONE]
                 for name in found:
                     share[names.index(o.truth[0]), columns.index(name)] += 100 / counts[o.truth[0]]
-        axis.imshow(share, cmap="Blues", vmin=0, vmax=100)
-        for (i, j), value in np.ndenumerate(share):
-            if value:
-                color = "white" if value > 60 else "black"
-                axis.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=7, color=color)
-        axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
-        axis.set_yticks(range(len(names)), names, fontsize=8)
+        draw_confusion(axis, share, names, columns)
         axis.set_title(channel)
     return figure
 

@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -118,7 +119,7 @@ def label_matrix(
     )
 
 
-def friction_json(fits: Mapping[str, FrictionFit]) -> dict[str, object]:
+def friction_json(fits: Mapping[str, FrictionFit]) -> dict[str, dict[str, Any]]:
     """The content of ``friction.json``."""
     return {
         name: {

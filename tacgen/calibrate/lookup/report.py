@@ -1,8 +1,10 @@
-"""The report of a table's calibration: one HTML page with the pictures."""
+"""The page of a table's calibration: pictures of held-out presses, errors, coverage."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,31 +18,66 @@ from tacgen.presses.press_images import PressImages, label_mm
 from tacgen.report import (
     Section,
     figure_section,
-    image_section,
+    pictures_section,
     table_section,
     text_section,
     write_page,
 )
+from tacgen.report import figures as plots
+from tacgen.report.formatting import fixed
+from tacgen.report.images import difference, evenly, no_wider, side_by_side
 
-MAX_PICTURES = 40
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MAX_PICTURES, SHOWN_FIRST = 40, 6
+"""Presses that the page shows, and those of them at its top, from the best to the worst."""
+PICTURE_WIDTH_PX = 320
 DIFFERENCE_GAIN = 4
-PICTURE_WIDTH_PX = 960
+MAX_CANDIDATES = 10
+"""Settings in the ranking."""
+RADIUS_EDGES = np.linspace(0, 1.5, 16)
+"""Rings, in labelled radii, whose residual is shown."""
+SLOPE_BINS, DIRECTION_BINS = 12, 24
+"""Of the map of coverage."""
+MANY_PRESSES = 30
+"""From so many presses on, spread over the gel, the held-out error hardly falls any more."""
+CHANNEL_COLORS = {"R": "C3", "G": "C2", "B": "C0"}
 
 
 def write_table_report(folder: Path, presses: PressImages, calibration: Calibration) -> Path:
-    """Write ``folder/report.html``: errors, pictures, coverage, what to press next."""
+    """Write ``folder/report.html``: pictures, errors, coverage, what to press next."""
+    pictures = list(_pictures(presses, calibration))
+    first = set(evenly(len(pictures), SHOWN_FIRST))
+    note = (
+        "Photograph, the image rendered by a table that was fitted without this press, and their "
+        f"difference {DIFFERENCE_GAIN}× about grey."
+    )
     sections = [
+        *_picture_section("Held-out presses", [pictures[k] for k in sorted(first)], note),
+        *_error_figure(calibration),
+        _residual_figure(presses, calibration),
         _summary(presses, calibration),
         *_scale(calibration),
-        _settings(calibration),
-        _bins(calibration),
-        _errors(calibration),
+        _ranking("Settings, by cross-validation over whole presses", calibration.choice.errors,
+                 "A background other than the photographed one is chosen only where it is better "
+                 "by more than one standard error."),
+        _ranking("Smooth model and bins, by the same cross-validation",
+                 calibration.choice.bin_errors,
+                 f"Chosen: {calibration.choice.bins}. In each bin of slope and direction six "
+                 "coefficients are fitted to the residual of the smooth model, regularised by so "
+                 "many presses; bins are chosen only where they are better by more than one "
+                 "standard error over the presses."),
         _label_figure(presses, calibration),
-        _residual_figure(presses, calibration),
-        _coverage_figure(presses, calibration),
+        *_coverage_figures(presses, calibration),
         text_section("What to press next", *what_to_press_next(presses, calibration)),
-        *_pictures(presses, calibration),
-    ]
+        *_error_table(calibration),
+        *_picture_section(
+            "Further held-out presses",
+            [picture for k, picture in enumerate(pictures) if k not in first],
+            note,
+        ),
+    ]  # fmt: skip
     path = Path(folder) / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_page(path, "Lookup table from ball presses", sections, summary=_headline(calibration))
@@ -53,30 +90,75 @@ def _headline(calibration: Calibration) -> str:
     labels, _ = calibration.heldout.rmse("labels")
     refined, _ = calibration.heldout.rmse("refined")
     return (
-        f"On presses that had no part in the fit the table is off by {refined:.2f} grey levels "
-        f"(RMSE) with each press's place re-estimated, by {labels:.2f} with the labels as they "
-        "stand."
+        f"Error on held-out presses: {refined:.2f} grey levels (RMSE) with each press's place "
+        f"re-estimated, {labels:.2f} with the places as labelled."
     )
 
 
+def _picture_section(
+    title: str, pictures: Sequence[tuple[str, NDArray[np.uint8]]], note: str
+) -> list[Section]:
+    return [pictures_section(title, pictures, note)] if pictures else []
+
+
+def _pictures(
+    presses: PressImages, calibration: Calibration
+) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Captions and strips of held-out presses, the one with the smallest error first."""
+    if calibration.heldout is None:
+        return
+    renderers = [
+        PressRenderer(table, calibration.fit.press_model) for table in calibration.fold_tables
+    ]
+    scored = list(enumerate(calibration.heldout.presses[:MAX_PICTURES]))
+    for k, press in sorted(scored, key=lambda item: item[1].rmse_refined):
+        renderer = renderers[k % len(renderers)]
+        made = renderer.picture(press.refined_mm, float(presses.ball_radius_mm[k]))
+        real = presses.images[k]
+        strip = [real, made, difference(real, made, DIFFERENCE_GAIN)]
+        yield (
+            f"{press.name}: {press.rmse_refined:.2f} grey levels in the contact",
+            side_by_side([no_wider(image, PICTURE_WIDTH_PX) for image in strip]),
+        )
+
+
+def _error_figure(calibration: Calibration) -> list[Section]:
+    score = calibration.heldout
+    if score is None:
+        return []
+    errors = {press.name: press.rmse_refined for press in score.presses}
+    figure = plots.columns(errors, score.rmse("refined")[0], ("press", "RMSE, grey levels"))
+    note = "With its place re-estimated; the line is the error over all."
+    return [figure_section("Error of each held-out press", figure, note)]
+
+
+def _error_table(calibration: Calibration) -> list[Section]:
+    if calibration.heldout is None:
+        return []
+    rows = [
+        (press.name, fixed(press.rmse_labels, 2), fixed(press.rmse_refined, 2), press.n_pixels)
+        for press in calibration.heldout.presses
+    ]
+    header = ("press", "as labelled", "place re-estimated", "pixels")
+    return [table_section("Errors of held-out presses, grey levels", header, rows)]
+
+
 def _summary(presses: PressImages, calibration: Calibration) -> Section:
+    radius_mm = calibration.fit.press_model.labels.contact_radius_mm
     lines = [
         f"{len(presses)} presses of {presses.shape_px[1]}×{presses.shape_px[0]} px at "
         f"{presses.mm_per_px:.4f} mm/px; {int(presses.found.sum())} circles were found in the "
         "image, the others were labelled.",
+        f"Estimated contact radius: {radius_mm:.2f} mm, {radius_mm / presses.mm_per_px:.1f} px on "
+        f"average; labelled or found: {presses.radius_px.mean():.1f} px.",
         *presses.warnings,
         *(str(press) for press in presses.dropped),
     ]
     if presses.dots is not None:
         lines.append(
-            "The gel has printed dots; their pixels are left out of the fit and of the score, and "
+            "The gel has printed dots; their pixels are excluded from the fit and the score, and "
             "they stay in the table's background."
         )
-    radius_mm = calibration.fit.press_model.labels.contact_radius_mm
-    lines.append(
-        f"Estimated contact radius: {radius_mm:.2f} mm, {radius_mm / presses.mm_per_px:.1f} px on "
-        f"average; labelled or found: {presses.radius_px.mean():.1f} px."
-    )
     return text_section("The presses", *lines)
 
 
@@ -87,82 +169,54 @@ def _scale(calibration: Calibration) -> list[Section]:
     return [text_section("Scale and balls", *lines)]
 
 
-def _settings(calibration: Calibration) -> Section:
-    ranked = sorted(calibration.choice.errors.items(), key=lambda item: item[1])
-    return table_section(
-        "Settings, by cross-validation over whole presses",
-        ("candidate", "RMSE, grey levels"),
-        [(name, f"{error:.3f}") for name, error in ranked[:10]],
-        note="The ten best of all; a background other than the photographed one is only taken "
-        "where it is better by more than one standard error.",
-    )
-
-
-def _bins(calibration: Calibration) -> Section:
-    choice = calibration.choice
-    ranked = sorted(choice.bin_errors.items(), key=lambda item: item[1])
-    return table_section(
-        "Smooth model against bins, by the same cross-validation",
-        ("candidate", "RMSE, grey levels"),
-        [(name, f"{error:.3f}") for name, error in ranked],
-        note=f"Taken: {choice.bins}. In each bin of slope and direction six coefficients are "
-        "fitted to what the smooth model leaves over and held back by as many presses; bins are "
-        "only taken where they are better by more than one standard error over the presses.",
-    )
-
-
-def _errors(calibration: Calibration) -> Section:
-    if calibration.heldout is None:
-        return text_section("Held-out error", "No presses were held out.")
-    rows = [
-        (press.name, f"{press.rmse_labels:.2f}", f"{press.rmse_refined:.2f}", press.n_pixels)
-        for press in calibration.heldout.presses
-    ]
-    return table_section(
-        "Held-out error of each press, grey levels",
-        ("press", "labels as they stand", "place re-estimated", "pixels"),
-        rows,
-    )
+def _ranking(title: str, errors: Mapping[str, float], note: str) -> Section:
+    ranked = sorted(errors.items(), key=lambda item: item[1])[:MAX_CANDIDATES]
+    rows = [(name, fixed(error, 3)) for name, error in ranked]
+    return table_section(title, ("candidate", "RMSE, grey levels"), rows, note)
 
 
 def _label_figure(presses: PressImages, calibration: Calibration) -> Section:
-    labels = label_mm(presses)
-    apart = (calibration.fit.geometry - labels) / presses.mm_per_px
-    figure = Figure(figsize=(10, 4))
-    left, right = figure.subplots(1, 2)
+    apart = (calibration.fit.geometry - label_mm(presses)) / presses.mm_per_px
+    figure, grid = plots.new_figure(10, 4, 1, 2)
+    left, right = grid[0]
     left.quiver(
         presses.center_px[:, 0], presses.center_px[:, 1], apart[:, 0], apart[:, 1],
         angles="xy", scale_units="xy", scale=0.2,
     )  # fmt: skip
-    left.set(
-        xlim=(0, presses.shape_px[1]), ylim=(presses.shape_px[0], 0), aspect="equal",
-        title="from label to estimated centre, 5 times enlarged",
-    )  # fmt: skip
-    right.scatter(presses.radius_px, calibration.fit.geometry[:, 2] / presses.mm_per_px)
+    _as_image(left, presses)
+    left.set_title("from label to estimated centre, 5 × enlarged")
+    right.scatter(
+        presses.radius_px, calibration.fit.geometry[:, 2] / presses.mm_per_px, color=plots.ACCENT
+    )
     right.set(xlabel="labelled radius, px", ylabel="estimated contact radius, px")
-    return figure_section("Labels against estimates", figure)
+    return figure_section("Labels and estimates", figure)
+
+
+def _as_image(axes: Axes, presses: PressImages) -> None:
+    height, width = presses.shape_px
+    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
 
 
 def _residual_figure(presses: PressImages, calibration: Calibration) -> Section:
     radius, residual, change, fitted = _residuals(presses, calibration)
-    figure = Figure(figsize=(11, 4))
-    left, right = figure.subplots(1, 2)
-    for channel, (name, color) in enumerate((("R", "C3"), ("G", "C2"), ("B", "C0"))):
+    figure, grid = plots.new_figure(11, 4, 1, 2)
+    left, right = grid[0]
+    ring = np.digitize(radius, RADIUS_EDGES)
+    for channel, (name, color) in enumerate(CHANNEL_COLORS.items()):
         left.plot(fitted[:, channel], change[:, channel], ".", color=color, ms=2, alpha=0.4)
-        edges = np.linspace(0, 1.5, 16)
-        index = np.digitize(radius, edges)
-        spread = [
-            float(np.sqrt((residual[index == k, channel] ** 2).mean()))
-            if (index == k).any()
+        rms = [
+            float(np.sqrt((residual[ring == k, channel] ** 2).mean()))
+            if (ring == k).any()
             else np.nan
-            for k in range(1, len(edges))
+            for k in range(1, len(RADIUS_EDGES))
         ]
-        right.plot((edges[1:] + edges[:-1]) / 2, spread, "o-", color=color, label=name)
-    left.axline((0, 0), slope=1, color="k", lw=0.7)
-    left.set(xlabel="change that the model gives, grey levels", ylabel="change in the image")
-    right.axvline(1, color="k", lw=0.7, ls=":")
-    right.set(xlabel="distance from the centre / labelled radius", ylabel="RMS residual, grey")
-    right.legend()
+        right.plot((RADIUS_EDGES[1:] + RADIUS_EDGES[:-1]) / 2, rms, "o-", color=color, label=name)
+    left.axline((0, 0), slope=1, color=plots.INK, lw=0.7)
+    left.set(xlabel="change by the model, grey levels", ylabel="change in the image, grey levels")
+    right.axvline(1, color=plots.INK, lw=0.7, ls=":")
+    right.set(xlabel="distance from the centre / labelled radius",
+              ylabel="RMS residual, grey levels")  # fmt: skip
+    right.legend(frameon=False)
     return figure_section("Fit and residual", figure)
 
 
@@ -190,43 +244,46 @@ def _residuals(
 def coverage(presses: PressImages, calibration: Calibration) -> NDArray[np.float64]:
     """Pixels (n_slope, n_direction) of all presses in coarse bins of slope and direction."""
     fit = calibration.fit
-    counts = np.zeros((12, 24))
+    counts = np.zeros((SLOPE_BINS, DIRECTION_BINS))
     for sample, place in zip(
         calibration.presses.samples(calibration.background),
         fit.geometry,
         strict=True,
     ):
         gx, gy = fit.press_model.slopes(place, sample.ball_radius_mm, sample.pixels)
-        slope = np.arctan(np.hypot(gx, gy)) / calibration.table.max_slope_rad * 12
-        direction = (np.arctan2(gy, gx) + np.pi) / (2 * np.pi) * 24
-        flat = np.clip(slope, 0, 11).astype(int) * 24 + np.clip(direction, 0, 23).astype(int)
-        counts += np.bincount(flat, minlength=12 * 24).reshape(12, 24)
+        slope = np.arctan(np.hypot(gx, gy)) / calibration.table.max_slope_rad * SLOPE_BINS
+        direction = (np.arctan2(gy, gx) + np.pi) / (2 * np.pi) * DIRECTION_BINS
+        places = (
+            np.clip(slope, 0, SLOPE_BINS - 1).astype(int),
+            np.clip(direction, 0, DIRECTION_BINS - 1).astype(int),
+        )
+        np.add.at(counts, places, 1)
     return counts
 
 
-def _coverage_figure(presses: PressImages, calibration: Calibration) -> Section:
-    counts = coverage(presses, calibration)
+def _coverage_figures(presses: PressImages, calibration: Calibration) -> list[Section]:
     steepest = float(np.degrees(calibration.table.max_slope_rad))
-    figure = Figure(figsize=(11, 3.6))
-    left, right = figure.subplots(1, 2)
-    shown = left.imshow(
-        np.log10(counts + 1), origin="lower", aspect="auto", extent=(-180, 180, 0, steepest)
-    )
-    left.set(xlabel="direction of the slope, degrees", ylabel="slope, degrees")
-    figure.colorbar(shown, ax=left, label="log₁₀(pixels + 1)")
-    radius = np.median(presses.radius_px)
-    right.scatter(
-        presses.center_px[:, 0], presses.center_px[:, 1], s=radius**2, alpha=0.25, edgecolors="k"
-    )
-    right.set(
-        xlim=(0, presses.shape_px[1]), ylim=(presses.shape_px[0], 0), aspect="equal",
-        title="where the gel was pressed",
+    covered = plots.heat_map(
+        np.log10(coverage(presses, calibration) + 1), (-180, 180, 0, steepest),
+        ("direction of the slope, degrees", "slope, degrees", "log₁₀(pixels + 1)"),
     )  # fmt: skip
-    return figure_section("Coverage of the table", figure)
+    return [
+        figure_section("Coverage: slopes in the table", covered),
+        figure_section("Coverage: where the gel was pressed", _places_figure(presses)),
+    ]
+
+
+def _places_figure(presses: PressImages) -> Figure:
+    figure, grid = plots.new_figure(5, 3.6)
+    x, y = presses.center_px.T
+    grid[0, 0].scatter(x, y, s=np.median(presses.radius_px) ** 2, alpha=0.25, edgecolors="k")
+    _as_image(grid[0, 0], presses)
+    grid[0, 0].set(xlabel="column, px", ylabel="row, px")
+    return figure
 
 
 def what_to_press_next(presses: PressImages, calibration: Calibration) -> list[str]:
-    """Advice in words: parts of the gel without a press, steeper slopes, more balls."""
+    """Advice: parts of the gel without a press, steeper slopes, more presses."""
     height, width = presses.shape_px
     grid = np.zeros((3, 3), dtype=int)
     for x, y in presses.center_px:
@@ -245,35 +302,9 @@ def what_to_press_next(presses: PressImages, calibration: Calibration) -> list[s
         )
     steepest = float(np.degrees(calibration.table.max_slope_rad))
     advice.append(
-        f"The steepest slope that was seen is {steepest:.0f}°; steeper ones render like it. A "
-        "smaller ball or a deeper press reaches further."
+        f"The steepest slope in the presses is {steepest:.0f}°; steeper ones are rendered like it. "
+        "A smaller ball or a deeper press reaches further."
     )
-    if len(presses) < 30:
-        advice.append(f"{len(presses)} presses; with 30 to 50 the error settles.")
+    if len(presses) < MANY_PRESSES:
+        advice.append(f"{len(presses)} presses; with {MANY_PRESSES} to 50 the error settles.")
     return advice
-
-
-def _pictures(presses: PressImages, calibration: Calibration) -> list[Section]:
-    """Real, rendered and difference of each press; rendered by tables made without it."""
-    if calibration.heldout is None:
-        return []
-    sections = []
-    renderers = [
-        PressRenderer(table, calibration.fit.press_model) for table in calibration.fold_tables
-    ]
-    for k, press in enumerate(calibration.heldout.presses[:MAX_PICTURES]):
-        renderer = renderers[k % len(renderers)]
-        made = renderer.picture(press.refined_mm, float(presses.ball_radius_mm[k]))
-        real = presses.images[k]
-        apart = DIFFERENCE_GAIN * (real.astype(np.float32) - made) + 128
-        row = np.hstack([real, made, np.clip(apart, 0, 255).astype(np.uint8)])
-        sections.append(
-            image_section(
-                press.name,
-                row,
-                f"real, rendered without having seen it, difference ×{DIFFERENCE_GAIN}; "
-                f"{press.rmse_refined:.2f} grey levels in the contact",
-                width_px=PICTURE_WIDTH_PX,
-            )
-        )
-    return sections

@@ -84,21 +84,21 @@
     });
   }
 
-  function drawFelt(points) {
-    const svg = document.getElementById("felt");
-    const felt = points.filter((point) => point.outcome !== "not_executed");
-    if (!felt.length) {
+  function drawContactForce(points) {
+    const svg = document.getElementById("contact-force");
+    const executed = points.filter((point) => point.outcome !== "not_executed");
+    if (!executed.length) {
       svg.replaceChildren();
       make(svg, "text", { x: 210, y: 115, "text-anchor": "middle" }, "none of the selected grasps was executed");
       return;
     }
-    const xMax = Math.max(1, ...felt.map((point) => point.normal)) * 1.05;
-    const yMax = Math.max(.1, ...felt.map((point) => point.shear)) * 1.08;
+    const xMax = Math.max(1, ...executed.map((point) => point.normal)) * 1.05;
+    const yMax = Math.max(.1, ...executed.map((point) => point.shear)) * 1.08;
     const { x, y } = axes(svg, xMax, yMax, "normal force at the grasp (N)", "largest shear force (N)");
     for (let tick = 0, by = step(xMax, 6); tick <= xMax; tick += by) {
       make(svg, "text", { x: x(tick), y: 211, "text-anchor": "middle" }, +tick.toPrecision(6));
     }
-    for (const point of felt) {
+    for (const point of executed) {
       const dot = make(svg, "circle", { class: `mark ${point.outcome}`, r: 4, cx: x(Math.max(0, point.normal)), cy: y(point.shear), "data-index": point.index });
       make(dot, "title", {}, `#${point.index} ${point.object}: ${OUTCOMES[point.outcome]}`);
     }
@@ -143,7 +143,7 @@
     document.getElementById("none").hidden = shown > 0;
     document.body.classList.toggle("difference", form.difference.checked);
     drawByForce(points);
-    drawFelt(points);
+    drawContactForce(points);
     remember(chosen);
   }
 
@@ -159,7 +159,7 @@
   large.addEventListener("click", (event) => {
     if (event.target === large || event.target.tagName === "BUTTON") large.close();
   });
-  document.getElementById("felt").addEventListener("click", (event) => {
+  document.getElementById("contact-force").addEventListener("click", (event) => {
     const card = document.getElementById(`grasp-${event.target.dataset.index}`);
     if (!card) return;
     document.querySelector(".lit")?.classList.remove("lit");

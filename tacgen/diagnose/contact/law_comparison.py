@@ -1,14 +1,11 @@
-"""One grasp rendered with two contact laws: what an effect that was found changes."""
+"""One simulated grasp rendered by two contact laws: what an effect changes in the images."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import frame_request, recipe_object, tactile_pad
@@ -18,6 +15,9 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.records import ContactFrame, GraspObject
 from tacgen.physics import GraspSimulator, run_grasp
 from tacgen.report import Section, figure_section, image_section, write_page
+from tacgen.report import figures as plots
+from tacgen.report.formatting import number
+from tacgen.report.images import difference, evenly, side_by_side
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import TactileFrame, TactilePad
 
@@ -26,8 +26,8 @@ THUMBNAIL_WIDTH_PX = 170
 DIFFERENCE_GAIN = 4
 
 
-def write_before_after(recipe: Recipe, before: ContactLaw, after: ContactLaw, path: Path) -> None:
-    """Simulate the strongest grasp of ``recipe`` once and show what each law makes of it.
+def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, path: Path) -> None:
+    """Simulate the strongest grasp of ``recipe`` once and render it by each law.
 
     Raises
     ------
@@ -43,8 +43,8 @@ def write_before_after(recipe: Recipe, before: ContactLaw, after: ContactLaw, pa
         name: _render(pad, grasped, frames, law)
         for name, law in (("before", before), ("after", after))
     }
-    sections = [_curves(frames, rendered), _strips(rendered)]
-    write_page(path, "The same grasp before and after", sections, summary=_sentence(rendered))
+    sections = [_strips(rendered), _curves(frames, rendered)]
+    write_page(path, "One grasp by the law before and after", sections, summary=_summary(rendered))
 
 
 def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, ...]]:
@@ -76,26 +76,26 @@ def _render(
 
 
 def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFrame]]) -> Section:
-    figure = Figure(figsize=(10, 3), layout="constrained")
-    force, volume = figure.subplots(1, 2)
+    figure, grid = plots.new_figure(10, 3, 1, 2)
+    force, volume = grid[0]
     times_s = [frame.time_s for frame in frames]
-    force.plot(times_s, [frame.force_normal_n for frame in frames], color="#1c2430")
-    force.set(xlabel="time (s)", ylabel="normal force (N)")
-    for name, color in (("before", "#8a94a3"), ("after", "#0b6e99")):
+    force.plot(times_s, [frame.force_normal_n for frame in frames], color=plots.INK)
+    force.set(xlabel="time, s", ylabel="normal force, N")
+    for name, color in (("before", plots.MUTED), ("after", plots.ACCENT)):
         volumes = [one.imprint.volume_mm3 for one in rendered[name]]
         volume.plot(times_s, volumes, color=color, label=name)
-    volume.set(xlabel="time (s)", ylabel="imprint volume (mm³)")
+    volume.set(xlabel="time, s", ylabel="imprint volume, mm³")
     volume.legend(frameon=False)
-    return figure_section("Force and imprint", figure)
+    return figure_section("Force and imprint volume", figure)
 
 
 def _strips(rendered: dict[str, list[TactileFrame]]) -> Section:
-    count = len(rendered["before"])
-    chosen = np.unique(np.linspace(0, count - 1, min(STRIP_FRAMES, count)).astype(int))
-    rows = {name: np.stack([rendered[name][k].rgb for k in chosen]) for name in rendered}
-    difference = rows["after"].astype(int) - rows["before"]
-    grey = np.clip(128 + DIFFERENCE_GAIN * difference, 0, 255).astype(np.uint8)
-    strips = [_strip(images) for images in (rows["before"], rows["after"], grey)]
+    chosen = evenly(len(rendered["before"]), STRIP_FRAMES)
+    before, after = ([rendered[name][k].rgb for k in chosen] for name in ("before", "after"))
+    changes = [
+        difference(new, old, DIFFERENCE_GAIN) for new, old in zip(after, before, strict=True)
+    ]
+    strips = [side_by_side(images, THUMBNAIL_WIDTH_PX) for images in (before, after, changes)]
     return image_section(
         "Images: before, after, difference",
         np.concatenate(strips),
@@ -104,14 +104,7 @@ def _strips(rendered: dict[str, list[TactileFrame]]) -> Section:
     )
 
 
-def _strip(images: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height = round(THUMBNAIL_WIDTH_PX * images.shape[1] / images.shape[2])
-    size = (THUMBNAIL_WIDTH_PX, height)
-    small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
-    return np.concatenate(small, axis=1)
-
-
-def _sentence(rendered: dict[str, list[TactileFrame]]) -> str:
+def _summary(rendered: dict[str, list[TactileFrame]]) -> str:
     before, after = (
         np.array([one.imprint.volume_mm3 for one in rendered[name]]) for name in ("before", "after")
     )
@@ -123,6 +116,7 @@ def _sentence(rendered: dict[str, list[TactileFrame]]) -> str:
     )
     most = int(np.argmax(np.abs(after - before)))
     return (
-        f"The imprint differs most at frame {most + 1}: {after[most]:.3g} mm³ instead of "
-        f"{before[most]:.3g} mm³. The images differ by {grey:.2g} grey levels on average."
+        f"The imprint differs most at frame {most + 1}: {number(after[most], 3)} mm³ instead of "
+        f"{number(before[most], 3)} mm³. The images differ by {number(float(grey), 2)} grey levels "
+        "on average."
     )

@@ -1,158 +1,221 @@
-"""The diagnosis as a page: residual before and after, ranking, confusions, one sentence each."""
+"""The page of a contact diagnosis: residual before and after, what it was traced to, ranking."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tacgen.contact.effects import find_effect
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.contact.channel import UNITS
 from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.residuals import covariates_of
-from tacgen.diagnose.contact.result import ChannelDiagnosis, Diagnosis, advice
-from tacgen.report import Section, figure_section, table_section, text_section, write_page
+from tacgen.diagnose.contact.result import ChannelDiagnosis, Diagnosis, diagnosis_record
+from tacgen.report import (
+    Section,
+    facts_section,
+    figure_section,
+    table_section,
+    text_section,
+    write_page,
+)
+from tacgen.report import figures as plots
+from tacgen.report.formatting import estimate, number, p_value, percent, unit_text
 
-_BINS = 14
+_ALWAYS_DRAWN = ("load", "time_in_trial_s", "time_s")
+_MAX_DRAWN = 4
+_MAX_RANKED = 10
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualPictures:
+    """A channel's residual before and after (N,), and the covariates (N,) it is drawn over."""
+
+    covariates: Mapping[str, NDArray[Any]]
+    before: FloatArray
+    after: FloatArray
 
 
 def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
     """Write the self-contained page."""
-    sections: list[Section] = []
-    if diagnosis.notes:
-        sections.append(text_section("About the data", *diagnosis.notes))
-    for name, found in diagnosis.channels.items():
-        sections += _channel_sections(name, found)
-    summary = " ".join(f"{n.capitalize()}: {d.sentence}" for n, d in diagnosis.channels.items())
-    write_page(path, title, sections, summary=summary)
+    pictures = {name: residual_pictures(found) for name, found in diagnosis.channels.items()}
+    write_diagnosis_page(diagnosis_record(diagnosis), pictures, path, title=title)
 
 
-def _channel_sections(name: str, found: ChannelDiagnosis) -> list[Section]:
-    heading = f"{name.capitalize()} channel"
-    sections = [_error_table(heading, found)]
-    sections.append(
-        figure_section(
-            f"{heading}: residual before and after",
-            _residual_figure(found),
-            "Dots: every row's residual; lines: means in bins of equal count. Left of each pair "
-            "the plain law, right the law with the effects that were found.",
-        )
-    )
-    if found.attribution.chosen:
-        sections.append(_chosen_table(heading, found))
-    sections.append(_ranking_table(heading, found))
-    sections.append(_structure_table(heading, found))
-    return sections
-
-
-def _error_table(heading: str, found: ChannelDiagnosis) -> Section:
-    unit = UNITS[found.data.channel]
-    low, high = found.gain_interval
-    rows: list[list[object]] = [
-        ["error before", f"{found.before.rmse:.4g} {unit}", f"{100 * found.before.nrmse:.2f} %"],
-        ["error after", f"{found.after.rmse:.4g} {unit}", f"{100 * found.after.nrmse:.2f} %"],
-        ["noise floor", f"{found.floor:.4g} {unit}", ""],
-        ["Gaussian process (baseline)", f"{found.gp_rmse:.4g} {unit}", ""],
-        ["gain, 95 % interval", f"{100 * low:.1f} to {100 * high:.1f} %", ""],
-        [
-            "compliance before",
-            f"{found.base.model.compliance:.4g} ± {found.base_errors.compliance:.2g} {unit}/N",
-            "",
-        ],
-        [
-            "compliance after",
-            f"{found.final.model.compliance:.4g} ± {found.final_errors.compliance:.2g} {unit}/N",
-            "",
-        ],
-        ["trials fitted / held out", f"{found.n_fit} / {found.n_test}", found.how],
-    ]
-    return table_section(heading, ["", "", "of the RMS signal"], rows, found.sentence)
-
-
-def _chosen_table(heading: str, found: ChannelDiagnosis) -> Section:
-    values = {term.name: term for term in found.final.model.terms}
-    rows = []
-    for chosen in found.attribution.chosen:
-        name = chosen.candidate.name
-        if chosen.candidate.is_effect:
-            term, errors = values[name], found.final_errors.effects[name]
-            text = ", ".join(
-                f"{p} {term.values[p]:.3g} ± {errors.get(p, 0.0):.2g}" for p in term.variant.free
-            )
-        else:
-            text = chosen.candidate.label
-        told = "; ".join(advice(name, other) for other in chosen.confusable) or "clearly apart"
-        rows.append(
-            [
-                name if chosen.candidate.is_effect else f"unexplained: {name}",
-                text,
-                f"{100 * chosen.gain:.1f} %",
-                chosen.runner_up,
-                f"{100 * chosen.runner_up_margin:.1f} %",
-                told,
-            ]
-        )
-    header = ["what", "parameters", "gain", "runner-up", "loses by", "cannot be told from"]
-    note = "Gain and margin are of the error on trials that were left out in turn while choosing."
-    return table_section(f"{heading}: what it was traced to", header, rows, note)
-
-
-def _ranking_table(heading: str, found: ChannelDiagnosis) -> Section:
-    rows = [
-        [label, f"{100 * gain:.2f} %", f"{p:.2g}"]
-        for label, gain, p in found.attribution.ranking[:10]
-    ]
-    note = (
-        "Every candidate alone, linearised, beside the plain law. p is from shuffles of whole "
-        "trials, corrected for the number of candidates."
-    )
-    return table_section(f"{heading}: ranking at the start", ["candidate", "gain", "p"], rows, note)
-
-
-def _structure_table(heading: str, found: ChannelDiagnosis) -> Section:
-    after = {d.covariate: d for d in found.dependences_after}
-    rows = [
-        [d.covariate, f"{100 * d.share:.2f} %", f"{d.p_value:.2g}"]
-        + (
-            [f"{100 * after[d.covariate].share:.2f} %", f"{after[d.covariate].p_value:.2g}"]
-            if d.covariate in after
-            else ["", ""]
-        )
-        for d in found.dependences_before
-    ]
-    header = ["covariate", "share before", "p before", "share after", "p after"]
-    note = (
-        "Share of the held-out sum of squares (noise included) that a cubic in the covariate, or "
-        "its levels, would take from the residual. Below nought: nothing to take."
-    )
-    return table_section(f"{heading}: what the residual follows", header, rows, note)
-
-
-def _residual_figure(found: ChannelDiagnosis) -> Figure:
+def residual_pictures(found: ChannelDiagnosis) -> ResidualPictures:
+    """What the page draws of a channel: numeric covariates and those with names for levels."""
     covariates = {
         name: values
         for name, values in covariates_of(found.data).items()
-        if np.issubdtype(values.dtype, np.number) or name == "indenter" or values.dtype.kind == "U"
+        if np.issubdtype(values.dtype, np.number) or values.dtype.kind == "U"
     }
-    wanted = [
-        c.candidate.effect.shown_against for c in found.attribution.chosen if c.candidate.effect
+    return ResidualPictures(covariates, _residual(found, found.base), _residual(found, found.final))
+
+
+def write_diagnosis_page(
+    record: Mapping[str, Any], pictures: Mapping[str, ResidualPictures], path: Path, *, title: str
+) -> None:
+    """Write the page of the content of ``diagnosis.json``."""
+    channels = record["channels"]
+    bars = [
+        (name, 100 * c["error_before"]["nrmse"], 100 * c["error_after"]["nrmse"], _floor(c))
+        for name, c in channels.items()
     ]
-    wanted += [d.covariate for d in found.unexplained]
-    wanted += ["load", "time_in_trial_s", "time_s"]
-    shown = [name for name in dict.fromkeys(wanted) if name in covariates][:4]
-    figure = Figure(figsize=(9.0, 2.6 * len(shown)), layout="constrained")
-    axes = figure.subplots(len(shown), 2, sharey=True, squeeze=False)
-    for row, name in zip(axes, shown, strict=True):
-        for axis, fit, label in zip(
-            row, (found.base, found.final), ("before", "after"), strict=True
+    sections = [
+        figure_section(
+            "Error before and after",
+            plots.before_after(bars, "RMSE on held-out trials, % of the RMS signal"),
+        )
+    ]
+    for name, channel in channels.items():
+        sections += _channel_sections(name, channel, pictures[name])
+    if record["notes"]:
+        sections.append(text_section("About the data", *record["notes"]))
+    summary = " ".join(f"{name.capitalize()}: {c['sentence']}" for name, c in channels.items())
+    verdicts = [channel["verdict"] for channel in channels.values()]
+    worst = next((v for v in ("unexplained", "effect_found") if v in verdicts), "sufficient")
+    write_page(path, title, sections, summary=summary, verdict=worst)
+
+
+def _floor(channel: Mapping[str, Any]) -> float | None:
+    """The noise floor in per cent of the RMS signal, as ``nrmse`` is."""
+    error, floor = channel["error_before"], channel["noise_floor"]["rmse"]
+    return 100 * floor * error["nrmse"] / error["rmse"] if floor and error["rmse"] else None
+
+
+def _channel_sections(
+    name: str, channel: Mapping[str, Any], pictures: ResidualPictures
+) -> list[Section]:
+    heading = f"{name.capitalize()} channel"
+    sections = [
+        figure_section(
+            f"{heading}: residual before and after",
+            _residual_figure(name, channel, pictures),
+            "Dots: the residual of every row; lines: means in bins of equal count; band: the noise "
+            "floor. Left the linear law, right the law with the effects that were found.",
+        ),
+        _errors(heading, channel),
+    ]
+    if channel["effects"] or channel["unexplained"]:
+        sections.append(_found_table(heading, channel))
+    sections += [_ranking_table(heading, channel), _structure_table(heading, channel)]
+    return sections
+
+
+def _errors(heading: str, channel: Mapping[str, Any]) -> Section:
+    before, after = channel["error_before"], channel["error_after"]
+    unit = unit_text(before["unit"])
+    low, high = channel["gain_interval_95"]
+    facts = [
+        (f"error {when}", f"{number(e['rmse'])} {unit}, {percent(e['nrmse'], 2)} of the RMS signal")
+        for when, e in (("before", before), ("after", after))
+    ]
+    facts += [
+        ("reduction, 95 % interval", f"{percent(low)} to {percent(high)}"),
+        ("noise floor", f"{number(channel['noise_floor']['rmse'])} {unit}"),
+        ("Gaussian process (baseline)", f"{number(channel['gp_baseline']['rmse'])} {unit}"),
+        ("compliance before", estimate(channel["compliance"]["before"])),
+        ("compliance after", estimate(channel["compliance"]["after"])),
+        ("trials fitted, held out", f"{channel['trials']['fit']}, {channel['trials']['test']}"),
+        ("how they were held out", channel["held_out"]),
+    ]
+    return facts_section(f"{heading}: errors", facts)
+
+
+def _found_table(heading: str, channel: Mapping[str, Any]) -> Section:
+    rows = [
+        (
+            effect["name"],
+            effect["form"],
+            "; ".join(f"{key} {estimate(value)}" for key, value in effect["parameters"].items()),
+            percent(effect["heldout_gain"]),
+            p_value(effect["p_value"]),
+            effect["runner_up"],
+            percent(effect["runner_up_margin"]),
+            "; ".join(effect["what_would_tell"]) or "clearly separated",
+        )
+        for effect in channel["effects"]
+    ]
+    rows += [
+        (
+            f"unexplained: {left['covariate']}",
+            "",
+            "",
+            percent(left["share"]),
+            p_value(left["p_value"]),
+            left.get("runner_up", ""),
+            percent(left.get("runner_up_margin")),
+            "; ".join(left.get("what_would_tell", ())),
+        )
+        for left in channel["unexplained"]
+    ]
+    header = (
+        *("what", "form", "parameters", "gain", "p", "runner-up", "behind by"),
+        "not separated from",
+    )
+    note = (
+        "Gain and margin are in the error on trials held out in turn during the choice; of an "
+        "unexplained covariate, the share of the residual's sum of squares."
+    )
+    return table_section(f"{heading}: what the residual was traced to", header, rows, note)
+
+
+def _ranking_table(heading: str, channel: Mapping[str, Any]) -> Section:
+    rows = [
+        (one["candidate"], percent(one["heldout_gain"], 2), p_value(one["p_value"]))
+        for one in channel["ranking"][:_MAX_RANKED]
+    ]
+    note = (
+        "Every candidate alone, linearised, against the linear law. p is from permutations of "
+        "whole trials, corrected for the number of candidates."
+    )
+    return table_section(
+        f"{heading}: ranking of candidates", ("candidate", "gain", "p"), rows, note
+    )
+
+
+def _structure_table(heading: str, channel: Mapping[str, Any]) -> Section:
+    after = {one["covariate"]: one for one in channel["residual_after"]}
+    rows = [
+        (
+            one["covariate"],
+            *(
+                text
+                for entry in (one, after.get(one["covariate"], {}))
+                for text in (percent(entry.get("share"), 2), p_value(entry.get("p_value")))
+            ),
+        )
+        for one in channel["residual_before"]
+    ]
+    note = (
+        "Share of the held-out sum of squares, noise included, that a cubic in the covariate (or "
+        "its levels) explains. Below zero: nothing to explain."
+    )
+    header = ("covariate", "share before", "p before", "share after", "p after")
+    return table_section(f"{heading}: what the residual depends on", header, rows, note)
+
+
+def _residual_figure(name: str, channel: Mapping[str, Any], pictures: ResidualPictures) -> Figure:
+    wanted = [find_effect(name, effect["name"]).shown_against for effect in channel["effects"]]
+    wanted += [left["covariate"] for left in channel["unexplained"]]
+    wanted += _ALWAYS_DRAWN
+    shown = [one for one in dict.fromkeys(wanted) if one in pictures.covariates][:_MAX_DRAWN]
+    figure, grid = plots.new_figure(9.0, 2.6 * len(shown), len(shown), 2, sharey=True)
+    unit = unit_text(channel["error_before"]["unit"])
+    for row, covariate in zip(grid, shown, strict=True):
+        for axes, residual, when in zip(
+            row, (pictures.before, pictures.after), ("before", "after"), strict=True
         ):
-            _draw(axis, covariates[name], _residual(found, fit), found.floor)
-            axis.set_title(f"{label}", fontsize=9)
-            axis.set_xlabel(name)
-        row[0].set_ylabel(f"residual, {UNITS[found.data.channel]}")
+            noise = channel["noise_floor"]["rmse"] or 0.0
+            plots.draw_residual(axes, pictures.covariates[covariate], residual, noise)
+            axes.set_title(when, fontsize=9)
+            axes.set_xlabel(covariate)
+        row[0].set_ylabel(f"residual, {unit}")
     return figure
 
 
@@ -164,25 +227,3 @@ def _residual(found: ChannelDiagnosis, fit: Fit) -> FloatArray:
         return left[:, 0]
     force = data.history.force_shear_n
     return (left * force).sum(axis=1) / np.maximum(np.linalg.norm(force, axis=1), 1e-9)
-
-
-def _draw(axis: Axes, covariate: NDArray, residual: FloatArray, noise: float) -> None:
-    axis.axhspan(-noise, noise, color="0.92")
-    axis.axhline(0.0, color="0.5", linewidth=0.8)
-    if covariate.dtype.kind == "U":
-        levels, position = np.unique(covariate, return_inverse=True)
-        axis.plot(position + 0.0, residual, ".", markersize=1.5, alpha=0.35, color="tab:gray")
-        by_level = [residual[position == k].mean() for k in range(levels.size)]
-        axis.plot(range(levels.size), by_level, "o-", color="tab:red")
-        axis.set_xticks(range(levels.size), [str(level)[:10] for level in levels], fontsize=8)
-        return
-    finite = np.isfinite(covariate)
-    x, y = covariate[finite], residual[finite]
-    axis.plot(x, y, ".", markersize=1.5, alpha=0.35, color="tab:gray")
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)))
-    inside = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(edges.size - 2, 0))
-    count = np.bincount(inside)
-    kept = count > 0
-    centers = np.bincount(inside, x)[kept] / count[kept]
-    means = np.bincount(inside, y)[kept] / count[kept]
-    axis.plot(centers, means, "o-", color="tab:red", markersize=3)

@@ -14,6 +14,7 @@ from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, StandardErrors
 from tacgen.diagnose.contact.residuals import Dependence
 from tacgen.diagnose.contact.selection import Attribution
+from tacgen.report.formatting import unit_text
 
 SCHEMA = 1
 Verdict = Literal["sufficient", "effect_found", "unexplained"]
@@ -70,7 +71,7 @@ class ChannelDiagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one plain sentence."""
-        unit, what = UNITS[self.data.channel], _LAW_WORDS[self.data.channel]
+        unit, what = unit_text(UNITS[self.data.channel]), _LAW_WORDS[self.data.channel]
         before, after, floor = self.before.rmse, self.after.rmse, self.floor
         held = "held-out trials" if self.n_test else "the fitted trials"
         names = " and ".join(name.replace("_", " ") for name in self.effect_names)
@@ -150,14 +151,7 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "sentence": found.sentence,
         "effects": effects,
-        "unexplained": [
-            {
-                "covariate": d.covariate,
-                "p_value": found.p_value(d.p_value),
-                "share": _number(d.share),
-            }
-            for d in found.unexplained
-        ],
+        "unexplained": [_unexplained(found, d) for d in found.unexplained],
         "error_before": _error(found.before, unit),
         "error_after": _error(found.after, unit),
         "noise_floor": {
@@ -179,6 +173,22 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "residual_before": _dependences(found, found.dependences_before),
         "residual_after": _dependences(found, found.dependences_after),
     }
+
+
+def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, Any]:
+    """What the residual depends on; a covariate that was chosen as effects are has rivals too."""
+    record: dict[str, Any] = {
+        "covariate": dependence.covariate,
+        "p_value": found.p_value(dependence.p_value),
+        "share": _number(dependence.share),
+    }
+    for chosen in found.attribution.chosen:
+        name = chosen.candidate.name
+        if name == dependence.covariate and not chosen.candidate.is_effect:
+            record["runner_up"] = chosen.runner_up
+            record["runner_up_margin"] = _number(chosen.runner_up_margin)
+            record["what_would_tell"] = [advice(name, other) for other in chosen.confusable]
+    return record
 
 
 def shown_parameters(term: Any) -> dict[str, float]:

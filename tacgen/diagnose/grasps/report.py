@@ -2,135 +2,132 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tacgen.calibrate.friction.report import outcome_map
+from tacgen.calibrate.friction.report import grasp_places
 from tacgen.dataset.real_grasps import RealGrasps
-from tacgen.diagnose.grasps.candidates import advice
-from tacgen.diagnose.grasps.command import GraspFindings
-from tacgen.diagnose.grasps.model_comparison import FALSE_ALARM, Choice, confusable
-from tacgen.diagnose.grasps.result import describe
-from tacgen.report import Section, figure_section, table_section, text_section, write_page
+from tacgen.report import (
+    Section,
+    facts_section,
+    figure_section,
+    table_section,
+    text_section,
+    write_page,
+)
+from tacgen.report import figures as plots
+from tacgen.report.formatting import p_value, percent
 
-INK, GREY = "#0b6e99", "#8a94a3"
 
+def write_grasp_report(
+    path: Path,
+    record: Mapping[str, Any],
+    real: RealGrasps,
+    before: NDArray[np.int64],
+    after: NDArray[np.int64],
+) -> None:
+    """Write the page of the content of ``diagnosis.json``.
 
-def write_grasp_report(path: Path, real: RealGrasps, findings: GraspFindings) -> None:
-    """Write the self-contained page."""
-    diagnosis = findings.diagnosis
-    sections = [_errors(findings)]
-    if diagnosis.notes or diagnosis.reading:
-        sections.append(text_section("About the data", *diagnosis.notes, diagnosis.reading))
+    ``before`` and ``after`` (N,) are the labels simulated as declared and with what was found.
+    """
+    channel = record["channels"]["grasp"]
+    labels = np.array([grasp.label for grasp in real.grasps])
+    places = grasp_places(real.grasps)
+    sections = []
     for name in real.by_object():
-        chosen = np.array([grasp.config.object == name for grasp in real.grasps])
+        own = np.array([grasp.config.object == name for grasp in real.grasps])
+        panels = (
+            ("real", labels[own]),
+            ("simulated as declared", before[own]),
+            ("simulated with what was found", after[own]),
+        )
+        figure = _outcome_figure({key: values[own] for key, values in places.items()}, panels)
         sections.append(
             figure_section(
-                name,
-                _outcome_figure(real, findings, chosen),
-                "Outcome over gripping force and height, grasps at larger y drawn a little higher. "
-                "Green dots succeed, red crosses fail, grey squares could not be executed; rings "
-                "mark simulated grasps that end otherwise than the real ones.",
+                name, figure, f"Outcome over gripping force and height. {plots.OUTCOME_NOTE}"
             )
         )
-    sections += [_ranking(step, number) for number, step in enumerate(diagnosis.steps)]
-    sections += [_confusions(findings), _next_grasps(findings)]
+    sections.append(_mislabels(channel))
+    sections += [_ranking(step, k, channel) for k, step in enumerate(channel["steps"], start=1)]
+    advice = [f"{line}." for effect in channel["effects"] for line in effect["what_would_tell"]]
+    if advice:
+        sections.append(text_section("What these labels cannot tell apart", *advice))
+    sections.append(_next_grasps(channel["next_grasps"]))
+    notes = [*record["notes"], *filter(None, [channel["force_from_images"]])]
+    if notes:
+        sections.append(text_section("About the data", *notes))
     write_page(
-        path,
-        "What the simulated grasps lack",
-        [section for section in sections if section.body],
-        summary=diagnosis.sentence,
+        path, "Grasp diagnosis", sections, summary=channel["sentence"], verdict=channel["verdict"]
     )
 
 
-def _errors(findings: GraspFindings) -> Section:
-    diagnosis = findings.diagnosis
-    n = len(diagnosis.real)
-    again = float((findings.simulated_after != diagnosis.real).mean())
-    rows: list[list[object]] = [
-        ["mislabelled as declared", _share(diagnosis.rate_before, n)],
-        ["mislabelled after, on grasps left out in turn", _share(diagnosis.rate_after, n)],
-        ["mislabelled after, all grasps simulated again", _share(again, n)],
+def _mislabels(channel: Mapping[str, Any]) -> Section:
+    n = channel["trials"]["fit"]
+    rows = [
+        ("mislabelled as declared", channel["error_before"]),
+        ("mislabelled after, each grasp held out in turn", channel["error_after"]),
+        ("mislabelled after, all grasps simulated again", channel["simulated_again"]),
     ]
-    rows += [["found", describe(standing)] for standing in diagnosis.found]
-    return table_section("Before and after", ["", ""], rows)
+    facts = [
+        (name, f"{one['mislabels']} of {n} ({percent(one.get('rate', one.get('rmse')))})")
+        for name, one in rows
+    ]
+    facts += [("found", effect["description"]) for effect in channel["effects"]]
+    return facts_section("Mislabels before and after", facts)
 
 
-def _share(rate: float, n: int) -> str:
-    return f"{round(rate * n)} of {n} ({100 * rate:.1f} %)"
-
-
-def _outcome_figure(real: RealGrasps, findings: GraspFindings, chosen: NDArray[np.bool_]) -> Figure:
-    diagnosis = findings.diagnosis
-    grasps = [grasp for grasp, own in zip(real.grasps, chosen, strict=True) if own]
-    truth = diagnosis.real[chosen]
-    figure = Figure(figsize=(12, 3.4), layout="constrained")
-    axes = figure.subplots(1, 3, sharex=True, sharey=True)
-    panels = (
-        ("real", truth),
-        ("simulated as declared", diagnosis.simulated_before[chosen]),
-        ("simulated with what was found", findings.simulated_after[chosen]),
-    )
-    for panel, (title, labels) in zip(axes, panels, strict=True):
-        outcome_map(panel, grasps, labels, truth, title)
+def _outcome_figure(
+    places: Mapping[str, NDArray[Any]], panels: Sequence[tuple[str, NDArray[np.int64]]]
+) -> Figure:
+    figure, grid = plots.new_figure(12, 3.4, 1, len(panels), sharex=True, sharey=True)
+    for axes, (title, labels) in zip(grid[0], panels, strict=True):
+        plots.draw_outcomes(axes, places, labels, panels[0][1], title)
     return figure
 
 
-def _ranking(step: Choice, number: int) -> Section:
-    """What every candidate is worth at one step."""
-    shown = [s for s in step.standings if np.isfinite(s.gain)]
-    figure = Figure(figsize=(8, 0.9 + 0.32 * len(shown)), layout="constrained")
-    axes = figure.subplots()
-    names = [describe(standing) for standing in reversed(shown)]
-    gains = [standing.gain for standing in reversed(shown)]
-    colors = [INK if gain > step.critical_gain else GREY for gain in gains]
-    axes.barh(names, gains, color=colors, height=0.6)
-    axes.axvline(step.critical_gain, color="#1c2430", linewidth=0.8, linestyle="--")
-    axes.set_xlabel("log-evidence over the world so far")
-    verdict = "taken" if step.taken else "nothing taken"
+def _ranking(step: Mapping[str, Any], number: int, channel: Mapping[str, Any]) -> Section:
+    """The evidence for every candidate at one step."""
+    gains = {
+        one["description"]: one["log_evidence_gain"]
+        for one in step["candidates"]
+        if one["log_evidence_gain"] is not None
+    }
+    critical = step["critical_gain"]
+    marked = [name for name, gain in gains.items() if gain > critical]
+    verdict = "the first is added" if step["chosen"] else "none is added"
     return figure_section(
-        f"Candidates, step {number + 1}: {verdict}",
-        figure,
-        f"Right of the dashed line clean labels lead in {100 * FALSE_ALARM:.0f} % of draws only; "
-        f"the first has p = {step.p_value:.2g}. The evidence is the sum of the scores of "
-        "predicting each label from others, so a parameter that buys nothing lowers it.",
+        f"Candidates, step {number}: {verdict}",
+        plots.rankings([("", gains, marked, critical)], "gain in log-evidence"),
+        f"Labels without effect pass the dashed line in {percent(channel['false_alarm_rate'], 0)} "
+        f"of draws; the first candidate has p = {p_value(step['p_value'])}. The evidence sums the "
+        "scores of predicting each label from others, so a useless parameter lowers it.",
     )
 
 
-def _confusions(findings: GraspFindings) -> Section:
-    found = findings.diagnosis.found
-    lines: list[str] = []
-    for standing, step in zip(found, findings.diagnosis.steps, strict=False):
-        lines += [advice(standing.name, other) for other in confusable(step.standings)]
-    if not lines:
-        return Section("", "")
-    return text_section("What these labels cannot tell apart", *(f"{line}." for line in lines))
-
-
-def _next_grasps(findings: GraspFindings) -> Section:
-    proposals = findings.proposals
+def _next_grasps(proposals: Sequence[Mapping[str, Any]]) -> Section:
     title = "Real grasps to make next"
     if not proposals:
         return text_section(
-            title, "No grasp of the recipe's grid would tell the leading explanations apart."
+            title, "No grasp of the recipe's grid would separate the leading explanations."
         )
-    names = list(proposals[0].success)
-    rows: list[Sequence[object]] = [
-        [
-            one.config.object,
-            one.config.force_n,
-            one.config.x_mm,
-            one.config.y_mm,
-            one.config.z_mm,
-            *(f"{one.success[name]:.2f}" for name in names),
-        ]
+    names = list(proposals[0]["success"])
+    rows = [
+        (
+            one["object"],
+            *(one[key] for key in ("force_n", "x_mm", "y_mm", "z_mm")),
+            *(f"{one['success'][name]:.2f}" for name in names),
+        )
         for one in proposals
     ]
-    header = ["object", "force (N)", "x (mm)", "y (mm)", "z (mm)", *(f"if {n}" for n in names)]
+    header = ("object", "force, N", "x, mm", "y, mm", "z, mm", *(f"if {name}" for name in names))
     return table_section(
-        title, header, rows, "Probability of success under each explanation: they disagree most."
+        title,
+        header,
+        rows,
+        "Probability of success under each explanation: these grasps differ most.",
     )

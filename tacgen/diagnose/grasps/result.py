@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +19,7 @@ from tacgen.diagnose.grasps.model_comparison import (
     confusable,
     heldout_success,
 )
+from tacgen.report.formatting import decimals_for
 
 FEW = 10
 MAX_FOLDS = 100
@@ -139,7 +139,7 @@ def describe(standing: Standing) -> str:
         return standing.name
     parameter = candidate.parameter
     whose = "" if candidate.name in WHOLE_WORLD else f" of {', '.join(candidate.objects)}"
-    digits = digits_for(standing.stderr)
+    digits = decimals_for(standing.stderr)
     error = f"{standing.stderr:.{digits}f}"
     if parameter.is_factor:
         return f"{standing.name}{whose} at {standing.value:.{digits}f} ± {error} times the declared"
@@ -149,18 +149,11 @@ def describe(standing: Standing) -> str:
     return f"{standing.name}{whose}{along} off by {value} ± {error} {parameter.unit}"
 
 
-def digits_for(error: float) -> int:
-    """Decimal places that show two digits of ``error``."""
-    if not (math.isfinite(error) and error > 0):
-        return 2
-    return max(0, 1 - math.floor(math.log10(error)))
-
-
 def _other_value(standing: Standing) -> str:
     candidate = standing.hypothesis.candidate
     if standing.elsewhere is None or candidate is None:
         return ""
-    value = f"{standing.elsewhere:.{digits_for(standing.stderr)}f}"
+    value = f"{standing.elsewhere:.{decimals_for(standing.stderr)}f}"
     unit = "times the declared" if candidate.parameter.is_factor else candidate.parameter.unit
     return f" {standing.name} at {value} {unit} explains these labels nearly as well."
 

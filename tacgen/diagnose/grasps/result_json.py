@@ -9,7 +9,7 @@ from typing import Any
 from tacgen.diagnose.contact.result import SCHEMA
 from tacgen.diagnose.grasps.candidates import advice
 from tacgen.diagnose.grasps.model_comparison import FALSE_ALARM, Standing, confusable
-from tacgen.diagnose.grasps.result import MAX_FOLDS, GraspDiagnosis
+from tacgen.diagnose.grasps.result import MAX_FOLDS, GraspDiagnosis, describe
 
 
 def diagnosis_record(
@@ -29,6 +29,7 @@ def diagnosis_record(
         effects.append(
             {
                 "name": standing.name,
+                "description": describe(standing),
                 "parameters": _parameters(standing, absolute),
                 "objects": list(_objects(standing)),
                 "heldout_gain": diagnosis.rate_before - diagnosis.rate_after,
@@ -76,6 +77,21 @@ def diagnosis_record(
                     for s in diagnosis.steps[0].standings
                 ],
                 "p_value": diagnosis.steps[0].p_value,
+                "steps": [
+                    {
+                        "chosen": step.taken,
+                        "p_value": step.p_value,
+                        "critical_gain": _number(step.critical_gain),
+                        "candidates": [
+                            {
+                                "description": describe(standing),
+                                "log_evidence_gain": _number(standing.gain),
+                            }
+                            for standing in step.standings
+                        ],
+                    }
+                    for step in diagnosis.steps
+                ],
             }
         },
     }

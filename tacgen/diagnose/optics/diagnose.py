@@ -100,6 +100,29 @@ class OpticsDiagnosis:
         low, high = np.quantile(gains, [0.025, 0.975])
         return float(low), float(high)
 
+    @property
+    def sentence(self) -> str:
+        """The verdict in one plain sentence."""
+        rest = ""
+        if self.unexplained:
+            covariates = ", ".join(d.covariate for d in self.unexplained)
+            rest = f" The residual still depends on {covariates}; no listed effect explains that."
+        if self.effects:
+            names = ", ".join(f"{e.name} ({e.heldout_gain:.2f} grey levels)" for e in self.effects)
+            return (
+                f"Found {names}: the error on held-out presses falls from {self.rmse_before:.2f} "
+                f"to {self.rmse_after:.2f} grey levels.{rest}"
+            )
+        if rest:
+            return (
+                f"No listed effect lowers the error of {self.rmse_before:.2f} grey levels on "
+                f"held-out presses.{rest}"
+            )
+        return (
+            f"The table suffices: {self.rmse_before:.2f} grey levels on held-out presses, and no "
+            "effect lowers that reliably."
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``."""
         effects = [
@@ -118,6 +141,7 @@ class OpticsDiagnosis:
         ]
         channel = {
             "verdict": self.verdict,
+            "sentence": self.sentence,
             "effects": effects,
             "unexplained": [dependence.as_dict() for dependence in self.unexplained],
             "cannot_tell": list(self.cannot_tell),
@@ -129,6 +153,10 @@ class OpticsDiagnosis:
                 "how": "second differences of neighbouring pixels: the camera's noise alone",
             },
             "trials": {"fit": self.n_fit, "test": self.n_test},
+            "steps": [
+                {"error_before": step.before, "chosen": step.taken, "rmse": step.rmse}
+                for step in self.selection.steps
+            ],
         }
         return {"schema": 1, "channels": {"rgb": channel}}
 

@@ -1,186 +1,139 @@
-"""What ``tacgen diagnose optics`` writes: diagnosis.json, the extended table, a page to read."""
+"""The page of an optics diagnosis: error, pictures of presses, effects, candidates."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tacgen.core.files import write_text
-from tacgen.diagnose.optics.diagnose import TEST_EVERY, OpticsDiagnosis, diagnose_optics
-from tacgen.diagnose.optics.extended_table import extended_table
-from tacgen.diagnose.optics.pictures import before_and_after
-from tacgen.optics.table import LookupTable, load_table, save_table
-from tacgen.presses.press_folder import read_presses
-from tacgen.presses.press_images import PressImages
-from tacgen.presses.screening import usable_presses
+from tacgen.diagnose.optics.pictures import DIFFERENCE_GAIN
 from tacgen.report import (
     Section,
+    facts_section,
     figure_section,
-    image_section,
+    pictures_section,
     table_section,
     text_section,
     write_page,
 )
+from tacgen.report import figures as plots
+from tacgen.report.formatting import estimate, interval, number, p_value
 
-SHOWN = 3
-"""Test presses that the page shows before and after."""
 
-
-def write_optics_diagnosis(
-    presses_path: Path,
-    out: Path,
+def write_optics_page(
+    path: Path,
+    channel: Mapping[str, Any],
+    pictures: Sequence[tuple[str, NDArray[np.uint8]]],
     *,
-    table_path: Path | None = None,
-    mm_per_px: float | None = None,
-    ball_radius_mm: float | None = None,
-) -> tuple[OpticsDiagnosis, PressImages]:
-    """Diagnose the presses at a path and write the outcome into the folder ``out``."""
-    given = None if table_path is None else load_table(table_path)
-    raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
-    presses = usable_presses(raw)
-    diagnosis = diagnose_optics(presses, given)
-    table = extended_table(presses, diagnosis.selection.chosen, diagnosis.reference, given)
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    write_text(out / "diagnosis.json", json.dumps(diagnosis.as_dict(), indent=2) + "\n")
-    save_table(table, out / "table.npz")
-    write_page(
-        out / "report.html",
-        "What the images show that the table lacks",
-        _sections(presses, diagnosis, table),
-        summary=sentence(diagnosis),
-    )
-    return diagnosis, presses
+    applied: Sequence[str],
+    excluded: Sequence[str],
+) -> None:
+    """Write the page of the channel ``rgb`` of ``diagnosis.json``.
 
-
-def sentence(diagnosis: OpticsDiagnosis) -> str:
-    """The verdict in one plain sentence."""
-    left = ""
-    if diagnosis.unexplained:
-        followed = ", ".join(d.covariate for d in diagnosis.unexplained)
-        left = f" What is left still follows {followed}, which no listed effect explains."
-    if not diagnosis.effects:
-        return (
-            f"No listed effect lowers the error of {diagnosis.rmse_before:.2f} grey levels on "
-            f"presses that took no part.{left}"
-            if left
-            else f"The table suffices: {diagnosis.rmse_before:.2f} grey levels on presses it never "
-            "saw, and no effect lowers that reliably."
-        )
-    names = ", ".join(
-        f"{effect.name} (worth {effect.heldout_gain:.2f})" for effect in diagnosis.effects
-    )
-    return (
-        f"Found {names}: the error on presses that took no part falls from "
-        f"{diagnosis.rmse_before:.2f} to {diagnosis.rmse_after:.2f} grey levels.{left}"
-    )
-
-
-def _sections(
-    presses: PressImages, diagnosis: OpticsDiagnosis, table: LookupTable
-) -> list[Section]:
-    low, high = diagnosis.gain_interval
-    return [
-        text_section(
-            "Verdict",
-            sentence(diagnosis),
-            f"95 % interval of the whole gain, over {diagnosis.n_test} test presses: {low:.2f} to "
-            f"{high:.2f} grey levels. Inside the labelled circles alone the error falls from "
-            f"{diagnosis.inside_before:.2f} to {diagnosis.inside_after:.2f}. The camera's own "
-            f"noise is {diagnosis.noise_floor:.2f}.",
-            *(str(press) for press in presses.dropped),
+    ``pictures`` are strips of test presses, ``applied`` the effects that the written table makes
+    the renderer apply, ``excluded`` the presses that could not be used and why.
+    """
+    before, after = channel["error_before"], channel["error_after"]
+    floor = channel["noise_floor"]["rmse"]
+    bars = [
+        ("within 1.6 contact radii", before["rmse"], after["rmse"], floor),
+        ("inside the labelled circles", before["inside_circle"], after["inside_circle"], floor),
+    ]
+    facts = [
+        ("95 % interval of the reduction", interval(channel["gain_interval_95"], "grey")),
+        ("test presses", channel["trials"]["test"]),
+        ("presses fitted", channel["trials"]["fit"]),
+        ("camera noise", f"{number(floor, 3)} grey levels"),
+    ]
+    sections = [
+        figure_section(
+            "Error before and after",
+            plots.before_after(bars, "RMSE on held-out presses, grey levels"),
         ),
-        _effects(diagnosis),
-        *_pictures(presses, diagnosis),
-        _ranking(diagnosis),
+        pictures_section(
+            "Test presses",
+            pictures,
+            "Left to right: the photograph, the plain model, the model with the effects, and the "
+            f"residual of each, {DIFFERENCE_GAIN}× about grey.",
+        ),
+        facts_section("Errors in numbers", facts),
+        *_effects(channel),
+        figure_section(
+            "Candidates at each step",
+            _ranking_figure(channel["steps"]),
+            "The dashed line is the error before the step; the blue candidate was chosen.",
+        ),
         table_section(
-            "What was found, in numbers",
-            ("effect", "quantity", "value", "standard error", "unit"),
+            "What the residual still depends on",
+            ("covariate", "gain, grey levels", "p"),
             [
-                (effect.name, name, f"{p['value']:.4g}", _stderr(p["stderr"]), p["unit"])
-                for effect in diagnosis.effects
-                for name, p in effect.parameters.items()
+                (d["covariate"], d["gain_grey"], p_value(d["p_value"]))
+                for d in channel["unexplained"]
             ],
-        ),
-        table_section(
-            "What the residual still follows",
-            ("covariate", "gain if taken off, grey", "p"),
-            [(d.covariate, d.gain_grey, f"{d.p_value:.2g}") for d in diagnosis.unexplained],
-            note="None." if not diagnosis.unexplained else "By the same rule as the effects.",
+            "By the same rule as the effects." if channel["unexplained"] else "Nothing.",
         ),
         text_section(
-            "What these presses cannot tell, and what would",
-            *(diagnosis.cannot_tell or ("Nothing of that kind.",)),
+            "What these presses cannot tell, and which would",
+            *(channel["cannot_tell"] or ["Nothing of that kind."]),
         ),
         text_section(
-            "What the renderer applies from now on",
-            ", ".join(sorted(table.effects)) or "Nothing beside the table's own colours.",
-            "table.npz holds it: name it as the sensor's table and tacgen collect renders with it. "
-            "Centres, radii and the scatter of exposure belong to single presses and stay out.",
+            "What the renderer applies with the new table",
+            ", ".join(applied) or "Nothing beside the table's own colours.",
+            "Name table.npz as the sensor's table and tacgen collect renders with it. Centres, "
+            "radii and the scatter of exposure belong to single presses and are not in it.",
         ),
     ]
+    if excluded:
+        sections.append(text_section("Presses that could not be used", *excluded))
+    write_page(
+        path, "Optics diagnosis", sections, summary=channel["sentence"], verdict=channel["verdict"]
+    )
 
 
-def _effects(diagnosis: OpticsDiagnosis) -> Section:
+def _effects(channel: Mapping[str, Any]) -> list[Section]:
+    effects = channel["effects"]
+    if not effects:
+        return []
     rows = [
         (
-            effect.name,
-            effect.label,
-            effect.cv_gain,
-            effect.heldout_gain,
-            f"{effect.p_value:.2g}",
-            effect.runner_up,
-            effect.runner_up_gain,
-            ", ".join(effect.equals),
+            effect["name"],
+            effect["how"],
+            effect["cv_gain"],
+            effect["heldout_gain"],
+            p_value(effect["p_value"]),
+            effect["runner_up"],
+            effect["runner_up_gain"],
+            ", ".join(effect["as_good"]),
         )
-        for effect in diagnosis.effects
+        for effect in effects
     ]
-    return table_section(
-        "Effects, in the order in which they were added",
-        (
-            *("effect", "how", "gain, cross-validated", "gain, test presses", "p"),
-            *("runner-up", "its gain", "hardly told from"),
-        ),
-        rows,
-        note="Grey levels of RMSE within 1.6 contact radii.",
-    )
-
-
-def _stderr(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2g}"
-
-
-def _pictures(presses: PressImages, diagnosis: OpticsDiagnosis) -> list[Section]:
-    """Test presses beside the plain model and beside the extended one."""
-    tests = np.nonzero(np.arange(len(presses)) % TEST_EVERY == TEST_EVERY - 1)[0]
-    worst = tests[np.argsort(diagnosis.after_squares)[:: -max(1, len(tests) // SHOWN)]][:SHOWN]
-    strips: list[NDArray[np.uint8]] = [before_and_after(presses, int(k), diagnosis) for k in worst]
+    header = ("effect", "form", "gain, cross-validated", "gain, test presses", "p", "runner-up",
+              "its gain", "equally good")  # fmt: skip
+    parameters = [
+        (effect["name"], name, estimate(value))
+        for effect in effects
+        for name, value in effect["parameters"].items()
+    ]
     return [
-        image_section(
-            f"Test press {presses.names[int(k)]}: photograph, plain, extended, and what is left",
-            strip,
-            "Left to right: the press; the plain model; the model with the effects; the difference "
-            "before and after, grey where there is none, three times as strong.",
-            width_px=min(1100, 4 * strip.shape[1]),
-        )
-        for k, strip in zip(worst, strips, strict=True)
+        table_section(
+            "Effects, in the order in which they were added",
+            header,
+            rows,
+            "Gains in grey levels of RMSE within 1.6 contact radii.",
+        ),
+        table_section("Parameters", ("effect", "parameter", "value ± standard error"), parameters),
     ]
 
 
-def _ranking(diagnosis: OpticsDiagnosis) -> Section:
-    steps = diagnosis.selection.steps
-    figure = Figure(figsize=(9, 0.8 + 1.9 * len(steps)))
-    axes = figure.subplots(len(steps), 1, squeeze=False, sharex=True)[:, 0]
-    for ax, step in zip(axes, steps, strict=True):
-        names = sorted(step.rmse, key=lambda name: -step.rmse[name])
-        colors = ["#2a7f62" if name == step.taken else "#9fb3c8" for name in names]
-        ax.barh(names, [step.rmse[name] for name in names], height=0.65, color=colors)
-        ax.axvline(step.before, color="k", lw=0.8)
-        ax.set_title(f"took {step.taken}" if step.taken else "took none", fontsize=9, loc="left")
-    axes[-1].set_xlabel("cross-validated RMSE, grey levels; the line is before the step")
-    figure.tight_layout()
-    return figure_section("Candidates at each step", figure)
+def _ranking_figure(steps: Sequence[Mapping[str, Any]]) -> Figure:
+    panels = []
+    for number_, step in enumerate(steps, start=1):
+        ranked = dict(sorted(step["rmse"].items(), key=lambda item: item[1]))
+        chosen = step["chosen"]
+        title = f"Step {number_}: {chosen or 'no candidate'} added"
+        panels.append((title, ranked, [chosen], step["error_before"]))
+    return plots.rankings(panels, "cross-validated RMSE, grey levels")

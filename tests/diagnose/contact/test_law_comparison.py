@@ -10,7 +10,7 @@ from tacgen.contact import ContactLaw
 from tacgen.contact.law import FittedEffect
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import Estimate
-from tacgen.diagnose.contact.law_comparison import write_before_after
+from tacgen.diagnose.contact.law_comparison import write_law_comparison
 from tests.small_world import write_world
 
 LINEAR = ContactLaw.linear(5.0)
@@ -25,8 +25,8 @@ def test_the_page_says_how_far_the_laws_part(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recipe = load_recipe(write_world(tmp_path, frames="{mode: sequence, count: 4}"))
     creeping = replace(LINEAR, effects=(CREEP,))
-    write_before_after(recipe, LINEAR, creeping, tmp_path / "differs.html")
-    write_before_after(recipe, LINEAR, LINEAR, tmp_path / "same.html")
+    write_law_comparison(recipe, LINEAR, creeping, tmp_path / "differs.html")
+    write_law_comparison(recipe, LINEAR, LINEAR, tmp_path / "same.html")
     assert "differ by 0 grey levels" in (tmp_path / "same.html").read_text()
     assert "differ by 0 grey levels" not in (tmp_path / "differs.html").read_text()
 
@@ -35,4 +35,4 @@ def test_single_images_show_no_memory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recipe = load_recipe(write_world(tmp_path))
     with pytest.raises(RecipeError, match="mode: sequence"):
-        write_before_after(recipe, LINEAR, LINEAR, tmp_path / "page.html")
+        write_law_comparison(recipe, LINEAR, LINEAR, tmp_path / "page.html")

@@ -13,7 +13,7 @@ from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import GraspConfig
 from tacgen.dataset.real_grasps import read_real_grasps
-from tacgen.diagnose.grasps.command import diagnose_grasps
+from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
 from tacgen.diagnose.grasps.images import imprint_strength
 from tacgen.diagnose.grasps.report import write_grasp_report
 
@@ -51,7 +51,9 @@ def shifted_folder(tmp_path_factory):
 def test_a_shifted_centre_of_mass_is_found_written_and_reported(shifted_folder, tmp_path):
     real = read_real_grasps(shifted_folder)
     findings = diagnose_grasps(RECIPE, real, tmp_path, workers=1)
-    write_grasp_report(tmp_path / "report.html", real, findings)
+    record = record_of(findings, RECIPE, [BOX])
+    before, after = findings.diagnosis.simulated_before, findings.simulated_after
+    write_grasp_report(tmp_path / "report.html", record, real, before, after)
     channel = json.loads((tmp_path / "diagnosis.json").read_text())["channels"]["grasp"]
     assert channel["verdict"] == "effect_found"
     assert channel["effects"][0]["name"] == "center_of_mass"
