@@ -47,7 +47,7 @@ def collect(
     json_output: JsonFlag = False,
 ) -> None:
     """Simulate the grasps of a recipe and write images, labels and forces as a dataset."""
-    from tacgen.core.processes import start_early
+    from tacgen.core.workers import start_early
 
     if not (dry_run or _looks_whole(out)):
         start_early("tacgen.collection.run", "trimesh.creation")

@@ -1,4 +1,4 @@
-"""Errors that a user can mend; the command line turns each into one message and exit code 2."""
+"""Errors that a user can fix; the command line turns each into one message and exit code 2."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 class TacgenError(Exception):
-    """Wrong input: the message says what is wrong, where, and how to mend it."""
+    """Wrong input: the message says what is wrong, where, and how to fix it."""
 
     exit_code = 2
 

@@ -1,36 +1,61 @@
-"""Processes that work through tasks, watched: one that dies or hangs costs the item in hand.
+"""Work in several processes: independent tasks side by side, and watched workers.
 
-A task is a list of items (a shard and its grasps). Before each item a worker says which one it
-starts, so that when native code takes the process down, or an item takes longer than it may, the
-supervisor knows the culprit: the task runs again without it. A worker that was killed from
-outside (SIGKILL: the system was out of memory, or somebody's hand) proves nothing about its item,
-so the task just runs again.
+``map_in_processes`` is for tasks that give the same result in any number of processes.
+
+``run_tasks`` is for long work in which native code may crash or hang. A task is a list of items
+(a shard and its grasps). Before each item a worker reports which one it starts, so that when it
+crashes, or the item takes longer than it may, the supervisor knows the culprit: the task runs
+again without it. A worker that was killed from outside (SIGKILL: the system was out of memory, or
+somebody ended it) proves nothing about its item, so the task just runs again.
+
+Watched workers are copies of a process that has imported what they need (Python's fork server):
+importing takes longer than a few grasps. It runs nothing else and has no threads, so copying it is
+safe where copying the parent would not be. Libraries get one thread in each worker: a worker is
+one core's work, and sums must not depend on a machine's number of cores.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 from tacgen.core.errors import TacgenError
-from tacgen.core.processes import start, start_early
+
+ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    ),
+    "1",
+)
+
+_PR_SET_PDEATHSIG = 1
+_START_TRIES, _START_PAUSE_S = 20, 0.05
+
 
 MAX_KILLS_PER_TASK = 5
 MAX_CRASHES_IN_A_ROW = 3
 _NATIVE_CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL}
 SILENCE_LIMIT_S = 600.0
-"""Between items, where a worker opens files and writes them; after that it is taken for dead."""
+"""Between items, where a worker opens and writes files; after that it is ended and replaced."""
 _POLL_S = 1.0
 _LONGEST_LOOK_S = 5.0
 
@@ -39,7 +64,7 @@ Report = Callable[[str, int, Any], None]
 
 
 Job = Callable[[int, Mapping[int, str], Report], Any]
-"""What a worker does with a task; items in the mapping (item → reason) crash and are left out."""
+"""What a worker does with a task; items in the mapping (item → reason) crashed, and are skipped."""
 
 JobFactory = Callable[[], contextlib.AbstractContextManager[Job]]
 
@@ -60,7 +85,7 @@ class _Worker:
     connection: Connection
     task: int | None = None
     item: int | None = None
-    heard_s: float = 0.0
+    last_message_s: float = 0.0
 
 
 class _AwakeClock:
@@ -88,6 +113,68 @@ class _Progress:
     kills: dict[int, int] = field(default_factory=dict)
 
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_pool_task: dict[str, Callable[[Any], Any]] = {}
+"""The task of a process of ``map_in_processes``; it is set in the child alone."""
+
+
+def map_in_processes(
+    task: Callable[[Item], Result],
+    items: Sequence[Item],
+    processes: int | None = None,
+    *,
+    method: Literal["fork", "spawn"] = "fork",
+) -> list[Result]:
+    """``task`` of every item, in order, in up to ``processes`` processes (default: one a core).
+
+    ``fork`` shares the task's arrays and works on Linux alone; ``spawn`` is for libraries that
+    run threads of their own, and pickles the task. Where processes cannot be started so, the
+    items are worked through one after the other.
+
+    Raises
+    ------
+    TacgenError
+        If a process is killed.
+    """
+    count = min(len(items), processes or _cores())
+    # A daemon may have no children of its own.
+    possible = method == "spawn" or sys.platform == "linux"
+    if count < 2 or not possible or multiprocessing.current_process().daemon:
+        return [task(item) for item in items]
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context(method)
+    with ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,)) as pool:
+        try:
+            return list(pool.map(_run_task, items))
+        except BaseException as error:
+            # Leaving the block waits for results that nobody will look at.
+            for child in set(multiprocessing.active_children()) - others:
+                child.terminate()
+            if isinstance(error, BrokenProcessPool):
+                msg = (
+                    "a worker process was killed, perhaps because memory ran out; run the same "
+                    "command again with fewer processes (--workers), it resumes where it can"
+                )
+                raise TacgenError(msg) from error
+            raise
+
+
+def _set_task(task: Callable[[Any], Any]) -> None:
+    _pool_task["task"] = task
+
+
+def _run_task(item: Any) -> Any:
+    return _pool_task["task"](item)
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def run_tasks(
     tasks: Sequence[int], make_job: JobFactory, *, workers: int, item_limit_s: float
 ) -> Iterator[Event]:
@@ -110,18 +197,18 @@ def run_tasks(
         while progress.queue or any(worker.task is not None for worker in crew):
             for worker in crew:
                 if worker.task is None and progress.queue:
-                    _hand_out(worker, progress)
-            _await_news(crew)
+                    _assign(worker, progress)
+            _wait_for_messages(crew)
             progress.clock.look()
             for k, worker in enumerate(crew):
                 # Looked at once: a worker may die at any line below, and is then found dead next
                 # time, with its task.
                 alive = worker.process.is_alive()
-                yield from _read_news(worker, progress.clock)
+                yield from _read_messages(worker, progress.clock)
                 if alive:
                     yield from _end_if_hung(worker, progress, item_limit_s)
                 else:
-                    yield from _account_for_death(worker, progress)
+                    yield from _handle_death(worker, progress)
                 if worker.task is None and progress.queue and not worker.process.is_alive():
                     crew[k] = _start(make_job)
     finally:
@@ -138,31 +225,31 @@ def _module_of(make_job: JobFactory) -> str:
 
 def _start(make_job: JobFactory) -> _Worker:
     ours, theirs = multiprocessing.Pipe()
-    process = start(_serve, theirs, make_job)
+    process = _start_process(_serve, theirs, make_job)
     theirs.close()
     return _Worker(process, ours)
 
 
-def _hand_out(worker: _Worker, progress: _Progress) -> None:
+def _assign(worker: _Worker, progress: _Progress) -> None:
     worker.task = progress.queue.popleft()
-    worker.item, worker.heard_s = None, progress.clock.now_s
+    worker.item, worker.last_message_s = None, progress.clock.now_s
     with contextlib.suppress(BrokenPipeError):  # it died idle; its death is accounted for
         worker.connection.send((worker.task, progress.crashed.get(worker.task, {})))
 
 
-def _await_news(crew: Sequence[_Worker]) -> None:
+def _wait_for_messages(crew: Sequence[_Worker]) -> None:
     wait(
         [worker.connection for worker in crew] + [worker.process.sentinel for worker in crew],
         timeout=_POLL_S,
     )
 
 
-def _read_news(worker: _Worker, clock: _AwakeClock) -> Iterator[Event]:
-    """Everything the worker has said since."""
+def _read_messages(worker: _Worker, clock: _AwakeClock) -> Iterator[Event]:
+    """Everything the worker has reported since."""
     try:
         while worker.task is not None and worker.connection.poll():
             kind, item, value = worker.connection.recv()
-            task, worker.heard_s = worker.task, clock.now_s
+            task, worker.last_message_s = worker.task, clock.now_s
             if kind == "error":
                 raise TacgenError(value)
             if kind == "bug":
@@ -180,22 +267,22 @@ def _read_news(worker: _Worker, clock: _AwakeClock) -> Iterator[Event]:
 
 
 def _end_if_hung(worker: _Worker, progress: _Progress, limit_s: float) -> Iterator[Event]:
-    silent_s = progress.clock.now_s - worker.heard_s
+    silent_s = progress.clock.now_s - worker.last_message_s
     if worker.item is not None and silent_s > limit_s:
         worker.process.kill()
         worker.process.join()
-        yield _blame_item(worker, progress, f"took longer than {limit_s:g} s")
+        yield _skip_item(worker, progress, f"took longer than {limit_s:g} s")
     elif worker.task is not None and silent_s > max(limit_s, SILENCE_LIMIT_S):
         worker.process.kill()  # found dead at the next look, and its task run again
 
 
-def _account_for_death(worker: _Worker, progress: _Progress) -> Iterator[Event]:
+def _handle_death(worker: _Worker, progress: _Progress) -> Iterator[Event]:
     if worker.task is None:
         return
     worker.process.join()
     code = worker.process.exitcode or 0
     if worker.item is not None and -code in _NATIVE_CRASHES:
-        yield _blame_item(worker, progress, f"the simulator died of {signal.Signals(-code).name}")
+        yield _skip_item(worker, progress, f"the simulator died of {signal.Signals(-code).name}")
         return
     task, worker.task = worker.task, None
     progress.kills[task] = progress.kills.get(task, 0) + 1
@@ -209,7 +296,7 @@ def _account_for_death(worker: _Worker, progress: _Progress) -> Iterator[Event]:
     yield Event("retried", task, -1, f"its worker was ended from outside (exit code {code})")
 
 
-def _blame_item(worker: _Worker, progress: _Progress, reason: str) -> Event:
+def _skip_item(worker: _Worker, progress: _Progress, reason: str) -> Event:
     """Put the task back, to be run without the item that took its worker down."""
     task, item = worker.task, worker.item
     if task is None or item is None:
@@ -244,7 +331,7 @@ def _stop(worker: _Worker) -> None:
 
 
 def _serve(connection: Connection, make_job: JobFactory) -> None:
-    """A worker's life: tasks in, news out, until the supervisor closes the line or is gone."""
+    """A worker's life: tasks in, reports out, until the supervisor closes the line or is gone."""
     # Ctrl-C reaches the whole group; the supervisor decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_the_supervisor()
@@ -260,10 +347,10 @@ def _serve(connection: Connection, make_job: JobFactory) -> None:
     except (EOFError, BrokenPipeError, ConnectionResetError):
         os._exit(0)
     except TacgenError as error:
-        _last_words(connection, ("error", error.exit_code, str(error)))
+        _send_last(connection, ("error", error.exit_code, str(error)))
     except Exception:
         # Whatever it is, the supervisor must hear of it; it ends the run with this text.
-        _last_words(connection, ("bug", -1, traceback.format_exc()))
+        _send_last(connection, ("bug", -1, traceback.format_exc()))
 
 
 def _end_with_the_supervisor() -> None:
@@ -279,6 +366,84 @@ def _end_with_the_supervisor() -> None:
     threading.Thread(target=watch, args=(supervisor.sentinel,), daemon=True).start()
 
 
-def _last_words(connection: Connection, words: tuple[str, int, str]) -> None:
+def _send_last(connection: Connection, message: tuple[str, int, str]) -> None:
     with contextlib.suppress(BrokenPipeError):  # the run has been ended by another worker's
-        connection.send(words)
+        connection.send(message)
+
+
+def start_early(*modules: str) -> None:
+    """Start the process that workers are copied from; it imports ``modules`` meanwhile.
+
+    Where it runs already, or the system has no such thing, this does nothing.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return
+    from multiprocessing import forkserver
+
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["__main__", *modules])
+    with _threads_pinned():
+        forkserver.ensure_running()
+
+
+def _start_process(
+    target: Callable[..., None], *arguments: object
+) -> multiprocessing.process.BaseProcess:
+    """Run ``target(*arguments)`` in a new process that ends with this one."""
+    methods = multiprocessing.get_all_start_methods()
+    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    # The process that is copied may have been started under another environment.
+    given = (target, dict(os.environ) | ONE_THREAD, *arguments)
+    for left in reversed(range(_START_TRIES)):
+        process: multiprocessing.process.BaseProcess
+        process = context.Process(target=_run, args=given, daemon=True)
+        try:
+            with _threads_pinned():
+                process.start()
+        except (EOFError, ConnectionError) as error:
+            # The fork server was killed and is not yet seen to be gone; then a new one starts.
+            if not left:
+                msg = (
+                    f"no worker process could be started with {sys.executable} "
+                    f"({error or type(error).__name__}); what it printed stands above, if it began "
+                    "at all; is there memory left, and may you run it?"
+                )
+                raise TacgenError(msg) from error
+            time.sleep(_START_PAUSE_S)
+        else:
+            break
+    return process
+
+
+def _run(target: Callable[..., None], environment: Mapping[str, str], *arguments: object) -> None:
+    for name in set(os.environ) - set(environment):
+        del os.environ[name]
+    os.environ.update(environment)
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
+    _end_with_the_process_copied()
+    target(*arguments)
+
+
+def _end_with_the_process_copied() -> None:
+    """Die with the fork server: once it is gone, the supervisor sees its copies as dead too.
+
+    One that worked on would hold the lock of a shard that nobody waits for.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+@contextlib.contextmanager
+def _threads_pinned() -> Iterator[None]:
+    """Processes started meanwhile inherit ``ONE_THREAD``: libraries look when they are loaded."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

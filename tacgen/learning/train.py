@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,9 +10,9 @@ from typing import Any
 import numpy as np
 
 import tacgen
-from tacgen.core.errors import LearningError
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
+from tacgen.core.workers import map_in_processes
 from tacgen.learning import library_versions
 from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model
@@ -69,7 +65,7 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     if resumed:
         print_status(f"{out}: resumes the run that is there")
     job = partial(_train_one, recipe, source, spec, run, device)
-    done = _each(job, plans, workers)
+    done = map_in_processes(job, plans, workers, method="spawn")
     results = {plan.name: result for plan, result in zip(plans, done, strict=True)}
     summary = {
         "recipe": recipe.name,
@@ -82,31 +78,6 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     }
     write_text(run.summary_path, json.dumps(summary, indent=1))
     return summary
-
-
-def _each(
-    job: Callable[[ModelPlan], dict[str, Any]], plans: Sequence[ModelPlan], workers: int
-) -> list[dict[str, Any]]:
-    """What ``job`` gives for each plan; several at a time if asked."""
-    processes = min(workers, len(plans))
-    if processes < 2:
-        return [job(plan) for plan in plans]
-    others = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        try:
-            return list(pool.map(job, plans))
-        except BaseException as error:
-            # Leaving the block waits for models that nobody will look at.
-            for child in set(multiprocessing.active_children()) - others:
-                child.terminate()
-            if isinstance(error, BrokenProcessPool):
-                msg = (
-                    "a process that trained a model was killed, perhaps for want of memory; start "
-                    "again with fewer --workers: it goes on from the last whole epochs"
-                )
-                raise LearningError(msg) from error
-            raise
 
 
 def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:

@@ -186,6 +186,6 @@ def test_workers_that_cannot_start_are_told_of(tmp_path, monkeypatch):
         raise ConnectionRefusedError(111, "Connection refused")
 
     monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", refused)
-    monkeypatch.setattr("tacgen.core.processes._START_PAUSE_S", 0.0)
+    monkeypatch.setattr("tacgen.core.workers._START_PAUSE_S", 0.0)
     with pytest.raises(TacgenError, match=r"no worker process could be started with .*python"):
         results(tmp_path, {})

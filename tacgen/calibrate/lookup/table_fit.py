@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tacgen import __version__
 from tacgen.calibrate.lookup.model_choice import (
@@ -26,7 +27,7 @@ from tacgen.calibrate.lookup.score import PressScore, TableScore, score_table
 from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings, LookupRules
 from tacgen.calibrate.lookup.smooth_model import SmoothModel, position_terms
 from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.core.folds import in_processes
+from tacgen.core.workers import map_in_processes
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import press_slope, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
@@ -93,7 +94,7 @@ def calibrate(
         return Calibration(prepared, *_fit(prepared))
     folds = fold_of(len(presses), prepared.rules.n_folds)
     task = _FoldTask(prepared, folds)
-    whole, *parts = in_processes(task, [WHOLE, *np.unique(folds).tolist()], processes)
+    whole, *parts = map_in_processes(task, [WHOLE, *np.unique(folds).tolist()], processes)
     table, fit, choice, scale, _ = whole
     scored: list[PressScore | None] = [None] * len(presses)
     for fold, (*_, score) in enumerate(parts):
@@ -109,11 +110,15 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True)
 class _FoldTask:
-    """Calibrates without one fold and scores on it; ``WHOLE`` looks at the scale instead."""
+    """Calibrates without one fold and scores on it; ``WHOLE`` looks at the scale instead.
+
+    The arrays are small, so that each fit computes with one thread.
+    """
 
     presses: PreparedPresses
     folds: IntArray
 
+    @threadpool_limits.wrap(limits=1)
     def __call__(self, fold: int) -> tuple[LookupTable, JointFit, Choice, Any, TableScore]:
         if fold == WHOLE:
             table, fit, choice = _fit(self.presses)
