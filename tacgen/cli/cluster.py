@@ -1,55 +1,108 @@
-"""Commands about batch jobs: hand a recipe to a scheduler, see how far it is."""
+"""Commands about batch jobs: submit a recipe or a command, see how far it is."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from tacgen.cli.app import DatasetArgument, JsonFlag, RecipeArgument, app, print_record
+from tacgen.cli.app import DatasetArgument, JsonFlag, app, print_record
+from tacgen.core.errors import ClusterError
+
+COMMAND_SETTINGS = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
+"""What the job of a command asks for by default: enough for a network on one GPU."""
 
 
 @app.command(rich_help_panel="Datasets")
 def submit(
-    recipe: RecipeArgument,
-    out: Annotated[Path, typer.Option(help="The dataset's folder, seen by every machine.")],
+    work: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RECIPE | -- COMMAND …",
+            help="A recipe, to collect its dataset; or friction … or train …, as after `tacgen`, "
+            "behind `--`.",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The dataset's folder, seen by every machine; for a recipe only."),
+    ] = None,
     executor: Annotated[str, typer.Option(help="local or slurm.")] = "slurm",
     failed: Annotated[
-        bool, typer.Option("--failed", help="Only what no living job will make.")
+        bool,
+        typer.Option("--failed", help="Only shards that no running or waiting job will make."),
     ] = False,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Stay until the jobs end; exit 1 if shards lack.")
+        bool, typer.Option("--wait", help="Stay until the jobs end; exit 1 if work is missing.")
     ] = False,
-    time_min: Annotated[int | None, typer.Option(help="Minutes a job may take.")] = None,
-    mem_gb: Annotated[float | None, typer.Option(help="Memory of a job.")] = None,
-    cpus_per_task: Annotated[int | None, typer.Option(help="Processes of a job.")] = None,
+    time_min: Annotated[
+        int | None, typer.Option(help="Minutes until a job is requeued; of a command: 480.")
+    ] = None,
+    mem_gb: Annotated[float | None, typer.Option(help="Memory of a job; of a command: 16.")] = None,
+    cpus_per_task: Annotated[
+        int | None, typer.Option(help="Processes of a job; processors of a command: 4.")
+    ] = None,
+    gpus: Annotated[int | None, typer.Option(min=0, help="GPUs of a command.")] = None,
     partition: Annotated[str | None, typer.Option(help="Slurm partition.")] = None,
     account: Annotated[str | None, typer.Option(help="Slurm account.")] = None,
     max_array: Annotated[int | None, typer.Option(help="Most jobs of one array.")] = None,
     shards_per_task: Annotated[int | None, typer.Option(help="Shards of one job.")] = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Hand a recipe's missing shards to a scheduler; flags win over the section `cluster`."""
+    """Hand a recipe's missing shards, or a long command, to a scheduler.
+
+    `tacgen submit RECIPE --out DIR`, where flags win over the recipe's section `cluster`, or
+    `tacgen submit --gpus 1 -- train RECIPE --data DIR --out RUN`.
+    """
+    settings: dict[str, Any] = {
+        "time_min": time_min,
+        "mem_gb": mem_gb,
+        "cpus_per_task": cpus_per_task,
+        "partition": partition,
+        "account": account,
+    }
+    if out is None:
+        of_recipes = {"--failed": failed, "--max-array": max_array}
+        _refuse(of_recipes | {"--shards-per-task": shards_per_task}, "a recipe")
+        settings = {**COMMAND_SETTINGS, **{k: v for k, v in settings.items() if v is not None}}
+        _submit_command(work, executor, wait, settings, gpus, json_output)
+        return
+    _refuse({"--gpus": gpus}, "a command; a recipe asks for GPUs in its section cluster.sbatch")
+    if len(work) != 1:
+        msg = f"`{' '.join(work)}`: with --out give one recipe, and nothing after it"
+        raise ClusterError(msg)
+    settings |= {"max_array": max_array, "shards_per_task": shards_per_task}
+    _submit_recipe(work[0], out, executor, failed, wait, settings, json_output)
+
+
+def _refuse(options: Mapping[str, object], owner: str) -> None:
+    given = [name for name, value in options.items() if value not in (None, False)]
+    if given:
+        msg = f"{', '.join(given)}: only for {owner}; leave it out"
+        raise ClusterError(msg)
+
+
+def _submit_recipe(
+    recipe: str,
+    out: Path,
+    executor: str,
+    failed: bool,
+    wait: bool,
+    settings: Mapping[str, Any],
+    json_output: bool,
+) -> None:
     from tacgen import cluster
     from tacgen.collection.recipe import load_recipe, with_cluster
 
-    loaded = with_cluster(
-        load_recipe(recipe),
-        time_min=time_min,
-        mem_gb=mem_gb,
-        cpus_per_task=cpus_per_task,
-        partition=partition,
-        account=account,
-        max_array=max_array,
-        shards_per_task=shards_per_task,
-    )
+    loaded = with_cluster(load_recipe(recipe), **settings)
     submitted = cluster.submit(loaded, out, cluster.Request(executor, failed_only=failed))
     if not submitted.shards:
-        typer.echo("tacgen: nothing to submit: every shard is there or in a living job", err=True)
+        text = "tacgen: nothing to submit: every shard is there, or a job will make it"
+        typer.echo(text, err=True)
     print_record(asdict(submitted), json_output)
     if wait:
         found = cluster.wait_for(out)
@@ -58,24 +111,14 @@ def submit(
             raise typer.Exit(1)
 
 
-@app.command(rich_help_panel="Networks")
-def batch(
-    command: Annotated[
-        list[str], typer.Argument(help="friction … or train …, as after `tacgen`, behind `--`.")
-    ],
-    executor: Annotated[str, typer.Option(help="local or slurm.")] = "slurm",
-    wait: Annotated[
-        bool, typer.Option("--wait", help="Stay until it ends; exit 1 if not done.")
-    ] = False,
-    time_min: Annotated[int, typer.Option(min=1, help="Minutes until it is put back.")] = 480,
-    mem_gb: Annotated[float, typer.Option(min=0.1, help="Memory.")] = 16.0,
-    cpus_per_task: Annotated[int, typer.Option(min=1, help="Processors.")] = 4,
-    gpus: Annotated[int, typer.Option(min=0, help="GPUs.")] = 0,
-    partition: Annotated[str | None, typer.Option(help="Slurm partition.")] = None,
-    account: Annotated[str | None, typer.Option(help="Slurm account.")] = None,
-    json_output: JsonFlag = False,
+def _submit_command(
+    command: Sequence[str],
+    executor: str,
+    wait: bool,
+    settings: Mapping[str, Any],
+    gpus: int | None,
+    json_output: bool,
 ) -> None:
-    """Hand a long command to a scheduler: `tacgen batch --gpus 1 -- train RECIPE --data … `."""
     from tacgen import cluster
     from tacgen.collection.recipe import cluster_section
 
@@ -84,15 +127,8 @@ def batch(
     # Wrong options end here, as they do when the command itself is called.
     context = commands.commands[command[0]].make_context(command[0], list(command[1:]))
     out = Path(context.params["out"])
-    asked = cluster_section(
-        time_min=time_min,
-        mem_gb=mem_gb,
-        cpus_per_task=cpus_per_task,
-        partition=partition,
-        account=account,
-        sbatch={"gpus": gpus} if gpus else None,
-    )
-    submitted = cluster.submit_command(command, out, _run_command, executor, asked)
+    section = cluster_section(**settings, sbatch={"gpus": gpus} if gpus else None)
+    submitted = cluster.submit_command(command, out, _run_command, executor, section)
     print_record(
         {"folder": submitted.folder, "executor": executor, "job": submitted.jobs[0]}, json_output
     )
@@ -103,9 +139,9 @@ def batch(
             raise typer.Exit(1)
 
 
-def _run_command(words: Sequence[str]) -> None:
-    """What a job does: the command, its errors left to the job's record."""
-    app(list(words), standalone_mode=False)
+def _run_command(arguments: Sequence[str]) -> None:
+    """Run a command inside a job; its errors go to the job's record."""
+    app(list(arguments), standalone_mode=False)
 
 
 @app.command(rich_help_panel="Datasets")

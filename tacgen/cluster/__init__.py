@@ -1,10 +1,19 @@
-"""Batch jobs: shards handed to a scheduler through submitit, and what became of them."""
+"""Batch jobs through submitit: submitting shards or a long command, and their states."""
 
-from tacgen.cluster.command import require_command, submit_command, wait_for_command
 from tacgen.cluster.states import Status, job_states, jobs_text, status, status_text
-from tacgen.cluster.submission import Request, Submitted, submit, wait_for
+from tacgen.cluster.submission import (
+    COMMANDS,
+    Request,
+    Submitted,
+    require_command,
+    submit,
+    submit_command,
+    wait_for,
+    wait_for_command,
+)
 
 __all__ = [
+    "COMMANDS",
     "Request",
     "Status",
     "Submitted",

@@ -7,10 +7,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.ledger import JobsFolder, Note, Task, log_path, note_path, read_note
-from tacgen.cluster.queue import live_jobs
+from tacgen.cluster.records import JobsFolder, Note, Task, log_path, note_path, read_note
+from tacgen.cluster.scheduler import live_jobs
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.manifest import ShardLine
+
+ALIVE = ("queued", "running", "unknown")
+"""States of a job that has not ended, or may not have (where that cannot be told)."""
 
 RATE_WINDOW_S = 600.0
 RATE_SHARDS = 200
@@ -36,8 +39,9 @@ class TaskState:
 class Status:
     """The figures of ``tacgen status``.
 
-    Every shard is in one of ``done``, ``running`` (some process holds it), ``queued`` (a living
-    job will make it), ``failed`` (its job ended without it) and ``missing`` (no job has it).
+    Every shard is in one of ``done``, ``running`` (some process holds it), ``queued`` (a running
+    or waiting job will make it), ``failed`` (its job ended without it) and ``missing`` (no job
+    has it).
     """
 
     root: str
@@ -65,7 +69,7 @@ class Status:
     @property
     def alive(self) -> bool:
         """Whether some job still runs or waits, or might (where that cannot be told)."""
-        return any(task.state in ("queued", "running", "unknown") for task in self.tasks)
+        return any(task.state in ALIVE for task in self.tasks)
 
     def as_dict(self) -> dict[str, Any]:
         """For ``--json``."""
@@ -95,7 +99,7 @@ def status(root: Path) -> Status:
         for task in submission.tasks
     )
     begun = set(lines) | {shard for shard, _ in running}
-    queued = _shards_of(tasks, "queued", "running", "unknown") - begun
+    queued = _shards_of(tasks, *ALIVE) - begun
     failed = _shards_of(tasks, "failed") - begun - queued
     left = set(range(plan["n_shards"])) - begun - queued - failed
     grasps_done = sum(map(_grasps, lines.values()))
@@ -134,7 +138,7 @@ def job_states(root: Path) -> tuple[TaskState, ...]:
 
 
 def jobs_text(root: Path, tasks: Sequence[TaskState]) -> str:
-    """What a person reads of submitted commands."""
+    """Submitted commands as text."""
     lines = [f"{root}: {len(tasks)} job{'' if len(tasks) == 1 else 's'}"]
     for task in tasks:
         attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
@@ -191,7 +195,7 @@ def _task_state(
 def _verdict(
     task: Task, note: Note | None, live: Mapping[str, tuple[str, str]] | None, *, whole: bool
 ) -> tuple[str, str]:
-    """(state, reason): the scheduler's word on life, the dataset's on success, then the note's."""
+    """(state, reason): by the scheduler's queue, then the dataset's shards, then the job's note."""
     if live is not None and task.job_id in live:
         return live[task.job_id]
     if whole:
@@ -206,7 +210,7 @@ def _verdict(
         return "failed", "ended before it began: cancelled, or its node could not start it"
     if note.state == "interrupted":
         return "failed", note.reason
-    return "failed", f"ended without a word on {note.host}: killed, or out of memory"
+    return "failed", f"ended without a message on {note.host}: killed, or out of memory"
 
 
 def _shards_of(tasks: tuple[TaskState, ...], *states: str) -> set[int]:

@@ -1,4 +1,4 @@
-"""Handing a recipe's shards to a scheduler, as arrays of jobs."""
+"""Handing work to a scheduler: a recipe's shards as arrays of jobs, a long command as one job."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.ledger import (
+from tacgen.cluster.records import (
     JobsFolder,
     Submission,
     Task,
     note_path,
     write_submission,
 )
-from tacgen.cluster.queue import site_array_limit
-from tacgen.cluster.states import Status, status
+from tacgen.cluster.scheduler import site_array_limit
+from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
 from tacgen.cluster.task import CollectTask, CommandTask
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import dataset_spec
@@ -32,6 +32,9 @@ from tacgen.core.errors import ClusterError
 from tacgen.dataset import DatasetFolder
 
 EXECUTORS = ("local", "slurm")
+COMMANDS = ("friction", "train")
+"""Long commands that write into ``--out`` and, run again, resume."""
+
 SIGNAL_DELAY_S = 60
 _A_WEEK_MIN = 7 * 24 * 60
 _POLL_S = 1.0
@@ -39,7 +42,7 @@ _POLL_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """How to submit: where to, and whether beside jobs that still live (``failed_only``)."""
+    """How to submit: where to, and whether beside jobs that still run (``failed_only``)."""
 
     executor: str
     failed_only: bool = False
@@ -67,12 +70,12 @@ class Submitted:
 
 
 def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
-    """Submit jobs for every shard that ``out`` lacks and no living job will make.
+    """Submit jobs for every shard that ``out`` lacks and no running or waiting job will make.
 
     Raises
     ------
     ClusterError
-        If submitit or the scheduler is missing or refuses, or jobs of this dataset still live
+        If submitit or the scheduler is missing or refuses, or jobs of this dataset still run
         (unless ``request.failed_only``).
     DatasetError
         If the folder cannot be written to or holds another dataset.
@@ -87,10 +90,10 @@ def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
     cluster = recipe.cluster
     limit = _array_limit(request.executor, cluster)
     folder = JobsFolder(out.resolve()).create()
-    shares = _shares(shards, _task_count(len(shards), request.executor, cluster))
+    parts = _every_nth(shards, _task_count(len(shards), request.executor, cluster))
     tasks = [
-        CollectTask(recipe, out.resolve(), share, cluster.cpus_per_task, note_path(folder, number))
-        for number, share in enumerate(shares)
+        CollectTask(recipe, out.resolve(), part, cluster.cpus_per_task, note_path(folder, number))
+        for number, part in enumerate(parts)
     ]
     target = Target(request.executor, cluster, recipe.name, limit)
     jobs = hand_over(tasks, folder, target)
@@ -98,12 +101,62 @@ def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
 
 
 def wait_for(root: Path, show: Callable[[Status], None] = lambda _: None) -> Status:
-    """Wait until no job of the dataset lives, and say how it stands; ``show`` hears of progress."""
+    """Wait until no job of the dataset runs or waits; ``show`` gets each status on the way."""
     while (found := status(root)).alive:
         show(found)
         time.sleep(_POLL_S)
     show(found)
     return found
+
+
+def submit_command(
+    command: Sequence[str],
+    out: Path,
+    run: Callable[[Sequence[str]], None],
+    executor: str,
+    cluster: Cluster,
+) -> Submitted:
+    """Submit a command, as typed after ``tacgen``, as one job that is requeued and resumed.
+
+    ``out`` is the folder that it writes to, where the job's record and logs go too, in ``jobs/``;
+    ``run`` runs the command.
+
+    Raises
+    ------
+    ClusterError
+        If the command is none that resumes, a job of its folder still runs, or the scheduler is
+        missing or refuses.
+    """
+    require_command(command)
+    require_executor(executor)
+    alive = [task.job_id for task in job_states(out) if task.state in ALIVE]
+    if alive:
+        ids = ", ".join(alive)
+        msg = f"{out}: job {ids} still runs or waits; wait for it (`tacgen status {out}`)"
+        raise ClusterError(msg)
+    folder = JobsFolder(out.resolve()).create()
+    task = CommandTask(tuple(command), run, Path.cwd(), note_path(folder, 0))
+    jobs = hand_over([task], folder, Target(executor, cluster, command[0], 1))
+    return Submitted(str(folder), executor, 0, jobs, 1)
+
+
+def wait_for_command(out: Path) -> tuple[TaskState, ...]:
+    """Wait until no job of ``out`` runs or waits, and return their states."""
+    tasks = job_states(out)
+    while any(task.state in ALIVE for task in tasks):
+        time.sleep(_POLL_S)
+        tasks = job_states(out)
+    return tasks
+
+
+def require_command(command: Sequence[str]) -> None:
+    """Raise a ``ClusterError`` unless this command can be one job."""
+    if not command or command[0] not in COMMANDS:
+        msg = (
+            f"`{' '.join(command)}`: give {' or '.join(COMMANDS)} and its options after `--`, "
+            "or a recipe with --out, to collect its dataset"
+        )
+        raise ClusterError(msg)
 
 
 def require_executor(executor: str) -> None:
@@ -132,9 +185,9 @@ def _shards_to_submit(found: Status, *, failed_only: bool) -> list[int]:
         live = [task.job_id for task in found.tasks if task.state in ("queued", "running")]
         unsure = [task.job_id for task in found.tasks if task.state == "unknown"]
         msg = (
-            f"{found.root}: jobs {', '.join((live + unsure)[:5])} of this dataset still live; "
-            "wait for them (`tacgen status`), or give --failed to submit only what none of them "
-            "will make"
+            f"{found.root}: jobs {', '.join((live + unsure)[:5])} of this dataset still run or "
+            "wait; wait for them (`tacgen status`), or give --failed to submit only what none of "
+            "them will make"
         )
         raise ClusterError(msg)
     return sorted(found.failed + found.missing)
@@ -148,7 +201,7 @@ def _task_count(n_shards: int, executor: str, cluster: Cluster) -> int:
     return wanted
 
 
-def _shares(shards: Sequence[int], parts: int) -> list[tuple[int, ...]]:
+def _every_nth(shards: Sequence[int], parts: int) -> list[tuple[int, ...]]:
     """Every parts-th shard: objects differ in what they cost, neighbours are alike."""
     return [tuple(shards[part::parts]) for part in range(parts)]
 
@@ -208,7 +261,7 @@ def _engine(folder: Path, target: Target) -> Any:
 
 
 def slurm_parameters(cluster: Cluster, name: str) -> dict[str, Any]:
-    """The section ``cluster`` in the words of submitit's executor for Slurm."""
+    """The section ``cluster`` as the parameters of submitit's executor for Slurm."""
     parameters: dict[str, Any] = {
         "job_name": f"tacgen-{name}",
         "time": cluster.time_min,
@@ -221,7 +274,7 @@ def slurm_parameters(cluster: Cluster, name: str) -> dict[str, Any]:
         "array_parallelism": cluster.max_running,
         "signal_delay_s": SIGNAL_DELAY_S,
         "setup": list(cluster.setup) or None,
-        # A node that fails, and a preemption, put the job back into the queue; it resumes.
+        # A node that fails, and a preemption, requeue the job; it resumes.
         "additional_parameters": {"requeue": True} | dict(cluster.sbatch),
     }
     return {key: value for key, value in parameters.items() if value is not None}
@@ -229,7 +282,7 @@ def slurm_parameters(cluster: Cluster, name: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _background() -> Iterator[None]:
-    """Processes started here outlive the terminal and hold none of this process's output.
+    """Processes started here survive the terminal and hold none of this process's output.
 
     submitit's local executor hands its own output and signals on; a pipe behind ``tacgen
     submit`` would stay open for as long as the jobs run.

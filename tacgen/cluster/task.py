@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.ledger import Note, read_note, write_note
+from tacgen.cluster.records import Note, read_note, write_note
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import TacgenError
@@ -18,7 +18,7 @@ from tacgen.core.errors import TacgenError
 
 @dataclass(frozen=True, slots=True)
 class CollectTask:
-    """Collects its shards; called again after a preemption, it goes on where it stopped."""
+    """Collects its shards; called again after a preemption, it resumes."""
 
     recipe: Recipe
     out: Path
@@ -40,9 +40,9 @@ class CollectTask:
 
 @dataclass(frozen=True, slots=True)
 class CommandTask:
-    """Runs a command of tacgen that goes on where it stopped, as ``train`` and ``friction`` do.
+    """Runs a command of tacgen that resumes, as ``train`` and ``friction`` do.
 
-    ``run`` is what takes the words of a command, as typed after ``tacgen``, and runs it.
+    ``run`` runs a command, given as the arguments after ``tacgen``.
     """
 
     command: tuple[str, ...]
@@ -74,19 +74,19 @@ def _noted(path: Path) -> Iterator[None]:
     before = read_note(path)
     attempt = before.attempt + 1 if before else 1
 
-    def say(state: str, reason: str = "") -> None:
+    def record(state: str, reason: str = "") -> None:
         write_note(path, Note(state, attempt, socket.gethostname(), os.getpid(), reason))
 
-    say("running")
+    record("running")
     try:
         yield
     except TacgenError as error:
-        say("failed", str(error))
+        record("failed", str(error))
         raise
     except Exception as error:
-        say("failed", f"{type(error).__name__}: {error}")
+        record("failed", f"{type(error).__name__}: {error}")
         raise
     except BaseException:
-        say("interrupted", "preempted, out of time or cancelled")
+        record("interrupted", "preempted, out of time or cancelled")
         raise
-    say("done")
+    record("done")

@@ -14,9 +14,9 @@ import yaml
 import tacgen
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import atomic_path, write_text
+from tacgen.core.lock import holder_of, locked
 from tacgen.core.yaml_source import read_mapping
 from tacgen.dataset.disk import disk_errors
-from tacgen.dataset.locks import lock, open_locked, write_holder
 from tacgen.dataset.manifest import (
     ShardLine,
     merge_manifest,
@@ -117,22 +117,14 @@ class DatasetFolder:
         system frees the lock of a process that dies. Where the file system has no locks, two
         processes may do the same work; they write the same bytes under names of their own.
         """
-        path = self.lock_path(shard)
-        with disk_errors(self.root):
-            descriptor, held = open_locked(path)
-        try:
+        with contextlib.ExitStack() as stack:
+            with disk_errors(self.root):
+                held = stack.enter_context(locked(self.lock_path(shard)))
             # Whoever held the lock before may have finished the shard.
-            if held is False or (self.is_done(shard) and not redo):
-                yield False
-                return
-            if held:
-                write_holder(descriptor)
+            mine = held is not False and (redo or not self.is_done(shard))
+            if mine and held:
                 self._remove_leftovers(shard)
-            yield True
-        finally:
-            if held is not False:
-                path.unlink(missing_ok=True)
-            os.close(descriptor)
+            yield mine
 
     def write_shard(
         self, shard: int, samples: Iterable[GraspSample], spec: DatasetSpec
@@ -189,15 +181,9 @@ class DatasetFolder:
 
     def running(self) -> list[tuple[int, str]]:
         """(shard, who) for each shard that some process holds now."""
-        found = []
-        for path in sorted(self.root.glob("shards/shard-*.lock")):
-            shard = part_number(path)
-            if shard < 0 or not path.is_file():
-                continue
-            with contextlib.suppress(FileNotFoundError), path.open("r+", errors="replace") as file:
-                if lock(file.fileno()) is False:
-                    found.append((shard, file.read(200).strip()))
-        return found
+        locks = sorted(self.root.glob("shards/shard-*.lock"))
+        found = [(part_number(path), holder_of(path)) for path in locks]
+        return [(shard, holder) for shard, holder in found if shard >= 0 and holder]
 
     def _merged(self) -> dict[int, ShardLine]:
         """``manifest.jsonl`` as it stands, read anew when it changed."""

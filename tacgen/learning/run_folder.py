@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from pydantic import ValidationError
 
 from tacgen.core.errors import LearningError
 from tacgen.core.files import read_small_text, write_text
-from tacgen.dataset.locks import open_locked, write_holder
+from tacgen.core.lock import holder_of, locked
 from tacgen.dataset.plan import differences
 from tacgen.learning.training_recipe import TrainRecipe
 
@@ -65,23 +64,17 @@ class ModelFolder:
         """
         self.root.mkdir(parents=True, exist_ok=True)
         path = self.root / ".lock"
-        descriptor, held = open_locked(path)
-        try:
+        with locked(path) as held:
             if held is False:
                 msg = (
-                    f"{self.root}: {path.read_text(encoding='utf-8').strip() or 'another process'} "
-                    "is training this model; wait for it, or end it"
+                    f"{self.root}: {holder_of(path) or 'another process'} trains this model at "
+                    "present; wait for it, or end it"
                 )
                 raise LearningError(msg)
-            write_holder(descriptor)
             if held:
                 for partial in self.root.glob(".*.part"):
                     partial.unlink(missing_ok=True)
             yield
-        finally:
-            if held is not False:
-                path.unlink(missing_ok=True)
-            os.close(descriptor)
 
 
 class RunFolder:

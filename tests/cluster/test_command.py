@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from tacgen import cluster
 from tacgen.cli import app
-from tacgen.cluster.ledger import JobsFolder, Note, Submission, Task, write_note, write_submission
+from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_note, write_submission
 from tacgen.collection.recipe import Cluster
 from tacgen.core.errors import ClusterError
 
@@ -18,9 +18,9 @@ from .friction_case import BOX, MU, write_friction_case
 PATIENCE_S = 180
 
 
-def batch(folder, *words):
+def submit(folder, *words):
     """The command as a user types it."""
-    command = [sys.executable, "-m", "tacgen", "batch", "--executor", "local", "--wait", *words]
+    command = [sys.executable, "-m", "tacgen", "submit", "--executor", "local", "--wait", *words]
     return subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
@@ -28,7 +28,7 @@ def batch(folder, *words):
 
 @pytest.mark.slow
 def test_friction_as_a_job_finds_what_it_finds_by_itself(tmp_path):
-    run = batch(tmp_path, "--json", "--", *write_friction_case(tmp_path))
+    run = submit(tmp_path, "--json", "--", *write_friction_case(tmp_path))
     assert run.returncode == 0, run.stderr
     assert "done" in run.stderr
     found = json.loads((tmp_path / "fit/friction.json").read_text())[BOX]
@@ -40,7 +40,7 @@ def test_friction_as_a_job_finds_what_it_finds_by_itself(tmp_path):
 
 @pytest.mark.slow
 def test_what_ended_a_job_is_told_with_its_log(tmp_path):
-    run = batch(tmp_path, "--", "friction", "quickstart", "--real", "none", "--out", "fit")
+    run = submit(tmp_path, "--", "friction", "quickstart", "--real", "none", "--out", "fit")
     assert run.returncode == 1
     assert "failed: none/grasps.csv: no such file" in run.stderr
     assert "log: " in run.stderr
@@ -51,24 +51,40 @@ def test_what_ended_a_job_is_told_with_its_log(tmp_path):
     [
         (["collect", "quickstart", "--out", "x"], "give friction or train"),
         ([], "Missing argument"),
+        (["stability"], "or a recipe with --out"),
         (["train", "train_single", "--out", "x"], "Missing option '--data'"),
         (["friction", "x", "--real", "r", "--out", "y", "--moo", "1"], "No such option: --moo"),
     ],
 )
 def test_what_could_not_run_is_refused_at_once(tmp_path, words, said):
-    run = batch(tmp_path, "--", *words)
+    run = submit(tmp_path, "--", *words)
     assert run.returncode == 2
     assert said in run.stderr
     assert not list(tmp_path.iterdir())
 
 
-def test_a_second_job_for_the_same_folder_is_refused_while_the_first_lives(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--failed", "--", "train", "train_single"], "--failed: only for a recipe"),
+        (["quickstart", "--out", "x", "--gpus", "1"], "--gpus: only for a command"),
+        (["quickstart", "again", "--out", "x"], "with --out give one recipe"),
+    ],
+)
+def test_options_of_the_other_kind_of_work_are_refused(tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    run = CliRunner().invoke(app, ["submit", *words])
+    assert isinstance(run.exception, ClusterError)
+    assert message in str(run.exception)
+
+
+def test_a_second_job_for_the_same_folder_is_refused_while_the_first_runs(tmp_path, monkeypatch):
     command = ["train", "train_single", "--data", "d", "--out", str(tmp_path)]
     folder = JobsFolder(tmp_path).create()
     write_submission(folder, Submission("slurm", "here", (Task(0, "77", ()),)))
     live = {"77": ("queued", "Priority")}
     monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: live)
-    with pytest.raises(ClusterError, match=r"job 77 still lives.*tacgen status"):
+    with pytest.raises(ClusterError, match=r"job 77 still runs or waits.*tacgen status"):
         cluster.submit_command(command, tmp_path, print, "local", Cluster())
     text = cluster.jobs_text(tmp_path, cluster.job_states(tmp_path))
     assert "1 job\n" in text

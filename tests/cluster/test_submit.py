@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from tacgen import cluster
 from tacgen.cli import app
 from tacgen.cluster import queue
-from tacgen.cluster.ledger import JobsFolder, Note, Submission, Task, write_note, write_submission
+from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_note, write_submission
 from tacgen.cluster.submission import slurm_parameters
 from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, load_recipe, with_cluster
@@ -76,7 +76,7 @@ def test_jobs_make_the_bytes_that_collect_makes_and_lost_ones_are_made_up(world,
     assert first.shards == 3
     note = tmp_path / "out/jobs/000/task-00000.json"
     wait_until(note.is_file, "the first task never began")
-    with pytest.raises(ClusterError, match=f"{first.jobs[0]}.*still live.*--failed"):
+    with pytest.raises(ClusterError, match=f"{first.jobs[0]}.*still run or wait.*--failed"):
         cluster.submit(recipe, out, LOCAL)
     os.kill(json.loads(note.read_text())["pid"], signal.SIGKILL)
     found = cluster.wait_for(out)

@@ -15,8 +15,9 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
+from tacgen.core import lock as file_lock
 from tacgen.core.errors import DatasetError
-from tacgen.dataset import Dataset, DatasetFolder, locks
+from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.verify import verify
 
 from .conftest import collect_toy, make_sample, make_spec
@@ -107,7 +108,7 @@ def test_the_second_on_a_shard_leaves_and_a_dead_holder_is_succeeded(toy):
 
 
 def test_without_locks_two_may_work_and_neither_corrupts(tmp_path, spec, monkeypatch):
-    monkeypatch.setattr(locks, "lock", lambda _: None)
+    monkeypatch.setattr(file_lock, "_lock", lambda _: None)
     one, two = DatasetFolder(tmp_path), DatasetFolder(tmp_path)
     one.prepare(spec)
     with one.claim(0) as first, two.claim(0) as second:

@@ -10,8 +10,8 @@ import numpy as np
 
 from tacgen import cluster
 from tacgen.core import workers
+from tacgen.core.lock import open_locked
 from tacgen.core.workers import run_tasks
-from tacgen.dataset.locks import open_locked
 from tacgen.dataset.verify import verify
 from tests.core.test_workers import ITEMS_PER_TASK, Script
 from tests.dataset.conftest import collect_toy

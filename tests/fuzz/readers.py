@@ -313,7 +313,7 @@ def _read_dataset_recipe(path: Path) -> object:
 
 
 def _make_jobs(folder: Path) -> Path:
-    from tacgen.cluster.ledger import JobsFolder, Submission, Task, write_submission
+    from tacgen.cluster.records import JobsFolder, Submission, Task, write_submission
 
     jobs = JobsFolder(folder).create()
     write_submission(jobs, Submission("slurm", "here", (Task(0, "7_0", (0, 1)),)))
@@ -321,7 +321,7 @@ def _make_jobs(folder: Path) -> Path:
 
 
 def _read_jobs(path: Path) -> object:
-    from tacgen.cluster.ledger import JobsFolder, read_note
+    from tacgen.cluster.records import JobsFolder, read_note
 
     read_note(path)
     return JobsFolder(path.parents[2]).submissions()

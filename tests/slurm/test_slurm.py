@@ -155,7 +155,7 @@ def test_a_command_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path
     """``tacgen friction`` as one job: what it simulated before the signal is not done again."""
     command = write_friction_case(tmp_path)
     options = ["--mem-gb", "0.7", "--cpus-per-task", "1", "--time-min", "5", "--json"]
-    handed = json.loads(said(sys.executable, "-m", "tacgen", "batch", *options, "--", *command))
+    handed = json.loads(said(sys.executable, "-m", "tacgen", "submit", *options, "--", *command))
     outcomes, note = tmp_path / "fit/outcomes.jsonl", tmp_path / "fit/jobs/000/task-00000.json"
     wait_until(lambda: outcomes.is_file() and outcomes.read_text().count("\n") >= 1, "no outcome")
     said("scancel", "--signal=USR2", handed["job"])
@@ -175,7 +175,7 @@ def test_a_training_told_to_make_way_goes_on_to_the_same_weights(world, tmp_path
 
     command = write_train_case(tmp_path)
     options = ["--mem-gb", "1.5", "--cpus-per-task", "1", "--time-min", "5", "--json"]
-    handed = json.loads(said(sys.executable, "-m", "tacgen", "batch", *options, "--", *command))
+    handed = json.loads(said(sys.executable, "-m", "tacgen", "submit", *options, "--", *command))
     note = tmp_path / "run/jobs/000/task-00000.json"
     wait_until(lambda: any(tmp_path.glob("run/models/*/metrics.jsonl")), "no epoch ended")
     said("scancel", "--signal=USR2", handed["job"])

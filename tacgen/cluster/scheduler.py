@@ -1,4 +1,4 @@
-"""What a scheduler knows of jobs at the moment."""
+"""The jobs that a scheduler has in its queue at the moment."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
-from tacgen.cluster.ledger import Submission
+from tacgen.cluster.records import Submission
 from tacgen.core.errors import ClusterError
 
-SCHEDULER_PATIENCE_S = 60
+SCHEDULER_TIMEOUT_S = 60
 _RUNNING = {"RUNNING", "COMPLETING", "STOPPED", "SUSPENDED"}
 _DEFAULT_MAX_ARRAY = 1000
 
 
 def live_jobs(submissions: Iterable[Submission]) -> dict[str, tuple[str, str]] | None:
-    """Job id → (``running`` or ``queued``, the scheduler's reason) for every job that lives.
+    """Job id → (``running`` or ``queued``, the scheduler's reason) of every job not yet ended.
 
     None where that cannot be told from here: another machine's processes, or no ``squeue``.
 
@@ -65,17 +65,17 @@ def _slurm_jobs() -> dict[str, tuple[str, str]]:
 def _ask(command: list[str]) -> str:
     try:
         result = subprocess.run(
-            command, capture_output=True, text=True, timeout=SCHEDULER_PATIENCE_S, check=True
+            command, capture_output=True, text=True, timeout=SCHEDULER_TIMEOUT_S, check=True
         )
     except (OSError, subprocess.SubprocessError) as error:
-        said = (getattr(error, "stderr", "") or str(error)).strip()
-        msg = f"`{' '.join(command)}` failed: {said}; is the scheduler up?"
+        reason = (getattr(error, "stderr", "") or str(error)).strip()
+        msg = f"`{' '.join(command)}` failed: {reason}; is the scheduler up?"
         raise ClusterError(msg) from error
     return result.stdout
 
 
 def _is_ours(pid: str) -> bool:
-    """Whether the process lives and is one of submitit's: numbers are used again."""
+    """Whether the process runs and is one of submitit's: numbers are used again."""
     try:
         return b"submitit" in Path(f"/proc/{int(pid)}/cmdline").read_bytes()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What was handed to a scheduler, and what each task says of itself: small JSON files.
+"""Records of submitted jobs and of their progress: small JSON files.
 
 ``out/jobs/000/submission.json`` is written by whoever submits, ``out/jobs/000/task-00000.json``
 by the task, so no two processes write one file. Logs and submitit's own files stand beside them.
@@ -36,7 +36,7 @@ class Submission:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """What a task last said: ``state`` is running, done, failed or interrupted."""
+    """The last state of a task: ``state`` is running, done, failed or interrupted."""
 
     state: str
     attempt: int
@@ -106,12 +106,12 @@ def note_path(folder: Path, task: int) -> Path:
 
 
 def write_note(path: Path, note: Note) -> None:
-    """Write or replace what a task says of itself."""
+    """Write or replace the state of a task."""
     write_text(path, json.dumps(asdict(note)))
 
 
 def read_note(path: Path) -> Note | None:
-    """What a task last said; None where it has not begun, or the file was cut short."""
+    """The last state of a task; None where it has not begun, or the file was cut short."""
     try:
         data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return Note(

@@ -1,0 +1,100 @@
+"""Lock files, by locks of the operating system: it frees those of a process that dies."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from tacgen.core.errors import TacgenError
+
+_LOCK_TRIES, _LOCK_PAUSE_S = 75, 0.02
+_NO_LOCKS_HERE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[bool | None]:
+    """Hold the lock file ``path`` until the block ends, then remove it.
+
+    Yields True, False where another process holds it, or None where this file system has no
+    locks. The file names its holder.
+
+    Raises
+    ------
+    TacgenError
+        If ``path`` is a symbolic link.
+    """
+    descriptor, held = open_locked(path)
+    try:
+        if held is not False:
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+        yield held
+    finally:
+        if held is not False:
+            path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def holder_of(path: Path) -> str | None:
+    """The process that holds the lock file ``path`` now, if any."""
+    if path.is_symlink() or not path.is_file():
+        return None
+    with contextlib.suppress(FileNotFoundError), path.open("r+", errors="replace") as file:
+        if _lock(file.fileno()) is False:
+            return file.read(200).strip() or "another process"
+    return None
+
+
+def open_locked(path: Path) -> tuple[int, bool | None]:
+    """Open and lock ``path``; (descriptor, True), or False where another holds it.
+
+    None instead of True where this file system has no locks.
+
+    Raises
+    ------
+    TacgenError
+        If ``path`` is a symbolic link.
+    """
+    tries = _LOCK_TRIES
+    while True:
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        except OSError as error:
+            if error.errno != errno.ELOOP:
+                raise
+            msg = f"{path}: is a symbolic link where a lock file should be; remove it"
+            raise TacgenError(msg) from error
+        held = _lock(descriptor)
+        tries -= 1
+        if held is False and tries:
+            # It may be `holder_of`, checking whether a lock is held, which lasts an instant, or a
+            # worker of a run that was killed, which ends within a second on a busy machine.
+            os.close(descriptor)
+            time.sleep(_LOCK_PAUSE_S)
+            continue
+        # The holder removes the file when it is through: a lock on a removed file is no lock.
+        if not held or _is_same_file(descriptor, path):
+            return descriptor, held
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool | None:
+    """Try to lock an open file: False where another holds it, None where there are no locks."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return None if error.errno in _NO_LOCKS_HERE else False
+    return True
+
+
+def _is_same_file(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
