@@ -20,6 +20,7 @@ from pydantic import (
     model_serializer,
 )
 
+from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.config import Axis, Finite, Section
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import is_file, sha256_of_content
@@ -78,7 +79,7 @@ class Contact(Section):
 
     file: str | None = None
     law: Literal["volume_linear", "linear_depth"] = "volume_linear"
-    k_n_mm3_per_n: PositiveFloat = 5.135
+    k_n_mm3_per_n: PositiveFloat = PUBLISHED_K_N_MM3_PER_N
     k_s_mm_per_n: NonNegativeFloat = 1.0
     k_depth_mm_per_n: PositiveFloat = 0.02
     camera: Literal["raster", "pyrender"] = "raster"

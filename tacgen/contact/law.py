@@ -25,6 +25,10 @@ from tacgen.core.records import Estimate
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
+PUBLISHED_K_N_MM3_PER_N = 5.135
+"""taxim-robot's slope of 200 039 px³/N at its 0.0295 mm/px."""
+USUAL_K_S_MM_PER_N = 1.0
+"""Assumed: summed marker motion a newton; a press log with shear gives a sensor's own."""
 
 _ESTIMATES = {"k_n_mm3_per_n": "mm3/N", "k_s_mm_per_n": "mm/N", "k_depth_mm_per_n": "mm/N"}
 _KEYS = ("law", *_ESTIMATES, "marker_pitch_mm", "effects", "provenance")
@@ -81,6 +85,11 @@ class ContactLaw:
         problems = _law_problems(self)
         if problems:
             raise ContactError.from_problems(problems)
+
+    @classmethod
+    def default(cls) -> ContactLaw:
+        """The published slope, and one millimetre of summed marker motion a newton."""
+        return cls.linear(PUBLISHED_K_N_MM3_PER_N, USUAL_K_S_MM_PER_N)
 
     @classmethod
     def linear(

@@ -40,6 +40,10 @@ class TableError(TacgenError):
     """A lookup table that cannot be read or does not fit the sensor."""
 
 
+class SensorError(TacgenError):
+    """A simulated sensor that is not attached, or attached to what is not there."""
+
+
 class DatasetError(TacgenError):
     """A dataset that cannot be read, written or continued."""
 

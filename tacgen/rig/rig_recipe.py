@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from tacgen.contact.effects import find_effect
+from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.config import Finite, Section
 from tacgen.core.errors import ContactError, RecipeError
 from tacgen.core.resources import find_recipe, sensor_path
@@ -60,7 +61,7 @@ class Indenter(Section):
 class RigLaw(Section):
     """The true law of the gel."""
 
-    k_n_mm3_per_n: PositiveFloat = 5.135
+    k_n_mm3_per_n: PositiveFloat = PUBLISHED_K_N_MM3_PER_N
     k_s_mm_per_n: NonNegativeFloat = 0.8
 
 

@@ -176,12 +176,16 @@ class TactilePad:
     ) -> NDArray[np.uint8]:
         """The sensor's image (H, W, 3) of an imprint; ``rng`` draws the camera's noise."""
         deformation, window = self._deformation(imprint)
-        markers_mm = None
-        if self._markers_drawn:
-            markers_mm = self._points_mm
-            if imprint.field is not None and imprint.motion is not None:
-                markers_mm = imprint.field.displaced_mm(imprint.motion)
+        markers_mm = self.markers_mm(imprint)
         return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng)
+
+    def markers_mm(self, imprint: Imprint) -> FloatArray | None:
+        """Places (n, 2) of the marker dots, gel frame, mm; None where none are drawn."""
+        if not self._markers_drawn:
+            return None
+        if imprint.field is not None and imprint.motion is not None:
+            return imprint.field.displaced_mm(imprint.motion)
+        return self._points_mm
 
     def render(
         self,

@@ -1,0 +1,291 @@
+"""Poses and contact forces of a user's own simulation, as a sensor on one of its bodies needs them.
+
+Engines are in metres; what leaves this module is in mm, N and the gel frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from tacgen.core.arrays import FloatArray
+from tacgen.core.errors import SensorError
+from tacgen.core.records import Mesh
+from tacgen.core.units import MM_PER_M
+from tacgen.physics.contacts import object_contacts
+from tacgen.physics.frames import inverse, pose, rotation_from_quaternion
+
+SPHERE_SUBDIVISIONS = 6
+"""82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm."""
+SECTIONS = 512
+"""Around a cylinder or capsule: on 20 mm of radius its facets are within 0.4 µm."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Body:
+    """A body that may touch the sensor, with its mesh in the frame whose pose is read."""
+
+    body: int
+    mesh: Mesh
+
+
+class _Contacts:
+    """What both engines share: objects, their meshes as one, forces in the gel frame."""
+
+    def __init__(self) -> None:
+        self._objects: list[_Body] = []
+
+    def contact(self) -> tuple[Mesh, FloatArray, FloatArray, float]:
+        """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel."""
+        if not self._objects:
+            msg = "the sensor knows of no object; call add_object with the body that it touches"
+            raise SensorError(msg)
+        gel = self._gel_pose_m()
+        poses = [_in_mm(inverse(gel) @ self._object_pose_m(one.body)) for one in self._objects]
+        points_m, forces_n = self._forces_on_gel()
+        local_n = forces_n @ gel[:3, :3]
+        arms_mm = MM_PER_M * (points_m - gel[:3, 3]) @ gel[:3, :3]
+        torsion = np.sum(arms_mm[:, 0] * local_n[:, 1] - arms_mm[:, 1] * local_n[:, 0])
+        total = local_n.sum(axis=0)
+        force = np.array([total[0], total[1], -total[2]])
+        if len(self._objects) == 1:
+            return self._objects[0].mesh, poses[0], force, float(torsion)
+        return _joined([one.mesh for one in self._objects], poses), np.eye(4), force, float(torsion)
+
+    def _gel_pose_m(self) -> NDArray[np.float64]:
+        raise NotImplementedError
+
+    def _object_pose_m(self, body: int) -> NDArray[np.float64]:
+        raise NotImplementedError
+
+    def _forces_on_gel(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        raise NotImplementedError
+
+
+class PyBulletContacts(_Contacts):
+    """A link of a PyBullet body that carries the gel."""
+
+    def __init__(
+        self, body_id: int, link_id: int, pose_link_gel_m: NDArray[np.float64], client_id: int
+    ) -> None:
+        import pybullet
+
+        super().__init__()
+        self._bullet, self._client = pybullet, client_id
+        self._body, self._link, self._gel = int(body_id), int(link_id), pose_link_gel_m
+        self._asked("body", body_id, pybullet.getBodyInfo, self._body)
+        n_links = self._asked("body", body_id, pybullet.getNumJoints, self._body)
+        if not -1 <= self._link < n_links:
+            msg = f"link_id = {link_id}: body {body_id} has links -1 (its base) to {n_links - 1}"
+            raise SensorError(msg)
+
+    def _asked(self, what: str, which: object, function: Any, *arguments: Any) -> Any:
+        try:
+            return function(*arguments, physicsClientId=self._client)
+        except self._bullet.error as error:
+            msg = f"PyBullet has no {what} {which} on client {self._client}: {error}"
+            raise SensorError(msg) from None
+
+    def time_s(self) -> float | None:
+        """None: PyBullet keeps no clock."""
+        return None
+
+    def step_s(self) -> float:
+        """Length of one step of the simulation."""
+        known = self._bullet.getPhysicsEngineParameters(physicsClientId=self._client)
+        return float(known["fixedTimeStep"])
+
+    def add_object(self, body: Any, mesh: Mesh | None) -> None:
+        """Watch for contacts of a body; ``mesh`` is in the frame of its base link."""
+        self._asked("body", body, self._bullet.getBodyInfo, int(body))
+        inertial = self._inertial_m(int(body), -1)
+        if mesh is None:
+            parts = self._asked(
+                "body", body, self._bullet.getCollisionShapeData, int(body), -1
+            )  # in the inertial frame, metres
+            found = _merged([_bullet_shape(part) for part in parts], f"body {body}")
+            vertices_m = found.vertices @ inertial[:3, :3].T + inertial[:3, 3]
+            mesh = Mesh(MM_PER_M * vertices_m, np.asarray(found.faces, np.int32))
+        self._objects.append(_Body(int(body), mesh))
+
+    def _inertial_m(self, body: int, link: int) -> NDArray[np.float64]:
+        """The link's inertial frame in the link's own."""
+        known = self._asked("link", link, self._bullet.getDynamicsInfo, body, link)
+        return pose(rotation_from_quaternion(known[4]), known[3])
+
+    def _link_pose_m(self, body: int, link: int) -> NDArray[np.float64]:
+        if link == -1:
+            at, turned = self._asked("body", body, self._bullet.getBasePositionAndOrientation, body)
+            return pose(rotation_from_quaternion(turned), at) @ inverse(self._inertial_m(body, -1))
+        state = self._bullet.getLinkState(
+            body, link, computeForwardKinematics=True, physicsClientId=self._client
+        )
+        return pose(rotation_from_quaternion(state[5]), state[4])
+
+    def _gel_pose_m(self) -> NDArray[np.float64]:
+        return self._link_pose_m(self._body, self._link) @ self._gel
+
+    def _object_pose_m(self, body: int) -> NDArray[np.float64]:
+        return self._link_pose_m(body, -1)
+
+    def _forces_on_gel(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        raw = self._bullet.getContactPoints(physicsClientId=self._client)
+        points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        for one in self._objects:
+            touching = object_contacts(raw, one.body).of(self._body, self._link)
+            points.append(touching.point_m)
+            forces.append(-touching.force_n)
+        return np.concatenate(points), np.concatenate(forces)
+
+
+class MujocoContacts(_Contacts):
+    """A body of a MuJoCo model that carries the gel."""
+
+    def __init__(
+        self, model: Any, data: Any, body: int | str, pose_body_gel_m: NDArray[np.float64]
+    ) -> None:
+        import mujoco
+
+        super().__init__()
+        self._mujoco, self._model, self._data = mujoco, model, data
+        self._body, self._gel = self._body_id(body), pose_body_gel_m
+
+    def _body_id(self, body: int | str) -> int:
+        if isinstance(body, str):
+            found = self._mujoco.mj_name2id(self._model, self._mujoco.mjtObj.mjOBJ_BODY, body)
+        else:
+            found = int(body) if 0 <= int(body) < self._model.nbody else -1
+        if found < 0:
+            names = [self._model.body(k).name for k in range(self._model.nbody)]
+            msg = f"the model has no body {body!r}; it has {', '.join(filter(None, names))}"
+            raise SensorError(msg)
+        return int(found)
+
+    def time_s(self) -> float | None:
+        """The simulation's clock."""
+        return float(self._data.time)
+
+    def step_s(self) -> float:
+        """Length of one step of the simulation."""
+        return float(self._model.opt.timestep)
+
+    def add_object(self, body: Any, mesh: Mesh | None) -> None:
+        """Watch for contacts of a body; ``mesh`` is in its body frame."""
+        number = self._body_id(body)
+        if mesh is None:
+            first = self._model.body_geomadr[number]
+            geoms = range(first, first + self._model.body_geomnum[number])
+            found = _merged([self._shape(k) for k in geoms], f"body {body!r}")
+            vertices_mm = MM_PER_M * np.asarray(found.vertices)
+            mesh = Mesh(vertices_mm, np.asarray(found.faces, np.int32))
+        self._objects.append(_Body(number, mesh))
+
+    def _shape(self, geom: int) -> trimesh.Trimesh:
+        kinds, size = self._mujoco.mjtGeom, self._model.geom_size[geom]
+        kind = self._model.geom_type[geom]
+        if kind == kinds.mjGEOM_SPHERE:
+            shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, size[0])
+        elif kind == kinds.mjGEOM_ELLIPSOID:
+            shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS)
+            shape.apply_scale(size)
+        elif kind == kinds.mjGEOM_BOX:
+            shape = trimesh.creation.box(2 * size)
+        elif kind == kinds.mjGEOM_CYLINDER:
+            shape = trimesh.creation.cylinder(size[0], 2 * size[1], sections=SECTIONS)
+        elif kind == kinds.mjGEOM_CAPSULE:
+            shape = _capsule(size[0], 2 * size[1])
+        elif kind == kinds.mjGEOM_MESH:
+            number = self._model.geom_dataid[geom]
+            vertex, face = self._model.mesh_vertadr[number], self._model.mesh_faceadr[number]
+            vertices = self._model.mesh_vert[vertex : vertex + self._model.mesh_vertnum[number]]
+            faces = self._model.mesh_face[face : face + self._model.mesh_facenum[number]]
+            shape = trimesh.Trimesh(vertices, faces, process=False)
+        else:
+            name = self._model.geom(geom).name
+            msg = f"geom {name!r} has no mesh of its own; give one: add_object(body, mesh=…)"
+            raise SensorError(msg)
+        w, x, y, z = self._model.geom_quat[geom]
+        shape.apply_transform(
+            pose(rotation_from_quaternion([x, y, z, w]), self._model.geom_pos[geom])
+        )
+        return shape
+
+    def _gel_pose_m(self) -> NDArray[np.float64]:
+        return self._object_pose_m(self._body) @ self._gel
+
+    def _object_pose_m(self, body: int) -> NDArray[np.float64]:
+        return pose(np.array(self._data.xmat[body]).reshape(3, 3), np.array(self._data.xpos[body]))
+
+    def _forces_on_gel(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        objects = {one.body for one in self._objects}
+        points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        for k in range(self._data.ncon):
+            contact = self._data.contact[k]
+            first, second = (int(self._model.geom_bodyid[g]) for g in contact.geom)
+            if {first, second} != {self._body, *({first, second} & objects)}:
+                continue
+            wrench = np.zeros(6)
+            self._mujoco.mj_contactForce(self._model, self._data, k, wrench)
+            # In the contact's frame, rows of `frame`; it acts on the second geom.
+            on_second = wrench[:3] @ np.array(contact.frame).reshape(3, 3)
+            forces.append(on_second[None] if second == self._body else -on_second[None])
+            points.append(np.array(contact.pos)[None])
+        return np.concatenate(points), np.concatenate(forces)
+
+
+def _bullet_shape(data: tuple[Any, ...]) -> trimesh.Trimesh:
+    """One collision shape of PyBullet as a mesh in the body's inertial frame, metres."""
+    import pybullet
+
+    kind, sizes, file = data[2], data[3], data[4]
+    if kind == pybullet.GEOM_SPHERE:
+        shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, sizes[0])
+    elif kind == pybullet.GEOM_BOX:
+        shape = trimesh.creation.box(sizes)
+    elif kind == pybullet.GEOM_CYLINDER:
+        shape = trimesh.creation.cylinder(sizes[1], sizes[0], sections=SECTIONS)
+    elif kind == pybullet.GEOM_CAPSULE:
+        shape = _capsule(sizes[1], sizes[0])
+    else:
+        try:
+            shape = trimesh.load(file.decode(), force="mesh")
+        except (OSError, ValueError, TypeError, NotImplementedError):
+            msg = f"PyBullet keeps no mesh file of body {data[0]}; give one: add_object(…, mesh=…)"
+            raise SensorError(msg) from None
+        shape.apply_scale(sizes)
+    shape.apply_transform(pose(rotation_from_quaternion(data[6]), data[5]))
+    return shape
+
+
+def _capsule(radius_m: float, length_m: float) -> trimesh.Trimesh:
+    """A capsule about the origin, its cylinder ``length_m`` long along z."""
+    shape = trimesh.creation.capsule(length_m, radius_m, count=[SECTIONS // 2, SECTIONS // 2])
+    shape.apply_translation(-shape.bounds.mean(axis=0))
+    return shape
+
+
+def _merged(shapes: list[trimesh.Trimesh], what: str) -> trimesh.Trimesh:
+    if not shapes:
+        msg = f"{what} has no shape that collides; give a mesh: add_object(…, mesh=…)"
+        raise SensorError(msg)
+    return shapes[0] if len(shapes) == 1 else trimesh.util.concatenate(shapes)
+
+
+def _joined(meshes: list[Mesh], poses_mm: list[NDArray[np.float64]]) -> Mesh:
+    """Several objects as one mesh in the gel frame."""
+    vertices, faces, start = [], [], 0
+    for mesh, at in zip(meshes, poses_mm, strict=True):
+        vertices.append(mesh.vertices_mm @ at[:3, :3].T + at[:3, 3])
+        faces.append(mesh.faces + start)
+        start += len(mesh.vertices_mm)
+    return Mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def _in_mm(pose_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    pose_mm = pose_m.copy()
+    pose_mm[:3, 3] *= MM_PER_M
+    return pose_mm

@@ -1,0 +1,319 @@
+"""A simulated tactile sensor for one's own script: rendered directly, or read from a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.contact.law import ContactLaw, load_law
+from tacgen.core.arrays import FloatArray
+from tacgen.core.errors import ContactError, SensorError
+from tacgen.core.records import ContactFrame, Mesh
+from tacgen.core.units import MM_PER_M
+from tacgen.optics.table import load_table
+from tacgen.sensor.description import SensorChoice, load_sensor
+from tacgen.sensor.gel_response import GelLoad, gel_loads
+from tacgen.sensor.tactile_pad import Imprint, TactilePad
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What the sensor shows at one time.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    depth_mm : (H, W) float32
+        Indentation of the gel.
+    contact_mask : (H, W) bool
+    force_n : (3,) float64
+        Force of the object on the gel: along the gel's x and y, and into the gel.
+    indentation_mm, volume_mm3 : float
+        Deepest indentation beyond first touch, and the volume that the gel gives way by.
+    markers_px : (n, 2) float64 or None
+        Places x, y of the marker dots in the image; None without markers.
+    """
+
+    rgb: NDArray[np.uint8]
+    depth_mm: NDArray[np.float32]
+    contact_mask: NDArray[np.bool_]
+    force_n: NDArray[np.float64]
+    indentation_mm: float
+    volume_mm3: float
+    markers_px: NDArray[np.float64] | None
+
+
+class Simulation(Protocol):
+    """What a sensor asks of the physics engine that it is attached to."""
+
+    def time_s(self) -> float | None:
+        """The simulation's clock; None where the engine keeps none."""
+
+    def step_s(self) -> float:
+        """Length of one step of the simulation."""
+
+    def add_object(self, body: Any, mesh: Mesh | None) -> None:
+        """Watch for contacts of a body; its mesh from the engine's own shapes where None."""
+
+    def contact(self) -> tuple[Mesh, FloatArray, FloatArray, float]:
+        """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel."""
+
+
+class Sensor:
+    """A GelSight-like sensor with its calibrated table and contact law.
+
+    Parameters
+    ----------
+    name : str
+        A sensor of ``recipes/sensors`` (``gelsight``, ``gelsight_mini``, ``digit`` …) or the path
+        of a YAML file.
+    table : path, optional
+        A ``table.npz`` from ``tacgen calibrate lookup``, instead of the sensor's own.
+    contact : path or ContactLaw, optional
+        A ``contact.yaml`` from ``tacgen calibrate contact``; the default is the published slope
+        k_n = 5.135 mm³/N and k_s = 1 mm/N.
+    shadows, markers, noise : bool
+        Cast shadows, printed dots, camera noise (drawn from ``seed``).
+
+    Raises
+    ------
+    RecipeError, TableError, ContactError
+        If the sensor, its table or the law cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np, tacgen, trimesh
+    >>> ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    >>> sensor = tacgen.Sensor("gelsight_mini")
+    >>> frame = sensor.render(ball, np.eye(4), force_n=5.0)
+    >>> round(frame.volume_mm3, 1)
+    25.7
+    """
+
+    def __init__(
+        self,
+        name: str = "gelsight",
+        table: str | Path | None = None,
+        contact: str | Path | ContactLaw | None = None,
+        *,
+        shadows: bool = False,
+        markers: bool = False,
+        noise: bool = False,
+        seed: int = 0,
+    ) -> None:
+        choice = SensorChoice(name=str(name), table=None if table is None else str(table))
+        self.description = load_sensor(choice)
+        if isinstance(contact, ContactLaw):
+            self.law = contact
+        else:
+            self.law = ContactLaw.default() if contact is None else load_law(Path(contact))
+        self._pad = TactilePad(
+            self.description,
+            load_table(self.description.table),
+            shadows=shadows,
+            markers=markers,
+        )
+        self._rng = np.random.default_rng(np.random.SeedSequence(seed)) if noise else None
+        self._simulation: Simulation | None = None
+        self._frames: list[ContactFrame] = []
+        self._press = 0
+
+    def __repr__(self) -> str:
+        height, width = self.description.shape_px
+        k_n = self.law.k_n_mm3_per_n.value
+        return f"Sensor({self.description.name!r}, {width}×{height} px, k_n = {k_n:g} mm³/N)"
+
+    def render(
+        self,
+        mesh: trimesh.Trimesh | Mesh | tuple[FloatArray, NDArray[np.integer[Any]]],
+        pose_gel_object: FloatArray,
+        force_n: float = 5.0,
+        shear_n: Sequence[float] = (0.0, 0.0),
+        *,
+        torsion_n_mm: float = 0.0,
+    ) -> Frame:
+        """The frame of an object pressed into the gel at rest by a known force.
+
+        Parameters
+        ----------
+        mesh : trimesh.Trimesh or (vertices_mm (n, 3), faces (m, 3))
+            In mm, in the object's own frame.
+        pose_gel_object : (4, 4)
+            Object to gel frame, mm. Where along the gel's z the object stands does not matter:
+            it is taken to first touch and pressed in from there.
+        force_n, shear_n, torsion_n_mm
+            Force of the object into the gel, along the gel's x and y, and the moment about the
+            gel's z.
+
+        Raises
+        ------
+        ContactError
+            If the mesh, the pose or the force cannot be used.
+        """
+        frame = _contact_frame(0.0, force_n, shear_n, torsion_n_mm, pose_gel_object)
+        return self._frame(as_mesh(mesh), frame, gel_loads(self.law, [frame])[0])
+
+    def attach_pybullet(
+        self,
+        body_id: int,
+        link_id: int = -1,
+        *,
+        pose_link_gel: FloatArray | None = None,
+        client_id: int = 0,
+    ) -> Sensor:
+        """Attach to a link of a body in a running PyBullet simulation.
+
+        ``pose_link_gel`` (4, 4), mm: gel frame to link frame; the default puts the gel's origin
+        and axes on the link's.
+        """
+        from tacgen.sensor.engines import PyBulletContacts
+
+        self._simulation = PyBulletContacts(body_id, link_id, _pose(pose_link_gel), client_id)
+        self.reset()
+        return self
+
+    def attach_mujoco(
+        self, model: Any, data: Any, body: int | str, *, pose_body_gel: FloatArray | None = None
+    ) -> Sensor:
+        """Attach to a body of a MuJoCo model; ``pose_body_gel`` (4, 4), mm: gel to body frame."""
+        from tacgen.sensor.engines import MujocoContacts
+
+        self._simulation = MujocoContacts(model, data, body, _pose(pose_body_gel))
+        self.reset()
+        return self
+
+    def add_object(
+        self,
+        body_id: int | str,
+        mesh: trimesh.Trimesh | Mesh | tuple[FloatArray, NDArray[np.integer[Any]]] | None = None,
+        *,
+        scale: float = 1.0,
+    ) -> Sensor:
+        """Tell the sensor of a body that may touch it.
+
+        ``mesh`` is in the body's own frame; ``scale`` takes it to mm (1000 for metres). Without
+        one, the mesh is made from the shapes that the simulation itself collides.
+        """
+        given = None if mesh is None else as_mesh(mesh, scale)
+        self._attached().add_object(body_id, given)
+        return self
+
+    def read(self, time_s: float | None = None) -> Frame:
+        """The frame at the simulation's present state, from its poses and contact forces.
+
+        Effects with memory (creep, hysteresis, conditioning) go on from frame to frame; ``reset``
+        begins a new press. PyBullet keeps no clock: where such an effect matters and there is
+        more than one step between readings, give ``time_s``.
+
+        Raises
+        ------
+        SensorError
+            If the sensor is not attached, or knows of no object.
+        """
+        simulation = self._attached()
+        mesh, pose, force, torsion_n_mm = simulation.contact()
+        now_s = self._now_s(time_s)
+        frame = _contact_frame(now_s, max(float(force[2]), 0.0), force[:2], torsion_n_mm, pose)
+        if not self.law.effects:
+            self._frames.clear()  # a law without memory needs the last frame alone
+        self._frames = [*(one for one in self._frames if one.time_s < now_s), frame]
+        load = gel_loads(self.law, self._frames, grasp_index=self._press)[-1]
+        return self._frame(mesh, frame, load)
+
+    def reset(self) -> None:
+        """Begin a new press on a gel at rest."""
+        self._press += bool(self._frames)
+        self._frames.clear()
+
+    def _now_s(self, given_s: float | None) -> float:
+        simulation = self._attached()
+        known_s = simulation.time_s() if given_s is None else given_s
+        if known_s is not None:
+            return float(known_s)
+        return self._frames[-1].time_s + simulation.step_s() if self._frames else 0.0
+
+    def _attached(self) -> Simulation:
+        if self._simulation is None:
+            msg = "the sensor is not attached; call attach_pybullet or attach_mujoco first"
+            raise SensorError(msg)
+        return self._simulation
+
+    def _frame(self, mesh: Mesh, contact: ContactFrame, load: GelLoad) -> Frame:
+        imprint = self._pad.press(mesh, contact.pose_gel_object, load)
+        depth_mm = imprint.depth_map_mm(self.description)
+        return Frame(
+            rgb=self._pad.image(imprint, rng=self._rng),
+            depth_mm=depth_mm,
+            contact_mask=depth_mm > 0,
+            force_n=np.array([*contact.force_shear_n, contact.force_normal_n]),
+            indentation_mm=imprint.indentation_mm,
+            volume_mm3=imprint.volume_mm3,
+            markers_px=self._markers_px(imprint),
+        )
+
+    def _markers_px(self, imprint: Imprint) -> NDArray[np.float64] | None:
+        places_mm = self._pad.markers_mm(imprint)
+        if places_mm is None:
+            return None
+        height, width = self.description.shape_px
+        middle_px = np.array([width / 2 - 0.5, height / 2 - 0.5])
+        return np.asarray(places_mm / self.description.mm_per_px + middle_px, np.float64)
+
+
+def as_mesh(mesh: Any, scale: float = 1.0) -> Mesh:
+    """A trimesh, a :class:`Mesh` or (vertices_mm, faces) as a ``Mesh``.
+
+    Raises
+    ------
+    ContactError
+        If it is none of these.
+    """
+    if isinstance(mesh, Mesh) and scale == 1.0:
+        return mesh
+    if isinstance(mesh, Mesh):
+        vertices, faces = mesh.vertices_mm, mesh.faces
+    elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
+        vertices, faces = mesh.vertices, mesh.faces
+    elif isinstance(mesh, (tuple, list)) and len(mesh) == 2:
+        vertices, faces = mesh
+    else:
+        msg = f"a mesh is a trimesh.Trimesh or (vertices_mm, faces), not {type(mesh).__name__}"
+        raise ContactError(msg)
+    return Mesh(scale * np.asarray(vertices, np.float64), np.asarray(faces, np.int32))
+
+
+def _contact_frame(
+    time_s: float,
+    force_n: float,
+    shear_n: Sequence[float] | FloatArray,
+    torsion_n_mm: float,
+    pose_gel_object: FloatArray,
+) -> ContactFrame:
+    shear = np.asarray(shear_n, np.float64)
+    finite = np.isfinite([force_n, torsion_n_mm]).all() and np.isfinite(shear).all()
+    if shear.shape != (2,) or not finite or force_n < 0:
+        msg = (
+            f"force_n = {force_n}, shear_n = {shear_n}: give a force into the gel of 0 N or more "
+            "and two shear forces along the gel's x and y"
+        )
+        raise ContactError(msg)
+    pose = np.asarray(pose_gel_object, np.float64)
+    return ContactFrame(time_s, float(force_n), shear, float(torsion_n_mm), pose)
+
+
+def _pose(given_mm: FloatArray | None) -> NDArray[np.float64]:
+    """A (4, 4) pose in metres from one in mm; the identity where None."""
+    pose = np.eye(4) if given_mm is None else np.array(given_mm, np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        msg = f"a pose is a finite (4, 4) matrix in mm, not of shape {pose.shape}"
+        raise SensorError(msg)
+    pose[:3, 3] /= MM_PER_M
+    return pose

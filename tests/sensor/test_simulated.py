@@ -1,0 +1,174 @@
+"""The sensor for one's own script: closed forms, and the same frame from a running simulation."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import tacgen
+from tacgen.core.errors import ContactError, SensorError
+from tacgen.sensor.simulated import Sensor, as_mesh
+
+BALL = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+GRAVITY_M_S2 = 9.81
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return Sensor("gelsight_mini")
+
+
+def test_the_gel_gives_way_by_k_n_f(sensor):
+    for force_n in (1.0, 3.0, 6.0):
+        frame = sensor.render(BALL, np.eye(4), force_n=force_n)
+        assert frame.volume_mm3 == pytest.approx(5.135 * force_n, rel=0.01)
+        assert frame.depth_mm.sum() * sensor.description.pixel_area_mm2 == pytest.approx(
+            frame.volume_mm3, rel=1e-5
+        )
+        assert frame.contact_mask.sum() == (frame.depth_mm > 0).sum()
+        assert frame.force_n.tolist() == [0.0, 0.0, force_n]
+
+
+def test_a_ball_indents_a_flat_gel_by_its_cap(sensor):
+    # A cap of height d of a ball of radius R has the volume π d² (R − d/3).
+    assert sensor.description.dome_radius_mm == 0.0
+    frame = sensor.render(BALL, np.eye(4), force_n=2.0)
+    d_mm = frame.indentation_mm
+    assert frame.volume_mm3 == pytest.approx(np.pi * d_mm**2 * (4.0 - d_mm / 3), rel=0.01)
+
+
+def test_trimesh_pairs_and_meshes_are_one(sensor):
+    frames = [
+        sensor.render(mesh, np.eye(4), 2.0).rgb
+        for mesh in (BALL, (BALL.vertices, BALL.faces), as_mesh(BALL))
+    ]
+    assert np.array_equal(frames[0], frames[1])
+    assert np.array_equal(frames[0], frames[2])
+
+
+def test_where_along_z_does_not_matter(sensor):
+    away = np.eye(4)
+    away[2, 3] = 7.0
+    assert np.array_equal(
+        sensor.render(BALL, np.eye(4), 2.0).rgb, sensor.render(BALL, away, 2.0).rgb
+    )
+
+
+def test_shear_moves_the_markers():
+    sensor = Sensor("gelsight_mini", markers=True)
+    still = sensor.render(BALL, np.eye(4), 3.0)
+    pulled = sensor.render(BALL, np.eye(4), 3.0, shear_n=(1.0, 0.0))
+    motion_mm = (pulled.markers_px - still.markers_px) * sensor.description.mm_per_px
+    assert motion_mm[:, 0].sum() == pytest.approx(1.0, rel=0.02)  # D = k_s F_s
+    assert abs(motion_mm[:, 1].sum()) < 0.02
+
+
+@pytest.mark.parametrize("force_n", [-1.0, np.nan])
+def test_a_force_that_cannot_be_is_refused(sensor, force_n):
+    with pytest.raises(ContactError, match="give a force into the gel"):
+        sensor.render(BALL, np.eye(4), force_n=force_n)
+
+
+def test_what_is_no_mesh_is_refused(sensor):
+    with pytest.raises(ContactError, match=r"trimesh\.Trimesh or \(vertices_mm, faces\), not str"):
+        sensor.render("ball.stl", np.eye(4))
+
+
+def test_reading_before_attaching_is_refused(sensor):
+    with pytest.raises(SensorError, match="attach_pybullet or attach_mujoco"):
+        sensor.read()
+
+
+@pytest.fixture
+def bullet():
+    import pybullet
+
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -GRAVITY_M_S2, physicsClientId=client)
+    yield client
+    pybullet.disconnect(client)
+
+
+def rest_ball_on_pad(client, mass_kg, *, at_m=(0.0, 0.0)):
+    """A ball at rest on a fixed block whose upper face is the gel."""
+    import pybullet as p
+
+    block = p.createCollisionShape(
+        p.GEOM_BOX, halfExtents=[0.05, 0.05, 0.01], physicsClientId=client
+    )
+    pad = p.createMultiBody(0, block, physicsClientId=client)
+    sphere = p.createCollisionShape(p.GEOM_SPHERE, radius=0.004, physicsClientId=client)
+    ball = p.createMultiBody(mass_kg, sphere, basePosition=[*at_m, 0.0141], physicsClientId=client)
+    for _ in range(480):
+        p.stepSimulation(physicsClientId=client)
+    return pad, ball
+
+
+def gel_on_top():
+    pose = np.eye(4)
+    pose[2, 3] = 10.0  # mm: the block's upper face
+    return pose
+
+
+def test_a_ball_at_rest_in_pybullet_is_a_ball_pressed_by_its_weight(bullet):
+    pad, ball = rest_ball_on_pad(bullet, 0.3)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet).add_object(ball)
+    frame = sensor.read()
+    assert frame.force_n[2] == pytest.approx(0.3 * GRAVITY_M_S2, rel=0.01)
+    assert frame.volume_mm3 == pytest.approx(5.135 * frame.force_n[2], rel=0.01)
+    mesh, pose, force, torsion = sensor._attached().contact()
+    again = sensor.render(mesh, pose, force[2], force[:2], torsion_n_mm=torsion)
+    assert np.array_equal(frame.rgb, again.rgb)
+    assert np.array_equal(frame.depth_mm, again.depth_mm)
+
+
+def test_the_imprint_is_where_the_ball_is(bullet):
+    pad, ball = rest_ball_on_pad(bullet, 0.3, at_m=(0.003, -0.002))
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet)
+    frame = sensor.add_object(ball).read()
+    rows, columns = np.nonzero(frame.contact_mask)
+    s, (height, width) = sensor.description.mm_per_px, sensor.description.shape_px
+    assert (columns.mean() + 0.5 - width / 2) * s == pytest.approx(3.0, abs=0.3)
+    assert (rows.mean() + 0.5 - height / 2) * s == pytest.approx(-2.0, abs=0.3)
+
+
+def test_an_object_that_is_not_there_is_refused(bullet):
+    pad, _ = rest_ball_on_pad(bullet, 0.1)
+    sensor = Sensor("gelsight_mini").attach_pybullet(pad, client_id=bullet)
+    with pytest.raises(SensorError, match="knows of no object"):
+        sensor.read()
+    with pytest.raises(SensorError, match="no body 77 on client"):
+        sensor.add_object(77)
+    with pytest.raises(SensorError, match="link_id = 5: body . has links -1 .its base. to -1"):
+        Sensor("gelsight_mini").attach_pybullet(pad, 5, client_id=bullet)
+
+
+def test_the_same_ball_in_mujoco():
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><option timestep="0.001"/><worldbody>
+        <body name="pad"><geom type="box" size=".05 .05 .01"/></body>
+        <body name="ball" pos=".003 -.002 .0141"><freejoint/>
+        <geom type="sphere" size=".004" mass=".3"/></body></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_mujoco(model, data, "pad", pose_body_gel=gel_on_top()).add_object("ball")
+    frame = sensor.read()
+    assert frame.force_n[2] == pytest.approx(0.3 * GRAVITY_M_S2, rel=0.01)
+    assert frame.volume_mm3 == pytest.approx(5.135 * frame.force_n[2], rel=0.01)
+    mesh, pose, force, torsion = sensor._attached().contact()
+    again = sensor.render(mesh, pose, force[2], force[:2], torsion_n_mm=torsion)
+    assert np.array_equal(frame.rgb, again.rgb)
+    with pytest.raises(SensorError, match="it has world, pad, ball"):
+        sensor.attach_mujoco(model, data, "finger")
+
+
+def test_names_are_loaded_when_used():
+    assert {"Sensor", "Dataset", "collect", "load_recipe"} <= set(dir(tacgen))
+    assert tacgen.Sensor is Sensor
+    with pytest.raises(AttributeError, match="it has Dataset, Sensor"):
+        tacgen.Senser  # noqa: B018
