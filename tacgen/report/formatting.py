@@ -60,7 +60,8 @@ def fixed(value: float | None, decimals: int) -> str:
     """A number with so many decimal places."""
     if value is None or not math.isfinite(value):
         return MISSING
-    return f"{value:.{decimals}f}".replace("-", "−")
+    # Adding 0 takes the sign from a value that rounds to nothing.
+    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "−")
 
 
 def decimals_for(error: float | None) -> int:

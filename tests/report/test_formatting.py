@@ -41,6 +41,7 @@ def test_a_value_has_the_decimals_of_its_error():
     assert with_error(5.13512, 0.0123, "mm3/N") == "5.135 ± 0.012 mm³/N"
     assert with_error(5.13512, None, "mm3/N") == "5.135 mm³/N"
     assert with_error(1234.6, 120.0) == "1235 ± 120"
+    assert with_error(-0.0002, 0.016) == "0.000 ± 0.016"
 
 
 def test_ends_of_an_interval_have_the_same_decimals():

@@ -21,6 +21,7 @@ from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
+from tacgen.report.formatting import unit_text
 
 MIN_TRIALS = 3
 """Two presses give no scatter to tell an outlier by."""
@@ -164,7 +165,7 @@ def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
     trial = log["trial"]
     pooled = fit_slope(load, response, trial)
     if not pooled.value > 0:
-        unit = PLAIN_UNITS[channel][1]
+        unit = unit_text(PLAIN_UNITS[channel][1])
         msg = (
             f"{log.path}: the {channel} response does not grow with the load (k = "
             f"{pooled.value:.3g} {unit}); check the signs of force and "
@@ -291,7 +292,7 @@ def _warnings(fit: ContactFit) -> tuple[str, ...]:
                 f"(p = {agreement.p_value:.2g}, spread {100 * agreement.spread:.1f} %): the pooled "
                 "k is an average of unlike things; `tacgen diagnose contact` looks for the cause"
             )
-        held_out, unit = channel.held_out.rmse, channel.held_out.unit
+        held_out, unit = channel.held_out.rmse, unit_text(channel.held_out.unit)
         if held_out > STRUCTURE_FACTOR * channel.noise > 0:
             texts.append(
                 f"{fit.log.path}: {channel.channel}: the linear law is off by {held_out:.3g} "
