@@ -72,7 +72,6 @@ def ball_presses(sensor: Sensor, virtual: VirtualSensor, rng: np.random.Generato
         mm_per_px=sensor.mm_per_px,
         dome_radius_mm=sensor.dome_radius_mm,
         sensor=sensor.name,
-        found=np.zeros(len(images), dtype=bool),
     )
 
 

@@ -79,5 +79,4 @@ def virtual_presses(
         mm_per_px=scale,
         dome_radius_mm=dome_mm,
         sensor="test",
-        found=np.zeros(count, dtype=bool),
     )

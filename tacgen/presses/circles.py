@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.presses.dots import coarse
 
 WORK_WIDTH_PX = 160
@@ -64,9 +64,7 @@ class Circle:
     edge_px: float = float("nan")
 
 
-def find_circle(
-    image: NDArray, background: NDArray, hidden: NDArray[np.bool_] | None = None
-) -> Circle:
+def find_circle(image: NDArray, background: NDArray, hidden: BoolArray | None = None) -> Circle:
     """The contact circle of a press from its image and the background, both (H, W, 3) RGB.
 
     What changed against the background, relative to the light at its place, is thresholded low to
@@ -106,7 +104,7 @@ def _scatter_and_top(strength: FloatArray) -> tuple[float, float, float]:
     return middle, scatter, float(np.percentile(strength, 99.8)) - middle
 
 
-def _largest_patch(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _largest_patch(mask: BoolArray) -> tuple[BoolArray, BoolArray]:
     """The largest connected patch of ``mask``, closed and without holes; and the next largest."""
     closed = ndimage.binary_closing(np.pad(mask, 4), iterations=3)[4:-4, 4:-4]
     labels, count = ndimage.label(closed)
@@ -114,13 +112,13 @@ def _largest_patch(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[
         return closed, closed
     sizes = ndimage.sum_labels(closed, labels, np.arange(1, count + 1))
     order = np.argsort(-sizes)
-    filled: NDArray[np.bool_] = ndimage.binary_fill_holes(labels == 1 + order[0])
+    filled: BoolArray = ndimage.binary_fill_holes(labels == 1 + order[0])
     second = labels == 1 + order[1] if count > 1 else np.zeros_like(filled)
     return filled, second
 
 
 def _circle_around(
-    patch: NDArray[np.bool_], strength: FloatArray, least: float
+    patch: BoolArray, strength: FloatArray, least: float
 ) -> tuple[FloatArray, float, float, str]:
     """Centre (x, y) and radii of rim and edge, seen from the patch's middle; what is wrong."""
     rows, columns = np.nonzero(patch)
@@ -201,9 +199,7 @@ def _fit_circle(points: FloatArray, start: FloatArray) -> tuple[FloatArray, floa
     return fitted, float(np.median(np.abs(distance(fitted))))
 
 
-def _problem(
-    patch: NDArray[np.bool_], second: NDArray[np.bool_], center: FloatArray, radius: float
-) -> str:
+def _problem(patch: BoolArray, second: BoolArray, center: FloatArray, radius: float) -> str:
     height, width = patch.shape
     if radius < 2:
         return "shows a change of less than 2 pixels across, too small for a contact"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,13 @@ from tacgen.core.files import sha256_of
 from tacgen.core.safe_io import MAX_SIDE_PX, check_archive, read_bgr
 from tacgen.core.yaml_source import read_yaml
 from tacgen.presses.press_images import PressImages
-from tacgen.presses.press_log import SHEAR_FORCES, column_problems, numeric_columns, read_table
+from tacgen.presses.press_log import (
+    SHEAR_FORCES,
+    column_problems,
+    numeric_columns,
+    read_table,
+    trial_number_problems,
+)
 
 COORDINATES = ("center_x_px", "center_y_px", "contact_radius_px")
 STAGE = ("x_mm", "y_mm")
@@ -318,6 +325,8 @@ def _read_list(
     problems += column_problems(frame, path, required)
     numbers, cells = numeric_columns(frame, path, NUMBERS)
     problems += cells
+    if "trial" in numbers:
+        problems += trial_number_problems(numbers["trial"], path)
     if "radius_mm" in numbers:
         for index, radius in enumerate(numbers["radius_mm"]):
             where = f"{path}: row {index + 2}: radius_mm"
@@ -339,7 +348,7 @@ def _read_list(
                 problems.append(f"{where}: file is empty; name the press's picture")
             elif repeated.iloc[index]:
                 problems.append(f"{where}: {name} is listed twice; list each press once")
-            elif not (path.parent / name).is_file():
+            elif not os.path.isfile(path.parent / name):  # is_file raises on names too long
                 problems.append(
                     f"{path.parent / name}: missing (row {index + 2} of presses.csv); add the "
                     "picture or delete the row"

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,8 @@ class PressImages:
     dot_pitch_mm : float
         Pitch of the printed dots, 0 where it is not known.
     found : (N,) bool
-        Whether centre and radius were found in the image instead of labelled.
+        Whether centre and radius are found in the image instead of labelled; by default where a
+        label is missing.
     dots : (H, W) bool, optional
         Pixels of the background that printed dots cover; None where there are none.
     hidden : (N, H, W) bool, optional
@@ -76,12 +77,17 @@ class PressImages:
     seen_px: FloatArray | None = None
     stage_mm: FloatArray | None = None
     dot_pitch_mm: float = 0.0
-    found: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    dots: NDArray[np.bool_] | None = None
-    hidden: NDArray[np.bool_] | None = None
+    found: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    dots: BoolArray | None = None
+    hidden: BoolArray | None = None
     dropped: tuple[DroppedPress, ...] = ()
     warnings: tuple[str, ...] = ()
     sha256: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        """Fill in ``found``."""
+        if len(self.found) != len(self.images):
+            object.__setattr__(self, "found", ~self.labelled)
 
     def __len__(self) -> int:
         return len(self.images)
@@ -92,17 +98,16 @@ class PressImages:
         return self.images.shape[1], self.images.shape[2]
 
     @property
-    def labelled(self) -> NDArray[np.bool_]:
+    def labelled(self) -> BoolArray:
         """Which presses come with a centre and a radius (N,)."""
         return np.isfinite(self.center_px).all(axis=1) & np.isfinite(self.radius_px)
 
-    def hidden_in(self, k: int) -> NDArray[np.bool_] | None:
+    def hidden_in(self, k: int) -> BoolArray | None:
         """Pixels (H, W) of press ``k`` that show a dot; None where there are no dots."""
         return None if self.hidden is None else self.hidden[k]
 
     def select(self, which: NDArray) -> PressImages:
         """The presses that an index array or mask picks; notes on the set stay."""
-        found = self.found if len(self.found) else np.zeros(len(self), dtype=bool)
         return replace(
             self,
             images=self.images[which],
@@ -110,7 +115,7 @@ class PressImages:
             center_px=self.center_px[which],
             radius_px=self.radius_px[which],
             ball_radius_mm=self.ball_radius_mm[which],
-            found=found[which],
+            found=self.found[which],
             seen_px=None if self.seen_px is None else self.seen_px[which],
             stage_mm=None if self.stage_mm is None else self.stage_mm[which],
             hidden=None if self.hidden is None else self.hidden[which],

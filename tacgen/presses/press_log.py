@@ -178,7 +178,7 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
     if problems:
         raise PressError.from_problems(problems)
     numbers, problems = numeric_columns(frame, path, (*REQUIRED, *OPTIONAL_NUMBERS))
-    problems += _trial_number_problems(numbers["trial"], path)
+    problems += trial_number_problems(numbers["trial"], path)
     if problems:
         raise PressError.from_problems(problems)
     for name in ("force_normal_n", *SHEAR_FORCES):
@@ -289,7 +289,8 @@ def numeric_columns(
     return numbers, problems
 
 
-def _trial_number_problems(trial: FloatArray, path: Path) -> list[str]:
+def trial_number_problems(trial: FloatArray, path: Path) -> list[str]:
+    """Trials that are empty or no integers, a line each."""
     wrong = np.flatnonzero(~(trial == np.round(trial)))
     return [
         f"{path}: row {index + 2}: trial is "

@@ -8,6 +8,7 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import BoolArray
 from tacgen.core.errors import PressError
 from tacgen.presses.circles import Circle, find_circle, outside_share
 from tacgen.presses.dots import dots_in, printed_dots
@@ -155,9 +156,9 @@ def _first_alike(images: NDArray[np.uint8]) -> list[int]:
     return [first.setdefault(sha256(image.tobytes()).digest(), k) for k, image in enumerate(images)]
 
 
-def _disc(circle: Circle, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
+def _disc(circle: Circle, shape_px: tuple[int, int]) -> BoolArray:
     rows, columns = np.indices(shape_px)
-    disc: NDArray[np.bool_] = (
+    disc: BoolArray = (
         np.hypot(columns - circle.center_px[0], rows - circle.center_px[1]) <= circle.radius_px
     )
     return disc

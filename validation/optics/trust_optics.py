@@ -49,7 +49,6 @@ def run(kind: str, effect: str, strength: float, seed: int) -> dict[str, Any]:
         radius_px=made.radius_px,
         ball_radius_mm=np.full(COUNT, made.ball_mm),
         mm_per_px=made.mm_per_px,
-        found=np.zeros(COUNT, dtype=bool),
     )
     start = time.process_time()
     found = diagnose_optics(presses)

@@ -259,9 +259,8 @@ def _warnings(prepared: PreparedPresses, found: ScaleEvidence) -> list[str]:
             f"{found.largest_mm_per_px:.4f} mm/px: mm_per_px is too large or the ball's radius_mm "
             "too small"
         )
-    labelled = presses.radius_px[~presses.found] if len(presses.found) else presses.radius_px
-    balls = presses.ball_radius_mm[~presses.found] if len(presses.found) else presses.ball_radius_mm
-    beyond = int((labelled * stated > balls).sum())
+    labelled = presses.radius_px[~presses.found]
+    beyond = int((labelled * stated > presses.ball_radius_mm[~presses.found]).sum())
     if beyond:
         lines.append(
             f"{beyond} of {len(labelled)} labelled contact radii exceed the ball's own radius: the "

@@ -25,7 +25,6 @@ def presses(kind, effect="", strength=1.0, seed=0, count=24):
         radius_px=made.radius_px,
         ball_radius_mm=np.full(count, made.ball_mm),
         mm_per_px=made.mm_per_px,
-        found=np.zeros(count, dtype=bool),
     )
 
 
