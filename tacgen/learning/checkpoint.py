@@ -83,7 +83,7 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
     try:
         card = TypeAdapter(ModelCard).validate_json(text)
     except ValidationError as error:
-        msg = f"{path}: not a model that `tacgen train` wrote; give the run's own"
+        msg = f"{path}: not a model that `tacgen train` wrote; restore the run's own file"
         raise LearningError(msg) from error
     reference = tensors.pop(_REFERENCE_KEY, None)
     network = build_network(card.input.kind)

@@ -169,7 +169,7 @@ class _Test:
             msg = f"{folder.model_path}: predicts NaN; train the model again"
             raise LearningError(msg)
         frames = partial(_frames, self.source, rows, card)
-        return Predictions(name, self.source.table.take(rows), probabilities, frames), card
+        return Predictions(self.source.table.take(rows), probabilities, frames), card
 
     def _batches(
         self, rows: NDArray[np.int64], card: ModelCard, trained_reference: NDArray[np.uint8] | None

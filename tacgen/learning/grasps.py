@@ -214,7 +214,7 @@ class RealGraspImages:
             (height, width), (h, w) = image.shape[:2], self.shape_px
             msg = (
                 f"{path}: {width}×{height} px, where the first image of the folder is {w}×{h} px; "
-                "take all with the same sensor and size"
+                "take all images with the same sensor and size"
             )
             raise LearningError(msg)
 

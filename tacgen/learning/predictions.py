@@ -22,7 +22,6 @@ class Predictions:
     them, (T, h, w, 3) uint8.
     """
 
-    model: str
     table: GraspTable
     probabilities: NDArray[np.float64]
     frames: Callable[[int], NDArray[np.uint8]]

@@ -52,7 +52,7 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
     if leaks:
         msg = (
             f"{where}: {len(leaks)} configurations are in both train and test, such as "
-            f"{leaks[0]}; collect it again with this version of tacgen"
+            f"{leaks[0]}; collect the dataset again"
         )
         raise LearningError(msg)
     groups = [(name, (name,)) for name in objects] if recipe.per_object else [(POOLED, objects)]
@@ -125,8 +125,8 @@ def _chosen_objects(recipe: TrainRecipe, table: GraspTable, where: str) -> tuple
     unknown = [name for name in recipe.objects if name not in known]
     if unknown:
         msg = (
-            f"{where}: has no executed grasps of {', '.join(unknown)}, which the training recipe "
-            f"names; it has {', '.join(known)}"
+            f"{where}: has no executed grasps of {', '.join(unknown)}; let `objects` in the "
+            f"training recipe name only {', '.join(known)}"
         )
         raise LearningError(msg)
     return recipe.objects

@@ -173,7 +173,7 @@ class _StudyRun:
             recipe = _with_friction(recipe, friction)
         data = self.out / "data" / recipe.sha256()[:12]
         run = self.out / "runs" / run_folder_name(row.name)
-        print_status(f"{row.name}: collects into {data}")
+        print_status(f"{row.name}: collecting into {data}")
         collected = collect(recipe, data, workers=self.workers)
         result: dict[str, Any] = {
             "name": row.name,

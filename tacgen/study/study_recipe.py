@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from tacgen.collection.recipe import Recipe
 from tacgen.core.config import Section
@@ -93,31 +93,11 @@ def load_study(name: str | Path) -> Study:
     """
     source = read_yaml(find_recipe(str(name)))
     study = validate(Study, source)
-    problems = [*_misplaced(study, source)]
-    names = [row.name for row in study.rows]
-    problems += [
-        source.problem(("rows", i, "name"), f"= {name!r} is given twice; rename one")
-        for i, name in enumerate(names)
-        if name in names[:i]
+    problems = [
+        *_misplaced(study, source),
+        *_name_problems(study, source),
+        *_row_problems(study, source),
     ]
-    folders = [run_folder_name(name) for name in names]
-    problems += [
-        source.problem(
-            ("rows", i, "name"),
-            f"= {names[i]!r} would be kept in the folder of {names[folders.index(folder)]!r}, "
-            f"{folder}; give names that differ in letters or digits",
-        )
-        for i, folder in enumerate(folders)
-        if folder in folders[:i] and names[i] not in names[:i]
-    ]
-    for i, row in enumerate(study.rows):
-        for make in (study.data_recipe, study.train_recipe):
-            for quick in (False, True):
-                try:
-                    make(row, quick=quick)
-                except ValueError as error:
-                    text = " ".join(str(error).split())[:300]
-                    problems.append(source.problem(("rows", i), f"cannot be used: {text}"))
     if problems:
         raise RecipeError.from_problems(list(dict.fromkeys(problems)))
     return study
@@ -201,6 +181,38 @@ def _misplaced(study: Study, source: YamlSource) -> list[str]:
         for key in _OWN_KEYS
         if key in part
     ]
+
+
+def _name_problems(study: Study, source: YamlSource) -> Iterator[str]:
+    """Rows of the same name, or of names that give the same folder."""
+    first: dict[str, str] = {}
+    for i, row in enumerate(study.rows):
+        folder = run_folder_name(row.name)
+        if first.get(folder) == row.name:
+            problem = f"= {row.name!r} is given twice; rename one"
+            yield source.problem(("rows", i, "name"), problem)
+        elif folder in first:
+            problem = (
+                f"= {row.name!r} would be kept in the folder of {first[folder]!r}, {folder}; give "
+                "names that differ in letters or digits"
+            )
+            yield source.problem(("rows", i, "name"), problem)
+        first.setdefault(folder, row.name)
+
+
+def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
+    """Rows whose recipes cannot be used."""
+    for i, row in enumerate(study.rows):
+        for make in (study.data_recipe, study.train_recipe):
+            for quick in (False, True):
+                try:
+                    make(row, quick=quick)
+                except ValidationError as error:
+                    for found in error.errors():
+                        where = ".".join(map(str, found["loc"])) or "the recipe"
+                        yield source.problem(
+                            ("rows", i), f"cannot be used: {where}: {found['msg']}"
+                        )
 
 
 def object_names(objects: Sequence[Any]) -> list[str]:
