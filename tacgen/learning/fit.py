@@ -47,28 +47,12 @@ CHOOSING_EPOCHS = 5
 grasps a single epoch is good or bad by chance."""
 _BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
 _STATE_KEYS = (
-    "epoch",
-    "pretrained",
-    "network",
-    "average",
-    "optimizer",
-    "scheduler",
-    "scaler",
-    "best",
+    *("epoch", "pretrained", "best"),
+    *("network", "average", "optimizer", "scheduler", "scaler"),
 )
 MIN_PROBABILITY = 1e-12
 """Keeps the cross entropy of a certain and wrong prediction finite."""
 _STREAM_START, _STREAM_EPOCH = 20, 21  # keep the random numbers of one seed apart
-_ON_BOARD = (
-    "train_loss",
-    "train_accuracy",
-    "validation_loss",
-    "validation_accuracy",
-    "validation_balanced_accuracy",
-    "learning_rate",
-    "backbone_rate",
-    "loader_share",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,10 +301,11 @@ class _Board:
         self._writer.close()
 
     def add(self, line: dict[str, Any]) -> None:
-        """Write the metrics of one epoch."""
-        for name in _ON_BOARD:
+        """Write the numbers of one epoch."""
+        for name, value in line.items():
             group, _, rest = name.partition("_")
-            self._writer.add_scalar(f"{group}/{rest}", line[name], line["epoch"])
+            if isinstance(value, float):
+                self._writer.add_scalar(f"{group}/{rest}", value, line["epoch"])
 
 
 def _stop_if_orphaned(name: str) -> None:
