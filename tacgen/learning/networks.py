@@ -68,7 +68,8 @@ class SingleImageNet(StabilityNet):
 
     def forward(self, images: Tensor) -> Tensor:
         """Normalised images to logits of failure and success."""
-        return self.head(self.backbone(images[:, 0]))
+        logits: Tensor = self.head(self.backbone(images[:, 0]))
+        return logits
 
 
 class SequenceNet(StabilityNet):
@@ -94,7 +95,8 @@ class SequenceNet(StabilityNet):
         n_grasps, n_frames = images.shape[:2]
         features = self.backbone(images.flatten(0, 1)).view(n_grasps, n_frames, FEATURES)
         _, (last_hidden, _) = self.lstm(features)
-        return self.head(last_hidden[-1])
+        logits: Tensor = self.head(last_hidden[-1])
+        return logits
 
 
 def build_network(kind: str, weights: str = "none") -> StabilityNet:
