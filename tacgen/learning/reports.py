@@ -25,10 +25,10 @@ from tacgen.report import figures as plots
 from tacgen.report.formatting import number, percent
 from tacgen.report.images import evenly, side_by_side
 
-MAX_MISJUDGED = 24
-"""Misjudged grasps that the page shows, the most certain first."""
+MAX_SHOWN = 24
+"""Misclassified grasps that the page shows, the most certain first."""
 MAX_FRAMES, FRAME_WIDTH_PX = 8, 160
-"""Of the strip of images of a misjudged grasp."""
+"""Of the strip of images of a misclassified grasp."""
 CLASS_NAMES = ("failure", "success")
 SCORE_HEADER = ("accuracy", "95 % interval", "balanced", "AUROC", "ECE", "n")
 
@@ -84,7 +84,7 @@ def write_training_report(
 def write_evaluation_report(
     path: Path, result: Mapping[str, Any], predictions: Sequence[Predictions]
 ) -> None:
-    """Scores overall and in parts, calibration, and the grasps that were misjudged."""
+    """Scores overall and in parts, calibration, and the grasps that were misclassified."""
     bins = reliability(*Predictions.joined(predictions))
     parts = (
         ("By object", "object", result["by_object"], result["auroc_note"]),
@@ -112,13 +112,13 @@ def write_evaluation_report(
             )
             for title, column, rows, note in parts
         ),
-        _misjudged(predictions),
+        _misclassified(predictions),
     ]
     title = "Evaluation on simulated grasps" if result["source"] == "sim" else "Evaluation"
     lo, hi = result["accuracy_interval"]
     summary = (
-        f"Accuracy {result['accuracy']:.3f} ({lo:.3f} to {hi:.3f}) on {result['n']} "
-        f"{tested_on(result)} grasps: {result['data']}"
+        f"Accuracy {result['accuracy']:.3f} ({lo:.3f} to {hi:.3f}) on {result['n']} grasps "
+        f"({tested_on(result)}): {result['data']}"
     )
     write_page(path, title, sections, summary=summary)
 
@@ -159,7 +159,7 @@ def _overview(result: Mapping[str, Any]) -> Section:
     )
 
 
-def _misjudged(predictions: Sequence[Predictions]) -> Section:
+def _misclassified(predictions: Sequence[Predictions]) -> Section:
     wrong = sorted(
         ((part, i) for part in predictions for i in part.wrong()),
         key=lambda found: -abs(found[0].probabilities[found[1]] - 0.5),
@@ -168,14 +168,14 @@ def _misjudged(predictions: Sequence[Predictions]) -> Section:
         return text_section("Misclassified grasps", "None.")
     return pictures_section(
         "Misclassified grasps",
-        _strips(wrong[:MAX_MISJUDGED]),
-        f"{len(wrong)} in all; shown: the {min(len(wrong), MAX_MISJUDGED)} with the most confident "
+        _strips(wrong[:MAX_SHOWN]),
+        f"{len(wrong)} in all; shown: the {min(len(wrong), MAX_SHOWN)} with the most confident "
         "wrong prediction.",
     )
 
 
 def _strips(wrong: Sequence[tuple[Predictions, int]]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Captions and images of misjudged grasps."""
+    """Captions and images of misclassified grasps."""
     for part, i in wrong:
         table, frames = part.table, part.frames(i)
         truth = CLASS_NAMES[int(table.label[i] == 1)]
