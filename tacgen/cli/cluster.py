@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,14 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from tacgen.cli.app import DatasetArgument, JsonFlag, app, print_record
+from tacgen.cli.app import CLUSTER, DatasetArgument, JsonFlag, app, print_record, print_result
 from tacgen.core.errors import ClusterError
 
 COMMAND_SETTINGS = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
 """What the job of a command asks for by default: enough for a network on one GPU."""
 
 
-@app.command(rich_help_panel="Datasets")
+@app.command(rich_help_panel=CLUSTER)
 def submit(
     work: Annotated[
         list[str],
@@ -144,7 +143,7 @@ def _run_command(arguments: Sequence[str]) -> None:
     app(list(arguments), standalone_mode=False)
 
 
-@app.command(rich_help_panel="Datasets")
+@app.command(rich_help_panel=CLUSTER)
 def status(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
     """Show how far a dataset is, or submitted jobs: done, running, failed and why, time left."""
     from tacgen import cluster
@@ -152,10 +151,7 @@ def status(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
     jobs = () if (folder / "dataset.json").exists() else cluster.job_states(folder)
     if jobs:
         record = {"root": str(folder), "jobs": [asdict(job) for job in jobs]}
-        typer.echo(json.dumps(record) if json_output else cluster.jobs_text(folder, jobs))
-        return
-    found = cluster.status(folder)
-    if json_output:
-        typer.echo(json.dumps(found.as_dict(), indent=2))
+        print_result(record, cluster.jobs_text(folder, jobs), json_output)
     else:
-        typer.echo(cluster.status_text(found))
+        found = cluster.status(folder)
+        print_result(found.as_dict(), cluster.status_text(found), json_output)

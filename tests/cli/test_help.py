@@ -40,7 +40,7 @@ def test_every_command_answers_h_and_explains_each_of_its_options(path):
 
 def test_the_help_begins_with_collecting_and_lists_commands_in_the_order_of_work():
     text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).output
-    panels = ("Datasets", "Calibration and diagnosis", "Networks", "This machine")
+    panels = ("Datasets", "Calibration and diagnosis", "Networks", "Cluster", "This machine")
     places = [text.index(f"─ {panel} ") for panel in panels]
     assert places == sorted(places)
     assert text.index("│ collect") < text.index("│ grid") < text.index("│ calibrate")
