@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest,
 from tacgen.dataset.samples import GraspSample, PadSample
 from tacgen.dataset.schema import CONTACT_NAMES, GRASP_ARRAYS, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
+
+if TYPE_CHECKING:
+    from tacgen.dataset.torch_dataset import TorchGrasps
 
 _MAX_OPEN = 8
 
@@ -71,6 +74,56 @@ class Dataset:
     def __iter__(self) -> Iterator[GraspSample]:
         for index in self.indices:
             yield self.read(int(index))
+
+    def __repr__(self) -> str:
+        outcomes = ", ".join(f"{count} {name}" for name, count in self.counts().items() if count)
+        height, width = self.shape_px
+        return (
+            f"Dataset({str(self.root)!r}: {len(self)} grasps ({outcomes}), {self.n_frames} frames "
+            f"of {width}×{height} px from {self.sensor} on {', '.join(self.pads)})"
+        )
+
+    @overload
+    def __getitem__(self, place: int) -> dict[str, Any]: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[dict[str, Any]]: ...
+
+    def __getitem__(self, place: int | slice) -> dict[str, Any] | list[dict[str, Any]]:
+        """The grasp at a place of ``indices`` as plain values, or a list of them for a slice.
+
+        ``rgb`` (T, H, W, 3) uint8 of the first pad, and every entry of ``columns``: ``label``
+        (1, 0, or -1 where it was not executed), ``object``, ``force_n``, ``x_mm`` …
+        """
+        indices = self.indices
+        if isinstance(place, slice):
+            return [self[k] for k in range(*place.indices(len(indices)))]
+        index = int(indices[place])
+        entries = {
+            array.path.rsplit("/", 1)[1]: _as_text(self._read(index, array.path))
+            for array in GRASP_ARRAYS
+        }
+        plain = {name: value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value
+                 for name, value in entries.items()}  # fmt: skip
+        return {"rgb": self.rgb(index), **plain}
+
+    def torch(
+        self,
+        split: Literal["train", "test"] | None = None,
+        frames: Literal["grasp", "sequence"] = "grasp",
+    ) -> TorchGrasps:
+        """The executed grasps for ``torch.utils.data.DataLoader``: (images, label) pairs.
+
+        Parameters
+        ----------
+        split : {"train", "test"}, optional
+            One side of the recipe's split; both by default.
+        frames : {"grasp", "sequence"}
+            The frame of the moment of grasp, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1].
+        """
+        from tacgen.dataset.torch_dataset import TorchGrasps
+
+        return TorchGrasps(self, split, frames)
 
     @property
     def lines(self) -> tuple[ShardLine, ...]:

@@ -1,0 +1,56 @@
+"""A dataset's executed grasps as a ``torch`` dataset."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset as TorchDataset
+
+from tacgen.core.errors import DatasetError
+from tacgen.core.records import LABEL_NOT_EXECUTED
+
+if TYPE_CHECKING:
+    from tacgen.dataset.reader import Dataset
+
+
+class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
+    """(images, label) of each executed grasp; images float32 in [0, 1], channels first.
+
+    Raises
+    ------
+    DatasetError
+        If ``split`` or ``frames`` is unknown, or no executed grasp is on that side of the split.
+    """
+
+    def __init__(self, dataset: Dataset, split: str | None, frames: str) -> None:
+        for name, value, known in (
+            ("split", split, (None, "train", "test")),
+            ("frames", frames, ("grasp", "sequence")),
+        ):
+            if value not in known:
+                msg = f"{name} = {value!r} is none of {', '.join(map(repr, known))}"
+                raise DatasetError(msg)
+        self._dataset, self._frames = dataset, frames
+        columns = dataset.columns()
+        chosen = columns["label"] != LABEL_NOT_EXECUTED
+        if split is not None:
+            chosen &= columns["split"] == split
+        if not chosen.any():
+            msg = f"{dataset.root}: no executed grasp on the side {split!r} of its split"
+            raise DatasetError(msg)
+        self.indices = columns["index"][chosen]
+        self.labels = torch.as_tensor(columns["label"][chosen].astype(np.int64))
+        self._grasp_frame = columns["grasp_frame"][chosen]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, place: int) -> tuple[torch.Tensor, torch.Tensor]:
+        if not -len(self) <= place < len(self):
+            raise IndexError(place)
+        frame = int(self._grasp_frame[place]) if self._frames == "grasp" else None
+        rgb = self._dataset.rgb(int(self.indices[place]), frame=frame)
+        images = torch.from_numpy(np.ascontiguousarray(np.moveaxis(rgb, -1, -3)))
+        return images.float() / 255.0, self.labels[place]
