@@ -46,8 +46,6 @@ from tacgen.diagnose.contact.selection import Attribution, Selection
 from tacgen.presses.press_log import read_press_log
 
 SEED = 20220804
-MIN_ROWS_OF_A_TRIAL, MIN_ROWS = 4, 12
-"""What halves and second differences need."""
 
 
 def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")) -> Diagnosis:
@@ -107,7 +105,7 @@ def diagnose(
     # Thousands of products of small matrices: threads would only wait for each other.
     with threadpool_limits(limits=1):
         for channel in CHANNELS:
-            usable, note = _usable_columns(columns, channel)
+            usable, note = _usable_columns(columns, channel, rules)
             if note:
                 notes.append(note)
             if usable is not None:
@@ -296,7 +294,7 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
 
 
 def _usable_columns(
-    columns: Columns, channel: Channel
+    columns: Columns, channel: Channel, rules: SelectionRules
 ) -> tuple[dict[str, NDArray[Any]] | None, str]:
     """Rows in which the channel was measured, and how many are not; or None and why."""
     forces = ("force_normal_n",) if channel == "normal" else SHEAR_FORCE
@@ -308,11 +306,11 @@ def _usable_columns(
     names = (*targets, *forces, "force_normal_n", "time_s")
     known = np.logical_and.reduce([np.isfinite(columns[name]) for name in names])
     numbers, counts = np.unique(np.asarray(columns["trial"])[known], return_counts=True)
-    long_enough = np.isin(columns["trial"], numbers[counts >= MIN_ROWS_OF_A_TRIAL])
+    long_enough = np.isin(columns["trial"], numbers[counts >= rules.min_samples_of_trial])
     kept = heldout.select(columns, known & long_enough)
     load = kept[forces[0]]
-    if load.size < MIN_ROWS or not np.any(load != 0):
-        return None, f"{refusal} fewer than {MIN_ROWS} samples under load"
+    if load.size < rules.min_samples or not np.any(load != 0):
+        return None, f"{refusal} fewer than {rules.min_samples} samples under load"
     pairs = zip(forces, targets, strict=True)
     if sum(float((kept[force] * kept[name]).sum()) for force, name in pairs) <= 0:
         return None, (

@@ -28,6 +28,8 @@ class SelectionRules:
     """
 
     # Rows, halves and units
+    min_samples_of_trial: int = _rule(4, "what two halves of two rows need", NUMERICAL)
+    min_samples: int = _rule(12, "what second differences need", NUMERICAL)
     rows_per_trial: int = _rule(
         60, "rows a trial is averaged to while choosing: more change no choice", NUMERICAL
     )
