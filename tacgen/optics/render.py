@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
-from tacgen.optics.effects import EFFECTS, Patch, check_effects
+from tacgen.optics.effects import (
+    Leds,
+    OpticalEffect,
+    Patch,
+    Stage,
+    check_effects,
+    optical_effects,
+    with_cast_shadows,
+)
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
 from tacgen.optics.shade import feature_factors, packed_nodes, quantize, shade_window
-from tacgen.optics.shadow import (
-    DEFAULT_STRENGTH,
-    Leds,
-    cast_shadows,
-    leds_of_table,
-    shadow_reach_mm,
-    unlit_image,
-)
 from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import LookupTable
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveEffect:
+    """An effect with the values that a table gives it, and what it prepared of the table."""
+
+    effect: OpticalEffect
+    values: dict[str, Any]
+
+    def reach_px(self, depth_mm: float, mm_per_px: float) -> int:
+        """Pixels around a deformation that it changes; 0 for those of the deformation alone."""
+        return math.ceil(self.effect.reach_mm(depth_mm, **self.values) / mm_per_px)
 
 
 class Shader:
@@ -31,7 +45,7 @@ class Shader:
     ----------
     table : LookupTable
     shadows : bool
-        Cast shadows; a table with the effect ``shadow`` casts them in any case.
+        Cast shadows; a table with that effect casts them in any case.
     leds : tuple
         The sensor's lights; read off the table where empty.
 
@@ -51,43 +65,35 @@ class Shader:
         n_rows, n_columns = table.shape_px
         self._u = ((np.arange(n_columns) + 0.5) / n_columns - 0.5).astype(np.float32)
         self._v = ((np.arange(n_rows) + 0.5) / n_rows - 0.5).astype(np.float32)
-        self._surface = self._effects_of("surface")
-        self._image = self._effects_of("image")
-        self._leds: Leds = ()
-        self._shadow_strength = 0.0
-        cast = table.effects.get("shadow")
-        if shadows or cast is not None:
-            leds = leds or leds_of_table(table)
-            self._shadow_strength = float((cast or {}).get("strength", DEFAULT_STRENGTH))
-            length_mm = (cast or {}).get("length_mm")
-            self._unlit = unlit_image(table)
-            self._leds = _lowered(leds, float(length_mm)) if length_mm else leds
+        effects = with_cast_shadows(table.effects) if shadows else table.effects
 
-    def _effects_of(self, stage: str) -> list[tuple[str, dict[str, float]]]:
-        return [
-            (name, dict(self.table.effects[name]))
-            for name, effect in EFFECTS.items()
-            if effect.stage == stage and name in self.table.effects
-        ]
+        def active(first: Stage, last: Stage) -> list[ActiveEffect]:
+            return [
+                ActiveEffect(effect, {**values, **effect.prepare(table, leds, **values)})
+                for effect in optical_effects(first, last)
+                if (values := effects.get(effect.name)) is not None
+            ]
+
+        self._surface = active(Stage.SURFACE, Stage.SURFACE)
+        self._image = active(Stage.SHADOW, Stage.CAMERA)
 
     @property
     def slope_reach_px(self) -> int:
         """How far from a deformation it changes slopes."""
-        return 1 + sum(self._margin_px(parameters) for _, parameters in self._surface)
+        return 1 + sum(self._margin_px(active) for active in self._surface)
 
-    def shadow_reach_px(self, depth_mm: float) -> int:
-        """How far from a deformation of this depth its shadows can fall."""
-        if not self._leds:
-            return 0
-        return math.ceil(shadow_reach_mm(depth_mm, self._leds) / self.table.mm_per_px) + 1
+    def image_reach_px(self, depth_mm: float) -> int:
+        """How far from a deformation of this depth it changes an image that is lit."""
+        reaches = [active.reach_px(depth_mm, self.table.mm_per_px) for active in self._image]
+        return max((reach + 1 for reach in reaches if reach), default=0)
 
-    def _margin_px(self, parameters: dict[str, float]) -> int:
-        return math.ceil(4 * parameters.get("sigma_mm", 0.0) / self.table.mm_per_px) + 2
+    def _margin_px(self, active: ActiveEffect) -> int:
+        return active.reach_px(0.0, self.table.mm_per_px) + 2
 
     @property
     def finishes(self) -> bool:
         """Whether ``finish`` does anything."""
-        return bool(self._leds or self._image)
+        return bool(self._image)
 
     def light(
         self, height_map_mm: NDArray[np.float32], window: Window, image: NDArray[np.float32]
@@ -96,8 +102,8 @@ class Shader:
 
         ``height_map_mm`` (H, W) is the whole deformed surface, C-contiguous.
         """
-        for name, parameters in self._surface:
-            height_map_mm = self._on_surface(name, parameters, height_map_mm, window)
+        for active in self._surface:
+            height_map_mm = self._on_surface(active, height_map_mm, window)
         shade_window(
             height_map_mm,
             window,
@@ -113,61 +119,39 @@ class Shader:
     def finish(
         self, height_map_mm: NDArray[np.float32], window: Window, image: NDArray[np.float32]
     ) -> None:
-        """Cast the shadows and apply the image's effects to ``window`` of a lit ``image``."""
+        """Apply the effects that come after the look-up to ``window`` of a lit ``image``."""
+        if not self._image:
+            return
         top, bottom, left, right = window
-        if self._leds:
-            relief = np.ascontiguousarray(height_map_mm[top:bottom, left:right])
-            cast_shadows(
-                relief,
-                self.table.mm_per_px,
-                self._leds,
-                self._shadow_strength,
-                self._unlit[top:bottom, left:right],
-                image[top:bottom, left:right],
-            )
-        for name, parameters in self._image:
-            patch = self._patch(window)
-            image[top:bottom, left:right] = EFFECTS[name].apply(
-                image[top:bottom, left:right], patch, **parameters
-            )
+        patch = self._patch(height_map_mm, window)
+        part: NDArray[Any] = image[top:bottom, left:right]
+        for active in self._image:
+            part = active.effect.apply(part, patch, **active.values)
+        image[top:bottom, left:right] = part
 
-    def _patch(self, window: Window) -> Patch:
+    def _patch(self, height_map_mm: NDArray[np.float32], window: Window) -> Patch:
         top, bottom, left, right = window
         return Patch(
             self._background[top:bottom, left:right],
-            self._u[left:right],
-            self._v[top:bottom],
+            self._u[None, left:right],
+            self._v[top:bottom, None],
             self.table.mm_per_px,
+            window,
+            height_map_mm[top:bottom, left:right],
         )
 
     def _on_surface(
-        self,
-        name: str,
-        parameters: dict[str, float],
-        height_map_mm: NDArray[np.float32],
-        window: Window,
+        self, active: ActiveEffect, height_map_mm: NDArray[np.float32], window: Window
     ) -> NDArray[np.float32]:
         """The surface after an effect, right within ``window`` and a pixel around it."""
-        margin = self._margin_px(parameters)
-        around = grown(window, margin, height_map_mm.shape)
+        around = grown(window, self._margin_px(active), height_map_mm.shape)
         top, bottom, left, right = around
         cut = np.ascontiguousarray(height_map_mm[top:bottom, left:right])
         changed = height_map_mm.copy()
-        changed[top:bottom, left:right] = EFFECTS[name].apply(
-            cut, self._patch(around), **parameters
+        changed[top:bottom, left:right] = active.effect.apply(
+            cut, self._patch(height_map_mm, around), **active.values
         )
         return changed
-
-
-def _lowered(leds: Leds, length_mm: float) -> Leds:
-    """The same lights at the height at which 1 mm of relief casts a shadow of ``length_mm``."""
-    rise = 1 / math.hypot(1, length_mm)
-    lowered = []
-    for (x, y, _), rgb in leds:
-        flat = max(math.hypot(x, y), 1e-9)
-        scale = length_mm * rise / flat
-        lowered.append(((x * scale, y * scale, -rise), rgb))
-    return tuple(lowered)
 
 
 def render_rgb(
@@ -332,7 +316,7 @@ class Renderer:
         lit = grown(window, shader.slope_reach_px, shape_px)
         seen = lit
         if shader.finishes:
-            seen = grown(lit, shader.shadow_reach_px(float(deformation_mm.max())), shape_px)
+            seen = grown(lit, shader.image_reach_px(float(deformation_mm.max())), shape_px)
             area = np.s_[seen[0] : seen[1], seen[2] : seen[3]]
             self._image[area] = self._rest_lit[area]
         shader.light(self._height_mm, lit, self._image)

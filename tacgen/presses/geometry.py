@@ -11,6 +11,8 @@ from tacgen.core.arrays import FloatArray
 
 MAX_RADIUS_SHARE = 0.98
 """Largest contact radius as a share of the ball's radius: at 1 the gel would stand upright."""
+MAX_CAP_SHARE = 0.9999
+"""Largest radius, as a share of the ball's, at which its cap has a slope."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,32 @@ def rest_height(x_mm: FloatArray, y_mm: FloatArray, dome_radius_mm: float) -> Fl
     return np.sqrt(dome_radius_mm**2 - np.minimum(x_mm**2 + y_mm**2, limit)) - dome_radius_mm
 
 
+def radial_slope(
+    r_mm: FloatArray,
+    contact_radius_mm: float,
+    ball_radius_mm: float,
+    membrane: Membrane,
+    dome_radius_mm: float = 0.0,
+    *,
+    max_cap_share: float = MAX_CAP_SHARE,
+) -> FloatArray:
+    """Slope along the radius that a ball adds to the gel at rest, positive outwards.
+
+    Inside the contact the surface is the ball's, r/√(R² − r²) (on a dome, that less the dome's own
+    slope); outside, what the ball adds decays exponentially. The two are joined by a power mean,
+    so that the slope is smooth. The cap's slope stays, beyond ``max_cap_share`` of the ball's
+    radius, what it is there.
+    """
+    contact = min(contact_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
+    dome_per_mm = 1.0 / dome_radius_mm if dome_radius_mm > 0 else 0.0
+    rim = contact / np.sqrt(ball_radius_mm**2 - contact**2) + contact * dome_per_mm
+    outward = np.clip((r_mm - contact) / membrane.decay_mm, -30.0, 30.0)
+    inside = np.minimum(r_mm, max_cap_share * ball_radius_mm)
+    cap = inside * (1.0 / np.sqrt(ball_radius_mm**2 - inside**2) + dome_per_mm)
+    tail = rim * np.exp(-outward)
+    return np.asarray(cap * (1.0 + (cap / tail) ** membrane.sharpness) ** (-1 / membrane.sharpness))
+
+
 def press_slope(
     dx_mm: FloatArray,
     dy_mm: FloatArray,
@@ -61,11 +89,7 @@ def press_slope(
     membrane: Membrane,
     dome_radius_mm: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Slope that a ball adds to the gel at rest.
-
-    Inside the contact the surface is the ball's, r/√(R² − r²) along the radius (on a dome, that
-    less the dome's own slope); outside, what the ball adds decays exponentially. The two are
-    joined by a power mean, so that the slope is smooth.
+    """Slope that a ball adds to the gel at rest: ``radial_slope`` around its centre.
 
     Parameters
     ----------
@@ -82,19 +106,9 @@ def press_slope(
         ∂h/∂x and ∂h/∂y of the gel-frame height map: positive away from the centre, because the
         gel is deepest there.
     """
-    contact = min(contact_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
     r = np.hypot(dx_mm, dy_mm)
-    power = membrane.sharpness
-    dome_per_mm = 1.0 / dome_radius_mm if dome_radius_mm > 0 else 0.0
-    rim = contact / np.sqrt(ball_radius_mm**2 - contact**2) + contact * dome_per_mm
-    outward = np.clip((r - contact) / membrane.decay_mm, -30.0, 30.0)
-    inside = np.minimum(r, 0.9999 * ball_radius_mm)
-    cap_per_mm = 1.0 / np.sqrt(ball_radius_mm**2 - inside**2) + dome_per_mm
-    cap = inside * cap_per_mm
-    tail = rim * np.exp(-outward)
-    joined = (1.0 + (cap / tail) ** power) ** (-1.0 / power)
-    per_mm = cap_per_mm * joined * inside / np.maximum(r, 1e-12)
-    per_mm = np.where(r > 0, per_mm, cap_per_mm)
+    slope = radial_slope(r, contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm)
+    per_mm = slope / np.maximum(r, 1e-12)
     return per_mm * dx_mm, per_mm * dy_mm
 
 
@@ -113,8 +127,6 @@ def press_height(
     r = np.hypot(dx_mm, dy_mm)
     reach = max(float(r.max()), contact_radius_mm + 20.0 * membrane.decay_mm)
     grid = np.linspace(0.0, reach, 2048)
-    slope, _ = press_slope(
-        grid, np.zeros_like(grid), contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm
-    )
+    slope = radial_slope(grid, contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm)
     spline = CubicSpline(grid, slope).antiderivative()
     return np.asarray(spline(r) - spline(reach))

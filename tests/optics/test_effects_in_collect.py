@@ -9,24 +9,20 @@ from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
 from tacgen.diagnose.optics.extended_table import effects_of, with_effects
-from tacgen.diagnose.optics.model import Optics
+from tacgen.diagnose.optics.model import ModelState
 from tacgen.optics import load_table, save_table
+from tacgen.optics.effects import Stage, optical_effect, optical_effects
 from tests.small_world import write_world
 
-FOUND = Optics(
-    sigma_mm=np.array([0.6]),
-    light=np.array([[0.2, 0.1, 0.0, 0.8, -0.3], [0.0, 0.2, 0.1, -0.5, 0.4], [0.0] * 5]),
-    mixing=np.array([0.2, 0.1, 0.0, 0.1, 0.3, 0.0]),
-    shadow=np.array([0.7]),
-    shadow_length_mm=4.0,
-    gain=np.array([0.1, -0.05, 0.02]),
-    offset=np.array([3.0, 0.0, -4.0]),
-    dimming=np.array([0.3]),
-    dimming_all=np.array([0.2]),
-    level=np.array([118.0]),
-    knee=np.array([2.0]),
-)
-EFFECTS = effects_of(FOUND)
+EFFECTS = {
+    "blur": {"sigma_mm": 0.6},
+    "shadow": {"strength": 0.7, "length_mm": 4.0},
+    "illumination": {"r_uu": 0.2, "r_vv": 0.1, "r_u": 0.8, "r_v": -0.3, "g_u": -0.5, "g_v": 0.4},
+    "cross_talk": {"rg": 0.2, "rb": 0.1, "gb": 0.1, "br": 0.3},
+    "background_gain": {"gain_r": 1.1, "gain_g": 0.95, "offset_r": 3.0, "offset_b": -4.0},
+    "vignetting": {"strength": 0.2, "change_strength": 0.3},
+    "saturation": {"level_grey": 118.0, "knee_grey": 2.0},
+}
 
 
 def images(folder, effects, monkeypatch, name="out"):
@@ -63,8 +59,16 @@ def test_each_effect_changes_what_collect_writes_the_same_way_each_time(
         assert made.mean() < plain.mean()
 
 
+def test_the_effects_are_all_that_the_renderer_applies():
+    assert list(EFFECTS) == [effect.name for effect in optical_effects(Stage.SURFACE)]
+
+
 def test_a_tables_effects_are_read_back_as_they_were_written():
-    again = with_effects(Optics(), EFFECTS)
-    for name in ("sigma_mm", "light", "mixing", "shadow", "gain", "offset", "level", "knee"):
-        np.testing.assert_allclose(getattr(again, name), getattr(FOUND, name), atol=1e-12)
-    assert effects_of(again).keys() == EFFECTS.keys()
+    state = with_effects(ModelState(), EFFECTS)
+    written = effects_of(state)
+    assert list(written) == list(EFFECTS)
+    for name, values in EFFECTS.items():
+        identity = {key: p.identity for key, p in optical_effect(name).parameters.items()}
+        assert written[name] == {**identity, **values}
+    assert effects_of(with_effects(ModelState(), written)) == written
+    assert effects_of(with_effects(ModelState(), {"blur": {"sigma_mm": 0.0}})) == {}

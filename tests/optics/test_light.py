@@ -1,16 +1,23 @@
 """Shadows, effects, markers and the virtual sensor."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tacgen.core.errors import TableError
 from tacgen.core.records import Sensor
-from tacgen.optics.effects import EFFECTS, Patch, check_effects
+from tacgen.optics.effects import Patch, Stage, check_effects, optical_effect, optical_effects
+from tacgen.optics.effects.shadow import (
+    PENUMBRA_MM,
+    cast_shadow,
+    leds_of_table,
+    shadow_reach_mm,
+)
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.sampled_table import sampled_table
-from tacgen.optics.shadow import PENUMBRA_MM, cast_shadow, leds_of_table, shadow_reach_mm
+from tacgen.optics.table import LookupTable
 from tacgen.optics.virtual_sensor import Led, Paint, VirtualSensor
 
 MM_PER_PX = 0.1
@@ -89,25 +96,35 @@ def patch(height_px=40, width_px=50):
     rng = np.random.default_rng(0)
     return Patch(
         rng.uniform(80, 150, (height_px, width_px, 3)).astype(np.float32),
-        ((np.arange(width_px) + 0.5) / width_px - 0.5).astype(np.float32),
-        ((np.arange(height_px) + 0.5) / height_px - 0.5).astype(np.float32),
+        ((np.arange(width_px) + 0.5) / width_px - 0.5).astype(np.float32)[None, :],
+        ((np.arange(height_px) + 0.5) / height_px - 0.5).astype(np.float32)[:, None],
         MM_PER_PX,
     )
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_keeps_shape_and_input_and_does_nothing_at_its_identity(name):
-    effect = EFFECTS[name]
-    shape = (40, 50) if effect.stage == "surface" else (40, 50, 3)
+RENDERED = optical_effects(Stage.SURFACE)
+
+
+@pytest.mark.parametrize("effect", RENDERED, ids=lambda effect: effect.name)
+def test_an_effect_keeps_shape_and_input_and_does_nothing_at_its_identity(effect):
+    shape = (40, 50) if effect.stage == Stage.SURFACE else (40, 50, 3)
     array = np.random.default_rng(1).uniform(60, 200, shape).astype(np.float32)
     before = array.copy()
     still = {parameter: bounds.identity for parameter, bounds in effect.parameters.items()}
-    np.testing.assert_allclose(effect.apply(array, patch(), **still), array, atol=1e-4)
+    here = replace(patch(), window=(0, 40, 0, 50), height_mm=ridge((40, 50)))
+    made = LookupTable(
+        np.full((3, 4, 3, 6), -20.0, np.float32), here.background, MM_PER_PX, 1.2, effects={}
+    )
+
+    def applied(values):
+        return effect.apply(array, here, **values, **effect.prepare(made, LEDS, **values))
+
+    np.testing.assert_allclose(applied(still), array, atol=1e-4)
     moved = {
         p: 0.5 * (b.lower + b.upper) + 0.2 * (b.upper - b.lower)
         for p, b in effect.parameters.items()
     }
-    changed = effect.apply(array, patch(), **moved)
+    changed = applied(moved)
     np.testing.assert_array_equal(array, before)
     assert changed.shape == array.shape
     assert changed.dtype == np.float32
@@ -118,28 +135,30 @@ def test_an_effect_keeps_shape_and_input_and_does_nothing_at_its_identity(name):
 def test_effects_do_what_they_say():
     here = patch()
     image = here.background + np.float32(20)
-    gained = EFFECTS["background_gain"].apply(image, here, gain_r=1.1, offset_g=4.0)
+    gained = optical_effect("background_gain").apply(image, here, gain_r=1.1, offset_g=4.0)
     np.testing.assert_allclose(gained[..., 0], 1.1 * image[..., 0], rtol=1e-5)
     np.testing.assert_allclose(gained[..., 1] - image[..., 1], 4.0, atol=1e-4)
-    mixed = EFFECTS["cross_talk"].apply(image, here, rg=0.1)
+    mixed = optical_effect("cross_talk").apply(image, here, rg=0.1)
     np.testing.assert_allclose(mixed[..., 0] - image[..., 0], 2.0, atol=1e-4)
     np.testing.assert_array_equal(mixed[..., 1:], image[..., 1:])
-    darker = EFFECTS["vignetting"].apply(image, here, strength=0.4)
-    corner = 1 - 0.4 * 2 * (here.u[0] ** 2 + here.v[0] ** 2)
+    darker = optical_effect("vignetting").apply(image, here, strength=0.4)
+    corner = 1 - 0.4 * 2 * (here.u[0, 0] ** 2 + here.v[0, 0] ** 2)
     np.testing.assert_allclose(darker[0, 0], image[0, 0] * corner, rtol=1e-5)
-    same_lens = EFFECTS["vignetting"].apply(image, here, change_strength=0.4)
+    same_lens = optical_effect("vignetting").apply(image, here, change_strength=0.4)
     np.testing.assert_allclose(same_lens[0, 0], here.background[0, 0] + 20 * corner, rtol=1e-5)
-    brighter = EFFECTS["illumination"].apply(image, here, g_u=0.5)
+    brighter = optical_effect("illumination").apply(image, here, g_u=0.5)
     np.testing.assert_allclose(
         brighter[..., 1] - image[..., 1], np.tile(10 * here.u, (len(here.v), 1)), atol=1e-4
     )
     np.testing.assert_allclose(brighter[..., [0, 2]], image[..., [0, 2]], atol=1e-4)
-    assert EFFECTS["saturation"].apply(image, here, level_grey=110.0).max() == 110
-    bent = EFFECTS["saturation"].apply(image, here, level_grey=110.0, knee_grey=5.0)
+    assert optical_effect("saturation").apply(image, here, level_grey=110.0).max() == 110
+    bent = optical_effect("saturation").apply(image, here, level_grey=110.0, knee_grey=5.0)
     assert bent.max() < 110
     np.testing.assert_array_less(bent, image)
     slope = np.tile(0.3 * here.u, (40, 1)).astype(np.float32)
-    np.testing.assert_allclose(EFFECTS["blur"].apply(slope, here, sigma_mm=0.3), slope, atol=1e-6)
+    np.testing.assert_allclose(
+        optical_effect("blur").apply(slope, here, sigma_mm=0.3), slope, atol=1e-6
+    )
 
 
 def test_unknown_effects_are_all_named():

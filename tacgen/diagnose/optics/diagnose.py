@@ -10,24 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.smooth_model import position_terms
 from tacgen.calibrate.lookup.table_fit import camera_noise_grey
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.diagnose.optics.extended_table import first_state, reference_of
-from tacgen.diagnose.optics.fit import Problem
-from tacgen.diagnose.optics.model import GivenTable, PlainTable
-from tacgen.diagnose.optics.model_comparison import Contest, Entry, on_others
+from tacgen.diagnose.optics.model import GivenTable, PlainTable, Problem, Scene
+from tacgen.diagnose.optics.model_comparison import FittedModel, ModelComparison, Selection
 from tacgen.diagnose.optics.pixels import gather_pixels
-from tacgen.diagnose.optics.residuals import Dependence, left_over
-from tacgen.diagnose.optics.selection import Selection, select
+from tacgen.diagnose.optics.residuals import Dependence
+from tacgen.diagnose.optics.rules import RULES, SelectionRules
 from tacgen.diagnose.optics.surface import Profiles
+from tacgen.optics.effects import Candidate, optical_effect, optical_effects
 from tacgen.optics.table import LookupTable
 from tacgen.presses.press_images import PressImages
-
-TEST_EVERY = 4
-"""Every fourth press is kept from fitting and choosing."""
-
-MIN_PRESSES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +48,9 @@ class OpticsDiagnosis:
     Attributes
     ----------
     before_squares, after_squares : (n_test,) float
-        Mean squared error of each test press, all that is within 1.6 contact radii.
+        Mean squared error of each test press, in and around its contact.
+    tests : (n_test,) int
+        Which presses they are.
     inside_before, inside_after : float
         RMSE within the labelled circles alone.
     """
@@ -69,9 +67,8 @@ class OpticsDiagnosis:
     inside_after: float
     noise_floor: float
     n_fit: int
-    n_test: int
+    tests: NDArray[np.int64]
     mean_grey: float
-    test_names: tuple[str, ...]
 
     @property
     def verdict(self) -> str:
@@ -152,9 +149,9 @@ class OpticsDiagnosis:
                 "rmse": self.noise_floor,
                 "how": "second differences of neighbouring pixels: the camera's noise alone",
             },
-            "trials": {"fit": self.n_fit, "test": self.n_test},
+            "trials": {"fit": self.n_fit, "test": len(self.tests)},
             "steps": [
-                {"error_before": step.before, "chosen": step.taken, "rmse": step.rmse}
+                {"error_before": step.before, "chosen": step.selected, "rmse": step.rmse}
                 for step in self.selection.steps
             ],
         }
@@ -166,45 +163,46 @@ class OpticsDiagnosis:
         }  # fmt: skip
 
 
-def diagnose_optics(presses: PressImages, table: LookupTable | None = None) -> OpticsDiagnosis:
-    """Trace what a table leaves over on ball presses to optical effects.
+def diagnose_optics(
+    presses: PressImages, table: LookupTable | None = None, rules: SelectionRules = RULES
+) -> OpticsDiagnosis:
+    """Trace the residuals of a table on ball presses to optical effects.
 
     Without ``table`` a plain one, which gives a slope the same colour wherever it is, is fitted to
-    the presses themselves, each scored by a fit that it had no part in.
+    the presses themselves, each scored by a fit to others.
 
     Raises
     ------
     PressError
         If there are too few presses to hold any out, or the table is of another resolution.
     """
-    if len(presses) < MIN_PRESSES:
+    if len(presses) < rules.min_presses:
         msg = (
             f"{len(presses)} usable presses are too few to hold any out; take at least "
-            f"{MIN_PRESSES}, better 30, spread over the gel"
+            f"{rules.min_presses}, better 30, spread over the gel"
         )
         raise PressError(msg)
-    reference = reference_of(presses, table)
-    pixels = gather_pixels(presses, reference)
+    reference = reference_of(presses, table, rules)
+    pixels = gather_pixels(presses, reference, rules=rules)
     start, labels = first_state(table, pixels.labels)
     pixels = replace(pixels, labels=labels)
-    testing = np.arange(len(presses)) % TEST_EVERY == TEST_EVERY - 1
+    testing = np.arange(len(presses)) % rules.test_every == rules.test_every - 1
     problem = Problem(
         pixels.of_presses(~testing),
-        PlainTable() if table is None else GivenTable(table),
-        Profiles(pixels.labels[:, 2], pixels.dome_radius_mm),
+        PlainTable(rules.table_degree) if table is None else GivenTable(table),
+        Profiles(pixels.labels[:, 2], pixels.dome_radius_mm, rules),
+        rules,
     )
-    order = np.nonzero(~testing)[0].astype(float)
     noise_grey = camera_noise_grey(presses)
-    selection = select(problem, start, order, noise_grey)
+    comparison = ModelComparison(problem, np.nonzero(~testing)[0].astype(float), noise_grey)
+    selection = comparison.select(start)
     tests = pixels.of_presses(testing)
-    errors = [on_others(entry, tests) for entry in selection.path]
+    errors = [model.errors_on(tests) for model in selection.path]
     squares = [tests.mean_by_press((error**2).mean(axis=1)) for error in errors]
-    contest = Contest.on(problem)
-    unexplained = left_over(selection.chosen, contest.folds, order, noise_grey)
     return OpticsDiagnosis(
         effects=_effects(selection, squares),
-        unexplained=tuple(unexplained),
-        cannot_tell=_cannot_tell(presses, table is not None, selection),
+        unexplained=tuple(comparison.dependences(selection.chosen)),
+        cannot_tell=_cannot_tell(replace(problem, pixels=pixels), selection),
         selection=selection,
         reference=reference,
         given=table,
@@ -214,9 +212,8 @@ def diagnose_optics(presses: PressImages, table: LookupTable | None = None) -> O
         inside_after=_rmse(errors[-1][tests.inside]),
         noise_floor=noise_grey,
         n_fit=int((~testing).sum()),
-        n_test=int(testing.sum()),
+        tests=np.nonzero(testing)[0],
         mean_grey=float(presses.images.mean()),
-        test_names=tuple(np.array(presses.names, dtype=object)[testing]),
     )
 
 
@@ -227,16 +224,16 @@ def _rmse(errors: FloatArray) -> float:
 def _effects(selection: Selection, squares: Sequence[FloatArray]) -> tuple[FoundEffect, ...]:
     rmse = [float(np.sqrt(square.mean())) for square in squares]
     found = []
-    for k, candidate in enumerate(selection.chosen.taken):
-        step = selection.step_of(candidate.name)
+    for k, candidate in enumerate(selection.chosen.candidates):
+        step = selection.step_of(candidate.effect)
         found.append(
             FoundEffect(
-                name=candidate.name,
+                name=candidate.effect,
                 label=candidate.label,
-                parameters=_parameters(selection.chosen, candidate.name),
+                parameters=_parameters(selection.chosen, candidate),
                 cv_gain=selection.path[k].rmse - selection.path[k + 1].rmse,
                 heldout_gain=rmse[k] - rmse[k + 1],
-                p_value=step.p_value[candidate.name],
+                p_value=step.p_value[candidate.effect],
                 runner_up=step.runner_up,
                 runner_up_gain=step.before - step.rmse.get(step.runner_up, step.before),
                 equals=step.equals,
@@ -245,76 +242,63 @@ def _effects(selection: Selection, squares: Sequence[FloatArray]) -> tuple[Found
     return tuple(found)
 
 
-def _parameters(entry: Entry, name: str) -> dict[str, dict[str, Any]]:
+def _parameters(model: FittedModel, candidate: Candidate) -> dict[str, dict[str, Any]]:
     """The fitted parameters of an effect, with standard errors over the presses."""
-    candidate = next(c for c in entry.taken if c.name == name)
-    state, shared = entry.state, entry.shared
-    errors = entry.system.stderr()[3 * entry.problem.table.n_columns :]
-    stderr = {(k.key, k.index): float(e) for k, e in zip(shared, errors, strict=True)}
-    found = {
-        knob.name: {
-            "value": float(getattr(state, knob.key).reshape(-1)[knob.index]),
-            "stderr": stderr[knob.key, knob.index],
-            "unit": knob.unit,
-        }
-        for knob in candidate.shared
-    }
-    count = entry.problem.pixels.n_presses
-    for knob in candidate.own:
-        values = getattr(state, knob.key)[:, knob.index]
+    state, effect = model.state, optical_effect(candidate.effect)
+    errors = model.system.stderr()[3 * model.problem.table.n_columns :]
+    stderr = {one.key: float(e) for one, e in zip(model.shared, errors, strict=True)}
+    found = {}
+    for name, parameter in candidate.shared.items():
+        key = (effect.name, name)
+        found[name] = _number(state.shared[key], stderr[key], parameter.unit)
+    n_presses = model.problem.pixels.n_presses
+    for name, parameter in candidate.own.items():
+        values = state.own[effect.name, name]
+        # A parameter that all presses share has its own entry.
+        shown = f"press_{name}" if name in candidate.shared else name
         spread = float(values.std(ddof=1))
-        found[f"{knob.name}_mean"] = {
-            "value": float(values.mean()), "stderr": spread / math.sqrt(count), "unit": knob.unit
-        }  # fmt: skip
-        found[f"{knob.name}_scatter"] = {
-            "value": spread, "stderr": spread / math.sqrt(2 * count - 2), "unit": knob.unit
-        }  # fmt: skip
-    if name == "shadow":
-        length = float(state.shadow_length_mm)
-        found["length_mm"] = {"value": length, "stderr": 0.5 * length, "unit": "mm"}
-    if candidate.near:
-        found["change_over_image"] = {
-            "value": light_by_place(entry), "stderr": None, "unit": "1"
-        }  # fmt: skip
+        found[f"{shown}_mean"] = _number(
+            float(values.mean()), spread / math.sqrt(n_presses), parameter.unit
+        )
+        found[f"{shown}_scatter"] = _number(
+            spread, spread / math.sqrt(2 * n_presses - 2), parameter.unit
+        )
+    for name, relative in candidate.chosen.items():
+        value = state.shared[effect.name, name]
+        found[name] = _number(value, relative * value, effect.parameters[name].unit)
+    if candidate.color_by_place:
+        found["change_over_image"] = _number(light_by_place(model), None, "1")
     return found
 
 
-def light_by_place(entry: Entry) -> float:
+def _number(value: float, stderr: float | None, unit: str) -> dict[str, Any]:
+    return {"value": value, "stderr": stderr, "unit": unit}
+
+
+def light_by_place(model: FittedModel) -> float:
     """RMS over the gel of what the place changes a slope's colour by, as a share of that colour."""
-    state, table = entry.state, entry.problem.table
-    if not isinstance(table, PlainTable) or not table.near:
+    table = model.problem.table
+    if not isinstance(table, PlainTable):
         return 0.0
-    weights = table.position_weights(state.weights)[table.moving()]
+    weights = table.position_weights(model.state.weights)[table.moving]
     side = np.linspace(-0.5, 0.5, 9)
     u, v = (grid.ravel() for grid in np.meshgrid(side, side))
-    place = np.stack([u * u, v * v, u * v, u, v], axis=-1)
-    moved = np.einsum("pf,tfc->ptc", place, weights[:, :5])
+    moved = np.einsum("pf,tfc->ptc", position_terms(u, v)[:, :5], weights[:, :5])
     return float(np.sqrt((moved**2).mean() / (weights[:, 5] ** 2).mean()))
 
 
-def _cannot_tell(presses: PressImages, is_given: bool, selection: Selection) -> tuple[str, ...]:
+def _cannot_tell(problem: Problem, selection: Selection) -> tuple[str, ...]:
     """What these presses cannot tell apart, and what measurement would."""
-    lines = []
-    if not is_given:
-        lines.append(
-            "cross_talk: a table fitted to the same presses has its own colours, which hold any "
-            "mixing of the channels; give the table from before (--table), or photograph the gel "
-            "with one lamp on at a time."
-        )
-    if len(np.unique(presses.ball_radius_mm)) == 1:
-        lines.append(
-            "scale: with one ball a wrong size of a pixel or of the ball stretches the table's "
-            "slopes and leaves little; press a second ball of another size."
-        )
-    if any(candidate.near for candidate in selection.chosen.taken):
-        lines.append(
-            "illumination: lamps close by belong to the sensor, and a table of `tacgen calibrate "
-            "lookup` holds them in its terms of position. Only against --table is it a change."
-        )
+    scene, found = Scene(problem, selection.chosen.state), selection.chosen.candidates
+    lines = [
+        line
+        for effect in optical_effects()
+        if (line := effect.cannot_tell(scene, [c for c in found if c.effect == effect.name]))
+    ]
     for step in selection.steps:
-        if step.taken and step.equals:
+        if step.selected and step.equals:
             lines.append(
-                f"{step.taken} was taken; the presses hardly tell it from "
+                f"{step.selected} was selected; the presses hardly tell it from "
                 f"{', '.join(step.equals)}: more presses, over the whole gel, would."
             )
     return tuple(lines)

@@ -19,22 +19,26 @@ from tacgen.calibrate.lookup.smooth_model import SmoothModel
 from tacgen.calibrate.lookup.table_fit import N_DIRECTION, N_SLOPE, camera_noise_grey, without_rest
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
-from tacgen.diagnose.optics.model import DEGREE, Optics, PlainTable, skin_of, surface_slopes
-from tacgen.diagnose.optics.model_comparison import Entry
-from tacgen.optics.effects import CHANNELS, LEAKS, PLACES
+from tacgen.diagnose.optics.model import (
+    SKIRT,
+    ModelState,
+    PlainTable,
+    geometry_of,
+    membrane_of,
+    surface_slopes,
+)
+from tacgen.diagnose.optics.model_comparison import FittedModel
+from tacgen.diagnose.optics.rules import SelectionRules
+from tacgen.optics.effects import Stage, optical_effects
 from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
-from tacgen.presses.geometry import Membrane, rest_height
+from tacgen.presses.geometry import rest_height
 from tacgen.presses.press_images import PressImages, place_mm
 
-SMOOTH = 0.03
-"""Width, as a share of the image's, that the background is smoothed with: its noise is no effect
-to find."""
 
-BEYOND_STEEPEST = 1.02
-
-
-def reference_of(presses: PressImages, table: LookupTable | None) -> NDArray[np.float32]:
+def reference_of(
+    presses: PressImages, table: LookupTable | None, rules: SelectionRules
+) -> NDArray[np.float32]:
     """The gel at rest (H, W, 3): as photographed, or as a given table renders it without effects.
 
     Raises
@@ -43,7 +47,7 @@ def reference_of(presses: PressImages, table: LookupTable | None) -> NDArray[np.
         If the table is of another resolution than the presses.
     """
     if table is None:
-        recipe = BackgroundRecipe(smooth=SMOOTH)
+        recipe = BackgroundRecipe(smooth=rules.background_smoothing)
         return make_background(presses.background, None, recipe, presses.dots)
     if table.shape_px != presses.shape_px:
         msg = (
@@ -62,84 +66,53 @@ def reference_of(presses: PressImages, table: LookupTable | None) -> NDArray[np.
     return image
 
 
-def first_state(table: LookupTable | None, labels_mm: FloatArray) -> tuple[Optics, FloatArray]:
+def first_state(table: LookupTable | None, labels_mm: FloatArray) -> tuple[ModelState, FloatArray]:
     """Where a diagnosis begins, and the labels (N, 3) as a given table understands them."""
     if table is None:
-        return Optics(), labels_mm
-    state = with_effects(Optics(), table.effects)
+        return ModelState(), labels_mm
+    state = with_effects(ModelState(), table.effects)
     learnt = table.provenance.get("press_model")
     if not learnt:
         return state, labels_mm
     model = PressModel.from_dict(learnt)
     expected = model.labels.geometry(labels_mm)
     decay = model.membrane.decay_mm / float(expected[:, 2].mean())
-    form = str(table.provenance.get("form", "skirt"))
-    found = replace(state, form=form, decay=np.array([decay]), sharpness=model.membrane.sharpness)
+    found = replace(
+        state,
+        form=str(table.provenance.get("form", state.form)),
+        sharpness=model.membrane.sharpness,
+        shared={**state.shared, SKIRT.key: decay},
+    )
     return found, expected
 
 
-def with_effects(state: Optics, effects: Mapping[str, Mapping[str, float]]) -> Optics:
+def with_effects(state: ModelState, effects: Mapping[str, Mapping[str, float]]) -> ModelState:
     """``state`` with the effects that a table carries switched on."""
-
-    def read(name: str, parameters: tuple[str, ...], identity: float = 0.0) -> FloatArray:
-        given = effects.get(name, {})
-        return np.array([float(given.get(p, identity)) for p in parameters])
-
-    light = read("illumination", tuple(f"{c}_{p}" for c in CHANNELS for p in PLACES))
-    return replace(
-        state,
-        sigma_mm=read("blur", ("sigma_mm",)),
-        light=light.reshape(3, 5),
-        mixing=read("cross_talk", LEAKS),
-        gain=read("background_gain", tuple(f"gain_{c}" for c in CHANNELS), 1.0) - 1,
-        offset=read("background_gain", tuple(f"offset_{c}" for c in CHANNELS)),
-        dimming_all=read("vignetting", ("strength",)),
-        dimming=read("vignetting", ("change_strength",)),
-        level=read("saturation", ("level_grey",), math.inf),
-        knee=read("saturation", ("knee_grey",)),
-        shadow=read("shadow", ("strength",)),
-        shadow_length_mm=float(effects.get("shadow", {}).get("length_mm", 0.0)),
-    )
-
-
-def effects_of(state: Optics) -> dict[str, dict[str, float]]:
-    """What the renderer applies, by the names and units of ``tacgen.optics.effects``."""
-    gain, offset = state.gain, state.offset
-    light = {
-        f"{c}_{p}": float(state.light[i, j])
-        for i, c in enumerate(CHANNELS)
-        for j, p in enumerate(PLACES)
+    shared = {
+        (effect.name, name): float(effects[effect.name].get(name, parameter.identity))
+        for effect in optical_effects(Stage.SURFACE)
+        if effect.name in effects
+        for name, parameter in effect.parameters.items()
     }
-    effects: dict[str, dict[str, float]] = {}
-    if state.sigma_mm[0] > 0:
-        effects["blur"] = {"sigma_mm": float(state.sigma_mm[0])}
-    if state.shadow[0] > 0:
-        effects["shadow"] = {
-            "strength": float(state.shadow[0]), "length_mm": float(state.shadow_length_mm)
-        }  # fmt: skip
-    if state.light.any():
-        effects["illumination"] = light
-    if state.mixing.any():
-        effects["cross_talk"] = dict(zip(LEAKS, map(float, state.mixing), strict=True))
-    if gain.any() or offset.any():
-        effects["background_gain"] = {
-            **{f"gain_{c}": 1 + float(gain[i]) for i, c in enumerate(CHANNELS)},
-            **{f"offset_{c}": float(offset[i]) for i, c in enumerate(CHANNELS)},
+    return replace(state, shared={**state.shared, **shared})
+
+
+def effects_of(state: ModelState) -> dict[str, dict[str, float]]:
+    """What the renderer applies: every effect that does anything, with all of its parameters."""
+    effects = {}
+    for effect in state.active(Stage.SURFACE, Stage.CAMERA):
+        identity = {name: parameter.identity for name, parameter in effect.parameters.items()}
+        values = {
+            name: state.shared.get((effect.name, name), same) for name, same in identity.items()
         }
-    if state.dimming[0] or state.dimming_all[0]:
-        effects["vignetting"] = {
-            "strength": float(state.dimming_all[0]), "change_strength": float(state.dimming[0])
-        }  # fmt: skip
-    if np.isfinite(state.level[0]):
-        effects["saturation"] = {
-            "level_grey": float(state.level[0]), "knee_grey": float(state.knee[0])
-        }  # fmt: skip
+        if values != identity:
+            effects[effect.name] = values
     return effects
 
 
 def extended_table(
     presses: PressImages,
-    entry: Entry,
+    found: FittedModel,
     reference: NDArray[np.float32],
     given: LookupTable | None,
 ) -> LookupTable:
@@ -148,20 +121,21 @@ def extended_table(
     A given table keeps its coefficients and gains the effects; without one the fitted table is
     tabulated. What belongs to single presses (centres, radii, the scatter of exposure) stays out.
     """
-    effects = MappingProxyType(effects_of(entry.state))
+    effects = MappingProxyType(effects_of(found.state))
     if given is not None:
         provenance = {**given.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
         return replace(given, effects=effects, provenance=MappingProxyType(provenance))
-    table, state, pixels = entry.problem.table, entry.state, entry.problem.pixels
+    table, state, rules = found.problem.table, found.state, found.problem.rules
     if not isinstance(table, PlainTable):
         msg = "a fitted table has weights"
         raise TypeError(msg)
-    model = SmoothModel(table.position_weights(state.weights), DEGREE)
-    gx, gy = surface_slopes(state, pixels, entry.problem.profiles)
-    steepest = min(BEYOND_STEEPEST * float(np.arctan(np.hypot(gx, gy)).max()), math.pi / 2)
+    model = SmoothModel(table.position_weights(state.weights), table.degree)
+    gx, gy = surface_slopes(found.problem, state)
+    steepest = float(np.arctan(np.hypot(gx, gy)).max())
+    steepest = min(rules.table_margin * steepest, math.pi / 2)
     slope = np.linspace(0.0, steepest, N_SLOPE)
     direction = -np.pi + 2 * np.pi * np.arange(N_DIRECTION) / N_DIRECTION
-    press_model = press_model_of_state(entry, presses.dome_radius_mm)
+    press_model = press_model_of_state(found, presses.dome_radius_mm)
     return LookupTable(
         coefficients=model.coefficients(slope, direction),
         background=without_rest(reference, model, press_model, presses.mm_per_px),
@@ -170,27 +144,30 @@ def extended_table(
         sensor=presses.sensor,
         noise_grey=camera_noise_grey(presses),
         effects=effects,
-        provenance=MappingProxyType(_provenance(presses, entry, press_model)),
+        provenance=MappingProxyType(_provenance(presses, found, press_model)),
     )
 
 
-def press_model_of_state(entry: Entry, dome_radius_mm: float) -> PressModel:
+def press_model_of_state(found: FittedModel, dome_radius_mm: float) -> PressModel:
     """What the presses say about their labels and the skin, as a table keeps it."""
-    state, pixels = entry.state, entry.problem.pixels
-    radius = float(pixels.labels[:, 2].mean())
-    factor = float(state.contact_factor[0])
+    problem, state = found.problem, found.state
+    labels = problem.pixels.labels
+    places, _ = geometry_of(problem, state)
+    expected, _ = geometry_of(problem, state.for_presses(len(labels)))
+    radius = float(labels[:, 2].mean())
+    factor = float(expected[:, 2].mean()) / radius
     shift = np.zeros((3, 2))
-    if len(state.shift):
-        shift[0] = (state.shift * pixels.labels[:, 2:]).mean(axis=0)
-    skin = skin_of(state, pixels)
+    shift[0] = (places - labels)[:, :2].mean(axis=0)
     return PressModel(
         LabelModel(shift, factor * radius, radius, factor),
-        Membrane(skin.decay_mm, skin.sharpness),
+        membrane_of(state, problem.pixels),
         dome_radius_mm,
     )
 
 
-def _provenance(presses: PressImages, entry: Entry, press_model: PressModel) -> dict[str, Any]:
+def _provenance(
+    presses: PressImages, found: FittedModel, press_model: PressModel
+) -> dict[str, Any]:
     return {
         "made_by": f"tacgen {__version__} diagnose optics",
         "data_sha256": dict(presses.sha256),
@@ -198,6 +175,6 @@ def _provenance(presses: PressImages, entry: Entry, press_model: PressModel) -> 
         "left_out": [str(press) for press in presses.dropped],
         "ball_radius_mm": sorted({float(r) for r in presses.ball_radius_mm}),
         "press_model": press_model.as_dict(),
-        "form": entry.state.form,
-        "found": list(entry.names),
+        "form": found.state.form,
+        "found": list(found.effects),
     }

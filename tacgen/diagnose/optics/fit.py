@@ -1,8 +1,8 @@
-"""Fitting the images' chain: Gauss–Newton over whole presses, folds left out, held-out error.
+"""Fitting the images' chain: Gauss–Newton over whole presses, folds held out, held-out error.
 
-A press's own quantities (its centre, its exposure) are eliminated press by press, so that what is
-left is one small system for what all presses share, a sum over presses: leaving a fold out is
-leaving its terms out of the sum.
+What a press has of its own (its centre, its exposure) is eliminated press by press, so that one
+small system remains for what all presses share, a sum over presses: holding a fold out is leaving
+its terms out of the sum.
 """
 
 from __future__ import annotations
@@ -14,53 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.optics.model import GivenTable, Optics, PlainTable, render
-from tacgen.diagnose.optics.pixels import PressPixels
-from tacgen.diagnose.optics.surface import Profiles
-
-RIDGE = 1e-4
-"""Of the plain table, relative to the mean of its normal matrix."""
-
-CORRELATED_PIXELS = 6.0
-"""Residuals of neighbouring lattice pixels go together: so many count as one."""
-
-HELDOUT_STEPS = 4
-
-DONE = 1e-4
-"""A step that lowers the squared error by less than this share is the last."""
-
-
-@dataclass(frozen=True, slots=True)
-class Knob:
-    """A quantity that a fit may turn: an entry of an array of ``Optics``, or one a press.
-
-    ``step`` is for the finite difference, ``prior`` a standard deviation around the value that
-    does nothing (0: none).
-    """
-
-    key: str
-    index: int
-    step: float
-    lower: float
-    upper: float
-    prior: float = 0.0
-    unit: str = "1"
-    name: str = ""
-    each_press: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """What a fit works on: the pixels, the table and the surface's profiles."""
-
-    pixels: PressPixels
-    table: PlainTable | GivenTable
-    profiles: Profiles
+from tacgen.diagnose.optics.model import (
+    Colors,
+    FreeParameter,
+    ModelState,
+    PlainTable,
+    Problem,
+    colors_of,
+    photograph,
+    render,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """Normal matrix (N, D, D) and gradient (N, D) of every press, own quantities eliminated."""
+    """Normal matrix (N, D, D) and gradient (N, D) of every press, own parameters eliminated."""
 
     matrices: FloatArray
     gradients: FloatArray
@@ -70,6 +38,7 @@ class System:
     def step(self, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
         """The Gauss–Newton step of the presses that are kept."""
         matrix = self.matrices[kept].sum(axis=0)
+        # A parameter that nothing depends on stays where it is.
         matrix = matrix + np.diag(self.penalty + 1e-9 * (np.diag(matrix) + 1e-9))
         return np.linalg.solve(matrix, self.gradients[kept].sum(axis=0) + self.pull)
 
@@ -80,83 +49,84 @@ class System:
         return np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
 
 
-def turned(state: Optics, knobs: Sequence[Knob], amounts: FloatArray) -> Optics:
-    """``state`` with every knob turned by its amount (scalar, or (N,) of one a press)."""
-    changed: dict[str, NDArray] = {}
-    for knob, amount in zip(knobs, amounts, strict=True):
-        values = changed.get(knob.key)
-        if values is None:
-            values = np.array(getattr(state, knob.key), dtype=np.float64)
-        if knob.each_press:
-            now = values[:, knob.index]
-            values[:, knob.index] = np.clip(now + amount, knob.lower, knob.upper)
+def moved(
+    state: ModelState, free: Sequence[FreeParameter], amounts: Sequence[FloatArray | float]
+) -> ModelState:
+    """``state`` with each parameter moved by its amount, as far as its bounds allow."""
+    shared, own = dict(state.shared), dict(state.own)
+    for one, amount in zip(free, amounts, strict=True):
+        value = np.clip(state.value(one) + amount, one.parameter.lower, one.parameter.upper)
+        if one.each_press:
+            own[one.key] = value
         else:
-            flat = values.reshape(-1)
-            flat[knob.index] = np.clip(flat[knob.index] + amount, knob.lower, knob.upper)
-        changed[knob.key] = values
-    return replace(state, **changed) if changed else state  # type: ignore[arg-type]
+            shared[one.key] = float(value)
+    return replace(state, shared=shared, own=own)
 
 
-def _value(state: Optics, knob: Knob) -> FloatArray:
-    values = getattr(state, knob.key)
-    return np.asarray(values[:, knob.index] if knob.each_press else values.reshape(-1)[knob.index])
-
-
-def _identity(knob: Knob) -> float:
-    return float(np.ravel(getattr(Optics(), knob.key))[knob.index]) if not knob.each_press else 0.0
-
-
-def _slopes(problem: Problem, state: Optics, knobs: Sequence[Knob], grey: FloatArray) -> FloatArray:
-    """Derivatives (n, 3, len(knobs)) of the grey levels."""
-    columns = [np.zeros((*grey.shape, 0))]
-    for knob in knobs:
-        step = knob.step if np.all(_value(state, knob) < knob.upper - knob.step) else -knob.step
-        amount = np.full(problem.pixels.n_presses, step) if knob.each_press else step
-        moved = turned(state, [knob], [amount])  # type: ignore[arg-type]
-        picture = render(moved, problem.pixels, problem.table, problem.profiles)
-        columns.append(((picture.grey - grey) / step)[..., None])
-    return np.concatenate(columns, axis=2)
-
-
-def linearise(
+def _derivatives(
     problem: Problem,
-    state: Optics,
-    shared: Sequence[Knob],
-    own: Sequence[Knob],
+    state: ModelState,
+    free: Sequence[FreeParameter],
+    colors: Colors,
+    grey: FloatArray,
+) -> FloatArray:
+    """Of the grey levels (n, 3), by each parameter: (n, 3, len(free))."""
+    columns = np.zeros((*grey.shape, len(free)))
+    for k, one in enumerate(free):
+        step = one.parameter.step
+        if not np.all(state.value(one) < one.parameter.upper - step):
+            step = -step
+        shifted = moved(state, [one], [step])
+        change = colors_of(problem, shifted).change if one.is_of_surface else colors.change
+        columns[..., k] = (photograph(problem, shifted, change) - grey) / step
+    return columns
+
+
+def linearize(
+    problem: Problem,
+    state: ModelState,
+    shared: Sequence[FreeParameter],
+    own: Sequence[FreeParameter],
     weight: FloatArray | None = None,
 ) -> tuple[System, list[tuple[FloatArray, FloatArray]], float]:
     """The system at ``state``, what each press's own step needs, and the mean squared error."""
-    pixels, table = problem.pixels, problem.table
-    picture = render(state, pixels, table, problem.profiles)
-    error = pixels.grey - picture.grey
+    pixels, rules = problem.pixels, problem.rules
+    colors = colors_of(problem, state)
+    grey = photograph(problem, state, colors.change)
+    nudged = photograph(problem, state, colors.change + rules.derivative_grey)
+    per_change = (nudged - grey) / rules.derivative_grey
+    error = pixels.grey - grey
     mean_square = float((error**2).mean())
-    by_shared = _slopes(problem, state, shared, picture.grey)
-    by_own = _slopes(problem, state, own, picture.grey)
-    n_weights = 3 * table.n_columns
-    size, noise = n_weights + len(shared), max(mean_square, 0.05) * CORRELATED_PIXELS
-    prior = np.array([noise / knob.prior**2 for knob in own])
+    by_shared = _derivatives(problem, state, shared, colors, grey)
+    by_own = _derivatives(problem, state, own, colors, grey)
+    n_columns = problem.table.n_columns
+    size = 3 * n_columns + len(shared)
+    noise = max(mean_square, rules.least_square_grey) * rules.correlated_pixels
+    prior = np.array([noise / one.parameter.prior**2 for one in own])
     matrices = np.zeros((pixels.n_presses, size, size))
     gradients = np.zeros((pixels.n_presses, size))
     backs: list[tuple[FloatArray, FloatArray]] = []
-    ends = np.searchsorted(pixels.press, np.arange(pixels.n_presses + 1))
-    for k in range(pixels.n_presses):
-        part = slice(ends[k], ends[k + 1])
-        mine = by_own[part]
+    for k, part in enumerate(pixels.parts):
         cross, square = np.zeros((size, len(own))), np.diag(prior)
         pull: FloatArray = np.zeros(len(own))
         for channel in range(3):
+            columns = np.hstack(
+                [
+                    colors.columns[part] * per_change[part, channel, None],
+                    by_shared[part, channel],
+                ]
+            )
+            weights = np.arange(channel * n_columns, (channel + 1) * n_columns)
+            at = np.concatenate([weights, 3 * n_columns + np.arange(len(shared))])
+            residual, beside = error[part, channel], by_own[part, channel]
             kept = 1.0 if weight is None else weight[part, channel, None]
-            scale = picture.per_change[part, channel, None]
-            columns = np.hstack([picture.columns[part] * scale, by_shared[part, channel]])
-            at = _places(channel, table.n_columns, len(shared))
-            residual, beside = error[part, channel], mine[:, channel]
             matrices[k][np.ix_(at, at)] += (columns * kept).T @ columns
             gradients[k][at] += (columns * kept).T @ residual
             cross[at] += (columns * kept).T @ beside
             square = square + (beside * kept).T @ beside
             pull = pull + (beside * kept).T @ residual
         if own:
-            now = np.array([float(_value(state, knob)[k]) for knob in own])
+            now = np.array([float(state.value(one)[k]) for one in own])
             solved = np.linalg.solve(square, np.column_stack([cross.T, pull - prior * now]))
             matrices[k] -= cross @ solved[:, :-1]
             gradients[k] -= cross @ solved[:, -1]
@@ -165,137 +135,150 @@ def linearise(
     return System(matrices, gradients, *penalties), backs, mean_square
 
 
-def _places(channel: int, n_columns: int, n_shared: int) -> NDArray[np.int64]:
-    """Where a channel's weights, and what is shared, stand among all unknowns."""
-    weights = np.arange(channel * n_columns, (channel + 1) * n_columns)
-    return np.concatenate([weights, 3 * n_columns + np.arange(n_shared)])
-
-
 def _penalties(
-    problem: Problem, state: Optics, shared: Sequence[Knob], matrices: FloatArray, noise: float
+    problem: Problem,
+    state: ModelState,
+    shared: Sequence[FreeParameter],
+    matrices: FloatArray,
+    noise: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """The ridge of the table and the knobs' priors: diagonal, and pull towards doing nothing."""
-    penalty = np.array([noise / k.prior**2 if k.prior else 0.0 for k in shared])
-    apart = np.array([float(_value(state, k)) - _identity(k) if k.prior else 0.0 for k in shared])
+    """The table's ridge and the parameters' priors: diagonal, and pull towards doing nothing."""
+    held = [one.parameter.prior for one in shared]
+    penalty = np.array([noise / prior**2 if prior else 0.0 for prior in held])
+    apart = np.array([float(state.value(one)) - one.identity for one in shared])
     if not isinstance(problem.table, PlainTable):
         return penalty, -penalty * apart
     n_weights = 3 * problem.table.n_columns
     mean = float(np.einsum("kii->k", matrices[:, :n_weights, :n_weights]).sum()) / n_weights
-    ridge = np.tile(RIDGE * mean * problem.table.roughness(), 3)
+    ridge = np.tile(problem.rules.table_ridge * mean * problem.table.roughness(), 3)
     both = np.concatenate([ridge, penalty])
     return both, -both * np.concatenate([state.weights.T.ravel(), apart])
 
 
-def advance(problem: Problem, state: Optics, shared: Sequence[Knob], step: FloatArray) -> Optics:
-    """``state`` after a step of the table's weights and the shared knobs."""
+def advance(
+    problem: Problem, state: ModelState, shared: Sequence[FreeParameter], step: FloatArray
+) -> ModelState:
+    """``state`` after a step of the table's weights and the shared parameters."""
     n_weights = 3 * problem.table.n_columns
-    moved = turned(state, shared, step[n_weights:])
+    after = moved(state, shared, [*step[n_weights:]])
     if not n_weights:
-        return moved
-    return replace(moved, weights=state.weights + step[:n_weights].reshape(3, -1).T)
+        return after
+    return replace(after, weights=state.weights + step[:n_weights].reshape(3, -1).T)
 
 
 def fit(
     problem: Problem,
-    state: Optics,
-    shared: Sequence[Knob],
-    own: Sequence[Knob],
+    state: ModelState,
+    shared: Sequence[FreeParameter],
+    own: Sequence[FreeParameter],
     *,
     steps: int,
     weight: FloatArray | None = None,
-) -> tuple[Optics, System]:
-    """Gauss–Newton; a step that makes the fit worse is halved. Returns state and system."""
+) -> tuple[ModelState, System]:
+    """Gauss–Newton; a step that makes the fit worse is shortened. Returns state and system."""
+    rules = problem.rules
     kept = np.ones(problem.pixels.n_presses, dtype=bool)
-    system, backs, least = linearise(problem, state, shared, own, weight)
+    system, backs, least = linearize(problem, state, shared, own, weight)
     for _ in range(steps):
         step = _bounded(problem, shared, system.step(kept))
         moves = np.array([back[0] - back[1] @ step for back in backs])
-        for share in (1.0, 0.4, 0.1):
-            moved = advance(problem, state, shared, share * step)
+        for share in rules.step_shares:
+            after = advance(problem, state, shared, share * step)
             if own:
-                moved = turned(moved, own, share * _own_step(own, moves))
-            if weight is not None or mean_square(problem, moved) < least:
+                after = moved(after, own, [*(share * _own_step(problem, own, moves))])
+            if weight is not None or mean_square(problem, after) < least:
                 break
         else:
             break
-        state = moved
-        system, backs, square = linearise(problem, state, shared, own, weight)
-        if weight is None and square > (1 - DONE) * least:
+        state = after
+        system, backs, square = linearize(problem, state, shared, own, weight)
+        if weight is None and square > (1 - rules.converged_share) * least:
             break
         least = square
     return state, system
 
 
-def _own_step(own: Sequence[Knob], moves: FloatArray) -> NDArray[np.float64]:
-    """The step (n_own, N) of each press's quantities: no more than a quarter of their range."""
-    limits = np.array([0.25 * (knob.upper - knob.lower) for knob in own])
+def _own_step(
+    problem: Problem, own: Sequence[FreeParameter], moves: FloatArray
+) -> NDArray[np.float64]:
+    """The step (n_own, N) of each press's parameters, within a share of their range."""
+    share = problem.rules.max_press_step_range
+    limits = np.array([share * (one.parameter.upper - one.parameter.lower) for one in own])
     return np.asarray(np.clip(moves, -limits, limits).T)
 
 
-def _bounded(problem: Problem, shared: Sequence[Knob], step: FloatArray) -> FloatArray:
-    """No knob goes farther in one step than a third of its range, at most 40 of its nudges."""
-    limits = [min(40 * knob.step, (knob.upper - knob.lower) / 3) for knob in shared]
+def _bounded(problem: Problem, shared: Sequence[FreeParameter], step: FloatArray) -> FloatArray:
+    """The step with every parameter's within what the linear model may speak for."""
+    rules = problem.rules
+    limits = [
+        min(
+            rules.max_step_differences * one.parameter.step,
+            rules.max_step_range * (one.parameter.upper - one.parameter.lower),
+        )
+        for one in shared
+    ]
     n_weights = 3 * problem.table.n_columns
     bounded = step.copy()
     bounded[n_weights:] = np.clip(step[n_weights:], -np.array(limits), limits)
     return bounded
 
 
-def mean_square(problem: Problem, state: Optics) -> float:
-    """Mean squared error of a state on the presses it was fitted to."""
-    grey = render(state, problem.pixels, problem.table, problem.profiles).grey
-    return float(((problem.pixels.grey - grey) ** 2).mean())
+def mean_square(problem: Problem, state: ModelState) -> float:
+    """Mean squared error, grey levels."""
+    return float(((problem.pixels.grey - render(problem, state)) ** 2).mean())
 
 
 def without_fold(
     problem: Problem,
-    state: Optics,
+    state: ModelState,
     system: System,
-    shared: Sequence[Knob],
+    shared: Sequence[FreeParameter],
     kept: NDArray[np.bool_],
-) -> Optics:
+) -> ModelState:
     """What a fit to the kept presses alone gives: one more step from the fit to all."""
     return advance(problem, state, shared, _bounded(problem, shared, system.step(kept)))
 
 
 def heldout_errors(
-    problem: Problem, state: Optics, own: Sequence[Knob], noise: float
+    problem: Problem, state: ModelState, own: Sequence[FreeParameter], noise: float
 ) -> FloatArray:
-    """Residuals (n, 3) of presses that had no part in ``state``.
+    """Residuals (n, 3) of presses that ``state`` was not fitted to.
 
-    A press's own quantities are estimated on one colour of the chess board of blocks and scored
+    A press's own parameters are estimated on one colour of the chess board of blocks and scored
     on the other, both ways.
     """
     pixels = problem.pixels
-    start = state.for_presses(pixels.n_presses, state.hidden)
     if not own:
-        return np.asarray(pixels.grey - render(start, pixels, problem.table, problem.profiles).grey)
+        return np.asarray(pixels.grey - render(problem, state))
     errors = np.zeros_like(pixels.grey)
     for odd in (False, True):
         seen = pixels.odd == odd
-        found = own_fit(problem, start, own, seen, noise)
-        grey = render(found, pixels, problem.table, problem.profiles).grey
+        grey = render(problem, own_fit(problem, state, own, seen, noise))
         errors[~seen] = (pixels.grey - grey)[~seen]
     return errors
 
 
 def own_fit(
-    problem: Problem, state: Optics, own: Sequence[Knob], seen: NDArray[np.bool_], noise: float
-) -> Optics:
-    """Each press's own quantities from the pixels that are ``seen`` (n,)."""
-    pixels = problem.pixels
-    prior = np.array([noise * CORRELATED_PIXELS / knob.prior**2 for knob in own])
-    linear = all(knob.key.startswith("press_") for knob in own)
-    for _ in range(2 if linear else HELDOUT_STEPS):
-        grey = render(state, pixels, problem.table, problem.profiles).grey
-        slopes = _slopes(problem, state, own, grey) * seen[:, None, None]
-        error = pixels.grey - grey
-        n_own = len(own)
-        square = np.zeros((pixels.n_presses, n_own, n_own))
+    problem: Problem,
+    state: ModelState,
+    own: Sequence[FreeParameter],
+    seen: NDArray[np.bool_],
+    noise: float,
+) -> ModelState:
+    """Each press's own parameters from the pixels that are ``seen`` (n,)."""
+    pixels, rules = problem.pixels, problem.rules
+    scale = noise * rules.correlated_pixels
+    prior = np.array([scale / one.parameter.prior**2 for one in own])
+    nonlinear = any(one.is_of_surface for one in own)
+    for _ in range(rules.press_steps if nonlinear else rules.linear_press_steps):
+        colors = colors_of(problem, state)
+        grey = photograph(problem, state, colors.change)
+        slopes = _derivatives(problem, state, own, colors, grey) * seen[:, None, None]
+        square = np.zeros((pixels.n_presses, len(own), len(own)))
         np.add.at(square, pixels.press, np.einsum("nci,ncj->nij", slopes, slopes))
-        pull = np.zeros((pixels.n_presses, n_own))
-        np.add.at(pull, pixels.press, np.einsum("nci,nc->ni", slopes, error))
-        now = np.stack([_value(state, knob) for knob in own], axis=-1)
+        pull = np.zeros((pixels.n_presses, len(own)))
+        np.add.at(pull, pixels.press, np.einsum("nci,nc->ni", slopes, pixels.grey - grey))
+        now = np.stack([state.value(one) for one in own], axis=-1)
         step = np.linalg.solve(square + np.diag(prior), (pull - prior * now)[..., None])[..., 0]
-        state = turned(state, own, _own_step(own, step))
+        state = moved(state, own, [*_own_step(problem, own, step)])
     return state

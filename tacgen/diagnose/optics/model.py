@@ -1,103 +1,162 @@
 """The picture of a ball press as a chain of small physical steps, each switched off at first.
 
 A slope has one colour wherever it is (the plain table, or a table that was calibrated before); the
-background is as photographed; the gel follows the ball. Every effect frees what its name says:
+background is as photographed; the gel follows the ball. Every optical effect
+(``tacgen.optics.effects``) acts at its own place:
 
-    labels → centre, contact radius → slope of the gel (blurred) → colour change by the table
-    → cast shadow → illumination → cross-talk → gain and offset → vignetting → the camera clips
+    labels → place of the ball → slope of the gel → colour change by the table → image → camera
 
-The order is the renderer's (``tacgen.optics``), so that what is found can be rendered.
+The order is the renderer's, so that what is found can be rendered.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.calibrate.lookup.smooth_model import exponents, monomials, n_terms, normal_parts
+from tacgen.calibrate.lookup.smooth_model import (
+    exponents,
+    monomials,
+    n_terms,
+    normal_parts,
+    roughness,
+)
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.pixels import PressPixels
-from tacgen.diagnose.optics.surface import Profiles, Skin
+from tacgen.diagnose.optics.rules import RULES, SelectionRules
+from tacgen.diagnose.optics.surface import Profiles
+from tacgen.optics.effects import (
+    OpticalEffect,
+    Parameter,
+    Patch,
+    Stage,
+    leds_of_table,
+    optical_effect,
+    optical_effects,
+)
 from tacgen.optics.table import LookupTable
-from tacgen.presses.geometry import MAX_RADIUS_SHARE, rest_slope
+from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, rest_height, rest_slope
 
-DEGREE = 6
-"""Of the plain table's polynomial in the surface normal."""
-
-NEAR_DEGREE = 2
-"""Terms up to this degree may change with the place: lamps close by turn and dim their light."""
+Key = tuple[str, str]
+"""Name of an effect, and of its parameter."""
 
 
 @dataclass(frozen=True, slots=True)
-class Optics:
-    """Every quantity of the chain; the defaults switch each effect off.
+class FreeParameter:
+    """A parameter that a fit may change: of all presses, or what each press differs by."""
+
+    effect: str
+    name: str
+    parameter: Parameter
+    each_press: bool = False
+
+    @property
+    def key(self) -> Key:
+        """Where a state keeps it."""
+        return self.effect, self.name
+
+    @property
+    def identity(self) -> float:
+        """Where it does nothing."""
+        return 0.0 if self.each_press else self.parameter.identity
+
+    @property
+    def is_of_surface(self) -> bool:
+        """Whether it changes the slopes of the gel, not their colours alone."""
+        return not self.effect or optical_effect(self.effect).stage <= Stage.SURFACE
+
+
+SKIRT = FreeParameter("", "skirt_per_radius", Parameter(0.0, 0.02, 3.0))
+"""Not an effect: how far the gel is drawn in around a ball belongs to every gel. In mean labelled
+contact radii."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelState:
+    """Every number of the chain; effects that it does not name do nothing.
 
     Attributes
     ----------
-    form, sharpness : see ``Skin``
-    decay, contact_factor, ball_factor, sigma_mm : (1,) float
-        Length of the skirt over the mean contact radius; contact radius over the labelled one;
-        ball radius over the stated one; width of the membrane's Gaussian.
+    form : str
+        Of the gel around a ball, see ``tacgen.diagnose.optics.surface``.
+    sharpness : float
+        Of the joint of ball and tail; a given table may have been calibrated with a rounder one.
     weights : (n_columns, 3) float
         Of a table that is fitted; none of a given one.
-    light : (3, 5) float
-        What light of each channel gains with u², v², uv, u, v.
-    dimming, dimming_all : (1,) float
-        Loss of light at the corners, of the change alone or of the background too.
-    mixing : (6,) float
-        rg, rb, gr, gb, br, bg, as in ``tacgen.optics.effects.cross_talk``.
-    shadow : (1,) float
-        Share of a light that its shadow takes away.
-    shadow_length_mm : float
-        Length of the shadow of 1 mm of relief.
-    hidden, unlit : (n, 3) and (3,) float
-        Share of each channel's light that each pixel misses; colour change where none arrives.
-    gain, offset : (3,) float
-        What the picture differs from the background's exposure by: share, and grey levels.
-    level, knee : (1,) float
-        Where the camera clips, and over how much it bends towards that, grey levels.
-    shift, growth : (N, 2) and (N, 1) float
-        Error of each press's centre, and of its radius, in labelled radii.
-    press_gain, press_offset : (N, 3) float
+    shared : mapping
+        (effect, parameter) → its value for all presses.
+    own : mapping
+        (effect, parameter) → (N,) float, what each press differs by.
+    prepared : mapping
+        Effect → what its ``before_fit`` gave for these presses.
     """
 
     form: str = "skirt"
-    sharpness: float = 20.0
-    decay: FloatArray = field(default_factory=partial(np.full, 1, 0.4))
-    contact_factor: FloatArray = field(default_factory=partial(np.ones, 1))
-    ball_factor: FloatArray = field(default_factory=partial(np.ones, 1))
-    sigma_mm: FloatArray = field(default_factory=partial(np.zeros, 1))
-    weights: FloatArray = field(default_factory=partial(np.zeros, (0, 3)))
-    light: FloatArray = field(default_factory=partial(np.zeros, (3, 5)))
-    dimming: FloatArray = field(default_factory=partial(np.zeros, 1))
-    dimming_all: FloatArray = field(default_factory=partial(np.zeros, 1))
-    mixing: FloatArray = field(default_factory=partial(np.zeros, 6))
-    shadow: FloatArray = field(default_factory=partial(np.zeros, 1))
-    shadow_length_mm: float = 0.0
-    hidden: FloatArray | None = None
-    unlit: FloatArray = field(default_factory=partial(np.zeros, 3))
-    gain: FloatArray = field(default_factory=partial(np.zeros, 3))
-    offset: FloatArray = field(default_factory=partial(np.zeros, 3))
-    level: FloatArray = field(default_factory=partial(np.full, 1, np.inf))
-    knee: FloatArray = field(default_factory=partial(np.zeros, 1))
-    shift: FloatArray = field(default_factory=partial(np.zeros, (0, 2)))
-    growth: FloatArray = field(default_factory=partial(np.zeros, (0, 1)))
-    press_gain: FloatArray = field(default_factory=partial(np.zeros, (0, 3)))
-    press_offset: FloatArray = field(default_factory=partial(np.zeros, (0, 3)))
+    sharpness: float = RULES.joint_sharpness
+    weights: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    shared: Mapping[Key, float] = field(
+        default_factory=lambda: MappingProxyType({SKIRT.key: RULES.first_skirt_radii})
+    )
+    own: Mapping[Key, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    prepared: Mapping[str, Mapping[str, FloatArray]] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
 
-    def for_presses(self, n_presses: int, hidden: FloatArray | None = None) -> Optics:
-        """The same for other presses, of which nothing is known yet."""
+    def value(self, free: FreeParameter) -> FloatArray:
+        """What a parameter stands at: one number, or (N,) of each press."""
+        if free.each_press:
+            return self.own[free.key]
+        return np.asarray(self.shared[free.key])
+
+    def active(self, first: Stage, last: Stage) -> list[OpticalEffect]:
+        """The effects of some stages that it names, in the order in which they act."""
+        names = {name for name, _ in (*self.shared, *self.own)}
+        return [effect for effect in optical_effects(first, last) if effect.name in names]
+
+    def values_of(
+        self, effect: OpticalEffect, press: NDArray[np.int64] | None = None
+    ) -> dict[str, Any]:
+        """An effect's parameters: numbers, or arrays by press where presses differ.
+
+        ``press`` (n,) says of which presses; without it each press comes once.
+        """
+        values: dict[str, Any] = {}
+        for name, parameter in effect.parameters.items():
+            key = (effect.name, name)
+            if key in self.shared:
+                values[name] = self.shared[key]
+            if key in self.own:
+                own = self.own[key] if press is None else self.own[key][press]
+                values[name] = values.get(name, parameter.identity) + own
+        return values
+
+    def without(self, effect: str) -> ModelState:
+        """The same with an effect switched off."""
         return replace(
             self,
-            shift=np.zeros((n_presses, 2)),
-            growth=np.zeros((n_presses, 1)),
-            press_gain=np.zeros((n_presses, 3)),
-            press_offset=np.zeros((n_presses, 3)),
-            hidden=hidden,
+            shared={key: value for key, value in self.shared.items() if key[0] != effect},
+            own={key: value for key, value in self.own.items() if key[0] != effect},
+            prepared={name: kept for name, kept in self.prepared.items() if name != effect},
         )
+
+    def for_presses(self, n_presses: int) -> ModelState:
+        """The same for other presses, of which nothing is known yet."""
+        return replace(
+            self, own={key: np.zeros(n_presses) for key in self.own}, prepared=MappingProxyType({})
+        )
+
+    def of_pixels(self, which: NDArray[np.bool_]) -> Mapping[str, Mapping[str, FloatArray]]:
+        """What effects prepared, of some of the pixels."""
+        return {
+            name: {key: values[which] for key, values in kept.items()}
+            for name, kept in self.prepared.items()
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,59 +165,50 @@ class PlainTable:
 
     Attributes
     ----------
-    near : bool
-        Let the terms of low degree change with the place in the image.
+    degree : int
+    place_degree : int
+        Let the terms up to this degree, and the step, change with the place in the image; none
+        where it is negative.
     """
 
-    near: bool = False
+    degree: int
+    place_degree: int = -1
 
     @property
     def n_columns(self) -> int:
         """How many weights a channel has."""
-        return n_terms(DEGREE) + (5 * len(self.moving()) if self.near else 0)
+        return n_terms(self.degree) + 5 * len(self.moving)
 
-    @staticmethod
-    def moving() -> list[int]:
-        """Which terms may change with the place."""
-        low = [t for t, (i, j) in enumerate(exponents(DEGREE)) if i + j <= NEAR_DEGREE]
-        return [*low, n_terms(DEGREE) - 1]
+    @property
+    def moving(self) -> list[int]:
+        """Which terms change with the place."""
+        if self.place_degree < 0:
+            return []
+        low = [t for t, (i, j) in enumerate(exponents(self.degree)) if i + j <= self.place_degree]
+        return [*low, n_terms(self.degree) - 1]
 
     def roughness(self) -> NDArray[np.float64]:
         """What the ridge charges for each column: more for steep terms and for wide change."""
-        cost = np.array([*(float(i + j) ** 2 for i, j in exponents(DEGREE)), 1.0]) / 16.0
-        if not self.near:
-            return cost
-        place = np.array([16.0, 16.0, 16.0, 4.0, 4.0])
-        return np.concatenate([cost, (cost[self.moving()][:, None] * place).ravel()])
+        cost = roughness(self.degree).reshape(-1, 6)
+        return np.concatenate([cost[:, 5], cost[self.moving, :5].ravel()])
 
     def columns(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
         """Terms, and those of low degree times every feature of position."""
-        terms = monomials(*normal_parts(gx, gy), DEGREE)
+        terms = monomials(*normal_parts(gx, gy), self.degree)
         if pixels.dome_radius_mm > 0:
             rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
-            terms = terms - monomials(*normal_parts(*rest), DEGREE)
-        if not self.near:
+            terms = terms - monomials(*normal_parts(*rest), self.degree)
+        if not self.moving:
             return terms
-        moving = terms[:, self.moving(), None] * pixels.position[:, None, :5]
+        moving = terms[:, self.moving, None] * pixels.position[:, None, :5]
         return np.hstack([terms, moving.reshape(len(terms), -1)])
-
-    def change(
-        self,
-        gx: FloatArray,
-        gy: FloatArray,
-        pixels: PressPixels,
-        columns: FloatArray,
-        w: FloatArray,
-    ) -> FloatArray:
-        """The weighted sum of the columns."""
-        return np.asarray(columns @ w)
 
     def position_weights(self, weights: FloatArray) -> NDArray[np.float64]:
         """The weights as a smooth model has them: (n_terms, 6, 3)."""
-        full = np.zeros((n_terms(DEGREE), 6, 3))
+        full = np.zeros((n_terms(self.degree), 6, 3))
         full[:, 5] = weights[: len(full)]
-        if self.near:
-            full[self.moving(), :5] = weights[len(full) :].reshape(-1, 5, 3)
+        if self.moving:
+            full[self.moving, :5] = weights[len(full) :].reshape(-1, 5, 3)
         return full
 
 
@@ -169,18 +219,7 @@ class GivenTable:
     table: LookupTable
     n_columns: int = 0
 
-    def columns(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
-        """None."""
-        return np.zeros((len(gx), 0))
-
-    def change(
-        self,
-        gx: FloatArray,
-        gy: FloatArray,
-        pixels: PressPixels,
-        columns: FloatArray,
-        w: FloatArray,
-    ) -> FloatArray:
+    def change(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
         """What the renderer looks up, less what it looks up for the gel at rest."""
         change = self._look_up(gx, gy, pixels)
         if pixels.dome_radius_mm > 0:
@@ -213,79 +252,170 @@ class GivenTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
-    """Grey levels (n, 3), the columns behind them, and what a unit of change adds (n, 3)."""
+class Problem:
+    """What a fit works on: the pixels, the table and the surface's profiles."""
 
-    grey: FloatArray
-    columns: FloatArray
-    per_change: FloatArray
-
-
-def geometry_of(state: Optics, pixels: PressPixels) -> NDArray[np.float64]:
-    """Centre and contact radius (N, 3) of every press, mm."""
-    labels = pixels.labels
-    center = labels[:, :2] + state.shift * labels[:, 2:]
-    radius = labels[:, 2] * state.contact_factor[0] * (1 + state.growth[:, 0])
-    limit = MAX_RADIUS_SHARE * pixels.ball_mm * state.ball_factor[0]
-    return np.column_stack([center, np.clip(radius, 0.1 * labels[:, 2], limit)])
+    pixels: PressPixels
+    table: PlainTable | GivenTable
+    profiles: Profiles
+    rules: SelectionRules = RULES
 
 
-def skin_of(state: Optics, pixels: PressPixels) -> Skin:
-    """The surface's form, in mm."""
-    length = float(state.decay[0] * pixels.labels[:, 2].mean())
-    return Skin(state.form, length, state.sharpness, float(state.sigma_mm[0]))
+def geometry_of(problem: Problem, state: ModelState) -> tuple[FloatArray, FloatArray]:
+    """Centre and contact radius (N, 3) of every press, and its ball's radius (N,), mm."""
+    labels, balls = problem.pixels.labels, problem.pixels.ball_mm
+    places = labels
+    for effect in state.active(Stage.PRESS, Stage.PRESS):
+        places, balls = effect.on_press(places, balls, **state.values_of(effect))
+    radius = np.clip(
+        places[:, 2], problem.rules.least_contact * labels[:, 2], MAX_RADIUS_SHARE * balls
+    )
+    return np.column_stack([places[:, :2], radius]), balls
 
 
-def surface_slopes(
-    state: Optics, pixels: PressPixels, profiles: Profiles
-) -> tuple[FloatArray, FloatArray]:
+def membrane_of(state: ModelState, pixels: PressPixels) -> Membrane:
+    """How the gel leaves a ball, in mm."""
+    return Membrane(state.shared[SKIRT.key] * float(pixels.labels[:, 2].mean()), state.sharpness)
+
+
+def radial_slopes(
+    problem: Problem, state: ModelState, r_mm: FloatArray, contact_mm: FloatArray, ball: FloatArray
+) -> FloatArray:
+    """Slope along the radius (n,), at distances (n,) from balls in contacts (n,)."""
+    surface = state.active(Stage.SURFACE, Stage.SURFACE)
+    effects = tuple(
+        (effect.name, tuple(sorted(state.values_of(effect).items()))) for effect in surface
+    )
+    membrane = membrane_of(state, problem.pixels)
+    return problem.profiles.slopes(state.form, membrane, r_mm, contact_mm, ball, effects)
+
+
+def surface_slopes(problem: Problem, state: ModelState) -> tuple[FloatArray, FloatArray]:
     """Slope of the gel (n,) along x and along y."""
-    place = geometry_of(state, pixels)[pixels.press]
+    pixels = problem.pixels
+    places, balls = geometry_of(problem, state)
+    place = places[pixels.press]
     dx, dy = pixels.x_mm - place[:, 0], pixels.y_mm - place[:, 1]
     r = np.hypot(dx, dy)
-    balls = pixels.ball_mm * state.ball_factor[0]
-    slope = profiles.slopes(skin_of(state, pixels), r, place[:, 2], balls[pixels.press])
+    slope = radial_slopes(problem, state, r, place[:, 2], balls[pixels.press])
     per_mm = slope / np.maximum(r, 1e-9)
     rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
     return per_mm * dx + rest[0], per_mm * dy + rest[1]
 
 
-def render(
-    state: Optics, pixels: PressPixels, table: PlainTable | GivenTable, profiles: Profiles
-) -> Picture:
-    """The grey levels that ``state`` gives every pixel."""
-    gx, gy = surface_slopes(state, pixels, profiles)
-    columns = table.columns(gx, gy, pixels)
-    change = table.change(gx, gy, pixels, columns, state.weights)
-    per_change: FloatArray = np.ones_like(change)
-    if state.hidden is not None and state.shadow[0] != 0:
-        lost = state.shadow[0] * state.hidden * (change > state.unlit)
-        change, per_change = change - lost * (change - state.unlit), 1 - lost
-    brighter = 1 + pixels.position[:, :5] @ state.light.T
-    change, per_change = change * brighter, per_change * brighter
-    if state.mixing.any():
-        change = change + change @ mixing_matrix(state.mixing)
-    square = 2 * (pixels.position[:, 0] + pixels.position[:, 1])[:, None]
-    dim, dim_all = 1 - state.dimming[0] * square, 1 - state.dimming_all[0] * square
-    gain = 1 + state.gain + state.press_gain[pixels.press]
-    offset = state.offset + state.press_offset[pixels.press]
-    grey = ((pixels.background + change * dim) * gain + offset) * dim_all
-    per_change = per_change * dim * gain * dim_all
-    if np.isfinite(state.level[0]):
-        grey, passed = clipped(grey, float(state.level[0]), float(state.knee[0]))
-        per_change = per_change * passed
-    return Picture(grey, columns, per_change)
+@dataclass(frozen=True, slots=True)
+class Colors:
+    """What the table says of the gel's slopes: change of grey levels (n, 3), columns behind it."""
+
+    change: FloatArray
+    columns: FloatArray
 
 
-def clipped(grey: FloatArray, level: float, knee: float) -> tuple[FloatArray, FloatArray]:
-    """Grey levels below ``level``, bent over ``knee``, and what a grey level more adds to them."""
-    if knee < 0.05:
-        return np.minimum(grey, level), (grey < level).astype(np.float64)
-    under = (level - grey) / knee
-    return level - knee * np.logaddexp(0.0, under), 1 / (1 + np.exp(-np.clip(under, -50, 50)))
+def colors_of(problem: Problem, state: ModelState) -> Colors:
+    """The table's answer, before shadows and the camera."""
+    gx, gy = surface_slopes(problem, state)
+    if isinstance(problem.table, GivenTable):
+        return Colors(problem.table.change(gx, gy, problem.pixels), np.zeros((len(gx), 0)))
+    columns = problem.table.columns(gx, gy, problem.pixels)
+    return Colors(columns @ state.weights, columns)
 
 
-def mixing_matrix(mixing: FloatArray) -> NDArray[np.float64]:
-    """(3, 3): row is the channel that leaks, column the one it shows in."""
-    rg, rb, gr, gb, br, bg = mixing
-    return np.array([[0.0, gr, br], [rg, 0.0, bg], [rb, gb, 0.0]])
+def photograph(problem: Problem, state: ModelState, change: FloatArray) -> FloatArray:
+    """Grey levels (n, 3) that the camera gives of a change of colour."""
+    pixels, patch = problem.pixels, problem.pixels.patch
+    grey: FloatArray = pixels.background + change
+    for effect in state.active(Stage.SHADOW, Stage.CAMERA):
+        values = state.values_of(effect, pixels.press)
+        grey = effect.on_pixels(grey, patch, **values, **state.prepared.get(effect.name, {}))
+    return grey
+
+
+def render(problem: Problem, state: ModelState) -> FloatArray:
+    """The grey levels (n, 3) that ``state`` gives every pixel."""
+    return photograph(problem, state, colors_of(problem, state).change)
+
+
+def prepared(
+    problem: Problem, state: ModelState, before: ModelState | None = None, *, only: str = ""
+) -> ModelState:
+    """``state`` with what its effects, or one of them, need to know of the presses.
+
+    ``before`` is the same model as it was fitted to other presses.
+    """
+    scene, kept = Scene(problem, state), dict(state.prepared)
+    for effect in state.active(Stage.SHADOW, Stage.CAMERA):
+        if only in ("", effect.name):
+            earlier = {} if before is None else before.prepared.get(effect.name, {})
+            kept[effect.name] = effect.before_fit(scene, earlier, **state.values_of(effect))
+    return replace(state, prepared=kept)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What an effect may ask about presses and the model fitted to them."""
+
+    problem: Problem
+    state: ModelState
+
+    @property
+    def contact_radius_mm(self) -> float:
+        """Mean labelled radius of the contacts."""
+        return float(self.problem.pixels.labels[:, 2].mean())
+
+    @property
+    def ball_radii_mm(self) -> FloatArray:
+        """Stated radius of each press's ball (N,)."""
+        return self.problem.pixels.ball_mm
+
+    @property
+    def has_table(self) -> bool:
+        """Whether the colours are those of a given table."""
+        return isinstance(self.problem.table, GivenTable)
+
+    @property
+    def patch(self) -> Patch:
+        """The pixels of all presses."""
+        return self.problem.pixels.patch
+
+    @property
+    def grey(self) -> FloatArray:
+        """Their photographed grey levels (n, 3)."""
+        return self.problem.pixels.grey
+
+    def rendered(self, *, without: str = "") -> FloatArray:
+        """Their grey levels (n, 3) by the model, one effect switched off on request."""
+        return render(self.problem, self.state.without(without) if without else self.state)
+
+    def light_azimuths_rad(self) -> FloatArray:
+        """Direction (3,) that each channel is lit from: the slope the table brightens most."""
+        if isinstance(self.problem.table, GivenTable):
+            leds = leds_of_table(self.problem.table.table)
+            return np.array([math.atan2(y, x) for (x, y, _), _ in leds])
+        return np.arctan2(self.state.weights[1], self.state.weights[0])
+
+    def reliefs(
+        self, reach_radii: float, cells_per_radius: int
+    ) -> Iterator[tuple[slice, NDArray[np.float32], float, list[FloatArray]]]:
+        """Of each press: its pixels, its height map, that one's cell, where in it they lie.
+
+        The balls are where their labels say, so that a held-out press gives nothing away.
+        """
+        pixels, problem = self.problem.pixels, self.problem
+        expected = self.state.for_presses(pixels.n_presses)
+        places, balls = geometry_of(problem, expected)
+        for part, (x, y, radius), ball in zip(pixels.parts, places, balls, strict=True):
+            cell_mm = max(pixels.mm_per_px, radius / cells_per_radius)
+            half = math.ceil(reach_radii * radius / cell_mm)
+            side = np.arange(-half, half + 1) * cell_mm
+            r = np.linspace(0.0, problem.rules.profile_reach_radii * radius, 151)
+            one = np.ones(len(r))
+            slope = radial_slopes(problem, expected, r, radius * one, ball * one)
+            rise = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(r))])
+            relief = np.interp(np.hypot(side[None, :], side[:, None]), r, rise - rise[-1])
+            across, down = np.meshgrid(x + side, y + side)
+            relief = relief + rest_height(across, down, pixels.dome_radius_mm)
+            at = [
+                (pixels.y_mm[part] - y) / cell_mm + half,
+                (pixels.x_mm[part] - x) / cell_mm + half,
+            ]
+            yield part, relief.astype(np.float32), cell_mm, at

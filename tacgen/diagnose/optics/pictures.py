@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.optics.diagnose import TEST_EVERY, OpticsDiagnosis
+from tacgen.diagnose.optics.diagnose import OpticsDiagnosis
 from tacgen.diagnose.optics.extended_table import first_state
-from tacgen.diagnose.optics.model import render
-from tacgen.diagnose.optics.model_comparison import Entry, own_of_others, with_shade_of
+from tacgen.diagnose.optics.model import prepared, render
+from tacgen.diagnose.optics.model_comparison import FittedModel
 from tacgen.diagnose.optics.pixels import gather_pixels
 from tacgen.presses.press_images import PressImages
 from tacgen.report.images import difference, side_by_side
@@ -27,7 +27,7 @@ def press_pictures(
     presses: PressImages, diagnosis: OpticsDiagnosis
 ) -> list[tuple[str, NDArray[np.uint8]]]:
     """Names and strips of test presses, from the largest error after the diagnosis downwards."""
-    tests = np.nonzero(np.arange(len(presses)) % TEST_EVERY == TEST_EVERY - 1)[0]
+    tests = diagnosis.tests
     by_error = tests[np.argsort(diagnosis.after_squares)[::-1]]
     shown = by_error[:: max(1, len(tests) // SHOWN)][:SHOWN]
     return [(presses.names[k], before_and_after(presses, int(k), diagnosis)) for k in shown]
@@ -43,24 +43,21 @@ def before_and_after(presses: PressImages, k: int, diagnosis: OpticsDiagnosis) -
     columns = slice(*(int(np.clip(x + sign * reach, 0, width)) for sign in (-1, 1)))
     photo = one.images[0, rows, columns]
     models = [
-        np.rint(np.clip(_picture(one, entry, diagnosis)[rows, columns], 0, 255)).astype(np.uint8)
-        for entry in (diagnosis.selection.plain, diagnosis.selection.chosen)
+        np.rint(np.clip(_picture(one, model, diagnosis)[rows, columns], 0, 255)).astype(np.uint8)
+        for model in (diagnosis.selection.plain, diagnosis.selection.chosen)
     ]
     residuals = [difference(photo, model, DIFFERENCE_GAIN) for model in models]
     return side_by_side([photo, *models, *residuals])
 
 
-def _picture(press: PressImages, entry: Entry, diagnosis: OpticsDiagnosis) -> FloatArray:
+def _picture(press: PressImages, model: FittedModel, diagnosis: OpticsDiagnosis) -> FloatArray:
     """The whole picture (H, W, 3) of a model, the reference image where there is no contact."""
-    seen = gather_pixels(press, diagnosis.reference)
-    dense = gather_pixels(press, diagnosis.reference, limit=None)
+    rules = model.problem.rules
+    seen = gather_pixels(press, diagnosis.reference, rules=rules)
+    dense = gather_pixels(press, diagnosis.reference, all_pixels=True, rules=rules)
     labels = first_state(diagnosis.given, seen.labels)[1]
-    seen, dense = replace(seen, labels=labels), replace(dense, labels=labels)
-    state = own_of_others(entry, seen)
-    problem = replace(entry.problem, pixels=dense)
-    grey = render(
-        with_shade_of(entry, problem, state), dense, entry.problem.table, entry.problem.profiles
-    ).grey
+    problem = replace(model.problem, pixels=replace(dense, labels=labels))
+    state = model.state_of(replace(seen, labels=labels))
     picture = diagnosis.reference.astype(np.float64)
-    picture[dense.rows, dense.columns] = grey
+    picture[dense.rows, dense.columns] = render(problem, prepared(problem, state, model.state))
     return picture

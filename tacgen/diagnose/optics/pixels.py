@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,9 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.prepared import disc_pixels
 from tacgen.core.arrays import FloatArray
+from tacgen.diagnose.optics.rules import RULES, SelectionRules
+from tacgen.optics.effects import Patch
 from tacgen.presses.press_images import PressImages, label_mm
-
-REACH = 1.6
-"""Pixels up to this many contact radii from a centre are looked at: shade falls outside too."""
-
-PIXELS_PER_PRESS = 350
-"""An even lattice of no more than about so many; neighbours say the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +75,17 @@ class PressPixels:
                 changed[entry.name] = value[mine] if isinstance(value, np.ndarray) else value
         return PressPixels(**changed)
 
+    @property
+    def patch(self) -> Patch:
+        """The pixels as an optical effect sees them."""
+        return Patch(self.background, self.position[:, 3], self.position[:, 4], self.mm_per_px)
+
+    @property
+    def parts(self) -> list[slice]:
+        """The pixels of each press."""
+        ends = np.searchsorted(self.press, np.arange(self.n_presses + 1))
+        return [slice(first, last) for first, last in pairwise(ends)]
+
     def mean_by_press(self, values: FloatArray) -> NDArray[np.float64]:
         """Mean (N,) over each press's pixels of values (n,)."""
         counts = np.maximum(np.bincount(self.press, minlength=self.n_presses), 1)
@@ -86,24 +94,33 @@ class PressPixels:
 
 
 def gather_pixels(
-    presses: PressImages, background: FloatArray, *, limit: int | None = PIXELS_PER_PRESS
+    presses: PressImages,
+    background: FloatArray,
+    *,
+    all_pixels: bool = False,
+    rules: SelectionRules = RULES,
 ) -> PressPixels:
-    """The pixels of every press, all of them without a limit; ``background`` is (H, W, 3)."""
+    """A lattice of the pixels of every press, or all of them; ``background`` is (H, W, 3)."""
     labels = label_mm(presses)
-    labels[:, 2] = np.minimum(labels[:, 2], 1.5 * presses.ball_radius_mm)
-    parts = [disc_pixels(presses, k, reach=REACH, limit=limit) for k in range(len(presses))]
-    rows, columns = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "columns")
-    )
+    labels[:, 2] = np.minimum(labels[:, 2], rules.max_label_balls * presses.ball_radius_mm)
+    limit = None if all_pixels else rules.pixels_per_press
+    parts = [
+        disc_pixels(presses, k, reach=rules.reach_radii, limit=limit) for k in range(len(presses))
+    ]
+
+    def joined(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    rows, columns = joined("rows"), joined("columns")
     return PressPixels(
         press=np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
-        x_mm=np.concatenate([part.x_mm for part in parts]),
-        y_mm=np.concatenate([part.y_mm for part in parts]),
-        position=np.concatenate([part.position for part in parts]),
-        grey=np.concatenate([part.grey for part in parts]),
+        x_mm=joined("x_mm"),
+        y_mm=joined("y_mm"),
+        position=joined("position"),
+        grey=joined("grey"),
         background=background[rows, columns].astype(np.float64),
-        inside=np.concatenate([part.inside for part in parts]),
-        odd=np.concatenate([part.odd_block for part in parts]),
+        inside=joined("inside"),
+        odd=joined("odd_block"),
         rows=rows,
         columns=columns,
         labels=labels,

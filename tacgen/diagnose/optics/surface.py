@@ -1,54 +1,25 @@
-"""The slope of the gel around a ball, by three forms of skin, and smoothed by a membrane."""
+"""The slope of the gel around a ball, by three forms, with the effects on its surface."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ive
 
 from tacgen.core.arrays import FloatArray
+from tacgen.diagnose.optics.rules import RULES, SelectionRules
 from tacgen.optics.deform import FINAL_SIGMA_MM, FIRM_CONTACT, PYRAMID_SIGMA_MM
-from tacgen.presses.geometry import MAX_RADIUS_SHARE
+from tacgen.optics.effects import optical_effect
+from tacgen.optics.smooth import radial_gaussian
+from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, radial_slope
 
 FORMS = ("skirt", "pyramid", "elastic")
 """How the gel goes on outside the contact: an exponential tail of fitted length, the simulation's
 own pyramid of Gaussians, or an elastic half-space (Hertz)."""
 
-_JOINT = 20.0
-"""Power that joins cap and tail: a kink, rounded over a twentieth of a radius."""
-
-_N_CONTACTS = 6
-_STEP = 0.03
-_REACH = 3.0
-"""Profiles are kept at multiples of this share of the contact's radius, up to this many radii."""
-
-_LEAST_SIGMA = 0.01
-"""Below this share of the contact's radius a Gaussian does nothing that the grid can hold."""
-
-
-@dataclass(frozen=True, slots=True)
-class Skin:
-    """The gel's surface around a ball.
-
-    Attributes
-    ----------
-    form : str
-        One of ``FORMS``.
-    decay_mm : float
-        Length of the skirt's tail.
-    sharpness : float
-        Of the joint of cap and tail; a table may have been calibrated with a rounder one.
-    sigma_mm : float
-        Width of the Gaussian that the membrane smooths the surface with.
-    """
-
-    form: str
-    decay_mm: float
-    sharpness: float = _JOINT
-    sigma_mm: float = 0.0
+SurfaceEffects = tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
+"""Name and parameters of each effect on the surface."""
 
 
 class Profiles:
@@ -62,34 +33,48 @@ class Profiles:
         Radius of curvature of the gel at rest; 0 for a flat one.
     """
 
-    def __init__(self, contact_mm: FloatArray, dome_radius_mm: float) -> None:
+    def __init__(
+        self, contact_mm: FloatArray, dome_radius_mm: float, rules: SelectionRules = RULES
+    ) -> None:
         self._contacts = np.geomspace(
-            0.5 * float(contact_mm.min()), 1.6 * float(contact_mm.max()), _N_CONTACTS
+            rules.smallest_contact * float(contact_mm.min()),
+            rules.largest_contact * float(contact_mm.max()),
+            rules.profile_contacts,
         )
-        self._bend_per_mm = 1 / dome_radius_mm if dome_radius_mm > 0 else 0.0
+        self._dome_radius_mm = dome_radius_mm
+        self._rules = rules
 
     def slopes(
         self,
-        skin: Skin,
+        form: str,
+        membrane: Membrane,
         r_mm: FloatArray,
         contact_mm: FloatArray,
         ball_mm: FloatArray,
+        effects: SurfaceEffects = (),
     ) -> NDArray[np.float64]:
         """Slope along the radius (n,), positive outwards, at ``r_mm`` from each pixel's ball."""
         slope = np.zeros(len(r_mm))
+        contacts = tuple(self._contacts.tolist())
         for ball in np.unique(ball_mm):
             here = ball_mm == ball
-            table = _profiles(skin, float(ball), tuple(self._contacts.tolist()), self._bend_per_mm)
+            table = _profiles(
+                form, membrane, effects, float(ball), contacts, self._dome_radius_mm, self._rules
+            )
             slope[here] = self._read(table, r_mm[here], contact_mm[here])
         return slope
 
     def _read(self, table: FloatArray, r_mm: FloatArray, contact_mm: FloatArray) -> FloatArray:
         """Linear in the logarithm of the contact's radius and in r over it."""
+        within = 1e-3  # of a step: the last node itself has no next one to interpolate to
         ratio = np.log(self._contacts[1] / self._contacts[0])
-        at = np.clip(np.log(contact_mm / self._contacts[0]) / ratio, 0, _N_CONTACTS - 1.001)
+        last = len(self._contacts) - 1 - within
+        at = np.clip(np.log(contact_mm / self._contacts[0]) / ratio, 0, last)
         row = at.astype(int)
         up = at - row
-        place = np.minimum(r_mm / contact_mm / _STEP, table.shape[1] - 1.001)
+        place = np.minimum(
+            r_mm / contact_mm / self._rules.profile_step_radii, table.shape[1] - 1 - within
+        )
         column = place.astype(int)
         right = place - column
         below = (1 - right) * table[row, column] + right * table[row, column + 1]
@@ -99,38 +84,57 @@ class Profiles:
 
 @lru_cache(maxsize=256)
 def _profiles(
-    skin: Skin, ball_mm: float, contacts_mm: tuple[float, ...], bend_per_mm: float
+    form: str,
+    membrane: Membrane,
+    effects: SurfaceEffects,
+    ball_mm: float,
+    contacts_mm: tuple[float, ...],
+    dome_radius_mm: float,
+    rules: SelectionRules,
 ) -> NDArray[np.float64]:
     """Slopes (n_contacts, n_radii) on the grid of shares of the contact's radius."""
-    shares = np.arange(0.0, _REACH + _STEP / 2, _STEP)
+    step = rules.profile_step_radii
+    shares = np.arange(0.0, rules.profile_reach_radii + step / 2, step)
     rows = []
     for contact_mm in contacts_mm:
         contact = min(contact_mm, MAX_RADIUS_SHARE * ball_mm)
-        slope = _plain(skin, shares * contact_mm, contact, ball_mm, bend_per_mm)
-        width = round(skin.sigma_mm / contact_mm, 6)
-        rows.append(_kernel(width, 1) @ slope if width > _LEAST_SIGMA else slope)
+        r = shares * contact_mm
+        slope: FloatArray
+        if form == "pyramid":
+            slope = _pyramid(r, contact, ball_mm, dome_radius_mm)
+        elif form == "elastic":
+            slope = _elastic(r, contact, ball_mm, dome_radius_mm)
+        else:
+            # The steps of a profile hold no slope that is steeper than the steepest contact's.
+            slope = radial_slope(
+                r, contact, ball_mm, membrane, dome_radius_mm, max_cap_share=MAX_RADIUS_SHARE
+            )
+        for name, values in effects:
+            slope = optical_effect(name).on_profile(slope, step * contact_mm, **dict(values))
+        rows.append(slope)
     return np.array(rows)
 
 
-def _plain(
-    skin: Skin, r: FloatArray, contact: float, ball_mm: float, bend_per_mm: float
+def _elastic(
+    r: FloatArray, contact: float, ball_mm: float, dome_radius_mm: float
 ) -> NDArray[np.float64]:
-    inside = np.minimum(r, MAX_RADIUS_SHARE * ball_mm)
+    """The ball's own slope inside the contact, an elastic half-space's outside.
+
+    Source
+    ------
+    Hertz 1882; Johnson 1985, Contact Mechanics, §3.4.
+    """
+    bend_per_mm = 1 / dome_radius_mm if dome_radius_mm > 0 else 0.0
+    inside = np.minimum(r, contact)
     cap = inside / np.sqrt(ball_mm**2 - inside**2) + bend_per_mm * inside
     rim = contact / np.sqrt(ball_mm**2 - contact**2) + bend_per_mm * contact
-    if skin.form == "pyramid":
-        return _pyramid(r, contact, ball_mm, bend_per_mm)
-    if skin.form == "elastic":
-        a = np.minimum(contact / np.maximum(r, 1e-9), 1.0)
-        outside = (2 / np.pi) * (np.arcsin(a) / a - np.sqrt(1 - a * a)) * rim
-        return np.asarray(np.where(r < contact, cap, outside))
-    outward = np.clip((r - contact) / skin.decay_mm, -30.0, 30.0)
-    tail = rim * np.exp(-outward)
-    return np.asarray(cap * (1 + (cap / tail) ** skin.sharpness) ** (-1 / skin.sharpness))
+    a = np.minimum(contact / np.maximum(r, 1e-9), 1.0)
+    outside = (2 / np.pi) * (np.arcsin(a) / a - np.sqrt(1 - a * a)) * rim
+    return np.asarray(np.where(r < contact, cap, outside))
 
 
 def _pyramid(
-    r: FloatArray, contact: float, ball_mm: float, bend_per_mm: float
+    r: FloatArray, contact: float, ball_mm: float, dome_radius_mm: float
 ) -> NDArray[np.float64]:
     """What ``tacgen.optics.deform`` makes of the ball's cap, along a radius.
 
@@ -138,6 +142,7 @@ def _pyramid(
     ------
     Si & Yuan 2022, Taxim, §III-C.
     """
+    bend_per_mm = 1 / dome_radius_mm if dome_radius_mm > 0 else 0.0
 
     def sunk(s: FloatArray) -> FloatArray:
         return np.asarray(ball_mm - np.sqrt(ball_mm**2 - s**2) + 0.5 * bend_per_mm * s**2)
@@ -145,27 +150,9 @@ def _pyramid(
     depth = np.maximum(sunk(np.asarray(contact)) - sunk(np.minimum(r, contact)), 0.0)
     loose, firm = (share * depth.max() for share in FIRM_CONTACT)
     hold = np.clip((depth - loose) / (firm - loose), 0.0, 1.0)
-    surface, unit = depth, r[1] / _STEP
+    surface = depth
     for sigma_mm in PYRAMID_SIGMA_MM:
-        surface = _kernel(round(sigma_mm / unit, 6), 0) @ surface
+        surface = radial_gaussian(len(r), sigma_mm / r[1], order=0) @ surface
         surface = surface + hold * (depth - surface)
-    surface = _kernel(round(FINAL_SIGMA_MM / unit, 6), 0) @ surface
+    surface = radial_gaussian(len(r), FINAL_SIGMA_MM / r[1], order=0) @ surface
     return -np.gradient(surface, r[1])
-
-
-@lru_cache(maxsize=512)
-def _kernel(width: float, order: int) -> NDArray[np.float64]:
-    """A Gaussian in the plane, acting on a radial function (order 0) or on its slope (order 1).
-
-    ``width`` is the standard deviation in units of the contact's radius; beyond the grid a
-    function goes on as it ends.
-    """
-    wide = np.arange(0.0, _REACH + 5 * width + _STEP / 2, _STEP)
-    n_kept = round(_REACH / _STEP) + 1
-    out, source = wide[:n_kept, None], wide[None, :]
-    weight = np.exp(-0.5 * ((out - source) / width) ** 2) * ive(order, out * source / width**2)
-    kernel = weight * source * _STEP / width**2
-    if order == 0:
-        kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-12)
-    kernel[:, n_kept - 1] += kernel[:, n_kept:].sum(axis=1)
-    return kernel[:, :n_kept]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tacgen.diagnose.optics.surface import Profiles, Skin
+from tacgen.diagnose.optics.surface import Profiles
 from tacgen.optics import deform
+from tacgen.presses.geometry import Membrane
 
 MM, BALL, CONTACT = 0.04, 2.0, 1.2
 ROWS, COLUMNS = np.mgrid[-80:81, -80:81] * MM
@@ -15,25 +16,27 @@ CAP = np.where(
 )
 
 
-def radial_slope(skin, r):
+def radial_slope(form, r, effects=(), decay_mm=0.3):
     """What the profile gives at distances r."""
     one = np.ones(len(r))
-    return Profiles(np.array([CONTACT]), 0.0).slopes(skin, r, CONTACT * one, BALL * one)
+    membrane = Membrane(decay_mm, sharpness=20.0)
+    profiles = Profiles(np.array([CONTACT]), 0.0)
+    return profiles.slopes(form, membrane, r, CONTACT * one, BALL * one, effects)
 
 
 @pytest.mark.parametrize(
-    ("skin", "surface"),
+    ("effects", "surface"),
     [
-        (Skin("pyramid", 0.4), -deform(CAP, MM)),
-        (Skin("pyramid", 0.4, sigma_mm=0.3), gaussian_filter(-deform(CAP, MM), 0.3 / MM)),
+        ((), -deform(CAP, MM)),
+        ((("blur", (("sigma_mm", 0.3),)),), gaussian_filter(-deform(CAP, MM), 0.3 / MM)),
     ],
     ids=["the simulation's pyramid", "blurred"],
 )
-def test_a_profile_is_the_slope_of_the_surface_in_the_plane(skin, surface):
+def test_a_profile_is_the_slope_of_the_surface_in_the_plane(effects, surface):
     r = np.linspace(0.1, 2.0, 60)
     slope = np.interp(r, COLUMNS[80, 80:], np.gradient(surface[80], MM)[80:])
     # Differences over a pixel of a surface that bends within three: a percent of the steepest.
-    np.testing.assert_allclose(radial_slope(skin, r), slope, atol=0.015 * slope.max())
+    np.testing.assert_allclose(radial_slope("pyramid", r, effects), slope, atol=0.015 * slope.max())
 
 
 def test_under_the_ball_the_gel_has_the_balls_slope_and_outside_it_falls_off():
@@ -41,14 +44,14 @@ def test_under_the_ball_the_gel_has_the_balls_slope_and_outside_it_falls_off():
     ball = inside / np.sqrt(BALL**2 - inside**2)
     for form in ("skirt", "elastic"):
         # Linear between grid points a fiftieth of a radius apart.
-        np.testing.assert_allclose(radial_slope(Skin(form, 0.3), inside), ball, rtol=0.01)
-        outside = radial_slope(Skin(form, 0.3), np.linspace(1.1 * CONTACT, 2.5 * CONTACT, 20))
+        np.testing.assert_allclose(radial_slope(form, inside), ball, rtol=0.01)
+        outside = radial_slope(form, np.linspace(1.1 * CONTACT, 2.5 * CONTACT, 20))
         assert (np.diff(outside) < 0).all()
         assert (outside > 0).all()
 
 
 def test_an_elastic_half_space_falls_off_as_hertz_says():
     # Far away the surface is that under a point load, w ~ 1/r: its slope falls as 1/r².
-    near, far = radial_slope(Skin("elastic", 0.3), np.array([2.2, 2.9]) * CONTACT)
+    near, far = radial_slope("elastic", np.array([2.2, 2.9]) * CONTACT)
     # The next term, 0.3 (a/r)², is still worth 2.5 % between the two.
     assert near / far == pytest.approx((2.9 / 2.2) ** 2, rel=0.04)

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
+from tacgen.core.arrays import FloatArray
+from tacgen.optics.effects.effect import (
+    Candidate,
+    Leds,
+    OpticalEffect,
+    Parameter,
+    Patch,
+    PressScene,
+    Stage,
+    register,
+)
 from tacgen.optics.table import LookupTable
-
-Leds = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
-"""One (unit vector from the gel towards the light, RGB weight) a light; gel axes."""
 
 DEFAULT_ELEVATION_RAD = math.radians(20.0)
 """Taken for lights whose height nobody gave: side-lit gels have theirs at 10° to 30°."""
@@ -20,6 +32,19 @@ DEFAULT_STRENGTH = 0.8
 PENUMBRA_MM = 0.2
 """How far a ray must pass below the relief for its light to be hidden whole: a light 2 mm wide,
 25 mm away, behind an edge 2.5 mm away."""
+
+LENGTHS_MM = (1.0, 2.0, 4.0, 7.0)
+"""Shadows of 1 mm of relief that a fit tries: lights 45° to 8° above the gel."""
+LENGTH_STDERR = 0.5
+"""Relative standard error of such a choice: the lengths double from one to the next."""
+FIRST_STRENGTH = 0.4
+"""Where a fit begins: half of what is expected of a lamp at a side."""
+UNLIT_QUANTILE = 0.002
+"""Of the changes of colour: the darkest, a few noisy pixels aside, is where no light arrives."""
+REACH_RADII = 2.4
+CELLS_PER_RADIUS = 24
+"""How far, and how finely, a ball's dent is drawn to cast its shadows in a fit: beyond the pixels
+that are looked at, and to a hundredth of the contact."""
 
 _NOTHING_MM = np.float32(1e6)
 
@@ -168,3 +193,141 @@ def leds_of_table(table: LookupTable, elevation_rad: float = DEFAULT_ELEVATION_R
         rgb[channel] = 1.0
         leds.append((direction, (rgb[0], rgb[1], rgb[2])))
     return tuple(leds)
+
+
+def _lowered(leds: Leds, length_mm: float) -> Leds:
+    """The same lights at the height at which 1 mm of relief casts a shadow of ``length_mm``."""
+    rise = 1 / math.hypot(1, length_mm)
+    lowered = []
+    for (x, y, _), rgb in leds:
+        flat = max(math.hypot(x, y), 1e-9)
+        scale = length_mm * rise / flat
+        lowered.append(((x * scale, y * scale, -rise), rgb))
+    return tuple(lowered)
+
+
+class Shadow(OpticalEffect):
+    """The gel's relief hides a share of each light.
+
+    ``length_mm`` is that of the shadow of 1 mm of relief; 0 takes the lights' own height.
+    """
+
+    name = "shadow"
+    stage = Stage.SHADOW
+    parameters = MappingProxyType(
+        {
+            "strength": Parameter(0.0, 0.0, 1.0, step=0.02),
+            "length_mm": Parameter(0.0, 0.0, 20.0, "mm"),
+        }
+    )
+
+    def prepare(self, table: LookupTable, leds: Leds, **values: float) -> dict[str, Any]:
+        """The lights at their height, and the gel without them."""
+        leds, length_mm = leds or leds_of_table(table), values.get("length_mm", 0.0)
+        return {
+            "leds": _lowered(leds, float(length_mm)) if length_mm else leds,
+            "unlit": unlit_image(table),
+        }
+
+    def reach_mm(self, depth_mm: float, *, leds: Leds = (), **_: Any) -> float:
+        """The longest shadow."""
+        return shadow_reach_mm(depth_mm, leds)
+
+    def apply(
+        self,
+        array: FloatArray,
+        patch: Patch,
+        *,
+        strength: float = DEFAULT_STRENGTH,
+        leds: Leds = (),
+        unlit: FloatArray | None = None,
+        **_: Any,
+    ) -> FloatArray:
+        """Darken what the relief of the patch hides."""
+        image = array.copy()
+        if patch.height_mm is not None and unlit is not None:
+            top, bottom, left, right = patch.window
+            cast_shadows(
+                np.ascontiguousarray(patch.height_mm),
+                patch.mm_per_px,
+                leds,
+                strength,
+                unlit[top:bottom, left:right],
+                image,
+            )
+        return image
+
+    def on_pixels(
+        self,
+        grey: FloatArray,
+        patch: Patch,
+        *,
+        strength: float = 0.0,
+        hidden: FloatArray | None = None,
+        unlit: FloatArray | None = None,
+        **_: Any,
+    ) -> FloatArray:
+        """The same on pixels whose hidden light is known."""
+        if hidden is None or unlit is None:
+            return grey
+        return grey - strength * hidden * np.maximum(grey - patch.background - unlit, 0)
+
+    def before_fit(
+        self, scene: PressScene, before: Mapping[str, FloatArray], **values: float
+    ) -> dict[str, FloatArray]:
+        """Share of each channel's light that each pixel misses; its change where none arrives."""
+        hidden = hidden_light(scene, values.get("length_mm", 0.0))
+        unlit = before["unlit"][0] if "unlit" in before else self._unlit(scene)
+        return {"hidden": hidden, "unlit": np.broadcast_to(unlit, hidden.shape)}
+
+    def _unlit(self, scene: PressScene) -> FloatArray:
+        change = scene.rendered(without=self.name) - scene.patch.background
+        return np.quantile(change, UNLIT_QUANTILE, axis=0)
+
+    def candidates(self, scene: PressScene) -> list[Candidate]:
+        """One strength, and one of a few lengths."""
+        return [
+            Candidate(
+                self.name,
+                "cast by the dent",
+                {"strength": self.parameters["strength"]},
+                starts=self._starts,
+                chosen={"length_mm": LENGTH_STDERR},
+            )
+        ]
+
+    def _starts(self, scene: PressScene) -> Sequence[Mapping[str, float]]:
+        """The length whose shadows explain most of the residuals."""
+        grey, unlit = scene.rendered(), self._unlit(scene)
+        lit = np.maximum(grey - scene.patch.background - unlit, 0)
+        explained = {}
+        for length_mm in LENGTHS_MM:
+            column = -hidden_light(scene, length_mm) * lit
+            along = max(float((column * (scene.grey - grey)).sum()), 0.0)
+            explained[length_mm] = along**2 / max(float((column**2).sum()), 1e-9)
+        best = max(explained, key=lambda length_mm: explained[length_mm])
+        return [{"strength": FIRST_STRENGTH, "length_mm": best}]
+
+
+def hidden_light(scene: PressScene, length_mm: float) -> NDArray[np.float64]:
+    """Share (n, 3) of each channel's light that each pixel of a scene misses."""
+    hidden = np.zeros(scene.grey.shape)
+    norm = math.hypot(1, length_mm)
+    flat, rise = length_mm / norm, 1 / norm
+    azimuths = scene.light_azimuths_rad()
+    for part, relief, cell_mm, places in scene.reliefs(REACH_RADII, CELLS_PER_RADIUS):
+        for channel, azimuth in enumerate(azimuths):
+            towards = (flat * math.cos(azimuth), flat * math.sin(azimuth), -rise)
+            shade = cast_shadow(relief, cell_mm, towards)
+            hidden[part, channel] = map_coordinates(shade, places, order=1, mode="nearest")
+    return hidden
+
+
+SHADOW = register(Shadow())
+
+
+def with_cast_shadows(
+    effects: Mapping[str, Mapping[str, float]],
+) -> Mapping[str, Mapping[str, float]]:
+    """The effects, and cast shadows of the usual strength where they name none."""
+    return {SHADOW.name: {}, **effects}

@@ -1,0 +1,69 @@
+"""Colours that leak into each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tacgen.core.arrays import FloatArray
+from tacgen.optics.effects.effect import (
+    CHANNELS,
+    Candidate,
+    OpticalEffect,
+    Parameter,
+    Patch,
+    PressScene,
+    Stage,
+    register,
+)
+
+
+class CrossTalk(OpticalEffect):
+    """The change of one colour shows in another: ``rg`` is the share of green's change in red."""
+
+    name = "cross_talk"
+    stage = Stage.COLOR
+    parameters = MappingProxyType(
+        {
+            shown + leaking: Parameter(0.0, -0.6, 0.6, prior=0.3)
+            for shown in CHANNELS
+            for leaking in CHANNELS
+            if shown != leaking
+        }
+    )
+
+    def apply(self, array: FloatArray, patch: Patch, **values: Any) -> FloatArray:
+        """Shares of the other channels' changes are added to each."""
+        change = np.moveaxis(array - patch.background, -1, 0)
+        given = {name: np.asarray(values.get(name, 0.0), array.dtype) for name in self.parameters}
+        mixed = [
+            sum(
+                given[shown + leaking] * change[k]
+                for k, leaking in enumerate(CHANNELS)
+                if leaking != shown
+            )
+            for shown in CHANNELS
+        ]
+        return array + np.stack(mixed, axis=-1)
+
+    def candidates(self, scene: PressScene) -> list[Candidate]:
+        """Only beside a given table: one that is fitted to the same presses mixes as they do."""
+        if not scene.has_table:
+            return []
+        return [Candidate(self.name, "channels leak into each other", self.parameters)]
+
+    def cannot_tell(self, scene: PressScene, found: Sequence[Candidate]) -> str:
+        """A fitted table has its own colours."""
+        if scene.has_table:
+            return ""
+        return (
+            "cross_talk: a table fitted to the same presses has its own colours, which hold any "
+            "mixing of the channels; give the table from before (--table), or photograph the gel "
+            "with one lamp on at a time."
+        )
+
+
+register(CrossTalk())

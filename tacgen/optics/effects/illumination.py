@@ -1,0 +1,71 @@
+"""Light that differs with the place on the gel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tacgen.core.arrays import FloatArray
+from tacgen.optics.effects.effect import (
+    CHANNELS,
+    Candidate,
+    OpticalEffect,
+    Parameter,
+    Patch,
+    PressScene,
+    Stage,
+    register,
+)
+
+PLACES = ("uu", "vv", "uv", "u", "v")
+"""Terms of the place in the image."""
+
+
+class Illumination(OpticalEffect):
+    """What a contact changes is brighter or dimmer by its place.
+
+    ``r_u`` is what red gains along u, ``r_uu`` what it gains with u², and so on.
+    """
+
+    name = "illumination"
+    stage = Stage.LIGHT
+    parameters = MappingProxyType(
+        {
+            f"{channel}_{place}": Parameter(0.0, -4.0, 4.0, step=0.02, prior=1.0)
+            for channel in CHANNELS
+            for place in PLACES
+        }
+    )
+
+    def apply(self, array: FloatArray, patch: Patch, **values: Any) -> FloatArray:
+        """The change from the background, times a quadratic of the place for each channel."""
+        u, v = patch.u, patch.v
+        place = {"uu": u * u, "vv": v * v, "uv": u * v, "u": u, "v": v}
+        brighter = np.ones(array.shape, dtype=array.dtype)
+        for name, share in values.items():
+            channel, along = name.split("_")
+            brighter[..., CHANNELS.index(channel)] += np.asarray(share, array.dtype) * place[along]
+        return patch.background + (array - patch.background) * brighter
+
+    def candidates(self, scene: PressScene) -> list[Candidate]:
+        """Strength alone; or, in a table that is fitted, colours that turn with the place."""
+        listed = [Candidate(self.name, "light of each channel by place", self.parameters)]
+        if not scene.has_table:
+            label = "lamps close by: strength and direction by place"
+            listed.append(Candidate(self.name, label, color_by_place=True))
+        return listed
+
+    def cannot_tell(self, scene: PressScene, found: Sequence[Candidate]) -> str:
+        """Lamps close by are a property of the sensor."""
+        if not any(candidate.color_by_place for candidate in found):
+            return ""
+        return (
+            "illumination: lamps close by belong to the sensor, and a table of `tacgen calibrate "
+            "lookup` holds them in its terms of position. Only against --table is it a change."
+        )
+
+
+register(Illumination())

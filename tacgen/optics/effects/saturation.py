@@ -1,0 +1,110 @@
+"""A camera that clips."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tacgen.core.arrays import FloatArray
+from tacgen.optics.effects.effect import (
+    Candidate,
+    OpticalEffect,
+    Parameter,
+    Patch,
+    PressScene,
+    Stage,
+    register,
+)
+
+SHARP_KNEE_GREY = 0.05
+"""A knee below this is none: the image is rounded to whole grey levels."""
+
+FIRST_KNEE_GREY = 1.0
+"""Where a fit begins: at a sharp knee its derivative vanishes."""
+
+MIN_CLIPPED_SHARE = 0.01
+"""Share of a channel's values that must stand at the brightest level for a camera to clip."""
+
+PILE_RATIO = 1.5
+"""And so many times more must stand there than a little below: a tail without clipping falls."""
+
+BELOW_GREY = 8.0
+"""How far below: beyond the camera's noise, within the brightest values."""
+
+WITHIN_GREY = 2.5
+"""Values this near a level count as standing at it: the camera's noise."""
+
+TOP_QUANTILE = 0.9998
+"""The brightest level, a few noisy pixels aside."""
+
+SEARCH_GREY = 12
+"""Grey levels below the brightest in which the fullest one is looked for: noise above it."""
+
+MARGIN_GREY = 2.0
+"""A pixel this far below the level is not clipped: the camera's noise."""
+
+
+def clip_level(grey: FloatArray) -> float:
+    """The grey level near the brightest that most values (n, 3) stand at."""
+    top = float(np.quantile(grey, TOP_QUANTILE))
+    counts = np.bincount(np.rint(grey).astype(int).ravel(), minlength=256)
+    first = max(0, int(top) - SEARCH_GREY)
+    return float(first + np.argmax(counts[first : int(top) + 1]))
+
+
+def seems_clipped(grey: FloatArray) -> bool:
+    """Whether the brightest values (n, 3) pile up."""
+    apart = grey - clip_level(grey)
+    piled = (np.abs(apart) < WITHIN_GREY).mean(axis=0)
+    below = (np.abs(apart + BELOW_GREY) < WITHIN_GREY).mean(axis=0)
+    return bool(((piled >= MIN_CLIPPED_SHARE) & (piled >= PILE_RATIO * below)).any())
+
+
+class Saturation(OpticalEffect):
+    """Nothing is brighter than a level, towards which it bends over a knee."""
+
+    name = "saturation"
+    stage = Stage.CAMERA
+    parameters = MappingProxyType(
+        {
+            "level_grey": Parameter(255.0, 60.0, 255.0, "grey", step=0.5),
+            "knee_grey": Parameter(0.0, 0.0, 25.0, "grey", step=0.3),
+        }
+    )
+    is_evident = True
+
+    def apply(
+        self,
+        array: FloatArray,
+        patch: Patch,
+        *,
+        level_grey: float = 255.0,
+        knee_grey: float = 0.0,
+        **_: Any,
+    ) -> FloatArray:
+        """The smaller of image and level, soft over the knee."""
+        level, knee = np.asarray(level_grey, array.dtype), np.asarray(knee_grey, array.dtype)
+        if knee < SHARP_KNEE_GREY:
+            return np.minimum(array, level)
+        return level - knee * np.logaddexp(np.zeros_like(knee), (level - array) / knee)
+
+    def candidates(self, scene: PressScene) -> list[Candidate]:
+        """Where the brightest values pile up; the first steps trust the pixels below."""
+        if not seems_clipped(scene.grey):
+            return []
+        level = clip_level(scene.grey)
+        start = {"level_grey": level, "knee_grey": FIRST_KNEE_GREY}
+        return [
+            Candidate(
+                self.name,
+                "the camera clips",
+                self.parameters,
+                starts=lambda _: [start],
+                first_weight=lambda grey: (grey < level - MARGIN_GREY).astype(np.float64),
+            )
+        ]
+
+
+register(Saturation())

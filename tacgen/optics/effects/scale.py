@@ -1,0 +1,73 @@
+"""A wrong size of the pixel, the ball or the labelled circles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tacgen.core.arrays import FloatArray
+from tacgen.optics.effects.effect import (
+    Candidate,
+    OpticalEffect,
+    Parameter,
+    PressScene,
+    Stage,
+    register,
+)
+
+FIRST_FACTORS = (0.7, 0.8, 0.9, 1.0, 1.12, 1.25)
+"""Contact radii over the labelled ones that a fit begins at: between them it finds its way, from
+farther off a wrong one may hold it."""
+
+
+class Scale(OpticalEffect):
+    """All contacts, or all balls, are larger or smaller than the presses' labels say."""
+
+    name = "scale"
+    stage = Stage.PRESS
+    parameters = MappingProxyType(
+        {
+            "contact_per_label": Parameter(1.0, 0.5, 1.6, step=0.005),
+            "ball_per_stated": Parameter(1.0, 0.6, 1.8, step=0.005, prior=0.15),
+        }
+    )
+    follows_form_errors = True
+
+    def on_press(
+        self, place_mm: FloatArray, ball_mm: FloatArray, **values: Any
+    ) -> tuple[FloatArray, FloatArray]:
+        """Contact and ball radii times their factors."""
+        radius = place_mm[:, 2] * values.get("contact_per_label", 1.0)
+        balls = ball_mm * values.get("ball_per_stated", 1.0)
+        return np.column_stack([place_mm[:, :2], radius]), balls
+
+    def candidates(self, scene: PressScene) -> list[Candidate]:
+        """The ball, or the labelled circles."""
+        ball, contact = "ball_per_stated", "contact_per_label"
+        return [
+            Candidate(
+                self.name, "ball over the stated, or pixel under it", {ball: self.parameters[ball]}
+            ),
+            Candidate(
+                self.name,
+                "contact radius over the labelled one",
+                {contact: self.parameters[contact]},
+                starts=lambda _: [{contact: factor} for factor in FIRST_FACTORS],
+                hides_form=True,
+            ),
+        ]
+
+    def cannot_tell(self, scene: PressScene, found: Sequence[Candidate]) -> str:
+        """One ball fixes no size."""
+        if len(np.unique(scene.ball_radii_mm)) > 1:
+            return ""
+        return (
+            "scale: with one ball, a wrong size of a pixel or of the ball stretches the table's "
+            "slopes and changes little else; press a second ball of another size."
+        )
+
+
+register(Scale())
