@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
 from tacgen.optics.effects import (
-    Leds,
     OpticalEffect,
     Patch,
     Stage,
@@ -23,7 +22,7 @@ from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
 from tacgen.optics.shade import feature_factors, packed_nodes, quantize, shade_window
 from tacgen.optics.smooth import Window, grown
-from tacgen.optics.table import LookupTable
+from tacgen.optics.table import Leds, LookupTable
 
 
 @dataclass(frozen=True, slots=True)

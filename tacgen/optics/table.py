@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,11 @@ from tacgen.core.errors import TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.safe_io import check_archive
 
+Leds = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
+"""One (unit vector from the gel towards the light, RGB weight) a light; gel axes."""
+
+DEFAULT_ELEVATION_RAD = math.radians(20.0)
+"""Taken for lights whose height nobody gave: side-lit gels have theirs at 10° to 30°."""
 N_FEATURES = 6
 """x², y², xy, x, y, 1 in image position, Taxim's order."""
 
@@ -135,3 +141,28 @@ def load_table(path: Path | str) -> LookupTable:
         provenance=meta["provenance"],
         **scalars,
     )
+
+
+def leds_of_table(table: LookupTable, elevation_rad: float = DEFAULT_ELEVATION_RAD) -> Leds:
+    """One light a channel, in the direction whose slopes the table brightens most.
+
+    For tables of sensors whose lights nobody described; the elevation cannot be read off a table.
+    """
+    constant = table.coefficients[..., 5].astype(np.float64)
+    n_slope, n_direction = constant.shape[:2]
+    angle = -math.pi + 2 * math.pi * np.arange(n_direction) / n_direction
+    middle = slice(max(1, n_slope // 8), max(2, n_slope // 2))
+    leds = []
+    for channel in range(3):
+        brightness = constant[middle, :, channel].mean(axis=0)
+        x, y = (brightness * np.cos(angle)).sum(), (brightness * np.sin(angle)).sum()
+        azimuth = math.atan2(y, x)
+        direction = (
+            math.cos(elevation_rad) * math.cos(azimuth),
+            math.cos(elevation_rad) * math.sin(azimuth),
+            -math.sin(elevation_rad),
+        )
+        rgb = [0.0, 0.0, 0.0]
+        rgb[channel] = 1.0
+        leds.append((direction, (rgb[0], rgb[1], rgb[2])))
+    return tuple(leds)

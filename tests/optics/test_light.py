@@ -12,12 +12,11 @@ from tacgen.optics.effects import Patch, Stage, check_effects, optical_effect, o
 from tacgen.optics.effects.shadow import (
     PENUMBRA_MM,
     cast_shadow,
-    leds_of_table,
     shadow_reach_mm,
 )
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.sampled_table import sampled_table
-from tacgen.optics.table import LookupTable
+from tacgen.optics.table import LookupTable, leds_of_table
 from tacgen.optics.virtual_sensor import Led, Paint, VirtualSensor
 
 MM_PER_PX = 0.1

@@ -15,7 +15,7 @@ from tacgen.calibrate.lookup.table_fit import camera_noise_grey
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.diagnose.optics.extended_table import first_state, reference_of
-from tacgen.diagnose.optics.model import GivenTable, PlainTable, Problem, Scene
+from tacgen.diagnose.optics.model import GivenTable, PlainTable, Problem, scene_of
 from tacgen.diagnose.optics.model_comparison import FittedModel, ModelComparison, Selection
 from tacgen.diagnose.optics.pixels import gather_pixels
 from tacgen.diagnose.optics.residuals import Dependence
@@ -289,7 +289,7 @@ def light_by_place(model: FittedModel) -> float:
 
 def _cannot_tell(problem: Problem, selection: Selection) -> tuple[str, ...]:
     """What these presses cannot tell apart, and what measurement would."""
-    scene, found = Scene(problem, selection.chosen.state), selection.chosen.candidates
+    scene, found = scene_of(problem, selection.chosen.state), selection.chosen.candidates
     lines = [
         line
         for effect in optical_effects()

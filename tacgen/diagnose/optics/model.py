@@ -34,13 +34,13 @@ from tacgen.diagnose.optics.surface import Profiles
 from tacgen.optics.effects import (
     OpticalEffect,
     Parameter,
-    Patch,
+    PressScene,
+    Relief,
     Stage,
-    leds_of_table,
     optical_effect,
     optical_effects,
 )
-from tacgen.optics.table import LookupTable
+from tacgen.optics.table import LookupTable, leds_of_table
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, rest_height, rest_slope
 
 Key = tuple[str, str]
@@ -75,6 +75,10 @@ class FreeParameter:
 SKIRT = FreeParameter("", "skirt_per_radius", Parameter(0.0, 0.02, 3.0))
 """Not an effect: how far the gel is drawn in around a ball belongs to every gel. In mean labelled
 contact radii."""
+
+
+RELIEF_POINTS = 151
+"""Of the profile that the relief around a ball is drawn by: finer than its own steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +346,7 @@ def prepared(
 
     ``before`` is the same model as it was fitted to other presses.
     """
-    scene, kept = Scene(problem, state), dict(state.prepared)
+    scene, kept = scene_of(problem, state), dict(state.prepared)
     for effect in state.active(Stage.SHADOW, Stage.CAMERA):
         if only in ("", effect.name):
             earlier = {} if before is None else before.prepared.get(effect.name, {})
@@ -350,64 +354,28 @@ def prepared(
     return replace(state, prepared=kept)
 
 
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """What an effect may ask about presses and the model fitted to them."""
+def scene_of(problem: Problem, state: ModelState) -> PressScene:
+    """What effects may ask about the presses and the model."""
+    pixels = problem.pixels
 
-    problem: Problem
-    state: ModelState
+    def rendered(without: str) -> FloatArray:
+        return render(problem, state.without(without))
 
-    @property
-    def contact_radius_mm(self) -> float:
-        """Mean labelled radius of the contacts."""
-        return float(self.problem.pixels.labels[:, 2].mean())
-
-    @property
-    def ball_radii_mm(self) -> FloatArray:
-        """Stated radius of each press's ball (N,)."""
-        return self.problem.pixels.ball_mm
-
-    @property
-    def has_table(self) -> bool:
-        """Whether the colours are those of a given table."""
-        return isinstance(self.problem.table, GivenTable)
-
-    @property
-    def patch(self) -> Patch:
-        """The pixels of all presses."""
-        return self.problem.pixels.patch
-
-    @property
-    def grey(self) -> FloatArray:
-        """Their photographed grey levels (n, 3)."""
-        return self.problem.pixels.grey
-
-    def rendered(self, *, without: str = "") -> FloatArray:
-        """Their grey levels (n, 3) by the model, one effect switched off on request."""
-        return render(self.problem, self.state.without(without) if without else self.state)
-
-    def light_azimuths_rad(self) -> FloatArray:
-        """Direction (3,) that each channel is lit from: the slope the table brightens most."""
-        if isinstance(self.problem.table, GivenTable):
-            leds = leds_of_table(self.problem.table.table)
+    def light_azimuths_rad() -> FloatArray:
+        """By the slopes that the table brightens most."""
+        if isinstance(problem.table, GivenTable):
+            leds = leds_of_table(problem.table.table)
             return np.array([math.atan2(y, x) for (x, y, _), _ in leds])
-        return np.arctan2(self.state.weights[1], self.state.weights[0])
+        return np.arctan2(state.weights[1], state.weights[0])
 
-    def reliefs(
-        self, reach_radii: float, cells_per_radius: int
-    ) -> Iterator[tuple[slice, NDArray[np.float32], float, list[FloatArray]]]:
-        """Of each press: its pixels, its height map, that one's cell, where in it they lie.
-
-        The balls are where their labels say, so that a held-out press gives nothing away.
-        """
-        pixels, problem = self.problem.pixels, self.problem
-        expected = self.state.for_presses(pixels.n_presses)
+    def reliefs(reach_radii: float, cells_per_radius: int) -> Iterator[Relief]:
+        expected = state.for_presses(pixels.n_presses)
         places, balls = geometry_of(problem, expected)
         for part, (x, y, radius), ball in zip(pixels.parts, places, balls, strict=True):
             cell_mm = max(pixels.mm_per_px, radius / cells_per_radius)
             half = math.ceil(reach_radii * radius / cell_mm)
             side = np.arange(-half, half + 1) * cell_mm
-            r = np.linspace(0.0, problem.rules.profile_reach_radii * radius, 151)
+            r = np.linspace(0.0, problem.rules.profile_reach_radii * radius, RELIEF_POINTS)
             one = np.ones(len(r))
             slope = radial_slopes(problem, expected, r, radius * one, ball * one)
             rise = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(r))])
@@ -419,3 +387,14 @@ class Scene:
                 (pixels.x_mm[part] - x) / cell_mm + half,
             ]
             yield part, relief.astype(np.float32), cell_mm, at
+
+    return PressScene(
+        contact_radius_mm=float(pixels.labels[:, 2].mean()),
+        ball_radii_mm=pixels.ball_mm,
+        has_table=isinstance(problem.table, GivenTable),
+        patch=pixels.patch,
+        grey=pixels.grey,
+        rendered=rendered,
+        light_azimuths_rad=light_azimuths_rad,
+        reliefs=reliefs,
+    )

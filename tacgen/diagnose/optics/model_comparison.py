@@ -24,10 +24,10 @@ from tacgen.diagnose.optics.model import (
     ModelState,
     PlainTable,
     Problem,
-    Scene,
     geometry_of,
     prepared,
     render,
+    scene_of,
 )
 from tacgen.diagnose.optics.pixels import PressPixels
 from tacgen.diagnose.optics.residuals import (
@@ -251,7 +251,7 @@ class ModelComparison:
 
     def _candidates(self, model: FittedModel) -> list[Candidate]:
         """Every candidate of every effect; where it may hide the gel's form, with each form."""
-        scene = Scene(model.problem, model.state)
+        scene = scene_of(model.problem, model.state)
         listed = []
         for effect in optical_effects():
             for candidate in effect.candidates(scene):
@@ -311,7 +311,7 @@ class ModelComparison:
         # What a given table knows of the effect is where it goes on from.
         state = replace(state, shared={**shared, **state.shared}, own={**state.own, **own})
         starts = []
-        for values in candidate.starts(Scene(problem, state)):
+        for values in candidate.starts(scene_of(problem, state)):
             given = {(name, key): value for key, value in values.items()}
             started = replace(state, shared={**state.shared, **given})
             starts.append(prepared(problem, started, only=name))

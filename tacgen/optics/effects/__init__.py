@@ -1,23 +1,15 @@
 """Optical effects: one module each, which registers what it defines."""
 
-from tacgen.optics.effects import (
-    background_gain,
-    blur,
-    cross_talk,
-    illumination,
-    press_center,
-    saturation,
-    scale,
-    shadow,
-    vignetting,
-)
+from importlib import import_module
+from pkgutil import iter_modules
+
 from tacgen.optics.effects.effect import (
     Candidate,
-    Leds,
     OpticalEffect,
     Parameter,
     Patch,
     PressScene,
+    Relief,
     Stage,
     check_effects,
     optical_effect,
@@ -25,30 +17,23 @@ from tacgen.optics.effects.effect import (
     register,
     unregister,
 )
-from tacgen.optics.effects.shadow import leds_of_table, with_cast_shadows
+from tacgen.optics.effects.shadow import with_cast_shadows
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")
 
 __all__ = [
     "Candidate",
-    "Leds",
     "OpticalEffect",
     "Parameter",
     "Patch",
     "PressScene",
+    "Relief",
     "Stage",
-    "background_gain",
-    "blur",
     "check_effects",
-    "cross_talk",
-    "illumination",
-    "leds_of_table",
     "optical_effect",
     "optical_effects",
-    "press_center",
     "register",
-    "saturation",
-    "scale",
-    "shadow",
     "unregister",
-    "vignetting",
     "with_cast_shadows",
 ]

@@ -9,15 +9,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    Candidate,
-    OpticalEffect,
-    Parameter,
-    Patch,
-    PressScene,
-    Stage,
-    register,
-)
+from tacgen.optics.effects import effect as base
 from tacgen.optics.smooth import half_kernel, radial_gaussian, smooth
 
 FIRST_SIGMA_RADII = 0.15
@@ -30,15 +22,15 @@ STEP_RADII = 0.02
 """Of the finite difference: half of a radial profile's own step."""
 
 
-class Blur(OpticalEffect):
+class Blur(base.OpticalEffect):
     """The gel's surface is smoothed by a Gaussian."""
 
     name = "blur"
-    stage = Stage.SURFACE
-    parameters = MappingProxyType({"sigma_mm": Parameter(0.0, 0.0, 2.0, "mm")})
+    stage = base.Stage.SURFACE
+    parameters = MappingProxyType({"sigma_mm": base.Parameter(0.0, 0.0, 2.0, "mm")})
 
     def apply(
-        self, array: FloatArray, patch: Patch, *, sigma_mm: float = 0.0, **_: Any
+        self, array: FloatArray, patch: base.Patch, *, sigma_mm: float = 0.0, **_: Any
     ) -> FloatArray:
         """A Gaussian on the height map; beyond the edges it goes on with its slope there."""
         kernel = half_kernel(sigma_mm / patch.mm_per_px)
@@ -60,14 +52,14 @@ class Blur(OpticalEffect):
         """The same Gaussian in the plane, on the slope of a round surface."""
         return radial_gaussian(len(slope), sigma_mm / step_mm, order=1) @ slope
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """One width."""
         radius = scene.contact_radius_mm
         sigma = replace(
             self.parameters["sigma_mm"], upper=MAX_SIGMA_RADII * radius, step=STEP_RADII * radius
         )
         return [
-            Candidate(
+            base.Candidate(
                 self.name,
                 "membrane",
                 {"sigma_mm": sigma},
@@ -77,4 +69,4 @@ class Blur(OpticalEffect):
         ]
 
 
-register(Blur())
+base.register(Blur())

@@ -9,53 +9,44 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    CHANNELS,
-    Candidate,
-    OpticalEffect,
-    Parameter,
-    Patch,
-    PressScene,
-    Stage,
-    register,
-)
+from tacgen.optics.effects import effect as base
 
 
-class CrossTalk(OpticalEffect):
+class CrossTalk(base.OpticalEffect):
     """The change of one colour shows in another: ``rg`` is the share of green's change in red."""
 
     name = "cross_talk"
-    stage = Stage.COLOR
+    stage = base.Stage.COLOR
     parameters = MappingProxyType(
         {
-            shown + leaking: Parameter(0.0, -0.6, 0.6, prior=0.3)
-            for shown in CHANNELS
-            for leaking in CHANNELS
+            shown + leaking: base.Parameter(0.0, -0.6, 0.6, prior=0.3)
+            for shown in base.CHANNELS
+            for leaking in base.CHANNELS
             if shown != leaking
         }
     )
 
-    def apply(self, array: FloatArray, patch: Patch, **values: Any) -> FloatArray:
+    def apply(self, array: FloatArray, patch: base.Patch, **values: Any) -> FloatArray:
         """Shares of the other channels' changes are added to each."""
         change = np.moveaxis(array - patch.background, -1, 0)
         given = {name: np.asarray(values.get(name, 0.0), array.dtype) for name in self.parameters}
         mixed = [
             sum(
                 given[shown + leaking] * change[k]
-                for k, leaking in enumerate(CHANNELS)
+                for k, leaking in enumerate(base.CHANNELS)
                 if leaking != shown
             )
-            for shown in CHANNELS
+            for shown in base.CHANNELS
         ]
         return array + np.stack(mixed, axis=-1)
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """Only beside a given table: one that is fitted to the same presses mixes as they do."""
         if not scene.has_table:
             return []
-        return [Candidate(self.name, "channels leak into each other", self.parameters)]
+        return [base.Candidate(self.name, "channels leak into each other", self.parameters)]
 
-    def cannot_tell(self, scene: PressScene, found: Sequence[Candidate]) -> str:
+    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.Candidate]) -> str:
         """A fitted table has its own colours."""
         if scene.has_table:
             return ""
@@ -66,4 +57,4 @@ class CrossTalk(OpticalEffect):
         )
 
 
-register(CrossTalk())
+base.register(CrossTalk())

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
 from tacgen.optics.smooth import Window
-from tacgen.optics.table import LookupTable
-
-Leds = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
-"""One (unit vector from the gel towards the light, RGB weight) a light; gel axes."""
+from tacgen.optics.table import Leds, LookupTable
 
 CHANNELS = ("r", "g", "b")
 """What names of parameters begin or end with where there is one for each channel."""
+
+
+Relief = tuple[slice, NDArray[np.float32], float, list[FloatArray]]
+"""Pixels of a press, height map, cell of it in mm, rows and columns of the pixels in it."""
 
 
 class Stage(IntEnum):
@@ -100,41 +101,38 @@ class Patch:
     height_mm: NDArray[np.float32] | None = None
 
 
-class PressScene(Protocol):
-    """What an effect may ask about the presses of a diagnosis, and the model fitted to them."""
+@dataclass(frozen=True, slots=True)
+class PressScene:
+    """What an effect may ask about ball presses and the model fitted to them.
 
-    @property
-    def contact_radius_mm(self) -> float:
-        """Mean labelled radius of the contacts."""
+    Attributes
+    ----------
+    contact_radius_mm : float
+        Mean labelled radius of the contacts.
+    ball_radii_mm : (N,) float
+        Stated radius of each press's ball.
+    has_table : bool
+        Whether the colours are those of a given table, not fitted to the same presses.
+    patch, grey : Patch and (n, 3) float
+        The pixels of all presses, in a row, and their photographed grey levels.
+    rendered : callable
+        Grey levels (n, 3) by the model, with the effect of a name switched off.
+    light_azimuths_rad : callable
+        Direction (3,) that each channel is lit from.
+    reliefs : callable
+        From a reach (contact radii) and cells per radius, of each press: its pixels, its height
+        map (mm), that one's cell (mm), and row and column in it of the pixels. The balls are where
+        their labels say, so that a held-out press gives nothing away.
+    """
 
-    @property
-    def ball_radii_mm(self) -> FloatArray:
-        """Stated radius of each press's ball (N,)."""
-
-    @property
-    def has_table(self) -> bool:
-        """Whether the colours are those of a given table, not fitted to the same presses."""
-
-    @property
-    def patch(self) -> Patch:
-        """The pixels of all presses: n of them in a row."""
-
-    @property
-    def grey(self) -> FloatArray:
-        """Their photographed grey levels (n, 3)."""
-
-    def rendered(self, *, without: str = "") -> FloatArray:
-        """Their grey levels (n, 3) by the model, one effect switched off on request."""
-
-    def light_azimuths_rad(self) -> FloatArray:
-        """Direction (3,) that each channel is lit from."""
-
-    def reliefs(
-        self, reach_radii: float, cells_per_radius: int
-    ) -> Iterator[tuple[slice, NDArray[np.float32], float, list[FloatArray]]]:
-        """Of each press: its pixels, its height map (mm), that one's cell (mm), and where in it
-        the pixels lie (row, column). The balls are where their labels say.
-        """
+    contact_radius_mm: float
+    ball_radii_mm: FloatArray
+    has_table: bool
+    patch: Patch
+    grey: FloatArray
+    rendered: Callable[[str], FloatArray]
+    light_azimuths_rad: Callable[[], FloatArray]
+    reliefs: Callable[[float, int], Iterator[Relief]]
 
 
 def start_as_it_is(scene: PressScene) -> Sequence[Mapping[str, float]]:

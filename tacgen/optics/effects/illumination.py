@@ -9,56 +9,49 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    CHANNELS,
-    Candidate,
-    OpticalEffect,
-    Parameter,
-    Patch,
-    PressScene,
-    Stage,
-    register,
-)
+from tacgen.optics.effects import effect as base
 
 PLACES = ("uu", "vv", "uv", "u", "v")
 """Terms of the place in the image."""
 
 
-class Illumination(OpticalEffect):
+class Illumination(base.OpticalEffect):
     """What a contact changes is brighter or dimmer by its place.
 
     ``r_u`` is what red gains along u, ``r_uu`` what it gains with u², and so on.
     """
 
     name = "illumination"
-    stage = Stage.LIGHT
+    stage = base.Stage.LIGHT
     parameters = MappingProxyType(
         {
-            f"{channel}_{place}": Parameter(0.0, -4.0, 4.0, step=0.02, prior=1.0)
-            for channel in CHANNELS
+            f"{channel}_{place}": base.Parameter(0.0, -4.0, 4.0, step=0.02, prior=1.0)
+            for channel in base.CHANNELS
             for place in PLACES
         }
     )
 
-    def apply(self, array: FloatArray, patch: Patch, **values: Any) -> FloatArray:
+    def apply(self, array: FloatArray, patch: base.Patch, **values: Any) -> FloatArray:
         """The change from the background, times a quadratic of the place for each channel."""
         u, v = patch.u, patch.v
         place = {"uu": u * u, "vv": v * v, "uv": u * v, "u": u, "v": v}
         brighter = np.ones(array.shape, dtype=array.dtype)
         for name, share in values.items():
             channel, along = name.split("_")
-            brighter[..., CHANNELS.index(channel)] += np.asarray(share, array.dtype) * place[along]
+            brighter[..., base.CHANNELS.index(channel)] += (
+                np.asarray(share, array.dtype) * place[along]
+            )
         return patch.background + (array - patch.background) * brighter
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """Strength alone; or, in a table that is fitted, colours that turn with the place."""
-        listed = [Candidate(self.name, "light of each channel by place", self.parameters)]
+        listed = [base.Candidate(self.name, "light of each channel by place", self.parameters)]
         if not scene.has_table:
             label = "lamps close by: strength and direction by place"
-            listed.append(Candidate(self.name, label, color_by_place=True))
+            listed.append(base.Candidate(self.name, label, color_by_place=True))
         return listed
 
-    def cannot_tell(self, scene: PressScene, found: Sequence[Candidate]) -> str:
+    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.Candidate]) -> str:
         """Lamps close by are a property of the sensor."""
         if not any(candidate.color_by_place for candidate in found):
             return ""
@@ -68,4 +61,4 @@ class Illumination(OpticalEffect):
         )
 
 
-register(Illumination())
+base.register(Illumination())

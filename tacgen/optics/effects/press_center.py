@@ -8,26 +8,19 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    Candidate,
-    OpticalEffect,
-    Parameter,
-    PressScene,
-    Stage,
-    register,
-)
+from tacgen.optics.effects import effect as base
 
 
-class PressCenter(OpticalEffect):
+class PressCenter(base.OpticalEffect):
     """Each press lies off its labelled centre, and may be larger than labelled."""
 
     name = "press_center"
-    stage = Stage.PRESS
+    stage = base.Stage.PRESS
     parameters = MappingProxyType(
         {
-            "shift_x": Parameter(0.0, -0.6, 0.6, "radii", prior=0.15),
-            "shift_y": Parameter(0.0, -0.6, 0.6, "radii", prior=0.15),
-            "growth": Parameter(0.0, -0.4, 0.4, prior=0.1),
+            "shift_x": base.Parameter(0.0, -0.6, 0.6, "radii", prior=0.15),
+            "shift_y": base.Parameter(0.0, -0.6, 0.6, "radii", prior=0.15),
+            "growth": base.Parameter(0.0, -0.4, 0.4, prior=0.1),
         }
     )
     follows_form_errors = True
@@ -40,13 +33,13 @@ class PressCenter(OpticalEffect):
         center = place_mm[:, :2] + shift * place_mm[:, 2:]
         return np.column_stack([center, place_mm[:, 2] * (1 + values.get("growth", 0.0))]), ball_mm
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """Centres alone, or radii with them."""
         centers = {name: self.parameters[name] for name in ("shift_x", "shift_y")}
         return [
-            Candidate(self.name, "each press's centre", own=centers),
-            Candidate(self.name, "each press's centre and radius", own=self.parameters),
+            base.Candidate(self.name, "each press's centre", own=centers),
+            base.Candidate(self.name, "each press's centre and radius", own=self.parameters),
         ]
 
 
-register(PressCenter())
+base.register(PressCenter())

@@ -8,15 +8,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    Candidate,
-    OpticalEffect,
-    Parameter,
-    Patch,
-    PressScene,
-    Stage,
-    register,
-)
+from tacgen.optics.effects import effect as base
 
 SHARP_KNEE_GREY = 0.05
 """A knee below this is none: the image is rounded to whole grey levels."""
@@ -62,15 +54,15 @@ def seems_clipped(grey: FloatArray) -> bool:
     return bool(((piled >= MIN_CLIPPED_SHARE) & (piled >= PILE_RATIO * below)).any())
 
 
-class Saturation(OpticalEffect):
+class Saturation(base.OpticalEffect):
     """Nothing is brighter than a level, towards which it bends over a knee."""
 
     name = "saturation"
-    stage = Stage.CAMERA
+    stage = base.Stage.CAMERA
     parameters = MappingProxyType(
         {
-            "level_grey": Parameter(255.0, 60.0, 255.0, "grey", step=0.5),
-            "knee_grey": Parameter(0.0, 0.0, 25.0, "grey", step=0.3),
+            "level_grey": base.Parameter(255.0, 60.0, 255.0, "grey", step=0.5),
+            "knee_grey": base.Parameter(0.0, 0.0, 25.0, "grey", step=0.3),
         }
     )
     is_evident = True
@@ -78,7 +70,7 @@ class Saturation(OpticalEffect):
     def apply(
         self,
         array: FloatArray,
-        patch: Patch,
+        patch: base.Patch,
         *,
         level_grey: float = 255.0,
         knee_grey: float = 0.0,
@@ -90,14 +82,14 @@ class Saturation(OpticalEffect):
             return np.minimum(array, level)
         return level - knee * np.logaddexp(np.zeros_like(knee), (level - array) / knee)
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """Where the brightest values pile up; the first steps trust the pixels below."""
         if not seems_clipped(scene.grey):
             return []
         level = clip_level(scene.grey)
         start = {"level_grey": level, "knee_grey": FIRST_KNEE_GREY}
         return [
-            Candidate(
+            base.Candidate(
                 self.name,
                 "the camera clips",
                 self.parameters,
@@ -107,4 +99,4 @@ class Saturation(OpticalEffect):
         ]
 
 
-register(Saturation())
+base.register(Saturation())

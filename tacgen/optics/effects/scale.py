@@ -9,29 +9,22 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    Candidate,
-    OpticalEffect,
-    Parameter,
-    PressScene,
-    Stage,
-    register,
-)
+from tacgen.optics.effects import effect as base
 
 FIRST_FACTORS = (0.7, 0.8, 0.9, 1.0, 1.12, 1.25)
 """Contact radii over the labelled ones that a fit begins at: between them it finds its way, from
 farther off a wrong one may hold it."""
 
 
-class Scale(OpticalEffect):
+class Scale(base.OpticalEffect):
     """All contacts, or all balls, are larger or smaller than the presses' labels say."""
 
     name = "scale"
-    stage = Stage.PRESS
+    stage = base.Stage.PRESS
     parameters = MappingProxyType(
         {
-            "contact_per_label": Parameter(1.0, 0.5, 1.6, step=0.005),
-            "ball_per_stated": Parameter(1.0, 0.6, 1.8, step=0.005, prior=0.15),
+            "contact_per_label": base.Parameter(1.0, 0.5, 1.6, step=0.005),
+            "ball_per_stated": base.Parameter(1.0, 0.6, 1.8, step=0.005, prior=0.15),
         }
     )
     follows_form_errors = True
@@ -44,14 +37,14 @@ class Scale(OpticalEffect):
         balls = ball_mm * values.get("ball_per_stated", 1.0)
         return np.column_stack([place_mm[:, :2], radius]), balls
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """The ball, or the labelled circles."""
         ball, contact = "ball_per_stated", "contact_per_label"
         return [
-            Candidate(
+            base.Candidate(
                 self.name, "ball over the stated, or pixel under it", {ball: self.parameters[ball]}
             ),
-            Candidate(
+            base.Candidate(
                 self.name,
                 "contact radius over the labelled one",
                 {contact: self.parameters[contact]},
@@ -60,7 +53,7 @@ class Scale(OpticalEffect):
             ),
         ]
 
-    def cannot_tell(self, scene: PressScene, found: Sequence[Candidate]) -> str:
+    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.Candidate]) -> str:
         """One ball fixes no size."""
         if len(np.unique(scene.ball_radii_mm)) > 1:
             return ""
@@ -70,4 +63,4 @@ class Scale(OpticalEffect):
         )
 
 
-register(Scale())
+base.register(Scale())

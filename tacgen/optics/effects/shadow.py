@@ -13,20 +13,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    Candidate,
-    Leds,
-    OpticalEffect,
-    Parameter,
-    Patch,
-    PressScene,
-    Stage,
-    register,
-)
-from tacgen.optics.table import LookupTable
+from tacgen.optics.effects import effect as base
+from tacgen.optics.table import Leds, LookupTable, leds_of_table
 
-DEFAULT_ELEVATION_RAD = math.radians(20.0)
-"""Taken for lights whose height nobody gave: side-lit gels have theirs at 10° to 30°."""
 DEFAULT_STRENGTH = 0.8
 """Share of a light that its shadow takes away; the rest is scattered into it by the gel."""
 PENUMBRA_MM = 0.2
@@ -170,31 +159,6 @@ def cast_shadows(
         _darken(cast_shadow(height_mm, mm_per_px, direction), share, unlit, image)
 
 
-def leds_of_table(table: LookupTable, elevation_rad: float = DEFAULT_ELEVATION_RAD) -> Leds:
-    """One light a channel, in the direction whose slopes the table brightens most.
-
-    For tables of sensors whose lights nobody described; the elevation cannot be read off a table.
-    """
-    constant = table.coefficients[..., 5].astype(np.float64)
-    n_slope, n_direction = constant.shape[:2]
-    angle = -math.pi + 2 * math.pi * np.arange(n_direction) / n_direction
-    middle = slice(max(1, n_slope // 8), max(2, n_slope // 2))
-    leds = []
-    for channel in range(3):
-        brightness = constant[middle, :, channel].mean(axis=0)
-        x, y = (brightness * np.cos(angle)).sum(), (brightness * np.sin(angle)).sum()
-        azimuth = math.atan2(y, x)
-        direction = (
-            math.cos(elevation_rad) * math.cos(azimuth),
-            math.cos(elevation_rad) * math.sin(azimuth),
-            -math.sin(elevation_rad),
-        )
-        rgb = [0.0, 0.0, 0.0]
-        rgb[channel] = 1.0
-        leds.append((direction, (rgb[0], rgb[1], rgb[2])))
-    return tuple(leds)
-
-
 def _lowered(leds: Leds, length_mm: float) -> Leds:
     """The same lights at the height at which 1 mm of relief casts a shadow of ``length_mm``."""
     rise = 1 / math.hypot(1, length_mm)
@@ -206,18 +170,18 @@ def _lowered(leds: Leds, length_mm: float) -> Leds:
     return tuple(lowered)
 
 
-class Shadow(OpticalEffect):
+class Shadow(base.OpticalEffect):
     """The gel's relief hides a share of each light.
 
     ``length_mm`` is that of the shadow of 1 mm of relief; 0 takes the lights' own height.
     """
 
     name = "shadow"
-    stage = Stage.SHADOW
+    stage = base.Stage.SHADOW
     parameters = MappingProxyType(
         {
-            "strength": Parameter(0.0, 0.0, 1.0, step=0.02),
-            "length_mm": Parameter(0.0, 0.0, 20.0, "mm"),
+            "strength": base.Parameter(0.0, 0.0, 1.0, step=0.02),
+            "length_mm": base.Parameter(0.0, 0.0, 20.0, "mm"),
         }
     )
 
@@ -236,7 +200,7 @@ class Shadow(OpticalEffect):
     def apply(
         self,
         array: FloatArray,
-        patch: Patch,
+        patch: base.Patch,
         *,
         strength: float = DEFAULT_STRENGTH,
         leds: Leds = (),
@@ -260,7 +224,7 @@ class Shadow(OpticalEffect):
     def on_pixels(
         self,
         grey: FloatArray,
-        patch: Patch,
+        patch: base.Patch,
         *,
         strength: float = 0.0,
         hidden: FloatArray | None = None,
@@ -273,21 +237,21 @@ class Shadow(OpticalEffect):
         return grey - strength * hidden * np.maximum(grey - patch.background - unlit, 0)
 
     def before_fit(
-        self, scene: PressScene, before: Mapping[str, FloatArray], **values: float
+        self, scene: base.PressScene, before: Mapping[str, FloatArray], **values: float
     ) -> dict[str, FloatArray]:
         """Share of each channel's light that each pixel misses; its change where none arrives."""
         hidden = hidden_light(scene, values.get("length_mm", 0.0))
         unlit = before["unlit"][0] if "unlit" in before else self._unlit(scene)
         return {"hidden": hidden, "unlit": np.broadcast_to(unlit, hidden.shape)}
 
-    def _unlit(self, scene: PressScene) -> FloatArray:
-        change = scene.rendered(without=self.name) - scene.patch.background
+    def _unlit(self, scene: base.PressScene) -> FloatArray:
+        change = scene.rendered(self.name) - scene.patch.background
         return np.quantile(change, UNLIT_QUANTILE, axis=0)
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """One strength, and one of a few lengths."""
         return [
-            Candidate(
+            base.Candidate(
                 self.name,
                 "cast by the dent",
                 {"strength": self.parameters["strength"]},
@@ -296,9 +260,9 @@ class Shadow(OpticalEffect):
             )
         ]
 
-    def _starts(self, scene: PressScene) -> Sequence[Mapping[str, float]]:
+    def _starts(self, scene: base.PressScene) -> Sequence[Mapping[str, float]]:
         """The length whose shadows explain most of the residuals."""
-        grey, unlit = scene.rendered(), self._unlit(scene)
+        grey, unlit = scene.rendered(""), self._unlit(scene)
         lit = np.maximum(grey - scene.patch.background - unlit, 0)
         explained = {}
         for length_mm in LENGTHS_MM:
@@ -309,7 +273,7 @@ class Shadow(OpticalEffect):
         return [{"strength": FIRST_STRENGTH, "length_mm": best}]
 
 
-def hidden_light(scene: PressScene, length_mm: float) -> NDArray[np.float64]:
+def hidden_light(scene: base.PressScene, length_mm: float) -> NDArray[np.float64]:
     """Share (n, 3) of each channel's light that each pixel of a scene misses."""
     hidden = np.zeros(scene.grey.shape)
     norm = math.hypot(1, length_mm)
@@ -323,7 +287,7 @@ def hidden_light(scene: PressScene, length_mm: float) -> NDArray[np.float64]:
     return hidden
 
 
-SHADOW = register(Shadow())
+SHADOW = base.register(Shadow())
 
 
 def with_cast_shadows(

@@ -8,18 +8,10 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.effects.effect import (
-    Candidate,
-    OpticalEffect,
-    Parameter,
-    Patch,
-    PressScene,
-    Stage,
-    register,
-)
+from tacgen.optics.effects import effect as base
 
 
-class Vignetting(OpticalEffect):
+class Vignetting(base.OpticalEffect):
     """1 − strength · r² of the light arrives, r = 1 at the corners.
 
     ``change_strength`` is for a background that was photographed through the same lens: only what
@@ -27,15 +19,15 @@ class Vignetting(OpticalEffect):
     """
 
     name = "vignetting"
-    stage = Stage.LENS
+    stage = base.Stage.LENS
     parameters = MappingProxyType(
-        dict.fromkeys(("strength", "change_strength"), Parameter(0.0, -0.6, 0.95, step=0.02))
+        dict.fromkeys(("strength", "change_strength"), base.Parameter(0.0, -0.6, 0.95, step=0.02))
     )
 
     def apply(
         self,
         array: FloatArray,
-        patch: Patch,
+        patch: base.Patch,
         *,
         strength: float = 0.0,
         change_strength: float = 0.0,
@@ -50,13 +42,13 @@ class Vignetting(OpticalEffect):
         dimmed = (array - patch.background) * (twice_change * square)
         return (array - dimmed.astype(array.dtype)) * gain
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """A background through the same lens, or not."""
         change, whole = ({name: self.parameters[name]} for name in ("change_strength", "strength"))
         return [
-            Candidate(self.name, "of what presses change", change),
-            Candidate(self.name, "of the background too", whole),
+            base.Candidate(self.name, "of what presses change", change),
+            base.Candidate(self.name, "of the background too", whole),
         ]
 
 
-register(Vignetting())
+base.register(Vignetting())
