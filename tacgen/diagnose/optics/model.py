@@ -359,7 +359,7 @@ def scene_of(problem: Problem, state: ModelState) -> PressScene:
     pixels = problem.pixels
 
     def rendered(without: str) -> FloatArray:
-        return render(problem, state.without(without))
+        return render(problem, state.without(without) if without else state)
 
     def light_azimuths_rad() -> FloatArray:
         """By the slopes that the table brightens most."""
