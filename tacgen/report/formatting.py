@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 MISSING = "–"
-"""Stands where there is no number."""
+"""Shown where there is no number."""
 
 _POWER = re.compile(r"\b(mm|cm|m|px)([234])\b")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -86,7 +86,7 @@ def estimate(record: Mapping[str, Any]) -> str:
 
 
 def interval(ends: Sequence[float | None], unit: str = "") -> str:
-    """``5.10 to 5.17 mm³/N``, both ends with the decimals that tell them apart."""
+    """``5.10 to 5.17 mm³/N``, both ends with the decimals that separate them."""
     suffix = f" {unit_text(unit)}".rstrip()
     low, high = ends
     if low is None or high is None:

@@ -30,7 +30,7 @@ _NUMBER_TEXT = re.compile(r"[-+−]?\d+(\.\d+)?(·10[⁻⁰¹²³⁴⁵⁶⁷⁸
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading and what stands under it, as HTML."""
+    """A heading and its content as HTML."""
 
     title: str
     body: Markup

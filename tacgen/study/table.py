@@ -52,7 +52,7 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
         f"epochs: {', '.join(map(str, epochs))}; training grasps a model (of which some choose "
         f"the epoch): {', '.join(map(str, counts)) or 'none'}.",
         f"Weights averaged over about {', '.join(map(str, averaged))} epochs (the paper: 1).",
-        f"Took {result['took_s'] / 60:.1f} minutes, without rows of earlier runs.",
+        f"Running time {result['took_s'] / 60:.1f} minutes, without rows of earlier runs.",
         *_where_tested(result),
     ]
     remarks += [

@@ -16,7 +16,7 @@ from validation.contact.run import NONE, Outcome, is_right
 
 
 def write_page(outcomes: list[Outcome], page: Path, note: str = "") -> None:
-    """Write the page and its figures; ``note`` stands under the table."""
+    """Write the page and its figures; ``note`` goes under the table."""
     figures = page.parent / "figures"
     single = [o for o in outcomes if o.kind == "single" and o.truth]
     strong = [o for o in single if o.strength >= 1.5]
@@ -39,7 +39,7 @@ def write_page(outcomes: list[Outcome], page: Path, note: str = "") -> None:
         ("structure and noise left, over the noise: at most 1.10", _share_of(after, 1.10), "95 %"),
         ("95 % interval of k_n holds the true one", _fraction(covered), "95 %"),
     ]
-    table = "\n".join(f"| {words} | {figure} | {aim} |" for words, figure, aim in rows)
+    table = "\n".join(f"| {name} | {figure} | {aim} |" for name, figure, aim in rows)
     wrong = [o for o in (*strong, *clean, *beside, *outside, *pairs) if not is_right(o)]
     listed = "\n".join(
         f"| {o.kind} | {o.channel} | {' + '.join(o.truth) or NONE} "
@@ -91,8 +91,8 @@ cent of the row.
 The study draws its sessions from one rig's habits: every press is loaded and unloaded, trials are
 independent, the noise is white. `validation/blind/evaluate.py` has other rigs, noise that goes on
 from sample to sample, and 12 to 80 trials. A log without an unloading phase cannot show hysteresis,
-one ball cannot show geometry, and a soft limit that is only neared cannot be told from
-stiffening; the report of a diagnosis says which effects its data cannot tell apart.
+one ball cannot show geometry, and a soft limit that is only neared cannot be distinguished
+from stiffening; the report of a diagnosis lists the effects that its data cannot separate.
 """
 
 

@@ -35,7 +35,7 @@ def summary_dict(fit: ContactFit) -> dict[str, Any]:
         ],
         "trials": {"fit": len(fit.log.trials), "left_out": len(fit.log.dropped)},
         "left_out": [
-            {"trial": t.trial, "rows": list(t.rows), "reason": t.reason, "mend": t.fix}
+            {"trial": t.trial, "rows": list(t.rows), "reason": t.reason, "fix": t.fix}
             for t in fit.log.dropped
         ],
         "warnings": list(fit.warnings),
@@ -112,7 +112,7 @@ def agreement_text(name: str, channel: Mapping[str, Any]) -> str:
     """Whether the groups share one compliance, in one sentence."""
     symbol, by, agreement = SYMBOLS[name], channel["by"], channel["agreement"]
     if agreement is None:
-        return f"whether {symbol} depends on {by} cannot be judged: only one group has an error"
+        return f"whether {symbol} depends on {by} is unknown: only one group has an error"
     verdict = "agree on" if agreement["p_value"] >= AGREEMENT_LEVEL else "do not agree on"
     return (
         f"the values of {by} {verdict} one {symbol} (Welch p = {p_value(agreement['p_value'])}, "

@@ -143,16 +143,16 @@ def _found_table(heading: str, channel: Mapping[str, Any]) -> Section:
     ]
     rows += [
         (
-            f"unexplained: {left['covariate']}",
+            f"unexplained: {one['covariate']}",
             "",
             "",
-            percent(left["share"]),
-            p_value(left["p_value"]),
-            left.get("runner_up", ""),
-            percent(left.get("runner_up_margin")),
-            "; ".join(left.get("what_would_tell", ())),
+            percent(one["share"]),
+            p_value(one["p_value"]),
+            one.get("runner_up", ""),
+            percent(one.get("runner_up_margin")),
+            "; ".join(one.get("what_would_tell", ())),
         )
-        for left in channel["unexplained"]
+        for one in channel["unexplained"]
     ]
     header = (
         *("what", "form", "parameters", "gain", "p", "runner-up", "behind by"),
@@ -202,7 +202,7 @@ def _structure_table(heading: str, channel: Mapping[str, Any]) -> Section:
 
 def _residual_figure(name: str, channel: Mapping[str, Any], pictures: ResidualPictures) -> Figure:
     wanted = [find_effect(name, effect["name"]).shown_against for effect in channel["effects"]]
-    wanted += [left["covariate"] for left in channel["unexplained"]]
+    wanted += [one["covariate"] for one in channel["unexplained"]]
     wanted += _ALWAYS_DRAWN
     shown = [one for one in dict.fromkeys(wanted) if one in pictures.covariates][:_MAX_DRAWN]
     figure, grid = plots.new_figure(9.0, 2.6 * len(shown), len(shown), 2, sharey=True)
@@ -222,8 +222,8 @@ def _residual_figure(name: str, channel: Mapping[str, Any], pictures: ResidualPi
 def _residual(found: ChannelDiagnosis, fit: Fit) -> FloatArray:
     """Residual of the law (N,): of the volume, or of the motion along the shear force."""
     data = found.data
-    left = data.target - fit.model.law_response(data)
+    residual = data.target - fit.model.law_response(data)
     if data.channel == "normal":
-        return left[:, 0]
+        return residual[:, 0]
     force = data.history.force_shear_n
-    return (left * force).sum(axis=1) / np.maximum(np.linalg.norm(force, axis=1), 1e-9)
+    return (residual * force).sum(axis=1) / np.maximum(np.linalg.norm(force, axis=1), 1e-9)

@@ -56,7 +56,7 @@ def write_grasp_report(
     sections += [_ranking(step, k, channel) for k, step in enumerate(channel["steps"], start=1)]
     advice = [f"{line}." for effect in channel["effects"] for line in effect["what_would_tell"]]
     if advice:
-        sections.append(text_section("What these labels cannot tell apart", *advice))
+        sections.append(text_section("Explanations that these labels cannot separate", *advice))
     sections.append(_next_grasps(channel["next_grasps"]))
     notes = [*record["notes"], *filter(None, [channel["force_from_images"]])]
     if notes:

@@ -77,7 +77,7 @@ def write_optics_page(
             "By the same rule as the effects." if channel["unexplained"] else "Nothing.",
         ),
         text_section(
-            "What these presses cannot tell, and which would",
+            "What these presses cannot determine, and which could",
             *(channel["cannot_tell"] or ["Nothing of that kind."]),
         ),
         text_section(
