@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from tacgen.optics.table import load_table
     from tacgen.sensor.simulated import Sensor
 
-__version__ = "0.1.0"
+__version__: str
+"""That of the installed package, which follows the git tags."""
 
 _HOMES = {
     "Dataset": "tacgen.dataset.reader",
@@ -29,6 +30,8 @@ __all__ = ["Dataset", "Sensor", "collect", "load_law", "load_recipe", "load_tabl
 
 
 def __getattr__(name: str) -> object:
+    if name == "__version__":
+        return _version()
     if name not in _HOMES:
         msg = f"module 'tacgen' has no attribute {name!r}; it has {', '.join(__all__)}"
         raise AttributeError(msg)
@@ -37,3 +40,12 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("tacgen")
+    except PackageNotFoundError:  # a source tree on the path that was never installed
+        return "0+not.installed"

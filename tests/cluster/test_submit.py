@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from tacgen import cluster
 from tacgen.cli import app
-from tacgen.cluster import queue
+from tacgen.cluster import scheduler
 from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_note, write_submission
 from tacgen.cluster.submission import slurm_parameters
 from tacgen.collection.pipeline import dataset_spec
@@ -147,7 +147,7 @@ def test_every_shard_is_in_one_state(prepared, monkeypatch):
     ("note", "words"),
     [
         (None, "before it began"),
-        (Note("running", 1, "n1", 5), "without a word on n1"),
+        (Note("running", 1, "n1", 5), "without a message on n1"),
         (Note("interrupted", 1, "n1", 5, "preempted"), "preempted"),
     ],
 )
@@ -254,26 +254,28 @@ def test_a_setting_of_two_lines_cannot_slip_into_a_script(world):
 
 def test_squeue_is_understood(monkeypatch):
     said = "7_0|RUNNING|None\n7_1|PENDING|Priority\n9|PENDING|BeginTime\n"
-    monkeypatch.setattr(queue, "_ask", lambda _: said)
-    monkeypatch.setattr(queue.shutil, "which", lambda _: "/usr/bin/squeue")
+    monkeypatch.setattr(scheduler, "_ask", lambda _: said)
+    monkeypatch.setattr(scheduler.shutil, "which", lambda _: "/usr/bin/squeue")
     asked = Submission("slurm", "h", (Task(0, "7_0", (0,)),))
-    assert queue.live_jobs([asked]) == {
+    assert scheduler.live_jobs([asked]) == {
         "7_0": ("running", ""),
         "7_1": ("queued", "Priority"),
         "9": ("queued", "BeginTime"),
     }
-    monkeypatch.setattr(queue.shutil, "which", lambda _: None)
-    assert queue.live_jobs([asked]) is None
-    assert queue.live_jobs([replace(asked, executor="local")]) is None
+    monkeypatch.setattr(scheduler.shutil, "which", lambda _: None)
+    assert scheduler.live_jobs([asked]) is None
+    assert scheduler.live_jobs([replace(asked, executor="local")]) is None
 
 
 def test_the_sites_limit_is_asked_for(monkeypatch):
-    monkeypatch.setattr(queue, "_ask", lambda _: "MailProg = /bin/mail\nMaxArraySize    = 501\n")
-    assert queue.site_array_limit() == 501
-    monkeypatch.setattr(queue, "_ask", lambda _: "")
-    assert queue.site_array_limit() == 1000
+    monkeypatch.setattr(
+        scheduler, "_ask", lambda _: "MailProg = /bin/mail\nMaxArraySize    = 501\n"
+    )
+    assert scheduler.site_array_limit() == 501
+    monkeypatch.setattr(scheduler, "_ask", lambda _: "")
+    assert scheduler.site_array_limit() == 1000
 
 
 def test_a_scheduler_that_is_down_is_said():
     with pytest.raises(ClusterError, match="is the scheduler up"):
-        queue._ask([sys.executable, "-c", "import sys; sys.exit('no controller')"])
+        scheduler._ask([sys.executable, "-c", "import sys; sys.exit('no controller')"])
