@@ -13,6 +13,7 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder
 from tacgen.objects.description import read_description
+from tacgen.physics.settings import force_problem
 
 AXES = ("force_n", "x_mm", "y_mm", "z_mm")
 MAX_GRASPS = 10_000_000
@@ -120,13 +121,9 @@ def _points(
 
 
 def _check_forces(recipe: Recipe, entry: ObjectEntry, forces_n: Sequence[float]) -> None:
-    too_high = [force for force in forces_n if force > recipe.robot.max_force_n]
-    if too_high:
-        msg = (
-            f"objects/{entry.name}: grasp force_n = {max(too_high):g} exceeds "
-            f"robot.max_force_n = {recipe.robot.max_force_n:g}; give grid.force_n in the recipe "
-            "or raise robot.max_force_n"
-        )
+    problem = force_problem(max(forces_n), recipe.robot.max_force_n)
+    if problem:
+        msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
         raise RecipeError(msg)
 
 

@@ -1,4 +1,4 @@
-"""Grasps in worlds that differ from the declared one, simulated in parallel and kept on disk."""
+"""Changes to the declared simulation, and grasps simulated with them, kept on disk."""
 
 from __future__ import annotations
 
@@ -9,52 +9,180 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tacgen.collection.pipeline import recipe_object
-from tacgen.collection.randomize import with_friction, with_mass, with_scale
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
-from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, frozen_array
+from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.core.resources import find_object_folder
 from tacgen.core.workers import Report, run_tasks
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
+from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics.settings import force_problem
 
 GRASP_LIMIT_S = 120.0
+"""A simulated grasp takes 0.1 to 1 s; one that takes this long hangs and counts as crashed."""
 NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
-class Alteration:
-    """How a world differs from the one that a recipe declares; the default is that one itself.
+class Perturbation:
+    """Changes to an object and to the gripper that grasps it; the default changes nothing.
 
-    ``friction`` replaces the coefficient, the factors multiply what is declared, and the rest is
-    added to it. A factor on friction acts on the spinning friction too, as μ does.
+    The object is scaled first; then ``friction``, ``mass_kg`` and ``spinning_friction_mm`` replace
+    its own figures, the factors multiply them and the centre of mass is shifted. The spinning
+    friction follows the friction, to which the moment that a patch holds is proportional. Of the
+    gripper, force and height are changed and a compliance is added to its pads;
+    ``settings_factors`` multiply any other figures of ``PhysicsSettings``, by name.
     """
 
     friction: float | None = None
+    mass_kg: float | None = None
+    spinning_friction_mm: float | None = None
     friction_factor: float = 1.0
     mass_factor: float = 1.0
+    spinning_friction_factor: float = 1.0
+    object_scale: float = 1.0
     center_of_mass_x_mm: float = 0.0
     center_of_mass_y_mm: float = 0.0
     center_of_mass_z_mm: float = 0.0
-    spinning_friction_factor: float = 1.0
-    object_scale: float = 1.0
     force_scale: float = 1.0
     force_offset_n: float = 0.0
     height_offset_mm: float = 0.0
     compliance_mm_per_n: float = 0.0
+    settings_factors: tuple[tuple[str, float], ...] = ()
 
-    def changes(self) -> dict[str, float]:
-        """What differs from the declared world."""
+    @property
+    def center_of_mass_mm(self) -> tuple[float, float, float]:
+        """Shift of the centre of mass, object frame."""
+        return self.center_of_mass_x_mm, self.center_of_mass_y_mm, self.center_of_mass_z_mm
+
+    def changes(self) -> dict[str, Any]:
+        """The fields that are not at their default."""
         return {
             field.name: getattr(self, field.name)
             for field in fields(self)
             if getattr(self, field.name) != field.default
         }
+
+    def and_then(self, other: Perturbation) -> Perturbation:
+        """Both changes: factors multiply, shifts add, and a replaced figure is the other's."""
+        changes = self.changes()
+        for name, value in other.changes().items():
+            if name == "settings_factors":
+                before = dict(self.settings_factors)
+                product = {key: before.get(key, 1.0) * factor for key, factor in value}
+                changes[name] = tuple(sorted((before | product).items()))
+            elif name not in changes or getattr(_UNCHANGED, name) is None:
+                changes[name] = value
+            elif getattr(_UNCHANGED, name) == 1.0:
+                changes[name] *= value
+            else:
+                changes[name] += value
+        return Perturbation(**changes)
+
+
+_UNCHANGED = Perturbation()
+
+
+def perturbed_object(grasped: GraspObject, change: Perturbation) -> GraspObject:
+    """The object with the changes; its own arrays are left alone."""
+    if change.object_scale != 1.0:
+        grasped = _scaled(grasped, change.object_scale)
+    declared = grasped.friction
+    friction = (declared if change.friction is None else change.friction) * change.friction_factor
+    spinning_mm = grasped.spinning_friction_mm * (friction / declared if declared > 0 else 1.0)
+    if change.spinning_friction_mm is not None:
+        spinning_mm = change.spinning_friction_mm
+    mass_kg = grasped.mass_kg if change.mass_kg is None else change.mass_kg
+    mass_kg *= change.mass_factor
+    return replace(
+        grasped,
+        friction=friction,
+        spinning_friction_mm=spinning_mm * change.spinning_friction_factor,
+        mass_kg=mass_kg,
+        inertia_kg_mm2=frozen_array(grasped.inertia_kg_mm2 * (mass_kg / grasped.mass_kg)),
+        center_of_mass_mm=frozen_array(
+            grasped.center_of_mass_mm + np.array(change.center_of_mass_mm)
+        ),
+    )
+
+
+def _scaled(grasped: GraspObject, factor: float) -> GraspObject:
+    """The object of another size about the centre of its footprint, its mass as before."""
+
+    def scaled(mesh: Mesh) -> Mesh:
+        return Mesh(frozen_array(mesh.vertices_mm * factor), mesh.faces)
+
+    return replace(
+        grasped,
+        surface=scaled(grasped.surface),
+        collision=tuple(scaled(part) for part in grasped.collision),
+        center_of_mass_mm=frozen_array(grasped.center_of_mass_mm * factor),
+        inertia_kg_mm2=frozen_array(grasped.inertia_kg_mm2 * factor**2),
+    )
+
+
+def perturbed_settings(settings: PhysicsSettings, change: Perturbation) -> PhysicsSettings:
+    """The settings of the gripper and the table with the changes."""
+    compliance = change.compliance_mm_per_n
+    if settings.pad_stiffness_n_mm > 0:
+        compliance += 1 / settings.pad_stiffness_n_mm
+    changed = replace(
+        settings,
+        delivered_force_scale=settings.delivered_force_scale * change.force_scale,
+        delivered_force_offset_n=settings.delivered_force_offset_n + change.force_offset_n,
+        height_offset_mm=settings.height_offset_mm + change.height_offset_mm,
+        pad_stiffness_n_mm=1 / compliance if compliance > 0 else 0.0,
+    )
+    factors = {name: getattr(changed, name) * one for name, one in change.settings_factors}
+    return replace(changed, **factors)
+
+
+def recipe_object(entry: ObjectEntry) -> GraspObject:
+    """The object of a recipe's entry, with the entry's own figures."""
+    x_mm, y_mm, z_mm = entry.center_of_mass_offset_mm
+    change = Perturbation(
+        friction=entry.friction,
+        mass_kg=entry.mass_kg,
+        spinning_friction_mm=entry.spinning_friction_mm,
+        object_scale=entry.scale,
+        center_of_mass_x_mm=x_mm,
+        center_of_mass_y_mm=y_mm,
+        center_of_mass_z_mm=z_mm,
+    )
+    return perturbed_object(load_object(entry.name), change)
+
+
+def declared_entry(recipe: Recipe, name: str) -> ObjectEntry:
+    """The recipe's entry of an object; a plain one where the recipe does not name it."""
+    for entry in recipe.objects:
+        if entry.name == name:
+            return entry
+    return ObjectEntry(name=name)
+
+
+def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
+    """The recipe's entry whose object is the perturbed one."""
+    before = recipe_object(entry)
+    after = perturbed_object(before, change)
+    figures: dict[str, Any] = {}
+    if after.mass_kg != before.mass_kg:
+        figures["mass_kg"] = round(after.mass_kg, 6)
+    if after.friction != before.friction:
+        figures["friction"] = round(after.friction, 6)
+    if change.object_scale != 1.0:
+        figures["scale"] = round(entry.scale * change.object_scale, 6)
+    if change.spinning_friction_factor != 1.0 or entry.spinning_friction_mm is not None:
+        figures["spinning_friction_mm"] = round(after.spinning_friction_mm, 6)
+    if any(change.center_of_mass_mm):
+        offsets = zip(entry.center_of_mass_offset_mm, change.center_of_mass_mm, strict=True)
+        figures["center_of_mass_offset_mm"] = tuple(round(old + new, 4) for old, new in offsets)
+    return entry.model_copy(update=figures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +232,7 @@ def declared_sha256(recipe: Recipe, name: str) -> str:
 
 Place = tuple[str, float, float, float, float, float]
 """A configuration without its number: what was asked for."""
-Key = tuple[Place, Alteration]
+Key = tuple[Place, Perturbation]
 _CRASHED = Outcome(-1, "", NAN, NAN, status="crashed")
 
 
@@ -113,55 +241,20 @@ def place_of(config: GraspConfig) -> Place:
     return config.object, config.force_n, config.x_mm, config.y_mm, config.z_mm, config.yaw_rad
 
 
-def altered_object(grasped: GraspObject, alteration: Alteration) -> GraspObject:
-    """The object as an altered world has it."""
-    if alteration.friction is not None:
-        grasped = with_friction(grasped, alteration.friction)
-    grasped = with_friction(grasped, grasped.friction * alteration.friction_factor)
-    grasped = with_mass(grasped, grasped.mass_kg * alteration.mass_factor)
-    if alteration.object_scale != 1.0:
-        grasped = with_scale(grasped, alteration.object_scale)
-    shift = (
-        alteration.center_of_mass_x_mm,
-        alteration.center_of_mass_y_mm,
-        alteration.center_of_mass_z_mm,
-    )
-    return replace(
-        grasped,
-        center_of_mass_mm=frozen_array(grasped.center_of_mass_mm + np.array(shift)),
-        spinning_friction_mm=grasped.spinning_friction_mm * alteration.spinning_friction_factor,
-    )
-
-
-def altered_settings(settings: PhysicsSettings, alteration: Alteration) -> PhysicsSettings:
-    """The gripper and table of an altered world."""
-    compliance = alteration.compliance_mm_per_n
-    if settings.pad_stiffness_n_mm > 0:
-        compliance += 1 / settings.pad_stiffness_n_mm
-    return replace(
-        settings,
-        delivered_force_scale=settings.delivered_force_scale * alteration.force_scale,
-        delivered_force_offset_n=settings.delivered_force_offset_n + alteration.force_offset_n,
-        height_offset_mm=settings.height_offset_mm + alteration.height_offset_mm,
-        pad_stiffness_n_mm=1 / compliance if compliance > 0 else 0.0,
-    )
-
-
 def check_forces(recipe: Recipe, real: RealGrasps) -> None:
     """Refuse real grasps that the recipe's gripper could not be asked for.
 
     Raises
     ------
     DatasetError
-        Listing each with its mend.
+        Listing each with its fix.
     """
-    limit = recipe.robot.max_force_n
-    problems = [
-        f"{real.folder / 'grasps.csv'}: grasp {grasp.grasp_id!r} asks for {grasp.config.force_n:g} "
-        f"N, more than robot.max_force_n = {limit:g} of recipe {recipe.name!r}; raise it there"
+    found = (
+        (grasp.grasp_id, force_problem(grasp.config.force_n, recipe.robot.max_force_n))
         for grasp in real.grasps
-        if grasp.config.force_n > limit
-    ]
+    )
+    table = real.folder / "grasps.csv"
+    problems = [f"{table}: grasp {name!r}: force_n {problem}" for name, problem in found if problem]
     if problems:
         raise DatasetError.from_problems(problems)
 
@@ -173,7 +266,7 @@ _WHY = {
 }
 
 
-def words_about_unexecuted(
+def unexecuted_note(
     grasps: Sequence[RealGrasp], outcomes: Sequence[Outcome], consequence: str
 ) -> list[str]:
     """A sentence about the grasps that no simulation could execute, if there are any."""
@@ -186,38 +279,38 @@ def words_about_unexecuted(
         return []
     shown = ", ".join(never[:5]) + (", …" if len(never) > 5 else "")
     return [
-        f"{len(never)} of {len(grasps)} grasps cannot be executed in the simulated world ({shown}) "
-        f"and {consequence}; mend their place or take them out"
+        f"{len(never)} of {len(grasps)} grasps cannot be executed in simulation ({shown}) "
+        f"and {consequence}; correct their positions or remove them"
     ]
 
 
-def simulate_altered(
+def simulate_perturbed(
     recipe: Recipe,
-    wanted: Iterable[tuple[GraspConfig, Alteration]],
+    wanted: Iterable[tuple[GraspConfig, Perturbation]],
     out: Path,
     *,
     workers: int,
     show: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[Key, Outcome]:
-    """The outcome of every wanted grasp in its world.
+    """The outcome of every wanted grasp under its perturbation.
 
-    Lines of ``out/outcomes.jsonl`` are written as soon as a grasp has been simulated in all its
-    worlds; a run that was interrupted goes on from there. They carry the hashes of the recipe and
-    of the object's files and the whole configuration, and are used for nothing else.
+    Lines of ``out/outcomes.jsonl`` are written as soon as a grasp has been simulated under all its
+    perturbations; an interrupted run goes on from there. They carry the hashes of the recipe and of
+    the object's files and the whole configuration, and are used for nothing else.
     """
     wanted = list(wanted)
     store = _Store(out / "outcomes.jsonl", recipe, {config.object for config, _ in wanted})
     kept = store.read()
-    jobs: dict[Place, tuple[GraspConfig, dict[Alteration, None]]] = {}
+    jobs: dict[Place, tuple[GraspConfig, dict[Perturbation, None]]] = {}
     keys: dict[Key, None] = {}
-    for config, alteration in wanted:
+    for config, change in wanted:
         place = place_of(config)
-        keys[place, alteration] = None
-        worlds = jobs.setdefault(place, (config, {}))[1]
-        if (place, alteration) not in kept:
-            worlds[alteration] = None
-    listed = [(config, tuple(worlds)) for config, worlds in jobs.values()]
-    pending = [k for k, (_, worlds) in enumerate(listed) if worlds]
+        keys[place, change] = None
+        changes = jobs.setdefault(place, (config, {}))[1]
+        if (place, change) not in kept:
+            changes[change] = None
+    listed = [(config, tuple(changes)) for config, changes in jobs.values()]
+    pending = [k for k, (_, changes) in enumerate(listed) if changes]
     done = len(listed) - len(pending)
     show(done, len(listed))
     make_job = partial(_grasp_job, recipe, tuple(listed))
@@ -226,7 +319,7 @@ def simulate_altered(
             continue
         config, simulated = listed[event.task]
         place = place_of(config)
-        found = {(place, world): one for world, one in zip(simulated, event.value, strict=True)}
+        found = {(place, change): one for change, one in zip(simulated, event.value, strict=True)}
         store.append(found)
         kept |= found
         done += 1
@@ -234,25 +327,24 @@ def simulate_altered(
     return {key: kept[key] for key in keys}
 
 
-Task = tuple[GraspConfig, tuple[Alteration, ...]]
+Task = tuple[GraspConfig, tuple[Perturbation, ...]]
 
 
 @contextlib.contextmanager
 def _grasp_job(
     recipe: Recipe, tasks: Sequence[Task]
 ) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Outcome]]]:
-    """One process: a task is one grasp, its items are the worlds to simulate it in."""
-    entries = {entry.name: entry for entry in recipe.objects}
+    """One process: a task is one grasp, its items are the perturbations to simulate it under."""
     settings = recipe.physics_settings
     built = lru_cache(maxsize=1)(recipe_object)
-    first_item = np.cumsum([0, *(len(worlds) + 1 for _, worlds in tasks)])
+    first_item = np.cumsum([0, *(len(changes) + 1 for _, changes in tasks)])
     with GraspSimulator(recipe.robot.name) as simulator:
 
         def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Outcome]:
-            config, worlds = tasks[task]
-            base = built(entries.get(config.object, ObjectEntry(name=config.object)))
+            config, changes = tasks[task]
+            base = built(declared_entry(recipe, config.object))
             found = []
-            for k, world in enumerate(worlds):
+            for k, change in enumerate(changes):
                 item = int(first_item[task]) + k
                 if item in crashed:
                     found.append(_CRASHED)
@@ -260,9 +352,9 @@ def _grasp_job(
                 report("start", item, None)
                 trace = run_grasp(
                     simulator,
-                    altered_object(base, world),
+                    perturbed_object(base, change),
                     replace(config, index=task),
-                    altered_settings(settings, world),
+                    perturbed_settings(settings, change),
                     frames=FrameRequest(),
                 )
                 found.append(Outcome.of(trace))
@@ -279,9 +371,9 @@ class _Store:
         self._made_with = {name: declared_sha256(recipe, name) for name in names}
 
     def read(self) -> dict[Key, Outcome]:
-        """What is there of these objects as declared; a line cut short by a crash is passed over.
+        """What was simulated of these objects as declared; damaged lines are passed over.
 
-        Lines of objects that were declared otherwise then are passed over too.
+        So are lines of objects that were declared differently then.
         """
         found: dict[Key, Outcome] = {}
         if not self._path.is_file():
@@ -291,7 +383,7 @@ class _Store:
                 data = json.loads(line)
                 name, *numbers = data["grasp"]
                 if data["declared"] == self._made_with.get(name):
-                    key = ((name, *map(float, numbers)), Alteration(**data["world"]))
+                    key = ((name, *map(float, numbers)), _perturbation(data["changes"]))
                     found[key] = Outcome(**data["outcome"])
             except (ValueError, KeyError, TypeError, RecursionError):
                 continue
@@ -300,11 +392,17 @@ class _Store:
     def append(self, outcomes: Mapping[Key, Outcome]) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a", encoding="utf-8") as file:
-            for (place, world), one in outcomes.items():
+            for (place, change), one in outcomes.items():
                 line = {
                     "declared": self._made_with[place[0]],
                     "grasp": place,
-                    "world": world.changes(),
+                    "changes": change.changes(),
                     "outcome": asdict(one),
                 }
                 file.write(json.dumps(line) + "\n")
+
+
+def _perturbation(changes: Mapping[str, Any]) -> Perturbation:
+    """The perturbation of a line on disk, whose tuples JSON made lists of."""
+    factors = tuple((str(name), float(one)) for name, one in changes.get("settings_factors", ()))
+    return Perturbation(**{**changes, "settings_factors": factors})

@@ -11,16 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.collection.grid import PlannedGrasp
-from tacgen.collection.randomize import (
-    Variation,
-    draw_variation,
-    vary_config,
-    vary_object,
-    with_friction,
-    with_mass,
-    with_scale,
-)
-from tacgen.collection.recipe import Contact, ObjectEntry, Recipe
+from tacgen.collection.perturbed import perturbed_object, recipe_object
+from tacgen.collection.randomize import Variation, draw_variation, vary_config
+from tacgen.collection.recipe import Contact, Recipe
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw, load_law
 from tacgen.core.errors import TableError
@@ -31,11 +24,9 @@ from tacgen.core.records import (
     Estimate,
     GraspObject,
     GraspTrace,
-    frozen_array,
 )
 from tacgen.core.resources import contact_law_path
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
-from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.sensor.description import load_sensor
@@ -73,7 +64,7 @@ class GraspPipeline:
         """Simulate one grasp and render the images of its pads."""
         entry = self.recipe.objects[planned.entry]
         variation = draw_variation(self.recipe.randomize, _rng(planned, _STREAM_VARIATION))
-        grasped = vary_object(self._object(entry), variation)
+        grasped = perturbed_object(self._object(entry), variation.perturbation)
         config = vary_config(planned.config, variation)
         trace = run_grasp(
             self.simulator, grasped, config, self.recipe.physics_settings, frames=self._frames
@@ -147,21 +138,6 @@ def grasp_frame(trace: GraspTrace) -> int:
         return 0
     forces = np.array([frame.force_normal_n for frame in frames])
     return int(np.argmax(forces >= 0.95 * forces.max()))
-
-
-def recipe_object(entry: ObjectEntry) -> GraspObject:
-    """The object of a recipe's entry, with the entry's own figures."""
-    grasped = load_object(entry.name)
-    if entry.scale != 1.0:
-        grasped = with_scale(grasped, entry.scale)
-    if entry.friction is not None:
-        grasped = with_friction(grasped, entry.friction)
-    if entry.mass_kg is not None:
-        grasped = with_mass(grasped, entry.mass_kg)
-    if entry.spinning_friction_mm is not None:
-        grasped = replace(grasped, spinning_friction_mm=entry.spinning_friction_mm)
-    moved = grasped.center_of_mass_mm + np.asarray(entry.center_of_mass_offset_mm)
-    return replace(grasped, center_of_mass_mm=frozen_array(moved))
 
 
 def contact_law(contact: Contact) -> ContactLaw:

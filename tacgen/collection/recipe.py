@@ -26,7 +26,7 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.files import is_file, sha256_of_content
 from tacgen.core.resources import find_recipe, object_folders, sensor_path
 from tacgen.core.yaml_source import YamlSource, read_yaml, validate
-from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.settings import PhysicsSettings, force_problem
 from tacgen.sensor.description import SensorByName, SensorChoice
 
 
@@ -287,7 +287,6 @@ def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
 
 
 def _forces_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
-    limit = recipe.robot.max_force_n
     grids: list[tuple[tuple[str | int, ...], Grid]] = [(("grid",), recipe.grid)]
     grids += [
         (("objects", i, "grid"), entry.grid)
@@ -296,13 +295,6 @@ def _forces_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     ]
     for key_path, grid in grids:
         for k, force_n in enumerate(grid.force_n or ()):
-            if force_n <= 0:
-                yield source.problem(
-                    (*key_path, "force_n", k), f"= {force_n:g} is no force to grip with; raise it"
-                )
-            elif force_n > limit:
-                yield source.problem(
-                    (*key_path, "force_n", k),
-                    f"= {force_n:g} exceeds robot.max_force_n = {limit:g}; "
-                    "lower it or raise robot.max_force_n",
-                )
+            problem = force_problem(force_n, recipe.robot.max_force_n)
+            if problem:
+                yield source.problem((*key_path, "force_n", k), problem)

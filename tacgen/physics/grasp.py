@@ -31,7 +31,13 @@ from tacgen.physics.motion import trapezoid
 from tacgen.physics.outcome import capacity_of, frames_of, motion_of, object_poses_mm
 from tacgen.physics.recorder import Recorder, frame_end_steps
 from tacgen.physics.robot import Robot
-from tacgen.physics.settings import PAD_NAMES, FrameRequest, PhysicsSettings, RobotName
+from tacgen.physics.settings import (
+    PAD_NAMES,
+    FrameRequest,
+    PhysicsSettings,
+    RobotName,
+    force_problem,
+)
 from tacgen.physics.world import World
 
 CHUNK_STEPS = 5
@@ -91,20 +97,12 @@ def run_grasp(
         If the force is not one the gripper can be asked for, or the object cannot be a body.
     """
     problems = [*settings.problems(), *frames.problems()]
-    problems += [*_force_problems(config, settings), *object_problems(obj)]
+    force = force_problem(config.force_n, settings.max_force_n)
+    problems += [f"grasp {config.index} of {config.object!r}: force_n {force}"] if force else []
+    problems += object_problems(obj)
     if problems:
         raise PhysicsError.from_problems(problems)
     return _Grasp(simulator, obj, config, settings, frames).run()
-
-
-def _force_problems(config: GraspConfig, settings: PhysicsSettings) -> list[str]:
-    where = f"grasp {config.index} of {config.object!r}: force_n = {config.force_n:g}"
-    if not config.force_n > 0:
-        return [f"{where} is not a force to grip with; ask for more than 0 N"]
-    if config.force_n > settings.max_force_n:
-        limit = f"max_force_n = {settings.max_force_n:g}"
-        return [f"{where} exceeds {limit}; lower it or raise max_force_n"]
-    return []
 
 
 class _Grasp:

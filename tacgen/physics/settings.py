@@ -42,6 +42,16 @@ _NOT_NEGATIVE = (
 )
 
 
+def force_problem(force_n: float, limit_n: float) -> str:
+    """What is wrong with asking a finger for ``force_n``, with its fix; empty if nothing is."""
+    if not force_n > 0:
+        return f"= {force_n:g} is not a force to grip with; ask for more than 0 N"
+    if force_n > limit_n:
+        limit = f"robot.max_force_n = {limit_n:g}"
+        return f"= {force_n:g} exceeds {limit}; lower it or raise robot.max_force_n"
+    return ""
+
+
 @dataclass(frozen=True, slots=True)
 class PhysicsSettings:
     """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure.

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.collection.pipeline import recipe_object
+from tacgen.collection.perturbed import recipe_object
 from tacgen.collection.recipe import ObjectEntry
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from tacgen.collection.pipeline import contact_law, dataset_spec, recipe_object, tactile_pad
+from tacgen.collection.perturbed import recipe_object
+from tacgen.collection.pipeline import contact_law, dataset_spec, tactile_pad
 from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
 from tacgen.core.errors import RecipeError, TableError
 from tacgen.core.resources import packaged

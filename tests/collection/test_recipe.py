@@ -115,7 +115,7 @@ def test_names_and_ranges_are_checked_against_what_there_is(folder):
         "r.yaml:5: grid.force_n[2] = 80 exceeds robot.max_force_n = 40; "
         "lower it or raise robot.max_force_n"
     ) in text
-    assert "grid.force_n[3] = -1 is no force to grip with" in text
+    assert "grid.force_n[3] = -1 is not a force to grip with" in text
 
 
 def test_what_belongs_to_the_robot_is_not_taken_elsewhere(folder):

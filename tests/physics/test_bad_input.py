@@ -18,7 +18,10 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("force_n", "words"),
         [
-            (50.0, "force_n = 50 exceeds max_force_n = 40; lower it or raise max_force_n"),
+            (
+                50.0,
+                "force_n = 50 exceeds robot.max_force_n = 40; lower it or raise robot.max_force_n",
+            ),
             (0.0, "force_n = 0 is not a force to grip with; ask for more than 0 N"),
             (float("nan"), "force_n = nan is not a force to grip with"),
         ],
@@ -73,7 +76,7 @@ class TestBadInput:
             "physics.pad_dome_radius_mm = 5 cannot span the pad; give at least 20",
             "frames.count = 0 is below 1",
             "frames.span_s = -1 is not above 0",
-            "force_n = 99 exceeds max_force_n = 40",
+            "force_n = 99 exceeds robot.max_force_n = 40",
         ):
             assert words in str(caught.value)
 

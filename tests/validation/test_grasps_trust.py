@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.collection.perturbed import Alteration
+from tacgen.collection.perturbed import Perturbation
 from validation.grasps.trust import Trial, as_force, least_fresh_wrong, summary_of
 
 TRIAL = Trial("box", "mass", 0.05, 40, 5, ("mass",), (1.4,), ("grip_force",), 0.2, 0.05, 0.05, 0.02)
@@ -39,4 +39,4 @@ def test_trials_that_change_too_few_labels_are_counted_apart():
 
 
 def test_a_mass_is_a_force_upside_down():
-    assert as_force(Alteration(mass_factor=1.25)) == Alteration(force_scale=0.8)
+    assert as_force(Perturbation(mass_factor=1.25)) == Perturbation(force_scale=0.8)

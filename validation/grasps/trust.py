@@ -1,38 +1,38 @@
-"""How far ``tacgen diagnose grasps`` can be trusted: worlds altered on purpose, over and over.
+"""How far ``tacgen diagnose grasps`` can be trusted: simulations perturbed on purpose.
 
-Real grasps are simulated in worlds with one wrong figure, and the diagnosis, which knows only the
-declared world and the labels, has to name it. Then fresh grasps, which it never saw, are simulated
-in the altered world and in the one that was found. Run as
-``python -m validation.grasps.trust --out DIR``.
+Real grasps are simulated with one wrong figure, and the diagnosis, which knows only the declared
+simulation and the labels, has to name it. Then fresh grasps, which it never saw, are simulated with
+the true perturbation and with the one that was found.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.collection.perturbed import Alteration, place_of
+from tacgen.collection.perturbed import Perturbation, place_of
 from tacgen.collection.recipe import Recipe
-from tacgen.core.files import write_text
+from tacgen.core.arrays import BoolArray
 from tacgen.core.records import GraspConfig
 from tacgen.diagnose.grasps.command import choose_confirmed, refine
-from tacgen.diagnose.grasps.hypothesis import FAILED, NO_READING, SUCCESS
-from tacgen.diagnose.grasps.model_comparison import Labels, choose, confusable
-from tacgen.diagnose.grasps.perturbed_worlds import (
+from tacgen.diagnose.grasps.model_comparison import (
+    FAILED,
+    NO_READING,
+    SUCCESS,
+    Labels,
+    choose,
+    confusable,
+)
+from tacgen.diagnose.grasps.perturbed_simulations import (
     DECLARED,
-    GraspWorlds,
-    combined_world,
-    is_sure,
-    slack_of,
+    PerturbedSimulations,
+    combined_perturbation,
 )
 from tacgen.diagnose.grasps.result import diagnose_labels
+from tacgen.diagnose.grasps.slip_margin import is_sure, margins_of
 from tacgen.objects import load_object
 
 FRESH_SEED = 1000
@@ -47,30 +47,30 @@ SETS: tuple[tuple[tuple[str, ...], int, int], ...] = (
     (("sugar_box",), 24, 2),
 )
 """Objects, number of grasps and seed of each set of configurations."""
-WORLDS: dict[str, Alteration] = {
+PERTURBATIONS: dict[str, Perturbation] = {
     "none": DECLARED,
-    "center_of_mass +y": Alteration(center_of_mass_y_mm=20.0),
-    "center_of_mass -y": Alteration(center_of_mass_y_mm=-20.0),
-    "grip_force": Alteration(force_scale=0.8),
-    "mass": Alteration(mass_factor=1.4),
+    "center_of_mass +y": Perturbation(center_of_mass_y_mm=20.0),
+    "center_of_mass -y": Perturbation(center_of_mass_y_mm=-20.0),
+    "grip_force": Perturbation(force_scale=0.8),
+    "mass": Perturbation(mass_factor=1.4),
 }
 FLIPS = (0.0, 0.05)
 N_FRESH, N_DRAWS = 100, 4000
 LEAST_CHANGED = 2
-"""A world that changes fewer labels cannot be told from the declared one by anybody."""
+"""Nothing can name a perturbation that changes fewer labels."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One diagnosis: what was wrong, and what was said.
+    """One diagnosis: what was wrong, and what was named.
 
     ``rate_after`` is the diagnosis's own figure, ``rate_of_truth`` the share of flipped labels,
-    and ``fresh_wrong`` the share of fresh grasps that end otherwise in the world that was found
+    and ``fresh_wrong`` the share of fresh grasps whose labels differ between what was found
     than in the true one.
     """
 
     objects: str
-    world: str
+    change: str
     flips: float
     n_grasps: int
     n_changed: int
@@ -90,7 +90,7 @@ class Trial:
     @property
     def expected(self) -> str:
         """The name that is right; empty where nothing is wrong."""
-        return "" if self.world == "none" else self.world.split()[0]
+        return "" if self.change == "none" else self.change.split()[0]
 
     @property
     def right(self) -> bool:
@@ -99,7 +99,7 @@ class Trial:
 
     @property
     def listed(self) -> bool:
-        """Whether the right name is the first or said to be as good as the first."""
+        """Whether the right name is the first or reported as equally good."""
         return self.right or self.expected in self.confusable
 
 
@@ -120,21 +120,21 @@ def planned_grasps(objects: Sequence[str], count: int, seed: int) -> tuple[Grasp
 def run_set(
     objects: Sequence[str], count: int, seed: int, out: Path, workers: int, *, quick: bool
 ) -> Iterator[Trial]:
-    """Every world on one set of configurations; simulations in ``out`` are kept.
+    """Every perturbation on one set of configurations; simulations in ``out`` are kept.
 
     ``quick`` stops at the first name and does not simulate about its value.
     """
     recipe = Recipe.model_validate({"name": "trust", "objects": list(objects)})
     configs = planned_grasps(objects, count, seed)
     folder = out / f"{'-'.join(objects)}_{count}_{seed}"
-    worlds = GraspWorlds(recipe, configs, folder, workers)
+    simulations = PerturbedSimulations(recipe, configs, folder, workers)
     fresh_configs = planned_grasps(objects, N_FRESH, seed + FRESH_SEED)
-    fresh = GraspWorlds(recipe, fresh_configs, folder / "fresh", workers)
-    contest = worlds.contest()
-    for name, alteration in WORLDS.items():
-        worlds.simulate(name, [(config, alteration) for config in configs])
-        truth = np.array([outcome.label == 1 for outcome in worlds.outcomes(alteration)])
-        declared = np.array([outcome.label == 1 for outcome in worlds.outcomes(DECLARED)])
+    fresh = PerturbedSimulations(recipe, fresh_configs, folder / "fresh", workers)
+    comparison = simulations.comparison()
+    for name, change in PERTURBATIONS.items():
+        simulations.simulate(name, [(config, change) for config in configs])
+        truth = np.array([outcome.label == 1 for outcome in simulations.outcomes(change)])
+        declared = np.array([outcome.label == 1 for outcome in simulations.outcomes(DECLARED)])
         for number, flips in enumerate(FLIPS):
             rng = np.random.default_rng([seed, number])
             success = truth.copy()
@@ -142,14 +142,14 @@ def run_set(
             known = np.where(success, SUCCESS, FAILED)
             labels = Labels(known, np.zeros(count, bool), NO_READING)
             if quick:
-                current, steps = contest, choose(contest, labels, rng)[:1]
+                current, steps = comparison, choose(comparison, labels, rng)[:1]
             else:
-                current = refine(worlds, contest, labels)
-                steps, _ = choose_confirmed(worlds, current, labels, rng)
+                current = refine(simulations, comparison, labels)
+                steps, _ = choose_confirmed(simulations, current, labels, rng)
             found = diagnose_labels(current, labels, steps, declared.astype(int), {}, (), rng)
-            said = {one: combined_world(found.found, one) for one in objects}
-            wrong = fresh_labels(fresh, said) != fresh_labels(
-                fresh, dict.fromkeys(objects, alteration)
+            found_changes = {one: combined_perturbation(found.found, one) for one in objects}
+            wrong = fresh_labels(fresh, found_changes) != fresh_labels(
+                fresh, dict.fromkeys(objects, change)
             )
             yield Trial(
                 "+".join(objects),
@@ -157,9 +157,9 @@ def run_set(
                 flips,
                 count,
                 int((truth != declared).sum()),
-                tuple(standing.name for standing in found.found),
-                tuple(round(standing.value, 4) for standing in found.found),
-                confusable(found.steps[0].standings),
+                tuple(score.name for score in found.found),
+                tuple(round(score.value, 4) for score in found.found),
+                confusable(found.steps[0].scores),
                 found.rate_before,
                 found.rate_after,
                 float((success != truth).mean()),
@@ -167,28 +167,32 @@ def run_set(
             )
 
 
-def fresh_labels(worlds: GraspWorlds, altered: Mapping[str, Alteration]) -> NDArray[np.bool_]:
-    """Whether each grasp succeeds (N,) in the world of its object.
+def fresh_labels(
+    simulations: PerturbedSimulations, changes: Mapping[str, Perturbation]
+) -> BoolArray:
+    """Whether each grasp succeeds (N,) under the perturbation of its object.
 
     A mass is simulated as the force that it amounts to, and a grasp that another force leaves
     beyond doubt is not simulated at it.
     """
-    worlds.simulate("declared", [(config, DECLARED) for config in worlds.configs])
-    slack, _ = slack_of(worlds.outcomes(DECLARED))
+    simulations.simulate("declared", [(config, DECLARED) for config in simulations.configs])
+    margin, _ = margins_of(simulations.outcomes(DECLARED))
     keys = []
-    for config, own in zip(worlds.configs, slack, strict=True):
-        world = as_force(altered[config.object])
-        by_force = world == Alteration(force_scale=world.force_scale)
-        known = by_force and is_sure(own, world.force_scale)
-        keys.append((config, DECLARED if known else world))
-    worlds.simulate("fresh", keys)
-    return np.array([worlds.known[place_of(config), world].label == 1 for config, world in keys])
+    for config, own in zip(simulations.configs, margin, strict=True):
+        change = as_force(changes[config.object])
+        by_force = change == Perturbation(force_scale=change.force_scale)
+        known = by_force and is_sure(own, change.force_scale)
+        keys.append((config, DECLARED if known else change))
+    simulations.simulate("fresh", keys)
+    return np.array(
+        [simulations.known[place_of(config), change].label == 1 for config, change in keys]
+    )
 
 
-def as_force(world: Alteration) -> Alteration:
-    """The world in which a force does what a mass does in ``world``."""
-    scale = round(world.force_scale / world.mass_factor, 3)
-    return replace(world, mass_factor=1.0, force_scale=scale)
+def as_force(change: Perturbation) -> Perturbation:
+    """The perturbation in which a force does what a mass does in ``change``."""
+    scale = round(change.force_scale / change.mass_factor, 3)
+    return replace(change, mass_factor=1.0, force_scale=scale)
 
 
 def least_fresh_wrong(count: int, flips: float, rng: np.random.Generator) -> float:
@@ -214,15 +218,16 @@ def least_fresh_wrong(count: int, flips: float, rng: np.random.Generator) -> flo
 
 
 def summary_of(trials: Sequence[Trial]) -> str:
-    """The trials as a table in Markdown, a row for each world and share of flipped labels."""
+    """The trials as a table in Markdown, a row for each perturbation and share of flipped labels."""
     lines = [
         "| wrong | flipped | trials | too few labels changed | right first "
-        "| right first or said to be as good | mislabels before → after (truth) | fresh (truth) |",
+        "| right first or reported as equally good "
+        "| mislabels before → after (truth) | fresh (truth) |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for flips in FLIPS:
-        for world in WORLDS:
-            own = [t for t in trials if t.world == world and t.flips == flips]
+        for change in PERTURBATIONS:
+            own = [t for t in trials if t.change == change and t.flips == flips]
             seen = [t for t in own if not t.expected or t.n_changed >= LEAST_CHANGED]
             if not seen:
                 continue
@@ -231,35 +236,10 @@ def summary_of(trials: Sequence[Trial]) -> str:
                 for what in ("before", "after", "of_truth", "fresh")
             )
             lines.append(
-                f"| {world} | {100 * flips:.0f} % | {len(own)} | {len(own) - len(seen)} "
+                f"| {change} | {100 * flips:.0f} % | {len(own)} | {len(own) - len(seen)} "
                 f"| {sum(t.right for t in seen)} of {len(seen)} "
                 f"| {sum(t.listed for t in seen)} of {len(seen)} "
                 f"| {before:.1f} → {after:.1f} % ({truth:.1f} %) "
                 f"| {fresh:.1f} % ({100 * flips:.1f} %) |"
             )
     return "\n".join(lines) + "\n"
-
-
-def main() -> None:
-    """Run every set and write ``trials.json`` and ``trust.md``."""
-    parser = argparse.ArgumentParser(description="Diagnoses of worlds altered on purpose.")
-    parser.add_argument("--out", type=Path, default=Path("out/grasp_trust"))
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--quick", action="store_true", help="Stop at the first name.")
-    parser.add_argument("--sets", type=int, default=len(SETS), help="Only the first so many.")
-    arguments = parser.parse_args()
-    trials: list[Trial] = []
-    for objects, count, seed in SETS[: arguments.sets]:
-        for trial in run_set(
-            objects, count, seed, arguments.out, arguments.workers, quick=arguments.quick
-        ):
-            trials.append(trial)
-            said = ", ".join(trial.named) or "sufficient"
-            sys.stderr.write(f"{trial.objects} {trial.world} {trial.flips:g}: {said}\n")
-        content = json.dumps([asdict(one) for one in trials], indent=1)
-        write_text(arguments.out / "trials.json", content + "\n")
-        write_text(arguments.out / "trust.md", summary_of(trials))
-
-
-if __name__ == "__main__":
-    main()

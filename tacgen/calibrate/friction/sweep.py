@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.friction.fit import FrictionFit, fit_friction
 from tacgen.collection.perturbed import (
-    Alteration,
     Outcome,
+    Perturbation,
     check_forces,
     place_of,
-    simulate_altered,
-    words_about_unexecuted,
+    simulate_perturbed,
+    unexecuted_note,
 )
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import RecipeError
@@ -72,7 +72,7 @@ def doubts_about(
         max((outcomes[grasp.grasp_id, mu] for mu in mu_values), key=lambda one: one.label)
         for grasp in real.grasps
     ]
-    unexecuted = words_about_unexecuted(real.grasps, best, "count as mislabels at every μ")
+    unexecuted = unexecuted_note(real.grasps, best, "count as mislabels at every μ")
     return [*real.warnings, *unexecuted]
 
 
@@ -150,16 +150,16 @@ def simulate_outcomes(
     What has been simulated is kept in ``out/outcomes.jsonl``; a sweep that was interrupted goes
     on from there.
     """
-    worlds = {mu: Alteration(friction=mu) for mu in mu_values}
-    found = simulate_altered(
+    changes = {mu: Perturbation(friction=mu) for mu in mu_values}
+    found = simulate_perturbed(
         recipe,
-        [(grasp.config, world) for grasp in grasps for world in worlds.values()],
+        [(grasp.config, change) for grasp in grasps for change in changes.values()],
         out,
         workers=workers,
         show=show,
     )
     return {
-        (grasp.grasp_id, mu): found[place_of(grasp.config), world]
+        (grasp.grasp_id, mu): found[place_of(grasp.config), change]
         for grasp in grasps
-        for mu, world in worlds.items()
+        for mu, change in changes.items()
     }

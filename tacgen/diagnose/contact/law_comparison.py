@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.collection.grid import plan_recipe
-from tacgen.collection.pipeline import frame_request, recipe_object, tactile_pad
+from tacgen.collection.perturbed import recipe_object
+from tacgen.collection.pipeline import frame_request, tactile_pad
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import ContactLaw
 from tacgen.core.errors import RecipeError

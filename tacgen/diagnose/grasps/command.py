@@ -1,46 +1,54 @@
-"""``tacgen diagnose grasps``: real labels against simulated worlds, and what the declared lacks."""
+"""``tacgen diagnose grasps``: traces mislabels of simulated grasps to wrong figures."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+import yaml
 
-from tacgen.collection.perturbed import Outcome, check_forces, words_about_unexecuted
-from tacgen.collection.pipeline import recipe_object
+from tacgen.collection.perturbed import (
+    Outcome,
+    check_forces,
+    declared_entry,
+    perturbed_entry,
+    perturbed_settings,
+    recipe_object,
+    unexecuted_note,
+)
 from tacgen.collection.recipe import Recipe
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.files import write_text
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
-from tacgen.diagnose.grasps.extended_recipe import extended_recipe, write_extended_recipe
-from tacgen.diagnose.grasps.hypothesis import FAILED, NO_READING, SLID, SUCCESS, TURNED
-from tacgen.diagnose.grasps.images import force_from_images
+from tacgen.diagnose.grasps.force_from_images import force_from_images
 from tacgen.diagnose.grasps.model_comparison import (
+    FAILED,
+    NO_READING,
+    SLID,
+    SUCCESS,
+    TURNED,
+    CandidateScore,
     Choice,
-    Contest,
     Labels,
-    Standing,
+    ModelComparison,
     choose,
     confirmed,
 )
 from tacgen.diagnose.grasps.next_grasps import Proposal, propose_grasps, rivals_of
-from tacgen.diagnose.grasps.perturbed_worlds import (
+from tacgen.diagnose.grasps.perturbed_simulations import (
     DECLARED,
-    GraspWorlds,
-    combined_world,
-    declared_object,
+    PerturbedSimulations,
+    Show,
+    combined_perturbation,
 )
-from tacgen.diagnose.grasps.result import FEW, GraspDiagnosis, diagnose_labels
-from tacgen.diagnose.grasps.result_json import diagnosis_record
+from tacgen.diagnose.grasps.result import GraspDiagnosis, diagnose_labels, diagnosis_record
+from tacgen.diagnose.grasps.rules import RULES
 
-Show = Callable[[int, int], None]
-LEADING = 5.0
-"""Names whose log-evidence is within this of the best are simulated about their own values."""
-MOST_REFINED, N_ROUNDS = 3, 3
 _KNOWN_MODE = {"rotational_slip": TURNED, "translational_slip": SLID}
 
 
@@ -49,7 +57,7 @@ class GraspFindings:
     """A diagnosis with what is needed to act on it: labels (N,) simulated after it, next grasps."""
 
     diagnosis: GraspDiagnosis
-    simulated_after: NDArray[np.int64]
+    simulated_after: IntArray
     proposals: tuple[Proposal, ...]
     recipe: Recipe
 
@@ -62,7 +70,7 @@ def diagnose_grasps(
     workers: int,
     show: Callable[[str], Show] = lambda what: lambda done, total: None,
 ) -> GraspFindings:
-    """Trace the mislabels of simulated grasps to what the declared world lacks.
+    """Trace the mislabels of simulated grasps to wrong figures of the declared simulation.
 
     Finished simulations in ``out`` are kept and used again.
 
@@ -73,57 +81,88 @@ def diagnose_grasps(
     """
     check_forces(recipe, real)
     configs = tuple(grasp.config for grasp in real.grasps)
-    worlds = GraspWorlds(recipe, configs, out, workers, show)
-    contest = worlds.contest()
+    simulations = PerturbedSimulations(recipe, configs, out, workers, show)
+    comparison = simulations.comparison()
     reading, about = force_from_images(recipe, real, out / "imprints.json", show("images"))
     labels = labels_of(real.grasps)
     labels = Labels(labels.known, labels.modes, reading)
-    contest = refine(worlds, contest, labels)
+    comparison = refine(simulations, comparison, labels)
     rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(0x67,)))
-    steps, simulated = choose_confirmed(worlds, contest, labels, rng)
+    steps, simulated = choose_confirmed(simulations, comparison, labels, rng)
     diagnosis = diagnose_labels(
-        contest,
+        comparison,
         labels,
         steps,
         simulated[0],
         _covariates(real.grasps),
-        _notes(recipe, real, worlds.outcomes(DECLARED)),
+        _notes(recipe, real, simulations.outcomes(DECLARED)),
         rng,
         reading=about,
     )
-    objects = list(real.by_object())
-    after = simulated[len(diagnosis.found)]
-    rivals = rivals_of(diagnosis.steps[0].standings, bool(diagnosis.found))
+    rivals = rivals_of(diagnosis.steps[0].scores, bool(diagnosis.found))
     findings = GraspFindings(
         diagnosis,
-        after,
-        propose_grasps(worlds, rivals),
-        extended_recipe(recipe, diagnosis.found, objects),
+        simulated[len(diagnosis.found)],
+        propose_grasps(simulations, rivals),
+        extended_recipe(recipe, diagnosis.found, list(real.by_object())),
     )
-    _write(findings, recipe, objects, out)
+    _write(findings, record_of(findings, recipe, list(real.by_object())), out)
     return findings
 
 
-def refine(worlds: GraspWorlds, contest: Contest, labels: Labels) -> Contest:
+def extended_recipe(
+    recipe: Recipe, found: Sequence[CandidateScore], objects: Sequence[str]
+) -> Recipe:
+    """The recipe with everything that was found, for ``tacgen collect``.
+
+    Objects that were grasped but are not in the recipe are added to it, so that what was found
+    about them is not lost.
+    """
+    if not found:
+        return recipe
+    names = dict.fromkeys([*(entry.name for entry in recipe.objects), *objects])
+    entries = [
+        perturbed_entry(declared_entry(recipe, name), combined_perturbation(found, name))
+        for name in names
+    ]
+    before = recipe.physics_settings
+    after = perturbed_settings(before, combined_perturbation(found, ""))
+    content = recipe.resolved()
+    content["name"] = f"{recipe.name}_extended"
+    content["objects"] = [entry.model_dump(mode="json") for entry in entries]
+    content["physics"] |= {
+        field.name: getattr(after, field.name)
+        for field in fields(after)
+        if getattr(after, field.name) != getattr(before, field.name)
+    }
+    return Recipe.model_validate(content)
+
+
+def refine(
+    simulations: PerturbedSimulations, comparison: ModelComparison, labels: Labels
+) -> ModelComparison:
     """Simulate the leading candidates about their own values, which moves them, a few times."""
-    for _ in range(N_ROUNDS):
-        leading = _leading(contest.standings(labels))
+    for _ in range(RULES.refining_rounds):
+        leading = _leading(comparison.scores(labels))
         if not leading:
             break
-        contest = worlds.refined(leading)
-    return contest
+        comparison = simulations.refined(leading)
+    return comparison
 
 
 def choose_confirmed(
-    worlds: GraspWorlds, contest: Contest, labels: Labels, rng: np.random.Generator
-) -> tuple[list[Choice], list[NDArray[np.int64]]]:
+    simulations: PerturbedSimulations,
+    comparison: ModelComparison,
+    labels: Labels,
+    rng: np.random.Generator,
+) -> tuple[list[Choice], list[IntArray]]:
     """The choice, and labels (N,) simulated with none, one, two … of what it took."""
-    steps = choose(contest, labels, rng)
-    taken = [step.standings[0] for step in steps if step.taken]
-    names = {config.object for config in worlds.configs}
+    steps = choose(comparison, labels, rng)
+    accepted = [step.scores[0] for step in steps if step.accepted]
+    names = {config.object for config in simulations.configs}
     simulated = [
-        worlds.labels({name: combined_world(taken[:count], name) for name in names})
-        for count in range(len(taken) + 1)
+        simulations.labels({name: combined_perturbation(accepted[:count], name) for name in names})
+        for count in range(len(accepted) + 1)
     ]
     real = labels.success.astype(np.int64)
     mislabels = [int((one != real).sum()) for one in simulated]
@@ -140,17 +179,16 @@ def labels_of(grasps: Sequence[RealGrasp]) -> Labels:
     return Labels(np.array(known), np.full(len(known), modes), NO_READING)
 
 
-def record_of(findings: GraspFindings, recipe: Recipe, objects: Sequence[str]) -> dict:
+def record_of(findings: GraspFindings, recipe: Recipe, objects: Sequence[str]) -> dict[str, Any]:
     """The content of ``diagnosis.json``."""
-    record = diagnosis_record(
-        findings.diagnosis, {name: _declared_values(recipe, name) for name in objects}
-    )
+    declared = {name: recipe_object(declared_entry(recipe, name)) for name in objects}
+    record = diagnosis_record(findings.diagnosis, declared)
     channel = record["channels"]["grasp"]
     wrong = findings.simulated_after != findings.diagnosis.real
     channel["simulated_again"] = {
         "mislabels": int(wrong.sum()),
         "rate": float(wrong.mean()),
-        "how": "all grasps simulated in the world that was found",
+        "how": "all grasps simulated with what was found",
     }
     channel["next_grasps"] = [
         {
@@ -167,17 +205,16 @@ def record_of(findings: GraspFindings, recipe: Recipe, objects: Sequence[str]) -
     return record
 
 
-def _leading(standings: Sequence[Standing]) -> list[Standing]:
-    best = standings[0].gain
-    if best <= 0:
-        return []
-    return [s for s in standings if s.gain > max(0.0, best - LEADING)][:MOST_REFINED]
+def _leading(scores: Sequence[CandidateScore]) -> list[CandidateScore]:
+    least = max(0.0, scores[0].gain - RULES.leading_gain)
+    return [score for score in scores if score.gain > least][: RULES.most_refined]
 
 
-def _write(findings: GraspFindings, recipe: Recipe, objects: Sequence[str], out: Path) -> None:
-    text = json.dumps(record_of(findings, recipe, objects), indent=2, ensure_ascii=False)
+def _write(findings: GraspFindings, record: dict[str, Any], out: Path) -> None:
+    text = json.dumps(record, indent=2, ensure_ascii=False)
     write_text(out / "diagnosis.json", text + "\n")
-    write_extended_recipe(findings.recipe, out / "recipe.yaml")
+    recipe = yaml.safe_dump(findings.recipe.resolved(), sort_keys=False, allow_unicode=True)
+    write_text(out / "recipe.yaml", recipe)
     names = ["object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad"]
     rows = [
         {"grasp_id": f"next{k}"} | {name: getattr(one.config, name) for name in names}
@@ -187,16 +224,7 @@ def _write(findings: GraspFindings, recipe: Recipe, objects: Sequence[str], out:
     write_text(out / "next_grasps.csv", table.to_csv(index=False))
 
 
-def _declared_values(recipe: Recipe, name: str) -> dict[str, float]:
-    grasped = recipe_object(declared_object(recipe, name))
-    return {
-        "mass_factor": grasped.mass_kg,
-        "friction_factor": grasped.friction,
-        "spinning_friction_factor": grasped.spinning_friction_mm,
-    }
-
-
-def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, NDArray[np.float64]]:
+def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, FloatArray]:
     names = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
     found = {name: np.array([getattr(g.config, name) for g in grasps], float) for name in names}
     return found | {"order": np.arange(len(grasps), dtype=float)}
@@ -205,18 +233,18 @@ def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, NDArray[np.float64]]:
 def _notes(recipe: Recipe, real: RealGrasps, declared: Sequence[Outcome]) -> list[str]:
     """What the reader should know about the data."""
     notes = list(real.warnings)
-    if len(real.grasps) < FEW:
+    if len(real.grasps) < RULES.few_grasps:
         notes.append(
-            f"{len(real.grasps)} grasps only: a large error of the world can be seen, a small one "
-            "cannot; 20 to 40 grasps about the thresholds tell"
+            f"{len(real.grasps)} grasps only: they show a large error of the simulation, not a "
+            "small one; 20 to 40 grasps near the thresholds do"
         )
     known = {entry.name for entry in recipe.objects}
     notes += [
-        f"the recipe does not name {name}; it is taken as its object.yaml declares it"
+        f"the recipe does not name {name}; it is accepted as its object.yaml declares it"
         for name in real.by_object()
         if name not in known
     ]
-    notes += words_about_unexecuted(real.grasps, declared, "count as mislabels there")
+    notes += unexecuted_note(real.grasps, declared, "count as mislabels")
     if any(recipe.randomize.model_dump().values()):
-        notes.append("the recipe's domain randomisation is left out of a diagnosis")
+        notes.append("a diagnosis ignores the recipe's domain randomisation")
     return notes

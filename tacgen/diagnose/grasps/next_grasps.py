@@ -11,15 +11,15 @@ from scipy.special import expit
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import place_of
 from tacgen.core.records import GraspConfig
-from tacgen.diagnose.grasps.model_comparison import Standing
-from tacgen.diagnose.grasps.perturbed_worlds import GraspWorlds, combined_world, slack_of
+from tacgen.diagnose.grasps.model_comparison import CandidateScore
+from tacgen.diagnose.grasps.perturbed_simulations import (
+    PerturbedSimulations,
+    combined_perturbation,
+)
+from tacgen.diagnose.grasps.rules import RULES
+from tacgen.diagnose.grasps.slip_margin import margins_of
 
-N_CONSIDERED, N_PROPOSED, MAX_RIVALS = 24, 5, 3
-WITHIN = np.log(100)
-"""Explanations whose evidence is further behind are no rivals."""
-BORDER = 0.1
-LEAST_DISAGREEMENT = 0.2
-_SIGN_OF_RATIO = {"force_scale": 1, "friction_factor": 1, "mass_factor": -1}
+Rivals = dict[str, tuple[CandidateScore, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,77 +35,74 @@ class Proposal:
         return max(self.success.values()) - min(self.success.values())
 
 
-def rivals_of(standings: Sequence[Standing], found: bool) -> dict[str, tuple[Standing, ...]]:
-    """The explanations worth telling apart by name; no standing at all is the declared world."""
-    best = standings[0]
-    rivals: dict[str, tuple[Standing, ...]] = {} if found else {"as declared": ()}
-    candidate = best.hypothesis.candidate
-    if best.elsewhere is not None and candidate is not None:
-        there = float(candidate.parameter.coordinate(np.array([best.elsewhere]))[0])
+def rivals_of(scores: Sequence[CandidateScore], found: bool) -> Rivals:
+    """The explanations to separate, by name; no score at all is the declared simulation."""
+    best = scores[0]
+    rivals: Rivals = {} if found else {"as declared": ()}
+    if best.second_mode is not None:
+        there = float(best.candidate.parameter.coordinate(np.array([best.second_mode]))[0])
         rivals[best.name] = (best,)
-        rivals[f"{best.name} at {best.elsewhere:.3g}"] = (replace(best, coordinate=there),)
-    for standing in standings:
-        if len(rivals) < MAX_RIVALS and standing.gain > best.gain - WITHIN:
-            rivals[standing.name] = (_at_the_same_ratio(standing, best),)
+        rivals[f"{best.name} at {best.second_mode:.3g}"] = (replace(best, coordinate=there),)
+    for score in scores:
+        close = score.gain > best.gain - RULES.confusable_gain
+        if len(rivals) < RULES.max_rivals and close:
+            rivals[score.name] = (_at_the_same_ratio(score, best),)
     if len(rivals) < 2:
         rivals["as declared"] = ()
     return rivals
 
 
-def _at_the_same_ratio(standing: Standing, best: Standing) -> Standing:
-    """``standing`` at the value that changes force over weight as ``best`` does.
+def _at_the_same_ratio(score: CandidateScore, best: CandidateScore) -> CandidateScore:
+    """``score`` at the value that changes force over weight as ``best`` does.
 
-    Force, mass and friction act through one ratio. Only what is left where it is the same can
-    tell them apart; their own estimates differ by what the prior holds usual.
+    Several hypotheses act through that one ratio. Only what differs where it is the same can
+    separate them; their own estimates differ by what their priors hold usual.
     """
-    candidate, leader = standing.hypothesis.candidate, best.hypothesis.candidate
-    if candidate is None or leader is None:
-        return standing
-    signs = [_SIGN_OF_RATIO.get(one.parameter.key, 0) for one in (candidate, leader)]
-    if 0 in signs:
-        return standing
-    axis = standing.hypothesis.coordinate
-    same = np.clip(best.coordinate * signs[0] * signs[1], axis[0], axis[-1])
-    return replace(standing, coordinate=float(same))
+    sign = score.candidate.parameter.force_exponent * best.candidate.parameter.force_exponent
+    if not sign:
+        return score
+    axis = score.model.coordinate
+    return replace(score, coordinate=float(np.clip(best.coordinate * sign, axis[0], axis[-1])))
 
 
-def propose_grasps(
-    worlds: GraspWorlds, rivals: dict[str, tuple[Standing, ...]]
-) -> tuple[Proposal, ...]:
-    """Grasps of the recipe's grid, none of them made before, that tell ``rivals`` apart.
+def propose_grasps(simulations: PerturbedSimulations, rivals: Rivals) -> tuple[Proposal, ...]:
+    """Grasps of the recipe's grid, none of them made before, that separate ``rivals``.
 
     A part of the grid is drawn and simulated under each explanation. What belongs to the gripper
     also acts on objects that have not been grasped yet, so they may tell where no further grasp
     of the same object can.
     """
-    configs = _considered(worlds)
+    configs = _considered(simulations)
     wanted = [
-        (config, combined_world(standings, config.object))
-        for standings in rivals.values()
+        (config, combined_perturbation(scores, config.object))
+        for scores in rivals.values()
         for config in configs
     ]
-    worlds.simulate("next grasps", wanted)
+    simulations.simulate("next grasps", wanted)
     proposals = []
     for config in configs:
         success = {}
-        for name, standings in rivals.items():
-            outcome = worlds.known[place_of(config), combined_world(standings, config.object)]
-            slack, _ = slack_of([outcome])
-            success[name] = float(expit(slack[0] / BORDER)) if outcome.label >= 0 else 0.5
+        for name, scores in rivals.items():
+            change = combined_perturbation(scores, config.object)
+            outcome = simulations.known[place_of(config), change]
+            margin, _ = margins_of([outcome])
+            expected = float(expit(margin[0] / RULES.proposal_width))
+            success[name] = expected if outcome.label >= 0 else 0.5
         proposals.append(Proposal(config, success))
-    telling = [one for one in proposals if one.disagreement >= LEAST_DISAGREEMENT]
-    return tuple(sorted(telling, key=lambda one: -one.disagreement)[:N_PROPOSED])
+    separating = [one for one in proposals if one.disagreement >= RULES.least_disagreement]
+    ranked = sorted(separating, key=lambda one: -one.disagreement)
+    return tuple(ranked[: RULES.grasps_proposed])
 
 
-def _considered(worlds: GraspWorlds) -> list[GraspConfig]:
+def _considered(simulations: PerturbedSimulations) -> list[GraspConfig]:
     """A part of the recipe's grid, evenly over its objects, drawn with the recipe's seed."""
-    made = {place_of(config) for config in worlds.configs}
-    open_to = [g.config for g in plan_recipe(worlds.recipe) if place_of(g.config) not in made]
-    rng = np.random.default_rng(np.random.SeedSequence(worlds.recipe.seed, spawn_key=(0x6E,)))
+    made = {place_of(config) for config in simulations.configs}
+    open_to = [g.config for g in plan_recipe(simulations.recipe) if place_of(g.config) not in made]
+    rng = np.random.default_rng(np.random.SeedSequence(simulations.recipe.seed, spawn_key=(0x6E,)))
     names = dict.fromkeys(config.object for config in open_to)
     chosen: list[GraspConfig] = []
     for name in names:
         own = [config for config in open_to if config.object == name]
-        count = min(len(own), -(-N_CONSIDERED // len(names)))
+        count = min(len(own), -(-RULES.grasps_considered // len(names)))
         chosen += [own[k] for k in np.sort(rng.choice(len(own), count, replace=False))]
     return chosen

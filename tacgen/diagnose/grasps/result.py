@@ -1,38 +1,34 @@
-"""What the loop says about real grasp labels."""
+"""The diagnosis of real grasp labels, and how it stands in ``diagnosis.json``."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binom, rankdata
 
-from tacgen.diagnose.contact.result import Verdict
-from tacgen.diagnose.grasps.candidates import WHOLE_WORLD
+from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.core.records import GraspObject
+from tacgen.diagnose.contact.result import SCHEMA, Verdict
+from tacgen.diagnose.grasps.hypotheses import advice
 from tacgen.diagnose.grasps.model_comparison import (
+    CandidateScore,
     Choice,
-    Contest,
     Labels,
-    Standing,
+    ModelComparison,
     confusable,
     heldout_success,
 )
+from tacgen.diagnose.grasps.rules import RULES
 from tacgen.report.formatting import decimals_for
-
-FEW = 10
-MAX_FOLDS = 100
-"""Up to so many grasps each is left out alone, for few of them say anything about a value."""
-USUAL_FLIPS = 0.05
-"""Share of real labels that disagree for no reason, whatever the model; more is unexplained."""
-SURE, LIKELY = 0.01, 0.05
-N_SHUFFLES = 1999
 
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """A covariate that the labels left unexplained follow.
+    """A covariate that the unexplained labels follow.
 
     ``p_value`` is corrected for the number of covariates; ``strength`` is how many standard
     deviations of shuffled labels the relation amounts to.
@@ -47,28 +43,28 @@ class Dependence:
 class GraspDiagnosis:
     """What the mislabels were traced to.
 
-    ``real`` (N,) are the labels; ``simulated_before`` those of the declared world (−1 where it
-    could not execute a grasp); ``heldout`` the probability of success that a choice and fit
-    without a grasp's own fold gave it; ``final`` that of everything that was found.
+    ``real`` (N,) are the labels; ``simulated_before`` those as declared (−1 where a grasp could
+    not be executed); ``heldout`` the probability of success by a choice and fit without a grasp's
+    own fold; ``final`` that with everything that was found.
     """
 
     steps: tuple[Choice, ...]
-    real: NDArray[np.int64]
-    simulated_before: NDArray[np.int64]
-    heldout: NDArray[np.float64]
-    final: NDArray[np.float64]
+    real: IntArray
+    simulated_before: IntArray
+    heldout: FloatArray
+    final: FloatArray
     dependences: tuple[Dependence, ...]
     notes: tuple[str, ...]
     reading: str = ""
 
     @property
-    def found(self) -> tuple[Standing, ...]:
+    def found(self) -> tuple[CandidateScore, ...]:
         """What was named, in the order in which it was added."""
-        return tuple(step.standings[0] for step in self.steps if step.taken)
+        return tuple(step.scores[0] for step in self.steps if step.accepted)
 
     @property
     def rate_before(self) -> float:
-        """Mislabel rate of the declared world."""
+        """Mislabel rate of the simulation as declared."""
         return float((self.simulated_before != self.real).mean())
 
     @property
@@ -79,135 +75,127 @@ class GraspDiagnosis:
         return float(((self.heldout > 0.5) != (self.real == 1)).mean())
 
     @property
-    def n_left(self) -> int:
-        """Mislabels that are left with everything that was found."""
+    def n_remaining(self) -> int:
+        """Remaining mislabels with everything that was found."""
         if not self.found:
             return int((self.simulated_before != self.real).sum())
         return int(((self.final > 0.5) != (self.real == 1)).sum())
 
     @property
-    def too_many_left(self) -> bool:
+    def too_many_remaining(self) -> bool:
         """Whether more labels disagree than flips alone would make."""
-        return bool(binom.sf(self.n_left - 1, len(self.real), USUAL_FLIPS) < SURE)
+        return bool(
+            binom.sf(self.n_remaining - 1, len(self.real), RULES.usual_flips) < RULES.too_many_p
+        )
 
     @property
     def verdict(self) -> Verdict:
-        """``unexplained`` if more mislabels are left than happen by themselves."""
-        if self.too_many_left:
+        """``unexplained`` if more mislabels remain than flipped labels explain."""
+        if self.too_many_remaining:
             return "unexplained"
         return "effect_found" if self.found else "sufficient"
 
     @property
     def sentence(self) -> str:
-        """The verdict in plain words."""
+        """The verdict in a sentence or two."""
         n = len(self.real)
         before, after = round(n * self.rate_before), round(n * self.rate_after)
         if self.verdict == "sufficient":
-            few = " With so few grasps, an effect could hardly be detected." if n < FEW else ""
+            small = n < RULES.few_grasps
+            few = " With so few grasps, an effect could hardly be detected." if small else ""
             count = f"{n - before} of {n}" if before else f"all {n}"
             return f"The simulation reproduces {count} labels.{few}"
-        left = ", ".join(d.covariate for d in self.dependences)
-        follows = f" follows {left}" if left else " follows none of the known columns"
+        followed = ", ".join(d.covariate for d in self.dependences)
+        follow = f" follow {followed}" if followed else " follow none of the known columns"
         if not self.found:
             return (
-                f"{before} of {n} simulated grasps end otherwise than the real ones; no listed "
-                f"effect explains it, and what is left{follows}."
+                f"{before} of {n} grasps are mislabelled by the simulation; no listed effect "
+                f"explains it, and the mislabels{follow}."
             )
-        names = " and ".join(describe(standing) for standing in self.found)
+        names = " and ".join(describe(score) for score in self.found)
         text = (
-            f"What the declared world gets wrong: {names}. As declared, {before} of {n} grasps end "
-            f"otherwise than the real ones; predicted from the other grasps, {after} do."
+            f"Declared wrongly: {names}. As declared, {before} of {n} grasps are mislabelled; "
+            f"predicted from the other grasps, {after} are."
         )
-        text += "".join(_other_value(standing) for standing in self.found)
-        unsure = confusable(self.steps[0].standings)
+        text += "".join(_other_value(score) for score in self.found)
+        unsure = confusable(self.steps[0].scores)
         if unsure:
             text += (
-                f" These labels cannot tell {self.found[0].name} from {', '.join(unsure)}; which "
-                "error is more usual decided."
+                f" These labels cannot separate {self.found[0].name} from {', '.join(unsure)}; the "
+                "more usual error is named."
             )
-        if self.too_many_left:
-            text += (
-                f" {self.n_left} mislabels are left, too many for chance; what is left{follows}."
-            )
+        if self.too_many_remaining:
+            text += f" {self.n_remaining} mislabels remain, too many for chance; they{follow}."
         return text
 
 
-def describe(standing: Standing) -> str:
+def describe(score: CandidateScore) -> str:
     """A finding in words, such as ``grip_force at 0.80 ± 0.03 times the declared``."""
-    candidate = standing.hypothesis.candidate
-    if candidate is None:
-        return standing.name
-    parameter = candidate.parameter
-    whose = "" if candidate.name in WHOLE_WORLD else f" of {', '.join(candidate.objects)}"
-    digits = decimals_for(standing.stderr)
-    error = f"{standing.stderr:.{digits}f}"
-    if parameter.is_factor:
-        return f"{standing.name}{whose} at {standing.value:.{digits}f} ± {error} times the declared"
-    axis = parameter.key.removeprefix(f"{standing.name}_").split("_")[0]
-    along = f" along {axis}" if standing.name == "center_of_mass" else ""
-    value = f"{standing.value:+.{digits}f}"
-    return f"{standing.name}{whose}{along} off by {value} ± {error} {parameter.unit}"
+    digits = decimals_for(score.stderr)
+    sign = "" if score.candidate.parameter.is_factor else "+"
+    value, error = f"{score.value:{sign}.{digits}f}", f"{score.stderr:.{digits}f}"
+    return score.candidate.reported(value, error)
 
 
-def _other_value(standing: Standing) -> str:
-    candidate = standing.hypothesis.candidate
-    if standing.elsewhere is None or candidate is None:
+def _other_value(score: CandidateScore) -> str:
+    if score.second_mode is None:
         return ""
-    value = f"{standing.elsewhere:.{decimals_for(standing.stderr)}f}"
-    unit = "times the declared" if candidate.parameter.is_factor else candidate.parameter.unit
-    return f" {standing.name} at {value} {unit} explains these labels nearly as well."
+    value = f"{score.second_mode:.{decimals_for(score.stderr)}f}"
+    parameter = score.candidate.parameter
+    unit = "times the declared" if parameter.is_factor else parameter.unit
+    return f" {score.name} at {value} {unit} explains these labels nearly as well."
 
 
 def diagnose_labels(
-    contest: Contest,
+    comparison: ModelComparison,
     labels: Labels,
     steps: Sequence[Choice],
-    simulated: NDArray[np.int64],
-    covariates: Mapping[str, NDArray[np.float64]],
+    simulated: IntArray,
+    covariates: Mapping[str, FloatArray],
     notes: Sequence[str],
     rng: np.random.Generator,
     *,
     reading: str = "",
 ) -> GraspDiagnosis:
-    """Hold out, and look at what is left.
+    """Predict held-out grasps, and look for what the remaining mislabels follow.
 
     Parameters
     ----------
     steps : sequence of Choice
         What was chosen from all labels.
     simulated : (N,) int
-        Labels of the declared world.
+        Simulated labels as declared.
     covariates : mapping of str to (N,) float
-        What leftover mislabels may follow.
+        What remaining mislabels may follow.
     """
     real = labels.success.astype(np.int64)
     folds = _folds(real, rng)
-    heldout = heldout_success(contest, labels, [step for step in steps if step.taken], folds)
-    final = contest
+    heldout = heldout_success(comparison, labels, [step for step in steps if step.accepted], folds)
+    final = comparison
     for step in steps:
-        if step.taken:
-            final = final.after(step.standings[0])
-    probability = final.success_probability(labels)
-    if not any(step.taken for step in steps):
+        if step.accepted:
+            final = final.given(step.scores[0])
+    probability = final.declared.success_probability(labels)
+    if not any(step.accepted for step in steps):
         probability = np.clip(simulated, 0, 1).astype(np.float64)
-    left = _dependences(real, probability, covariates, rng)
+    dependences = _dependences(real, probability, covariates, rng)
     return GraspDiagnosis(
-        tuple(steps), real, simulated, heldout, probability, left, tuple(notes), reading
+        tuple(steps), real, simulated, heldout, probability, dependences, tuple(notes), reading
     )
 
 
-def _folds(real: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+def _folds(real: IntArray, rng: np.random.Generator) -> IntArray:
     """Folds with the same share of successes, as nearly as can be."""
     order = np.lexsort((rng.uniform(size=len(real)), real))
     folds = np.empty(len(real), dtype=np.int64)
-    folds[order] = np.arange(len(real)) % min(MAX_FOLDS, len(real))
+    folds[order] = np.arange(len(real)) % min(RULES.max_folds, len(real))
     return folds
 
 
 def _dependences(
-    real: NDArray[np.int64],
-    probability: NDArray[np.float64],
-    covariates: Mapping[str, NDArray[np.float64]],
+    real: IntArray,
+    probability: FloatArray,
+    covariates: Mapping[str, FloatArray],
     rng: np.random.Generator,
 ) -> tuple[Dependence, ...]:
     """Covariates that mislabels follow by rank: upwards, downwards, or in the middle.
@@ -217,11 +205,11 @@ def _dependences(
     """
     sides = [np.flatnonzero(probability > 0.5), np.flatnonzero(probability <= 0.5)]
     residual = np.zeros(len(real))
-    shuffled = np.zeros((N_SHUFFLES, len(real)))
+    shuffled = np.zeros((RULES.shuffles, len(real)))
     for side in sides:
         if len(side):
             residual[side] = real[side] - real[side].mean()
-            shuffled[:, side] = rng.permuted(np.tile(residual[side], (N_SHUFFLES, 1)), axis=1)
+            shuffled[:, side] = rng.permuted(np.tile(residual[side], (RULES.shuffles, 1)), axis=1)
     found = []
     for name, values in covariates.items():
         if np.ptp(values) == 0 or np.ptp(residual) == 0:
@@ -231,8 +219,115 @@ def _dependences(
         shapes /= np.linalg.norm(shapes, axis=1, keepdims=True)
         seen = np.abs(shapes @ residual).max()
         chance = np.abs(shapes @ shuffled.T).max(axis=0)
-        p_value = float((1 + (chance >= seen).sum()) / (1 + N_SHUFFLES))
+        p_value = float((1 + (chance >= seen).sum()) / (1 + RULES.shuffles))
         corrected = min(1.0, p_value * len(covariates))
-        if corrected <= LIKELY:
+        if corrected <= RULES.dependence_p:
             found.append(Dependence(name, corrected, float(seen / chance.std())))
     return tuple(sorted(found, key=lambda one: -one.strength))
+
+
+def diagnosis_record(
+    diagnosis: GraspDiagnosis, declared: Mapping[str, GraspObject]
+) -> dict[str, Any]:
+    """The content of ``diagnosis.json``.
+
+    ``declared`` are the objects as the recipe has them: a factor on one of their figures is also
+    given as the figure.
+    """
+    n = len(diagnosis.real)
+    effects = []
+    for number, score in enumerate(diagnosis.found):
+        step = diagnosis.steps[number]
+        second = step.scores[1] if len(step.scores) > 1 else None
+        unsure = confusable(step.scores)
+        effects.append(
+            {
+                "name": score.name,
+                "description": describe(score),
+                "parameters": _parameters(score, declared),
+                "objects": list(score.candidate.objects),
+                "heldout_gain": diagnosis.rate_before - diagnosis.rate_after,
+                "runner_up": second.name if second else "",
+                "runner_up_log_evidence_behind": score.gain - second.gain if second else None,
+                "log_evidence_gain": score.gain,
+                "p_value": step.p_value,
+                "or_value": score.second_mode,
+                "confusable_with": list(unsure),
+                "what_would_tell": [advice(score.name, other) for other in unsure],
+            }
+        )
+    return {
+        "schema": SCHEMA,
+        "notes": list(diagnosis.notes),
+        "channels": {
+            "grasp": {
+                "verdict": diagnosis.verdict,
+                "sentence": diagnosis.sentence,
+                "effects": effects,
+                "unexplained": [
+                    {"covariate": d.covariate, "p_value": d.p_value} for d in diagnosis.dependences
+                ]
+                if diagnosis.too_many_remaining
+                else [],
+                "error_before": _error(diagnosis.rate_before, n),
+                "error_after": _error(diagnosis.rate_after, n),
+                "noise_floor": {
+                    "rmse": diagnosis.n_remaining / n,
+                    "how": "labels that no value of what was found matches",
+                },
+                "trials": {"fit": n, "test": n},
+                "held_out": f"{min(RULES.max_folds, n)} folds of {n} grasps; the whole choice made "
+                "anew without each",
+                "false_alarm_rate": RULES.false_alarm,
+                "force_from_images": diagnosis.reading,
+                "ranking": [
+                    {
+                        "candidate": s.name,
+                        "log_evidence_gain": _number(s.gain),
+                        "log_likelihood_gain": _number(s.fit),
+                        "parameters": _parameters(s, declared),
+                        "objects": list(s.candidate.objects),
+                    }
+                    for s in diagnosis.steps[0].scores
+                ],
+                "p_value": diagnosis.steps[0].p_value,
+                "steps": [
+                    {
+                        "chosen": step.accepted,
+                        "p_value": step.p_value,
+                        "critical_gain": _number(step.critical_gain),
+                        "candidates": [
+                            {"description": describe(s), "log_evidence_gain": _number(s.gain)}
+                            for s in step.scores
+                        ],
+                    }
+                    for step in diagnosis.steps
+                ],
+            }
+        },
+    }
+
+
+def _parameters(
+    score: CandidateScore, declared: Mapping[str, GraspObject]
+) -> dict[str, dict[str, Any]]:
+    """The parameter, and for one object the figure that its factor amounts to."""
+    objects, parameter = score.candidate.objects, score.candidate.parameter
+    found = {parameter.key: _estimate(score, 1.0, parameter.unit)}
+    if parameter.figure is not None and len(objects) == 1:
+        name, unit = parameter.figure
+        found[name] = _estimate(score, getattr(declared[objects[0]], name), unit)
+    return found
+
+
+def _estimate(score: CandidateScore, factor: float, unit: str) -> dict[str, Any]:
+    value, stderr = factor * score.value, factor * score.stderr
+    return {"value": _number(value), "stderr": _number(stderr), "unit": unit}
+
+
+def _error(rate: float, n: int) -> dict[str, Any]:
+    return {"rmse": rate, "nrmse": rate, "unit": "mislabel_rate", "mislabels": round(rate * n)}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tacgen.collection.perturbed import Outcome
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.diagnose.grasps.rules import RULES
+from tacgen.physics import PhysicsSettings
 
-FARTHEST = 1.5
-"""Slack is a logarithm; beyond a factor of 4.5 it makes no difference how far."""
-NEAR, LEAST = 0.5, 0.05
-TURN_LIMIT_RAD = 0.1
-"""The turn at which a lifted grasp counts as failed (DESIGN §4)."""
-SAME_SLACK = 0.02
-SURE_MODE = 0.9
-_MODE_WIDTH = 0.2
+TURN_LIMIT_RAD = PhysicsSettings().success_turn_rad
 
 
-def closed_form_slack(
+def limited(margin: FloatArray) -> FloatArray:
+    """Margins cut where it makes no difference how far they are."""
+    return np.clip(margin, -RULES.farthest_margin, RULES.farthest_margin)
+
+
+def closed_form_margin(
     friction_ratio: FloatArray, torsion_ratio: FloatArray, torsion_factor: FloatArray | float = 1.0
 ) -> FloatArray:
     """Logarithm of the factor by which the grip could be weaker before it slips.
@@ -39,22 +41,19 @@ def closed_form_slack(
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = 1 / friction_ratio
-        left = np.sqrt(np.maximum(0.0, 1 - share**2))
-        moment = np.where(left > 0, left / (torsion_ratio * torsion_factor), 0.0)
-        slack: FloatArray = -0.5 * np.log(share**2 + moment**2)
-    return np.clip(slack, -FARTHEST, FARTHEST)
+        remaining = np.sqrt(np.maximum(0.0, 1 - share**2))
+        moment = np.where(remaining > 0, remaining / (torsion_ratio * torsion_factor), 0.0)
+        margin: FloatArray = -0.5 * np.log(share**2 + moment**2)
+    return limited(margin)
 
 
-def signed_slack(
-    label: NDArray[np.int64],
-    friction_ratio: FloatArray,
-    torsion_ratio: FloatArray,
-    turn_rad: FloatArray,
+def signed_margin(
+    label: IntArray, friction_ratio: FloatArray, torsion_ratio: FloatArray, turn_rad: FloatArray
 ) -> FloatArray:
-    """How far each grasp is from ending otherwise: positive holds, negative fails.
+    """How far each grasp is from the other label: positive holds, negative fails.
 
-    The closed form is of slip about to start, so where the simulated label says otherwise it is
-    right: a grasp that turns a little and then holds is as far from failing as its turn is from
+    The closed form is of slip about to start, so where the simulated label disagrees the label
+    counts: a grasp that turns a little and then holds is as far from failing as its turn is from
     the limit.
 
     Parameters
@@ -62,40 +61,64 @@ def signed_slack(
     label : (..., ) int
         1, 0, or −1 where the grasp was not executed, which counts as a clear failure.
     friction_ratio, torsion_ratio : (...) float
-        As in ``closed_form_slack``.
+        As in ``closed_form_margin``.
     turn_rad : (...) float
         How far the lifted object had turned.
     """
-    slip = np.nan_to_num(closed_form_slack(friction_ratio, torsion_ratio), nan=-FARTHEST)
+    least, most = RULES.turn_margin
+    slip = np.nan_to_num(
+        closed_form_margin(friction_ratio, torsion_ratio), nan=-RULES.farthest_margin
+    )
     with np.errstate(invalid="ignore"):
         turned = 0.5 * np.abs(np.log(np.maximum(turn_rad, 1e-6) / TURN_LIMIT_RAD))
-    aside = np.clip(np.nan_to_num(turned, nan=LEAST), LEAST, NEAR)
+    by_turn = np.clip(np.nan_to_num(turned, nan=least), least, most)
     sign = np.where(label == 1, 1.0, -1.0)
     agrees = np.where(label == 1, slip > 0, slip < 0)
-    return np.where(label < 0, -1.0, np.where(agrees, slip, sign * aside))
+    executed = np.where(agrees, slip, sign * by_turn)
+    return np.where(label < 0, RULES.not_executed_margin, executed)
 
 
 def turning_share(
-    label: NDArray[np.int64],
-    turned: NDArray[np.bool_],
-    friction_ratio: FloatArray,
-    torsion_ratio: FloatArray,
+    label: IntArray, turned: BoolArray, friction_ratio: FloatArray, torsion_ratio: FloatArray
 ) -> FloatArray:
     """Probability that a grasp, if it fails, fails by turning and not by sliding.
 
-    A simulated failure says which it was; of a success, the nearer limit would give way first.
+    A simulated failure shows which it was; of a success, the nearer limit is passed first.
     """
+    sure = RULES.sure_mode
     with np.errstate(divide="ignore", invalid="ignore"):
         lead = np.log(friction_ratio) - np.log(torsion_ratio)
-    lead = np.clip(np.nan_to_num(lead, nan=0.0), -FARTHEST, FARTHEST)
-    nearer = 1 / (1 + np.exp(-lead / _MODE_WIDTH))
-    likely = (1 - SURE_MODE) + (2 * SURE_MODE - 1) * nearer
-    known = np.where(turned, SURE_MODE, 1 - SURE_MODE)
+    lead = limited(np.nan_to_num(lead, nan=0.0))
+    nearer = 1 / (1 + np.exp(-lead / RULES.mode_width))
+    likely = (1 - sure) + (2 * sure - 1) * nearer
+    known = np.where(turned, sure, 1 - sure)
     return np.where(label == 0, known, np.where(label < 0, 0.5, likely))
 
 
-def slack_at_force(log_scale: FloatArray, slack: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Slack (M, N) at other forces, from the slack (K, N) at ``log_scale`` (K,) of the force.
+def margins_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
+    """Margin and turning share (N,) of simulated grasps."""
+    label = np.array([one.label for one in outcomes])
+    friction = np.array([one.friction_ratio for one in outcomes])
+    torsion = np.array([one.torsion_ratio for one in outcomes])
+    turn = np.array([one.turn_rad for one in outcomes])
+    turned = np.array([one.failure_mode == "rotational_slip" for one in outcomes])
+    return (
+        signed_margin(label, friction, torsion, turn),
+        turning_share(label, turned, friction, torsion),
+    )
+
+
+def is_sure(margin: float, factor: float) -> bool:
+    """Whether a grasp's label at another force is certain without simulation.
+
+    A margin near 0 may be a turn that is allowed: only a clear one is carried to another force.
+    """
+    there = margin + np.log(factor)
+    return bool(abs(margin) > RULES.sure_margin and abs(there) > RULES.sure_margin)
+
+
+def margin_at_force(log_force: FloatArray, margin: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Margins (M, N) at other forces, from those (K, N) at ``log_force`` (K,).
 
     What holds grows in proportion to the force, so beyond the ends the slope is 1.
 
@@ -104,47 +127,50 @@ def slack_at_force(log_scale: FloatArray, slack: FloatArray, wanted: FloatArray)
     wanted : (M, N) float
         Logarithm of the force of each grasp over the declared one.
     """
-    beyond = wanted - np.clip(wanted, log_scale[0], log_scale[-1])
-    return np.clip(at_force(log_scale, slack, wanted) + beyond, -FARTHEST, FARTHEST)
+    beyond = wanted - np.clip(wanted, log_force[0], log_force[-1])
+    return limited(at_force(log_force, margin, wanted) + beyond)
 
 
-def at_force(log_scale: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Anything (M, N) of each grasp at its own ``wanted`` force, from (K, N) at ``log_scale``."""
+def at_force(log_force: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Anything (M, N) of each grasp at its own ``wanted`` force, from (K, N) at ``log_force``."""
     columns = range(values.shape[1])
-    return np.stack([np.interp(wanted[:, n], log_scale, values[:, n]) for n in columns], axis=1)
+    return np.stack([np.interp(wanted[:, n], log_force, values[:, n]) for n in columns], axis=1)
 
 
-def slack_at_torsion(
-    slack: FloatArray, friction_ratio: FloatArray, torsion_ratio: FloatArray, log_factor: FloatArray
+def margin_at_torsion(
+    margin: FloatArray,
+    friction_ratio: FloatArray,
+    torsion_ratio: FloatArray,
+    log_factor: FloatArray,
 ) -> FloatArray:
-    """Slack (M, N) where the pads hold a moment that is larger by ``log_factor`` (M,).
+    """Margins where the pads hold a moment that is larger by ``log_factor`` (M,).
 
     Grasps change by as much as turning has a part in their slip.
     """
-    before = closed_form_slack(friction_ratio, torsion_ratio)
-    after = closed_form_slack(friction_ratio, torsion_ratio, np.exp(log_factor)[:, None])
-    return np.clip(slack + np.nan_to_num(after - before), -FARTHEST, FARTHEST)
+    before = closed_form_margin(friction_ratio, torsion_ratio)
+    after = closed_form_margin(friction_ratio, torsion_ratio, np.exp(log_factor)[:, None])
+    return limited(margin + np.nan_to_num(after - before))
 
 
-def holds_from(log_force: FloatArray, slack: FloatArray) -> float | None:
+def holds_from(log_force: FloatArray, margin: FloatArray) -> float | None:
     """The force from which on a grasp holds, of those at which it was simulated (K,).
 
-    By the closed form where it agrees with the simulation on both sides: slack then lies as far
-    apart as the forces do. Else half-way, so that the next simulation halves what is not known.
+    By the closed form where it agrees with the simulation on both sides: margins then lie as far
+    apart as the forces do. Else half-way, so that the next simulation halves the unknown interval.
     None if it holds or fails everywhere, or begins to hold more than once.
     """
-    changes = np.flatnonzero(np.diff(slack > 0))
-    if len(changes) != 1 or slack[0] > 0:
+    changes = np.flatnonzero(np.diff(margin > 0))
+    if len(changes) != 1 or margin[0] > 0:
         return None
-    (low, high), (below, above) = (row[changes[0] :][:2] for row in (log_force, slack))
-    if abs((above - below) - (high - low)) < SAME_SLACK:
+    (low, high), (below, above) = (row[changes[0] :][:2] for row in (log_force, margin))
+    if abs((above - below) - (high - low)) < RULES.same_margin:
         return float(low - below)
     return float(low + high) / 2
 
 
-def crossings(axis: FloatArray, slack: FloatArray) -> FloatArray:
-    """Where on ``axis`` (M,) the interpolated slack (M,) of a grasp passes through zero."""
-    at = np.flatnonzero(slack[:-1] * slack[1:] < 0)
-    part = slack[at] / (slack[at] - slack[at + 1])
+def crossings(axis: FloatArray, margin: FloatArray) -> FloatArray:
+    """Where on ``axis`` (M,) the interpolated margin (M,) of a grasp passes through zero."""
+    at = np.flatnonzero(margin[:-1] * margin[1:] < 0)
+    part = margin[at] / (margin[at] - margin[at + 1])
     places: FloatArray = axis[at] + part * (axis[at + 1] - axis[at])
     return places

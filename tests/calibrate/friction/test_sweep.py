@@ -8,7 +8,7 @@ import yaml
 
 from tacgen.calibrate.friction.report import write_friction_report
 from tacgen.calibrate.friction.sweep import mu_range, sweep_friction, write_object_copies
-from tacgen.collection.pipeline import recipe_object
+from tacgen.collection.perturbed import recipe_object
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.units import STANDARD_GRAVITY_M_S2

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.collection.perturbed import Alteration, place_of, simulate_altered
+from tacgen.collection.perturbed import Perturbation, place_of, simulate_perturbed
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import GraspConfig
@@ -37,9 +37,9 @@ def shifted_folder(tmp_path_factory):
         GraspConfig(k, BOX, round(force, 2), 0.0, round(y, 1), 87.5)
         for k, (force, y) in enumerate(zip(forces_n, places_mm, strict=True))
     ]
-    world = Alteration(center_of_mass_y_mm=20.0)
+    world = Perturbation(center_of_mass_y_mm=20.0)
     out = tmp_path_factory.mktemp("truth")
-    found = simulate_altered(RECIPE, [(c, world) for c in configs], out, workers=1)
+    found = simulate_perturbed(RECIPE, [(c, world) for c in configs], out, workers=1)
     rows = [
         f"g{c.index},{BOX},{c.force_n},0,{c.y_mm},{c.z_mm},{found[place_of(c), world].label}"
         for c in configs
@@ -102,7 +102,10 @@ def test_bad_rows_end_with_exit_2_and_their_line(rows, words, tmp_path):
 
 def test_a_force_that_the_gripper_cannot_give_is_named(tmp_path):
     real = read_real_grasps(write_grasps(tmp_path / "real", [f"a,{BOX},55,0,0,87,1"]))
-    with pytest.raises(DatasetError, match=r"'a' asks for 55 N, more than robot.max_force_n = 40"):
+    with pytest.raises(
+        DatasetError,
+        match=r"grasp 'a': force_n = 55 exceeds robot.max_force_n = 40; lower it or raise",
+    ):
         diagnose_grasps(RECIPE, real, tmp_path / "out", workers=1)
 
 

@@ -1,6 +1,6 @@
-"""What the tactile images of real grasps say about the force that was really delivered.
+"""The force that was really delivered, from the tactile images of real grasps.
 
-The volume by which a pad's gel gives way grows with the normal force and with nothing else that a
+The volume that a pad's gel is indented by grows with the normal force and with nothing else that a
 diagnosis of labels considers: V = k_n F. So how strongly a real image differs from the untouched
 one is compared with simulated images of the same grasp at several forces.
 """
@@ -17,52 +17,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.collection.grid import PlannedGrasp
-from tacgen.collection.perturbed import declared_sha256, place_of
+from tacgen.collection.perturbed import declared_entry, declared_sha256, place_of
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec
 from tacgen.collection.recipe import Randomize, Recipe
+from tacgen.core.arrays import FloatArray
 from tacgen.core.files import sha256_of, write_text
 from tacgen.core.safe_io import read_bgr
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
-from tacgen.diagnose.grasps.hypothesis import NO_READING, ForceReading
-from tacgen.diagnose.grasps.perturbed_worlds import declared_object
+from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
+from tacgen.diagnose.grasps.rules import RULES
 
-FORCES = (0.6, 0.8, 1.0, 1.25, 1.6)
-"""Simulated delivered forces over the declared one."""
-N_READ, LEAST_READ = 10, 3
-DECLARED_K_N_ERROR, CALIBRATED_K_N_ERROR = 0.15, 0.07
-"""Relative error of the gel's compliance, from which an image cannot tell the force apart."""
-MAX_IMAGE_BYTES = 64 << 20
-_WIDTH_PX = 160
-_NOISE_GREY = 2.0
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
 def force_from_images(
     recipe: Recipe, real: RealGrasps, kept: Path, show: Callable[[int, int], None]
 ) -> tuple[ForceReading, str]:
-    """The delivered force over the declared one, as far as images tell, and words about it.
+    """The delivered force over the declared one by images, and a sentence about it.
 
-    Successful grasps are read first: where an object slides, its imprint changes. What was
-    compared stands in the file ``kept``, and is not simulated again.
+    Successful grasps are read first: where an object slides, its imprint changes. The
+    strengths are kept in the file ``kept``, and not simulated again.
     """
-    grasps = sorted((g for g in real.grasps if g.images), key=lambda grasp: -grasp.label)[:N_READ]
-    if len(grasps) < LEAST_READ:
+    grasps = sorted((g for g in real.grasps if g.images), key=lambda grasp: -grasp.label)[
+        : RULES.images_read
+    ]
+    if len(grasps) < RULES.least_images:
         return NO_READING, "no images to read the force from: labels alone decide"
     measured, simulated = _kept_strengths(kept, recipe, real.folder, grasps, show)
     readings = [
-        float(np.interp(one, curve, np.log(FORCES)))
+        float(np.interp(one, curve, np.log(RULES.image_forces)))
         for one, curve in zip(measured, simulated, strict=True)
         if (np.diff(curve) > 0).all() and curve[0] <= one <= curve[-1]
     ]
-    if len(readings) < LEAST_READ:
+    if len(readings) < RULES.least_images:
         return NO_READING, (
             f"the images of {len(grasps)} grasps do not compare with those of the recipe's sensor "
             "at any force: labels alone decide"
         )
     middle = float(np.median(readings))
     spread = 1.48 * float(np.median(np.abs(np.array(readings) - middle)))
-    k_n_error = CALIBRATED_K_N_ERROR if recipe.contact.file else DECLARED_K_N_ERROR
+    k_n_error = RULES.calibrated_k_n_error if recipe.contact.file else RULES.declared_k_n_error
     stderr = float(np.hypot(k_n_error, spread / np.sqrt(len(readings))))
     return ForceReading(middle, stderr), (
         f"the imprints of {len(readings)} grasps are those of {np.exp(middle):.2f} times the "
@@ -77,7 +71,7 @@ def _kept_strengths(
     grasps: Sequence[RealGrasp],
     show: Callable[[int, int], None],
 ) -> tuple[FloatArray, FloatArray]:
-    """``imprint_strengths``, read from ``kept`` if it was made of the same."""
+    """``imprint_strengths``, read from ``kept`` if they are of the same input."""
     made_of = _hash_of_all(recipe, folder, grasps)
     try:
         found = json.loads(kept.read_text(encoding="utf-8"))
@@ -110,14 +104,14 @@ def imprint_strengths(
     grasps: Sequence[RealGrasp],
     show: Callable[[int, int], None],
 ) -> tuple[FloatArray, FloatArray]:
-    """How strong each grasp's imprint is: measured (N,), simulated (N, len(FORCES)).
+    """How strong each grasp's imprint is: measured (N,), simulated (N, len(RULES.image_forces)).
 
     Compared are the moments of grasp where the sequences are equally long, else the strongest
     images. NaN where an image lacks.
     """
     measured = np.full(len(grasps), np.nan)
-    simulated = np.full((len(grasps), len(FORCES)), np.nan)
-    for column, factor in enumerate(FORCES):
+    simulated = np.full((len(grasps), len(RULES.image_forces)), np.nan)
+    for column, factor in enumerate(RULES.image_forces):
         world = _at_force(recipe, grasps, factor)
         untouched = dataset_spec(world, len(grasps)).reference_rgb
         names = [entry.name for entry in world.objects]
@@ -144,7 +138,7 @@ def imprint_strength(image: Image, untouched: Image) -> float:
     """
     small, base = _reduced(image), _reduced(untouched)
     small *= np.median(base) / max(float(np.median(small)), 1.0)
-    return float(np.maximum(np.abs(small - base).mean(axis=2) - _NOISE_GREY, 0.0).mean())
+    return float(np.maximum(np.abs(small - base).mean(axis=2) - RULES.image_noise_grey, 0.0).mean())
 
 
 def _strongest(frames: Sequence[Image] | Image, moment: int | None, untouched: Image) -> float:
@@ -172,7 +166,7 @@ def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Rec
     content = recipe.resolved()
     known = {entry.name for entry in recipe.objects}
     content["objects"] += [
-        declared_object(recipe, name).model_dump(mode="json")
+        declared_entry(recipe, name).model_dump(mode="json")
         for name in dict.fromkeys(grasp.config.object for grasp in grasps)
         if name not in known
     ]
@@ -186,13 +180,13 @@ def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Rec
 def _reduced(image: Image) -> FloatArray:
     """The image in a small size, which averages the camera's noise away."""
     height, width = image.shape[:2]
-    size = _WIDTH_PX, max(1, round(height * _WIDTH_PX / width))
+    size = RULES.image_width_px, max(1, round(height * RULES.image_width_px / width))
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float64)
 
 
 def _read(path: Path) -> Image | None:
     """An RGB image, or None where there is none that can be read."""
-    if not path.is_file() or path.stat().st_size > MAX_IMAGE_BYTES:
+    if not path.is_file() or path.stat().st_size > RULES.max_image_bytes:
         return None
     found = read_bgr(path)
     return None if found is None else np.ascontiguousarray(found[..., ::-1]).astype(np.uint8)

@@ -1,0 +1,209 @@
+"""The one registry of hypotheses: what may be wrong with a simulated grasp, and how it acts.
+
+Adding a hypothesis is adding a module to this folder that registers it, and its test.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import pkgutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from types import MappingProxyType
+
+import numpy as np
+
+from tacgen.collection.perturbed import Perturbation
+from tacgen.core.arrays import FloatArray
+from tacgen.core.errors import ContactError
+from tacgen.core.records import GraspObject
+
+
+class Prediction(Enum):
+    """How slip margins at a parameter's values are known without simulating them all."""
+
+    NONE = auto()
+    """Simulated at every node, interpolated in between."""
+    GRIP_FORCE = auto()
+    """The factor on the grip force: simulated where a grasp is near its threshold."""
+    EQUIVALENT_FORCE = auto()
+    """Grasps move exactly as at another grip force: never simulated."""
+    CLOSED_FORM_FORCE = auto()
+    """Nearly as at another grip force: simulated about leading values only."""
+    CLOSED_FORM_TORSION = auto()
+    """By the torsion that the pads hold: simulated about leading values only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of a hypothesis.
+
+    Attributes
+    ----------
+    nodes : tuple of float
+        Values at which outcomes are simulated or predicted, ascending, the declared one among
+        them; the first and the last bound the search.
+    spread : float
+        Prior standard deviation about the declared value, of the logarithm for a factor.
+    perturb
+        The changes to the simulation that a value amounts to.
+    share
+        Part of the hypothesis's prior weight.
+    force_exponent
+        Grasps change about as if the grip force were multiplied by value ** force_exponent, 1 or
+        −1; 0 where they do not.
+    changes_force
+        Whether the force between the pads changes, which images of imprints show.
+    figure
+        Attribute of ``GraspObject`` that a factor multiplies, and its unit.
+    limits
+        Smallest and largest value that an object allows.
+    sentence
+        How a value is reported, after the name and the objects.
+    """
+
+    key: str
+    unit: str
+    declared: float
+    nodes: tuple[float, ...]
+    spread: float
+    perturb: Callable[[float], Perturbation]
+    share: float = 1.0
+    prediction: Prediction = Prediction.NONE
+    force_exponent: int = 0
+    changes_force: bool = False
+    figure: tuple[str, str] | None = None
+    limits: Callable[[GraspObject], tuple[float, float]] | None = None
+    sentence: str = ""
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether the number multiplies what is declared."""
+        return self.declared == 1.0
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether values are simulated from the start."""
+        return self.prediction in (Prediction.NONE, Prediction.GRIP_FORCE)
+
+    def coordinate(self, values: FloatArray) -> FloatArray:
+        """Values on the axis on which the prior is normal and outcomes are interpolated."""
+        return np.log(values) if self.is_factor else np.asarray(values, dtype=np.float64)
+
+    def value(self, coordinate: float) -> float:
+        """The value at a place on that axis."""
+        return math.exp(coordinate) if self.is_factor else coordinate
+
+    def at_force(self, factor: float) -> float:
+        """The value that acts as ``factor`` on the grip force; and the other way round."""
+        return factor if self.force_exponent > 0 else 1 / factor
+
+    def reported(self, value: str, error: str) -> str:
+        """The value and its standard error in words."""
+        usual = "at {} ± {} times the declared" if self.is_factor else "off by {} ± {} {}"
+        return (self.sentence or usual).format(value, error, self.unit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One thing that may be wrong, in one or several numbers.
+
+    Attributes
+    ----------
+    weight
+        Prior weight beside the others'.
+    of_gripper
+        Whether it acts on every object: the gripper, or the table.
+    separated_by
+        What separates it for certain from another hypothesis, by that one's name.
+    """
+
+    name: str
+    weight: float
+    of_gripper: bool
+    parameters: tuple[Parameter, ...]
+    separated_by: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A parameter of a hypothesis, the objects whose grasps it acts on, and its prior weight."""
+
+    hypothesis: Hypothesis
+    parameter: Parameter
+    objects: tuple[str, ...]
+    weight: float
+
+    @property
+    def name(self) -> str:
+        """Name of the hypothesis."""
+        return self.hypothesis.name
+
+    def acts_on(self, name: str) -> bool:
+        """Whether grasps of the object ``name`` change, of objects not grasped yet too."""
+        return self.hypothesis.of_gripper or name in self.objects
+
+    def reported(self, value: str, error: str) -> str:
+        """The finding in words, such as ``grip_force at 0.80 ± 0.03 times the declared``."""
+        whose = "" if self.hypothesis.of_gripper else f" of {', '.join(self.objects)}"
+        return f"{self.name}{whose} {self.parameter.reported(value, error)}"
+
+
+_REGISTRY: dict[str, Hypothesis] = {}
+
+
+def register(hypothesis: Hypothesis) -> Hypothesis:
+    """Add ``hypothesis`` to the registry.
+
+    Raises
+    ------
+    ContactError
+        If its name is registered already.
+    """
+    if hypothesis.name in _REGISTRY:
+        msg = f"the hypothesis {hypothesis.name!r} is registered twice; give one another name"
+        raise ContactError(msg)
+    _REGISTRY[hypothesis.name] = hypothesis
+    return hypothesis
+
+
+def unregister(name: str) -> None:
+    """Take a hypothesis out of the registry."""
+    del _REGISTRY[name]
+
+
+def registered() -> tuple[Hypothesis, ...]:
+    """Every hypothesis, the one with most prior weight first."""
+    return tuple(sorted(_REGISTRY.values(), key=lambda one: (-one.weight, one.name)))
+
+
+def candidates_for(objects: Sequence[str]) -> tuple[Candidate, ...]:
+    """Every candidate for grasps of these objects.
+
+    What belongs to the gripper or the table acts on all of them. What belongs to an object is
+    tried for each object alone and for all of them together, since a worn gel, a wrong habit of
+    weighing or of placing touches all.
+    """
+    found = []
+    for hypothesis in registered():
+        sets = [tuple(objects)]
+        if not hypothesis.of_gripper and len(objects) > 1:
+            sets = [*((name,) for name in objects), tuple(objects)]
+        for one in hypothesis.parameters:
+            weight = hypothesis.weight * one.share / len(sets)
+            found += [Candidate(hypothesis, one, chosen, weight) for chosen in sets]
+    return tuple(found)
+
+
+def advice(name: str, other: str) -> str:
+    """What separates two hypotheses for certain."""
+    known = _REGISTRY[name].separated_by.get(other) or _REGISTRY[other].separated_by.get(name)
+    return f"{name} or {other}: {known or 'grasps in which the two predict different outcomes'}"
+
+
+def load_hypotheses(package: str, path: Sequence[str]) -> None:
+    """Import every module of this folder, so that each registers its hypothesis."""
+    for module in pkgutil.iter_modules(path):
+        importlib.import_module(f"{package}.{module.name}")

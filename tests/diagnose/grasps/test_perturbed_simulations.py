@@ -1,0 +1,140 @@
+"""Perturbed simulations as the diagnosis uses them, and the recipe extended by what it found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tacgen.collection.perturbed import (
+    Outcome,
+    Perturbation,
+    perturbed_object,
+    place_of,
+    recipe_object,
+)
+from tacgen.collection.recipe import Recipe
+from tacgen.core.records import GraspConfig
+from tacgen.diagnose.grasps.command import extended_recipe
+from tacgen.diagnose.grasps.hypotheses import candidates_for
+from tacgen.diagnose.grasps.model_comparison import CandidateScore, interpolated
+from tacgen.diagnose.grasps.next_grasps import rivals_of
+from tacgen.diagnose.grasps.perturbed_simulations import (
+    PerturbedSimulations,
+    combined_perturbation,
+)
+from tacgen.diagnose.grasps.result import describe
+from tacgen.diagnose.grasps.slip_margin import crossings
+
+BOX = "sugar_box"
+RECIPE = Recipe.model_validate({"name": "perturbed", "objects": [BOX]})
+CANDIDATES = {one.parameter.key: one for one in candidates_for((BOX,))}
+
+
+def config(force_n, y_mm=0.0):
+    return GraspConfig(0, BOX, force_n, 0.0, y_mm, 87.5)
+
+
+def score(key, value):
+    candidate = CANDIDATES[key]
+    nodes = np.array(candidate.parameter.nodes)
+    table = np.zeros((len(nodes), 1))
+    coordinate = float(candidate.parameter.coordinate(np.array([value]))[0])
+    return CandidateScore(1.0, 1.0, interpolated(candidate, nodes, table, table), coordinate, 0.01)
+
+
+def test_an_extended_recipe_holds_what_was_found():
+    found = [
+        score("mass_factor", 1.4),
+        score("center_of_mass_y_mm", 12.0),
+        score("spinning_friction_factor", 0.7),
+        score("object_scale", 1.02),
+        score("force_scale", 0.8),
+        score("height_offset_mm", 2.0),
+    ]
+    read = Recipe.model_validate(extended_recipe(RECIPE, found, [BOX]).resolved())
+    assert read.physics_settings.delivered_force_scale == pytest.approx(0.8)
+    assert read.physics_settings.height_offset_mm == pytest.approx(2.0)
+    expected = perturbed_object(
+        recipe_object(RECIPE.objects[0]),
+        Perturbation(
+            mass_factor=1.4,
+            center_of_mass_y_mm=12.0,
+            spinning_friction_factor=0.7,
+            object_scale=1.02,
+        ),
+    )
+    made = recipe_object(read.objects[0])
+    assert made.mass_kg == pytest.approx(expected.mass_kg, rel=1e-4)
+    assert made.center_of_mass_mm == pytest.approx(expected.center_of_mass_mm, abs=0.01)
+    assert made.spinning_friction_mm == pytest.approx(expected.spinning_friction_mm, rel=1e-4)
+    assert np.ptp(made.surface.vertices_mm, axis=0) == pytest.approx(
+        np.ptp(expected.surface.vertices_mm, axis=0), rel=1e-6
+    )
+
+
+def test_a_finding_is_reported_with_its_object_and_as_many_digits_as_its_error():
+    assert (
+        describe(score("mass_factor", 1.4)) == f"mass of {BOX} at 1.400 ± 0.014 times the declared"
+    )
+    shifted = replace(score("center_of_mass_y_mm", -21.34), deviation=4.41)
+    assert describe(shifted) == f"center_of_mass of {BOX} along y off by -21.3 ± 4.4 mm"
+
+
+def test_grasps_to_make_next_separate_the_two_sides_of_a_shift():
+    shifted = replace(score("center_of_mass_y_mm", -21.0), second_mode=22.0)
+    rivals = rivals_of([shifted], True)
+    sides = [combined_perturbation(found, BOX).center_of_mass_y_mm for found in rivals.values()]
+    assert sides == [-21.0, 22.0]
+
+
+def test_nothing_found_leaves_the_recipe_as_it_is():
+    assert extended_recipe(RECIPE, [], [BOX]) is RECIPE
+
+
+def test_a_mass_predicts_what_the_inverse_force_does_failure_modes_included(tmp_path):
+    """Else given failure modes would speak for whichever of the two was simulated."""
+    configs = (config(6.0), config(7.0, 8.0), config(14.0, 6.0))
+    simulations = PerturbedSimulations(RECIPE, configs, tmp_path, 1)
+    comparison = simulations.comparison()
+    by_key = {
+        evidence.model.candidate.parameter.key: evidence.model for evidence in comparison.others
+    }
+    force, mass = by_key["force_scale"], by_key["mass_factor"]
+    assert mass.coordinate == pytest.approx(-force.coordinate[::-1])
+    # Both are drawn through the same simulated values.
+    assert mass.margin == pytest.approx(force.margin[::-1], abs=1e-6)
+    assert mass.turning == pytest.approx(force.turning[::-1], abs=1e-6)
+
+
+class RimmedSimulations(PerturbedSimulations):
+    """No simulator: an object that a rim holds at 0.86 of the force that friction would need."""
+
+    def simulate(self, what, wanted):
+        for place, change in wanted:
+            ratio = 1.1 * change.force_scale * change.friction_factor / change.mass_factor
+            outcome = Outcome(int(ratio > 0.86), "", 0.0, 0.0, ratio, np.inf, turn_rad=0.0)
+            self.known[place_of(place), change] = outcome
+
+
+def test_refining_finds_where_a_grasp_slips_that_the_closed_form_puts_elsewhere(tmp_path):
+    simulations = RimmedSimulations(RECIPE, (config(7.0),), tmp_path, 1)
+    comparison = simulations.comparison()
+    places = []
+    for _ in range(4):
+        by_key = {e.model.candidate.parameter.key: e.model for e in comparison.others}
+        force, mass = by_key["force_scale"], by_key["mass_factor"]
+        places.append(crossings(force.coordinate, force.margin[:, 0])[0])
+        assert crossings(mass.coordinate, mass.margin[:, 0]) == pytest.approx([-places[-1]])
+        comparison = simulations.refined([CandidateScore(1.0, 1.0, mass, -np.log(0.8), 0.1)])
+    truth = np.log(0.86 / 1.1)
+    # The threshold lies between 0.7 and 0.8 of the force at first; each round halves that.
+    assert all(
+        abs(place - truth) <= np.log(0.8 / 0.7) / 2 ** (k + 1) for k, place in enumerate(places)
+    )
+    assert abs(places[-1] - truth) < 0.01
+
+
+def test_crossings_lie_where_the_line_between_values_is_zero():
+    axis = np.array([0.0, 1.0, 2.0, 3.0])
+    assert crossings(axis, np.array([-1.0, 1.0, 3.0, -1.0])) == pytest.approx([0.5, 2.75])
+    assert crossings(axis, np.ones(4)).size == 0
