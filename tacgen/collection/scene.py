@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.objects.shading import shaded_view
-from tacgen.physics.frames import rotation_about_z, rotation_from_quaternion
+from tacgen.physics.frames import rotation_about_z, rotation_of
 from tacgen.physics.gripper import (
     FINGER_THICKNESS_MM,
     PAD_DEPTH_MM,
@@ -56,7 +56,7 @@ def grasp_picture(
 def _pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """x, y, z and a quaternion x, y, z, w as a 4×4 matrix."""
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation_from_quaternion(pose[3:].tolist())
+    matrix[:3, :3] = rotation_of(pose[3:].tolist())
     matrix[:3, 3] = pose[:3]
     return matrix
 

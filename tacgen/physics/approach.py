@@ -1,7 +1,7 @@
 """The way to the grasp: above the object, turned, down, adjusted in the plane, fingers near.
 
-Nothing touches the object on a free way, so the gripper is put at points along it and each is
-looked at for collisions; no time is simulated.
+Nothing touches the object on a free path, so the gripper is put at points along it and each is
+checked for collisions; no time is simulated.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from tacgen.core.records import GraspConfig, GraspObject
 from tacgen.core.units import M_PER_MM, MM_PER_M
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.gripper import PAD_HEIGHT_MM, STROKE_MM
-from tacgen.physics.robot import GripperTarget, Robot
+from tacgen.physics.robots import GripperTarget, Robot
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import World
 
 WAYPOINT_SPACING_MM = 6.0
+"""Between points that are checked for collisions: half a finger's thickness."""
 ABOVE_MM = 10.0
+"""Clearance between the object's top and the pads before they descend; chosen."""
 
 
 def grasp_target(config: GraspConfig, settings: PhysicsSettings) -> GripperTarget:

@@ -1,14 +1,13 @@
-"""An object of records.py as a body of PyBullet."""
+"""An object as a body of PyBullet."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspObject
 from tacgen.core.units import M_PER_MM
-from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation
-from tacgen.physics.frames import rotation_from_quaternion as rotation_of
+from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation, rotation_of
 from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
 
 OBJECT_FRICTION = 1.0
@@ -16,8 +15,8 @@ OBJECT_FRICTION = 1.0
 
 
 def principal_axes(
-    inertia: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    inertia: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Principal moments (3,) and the right-handed (3, 3) rotation whose columns are the axes."""
     moments, axes = np.linalg.eigh(inertia)
     if np.linalg.det(axes) < 0:
@@ -26,7 +25,7 @@ def principal_axes(
 
 
 def object_problems(obj: GraspObject) -> list[str]:
-    """Everything about ``obj`` that no body can be made of, each with its mend."""
+    """Everything that keeps ``obj`` from being a body, each with its fix."""
     where = f"object {obj.name!r}"
     problems = []
     if not obj.collision:
@@ -42,7 +41,7 @@ def object_problems(obj: GraspObject) -> list[str]:
         listed = ", ".join(f"{moment:.3g}" for moment in moments)
         problems.append(
             f"{where}: inertia_kg_mm2 has the principal moments {listed}, which no body has "
-            "(each is positive and at most the sum of the others); compute it anew from the mesh"
+            "(each is positive and at most the sum of the others); compute it from the mesh"
         )
     return problems
 

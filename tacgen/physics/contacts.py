@@ -1,4 +1,4 @@
-"""From PyBullet's contact points to what a pad feels; pure functions of recorded snapshots.
+"""From PyBullet's contact points to the loads on a pad; pure functions of recorded snapshots.
 
 Inside, lengths are in metres and axes are the world's; the frames that come out are in mm, N and
 the gel frame.
@@ -10,17 +10,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import ContactFrame
 from tacgen.core.units import MM_PER_M
-from tacgen.physics.frames import Pose, gel_pose_in_gripper, inverse, pose
-from tacgen.physics.frames import rotation_from_quaternion as rotation_of
+from tacgen.physics.frames import Pose, gel_pose_in_gripper, inverse, pose, rotation_of
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The world at one step, as PyBullet gave it: nothing is computed while it runs.
+    """The simulation at one step, as PyBullet gave it: nothing is computed while it runs.
 
     ``contacts`` are the tuples of ``getContactPoints``; ``object_position_m`` is the centre of
     mass, ``object_quaternion`` the principal axes.
@@ -43,12 +42,12 @@ class Contacts:
     Normals point into the object; ``force_n`` is the whole force on the object.
     """
 
-    body: NDArray[np.int64]
-    link: NDArray[np.int64]
-    point_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    normal_force_n: NDArray[np.float64]
-    force_n: NDArray[np.float64]
+    body: IntArray
+    link: IntArray
+    point_m: FloatArray
+    normal: FloatArray
+    normal_force_n: FloatArray
+    force_n: FloatArray
 
     def of(self, body: int, link: int) -> Contacts:
         """Those with one link of another body."""
@@ -100,7 +99,7 @@ def object_contacts(raw: Sequence[tuple], object_body: int) -> Contacts:
 def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
     """The contact points of all steps of ``window``, each with its share of the mean force.
 
-    The first of several snapshots only serves to tell accelerations and is left out.
+    The first of several snapshots serves only to compute accelerations.
     """
     steps = window[1:] if len(window) > 1 else window
     contacts = object_contacts([c for step in steps for c in step.contacts], object_body)
@@ -147,7 +146,7 @@ class Bodies:
     object_body: int
     robot_body: int
     pad_links: Mapping[str, int]
-    principal_moments_kg_m2: NDArray[np.float64]
+    principal_moments_kg_m2: FloatArray
     inertial: Pose
     spinning_friction_m: float
     time_step_s: float
@@ -173,7 +172,7 @@ def gel_pose(snapshot: Snapshot, pad: str) -> Pose:
 def contact_frames(
     window: Sequence[Snapshot], bodies: Bodies, pads: Sequence[str]
 ) -> dict[str, ContactFrame]:
-    """What each of ``pads`` feels at the end of ``window``, forces averaged over its steps."""
+    """The load on each of ``pads`` at the end of ``window``, forces averaged over its steps."""
     last = window[-1]
     contacts = mean_contacts(window, bodies.object_body)
     spins = _spinning_moments_n_m(window, contacts, bodies)

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Pose = NDArray[np.float64]
+from tacgen.core.arrays import FloatArray
+
+Pose = FloatArray
 
 GEL_AXES_IN_GRIPPER = {
     "left": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
@@ -23,9 +24,9 @@ PAD_SIDE = {"left": -1.0, "right": 1.0}
 """On which side of the gripper's centre a pad is, along the gripper's x."""
 
 
-def rotation_from_quaternion(
-    quaternion_xyzw: Sequence[float] | NDArray[np.float64],
-) -> NDArray[np.float64]:
+def rotation_of(
+    quaternion_xyzw: Sequence[float] | FloatArray,
+) -> FloatArray:
     """The (..., 3, 3) rotation of each unit quaternion of (..., 4)."""
     x, y, z, w = np.moveaxis(np.asarray(quaternion_xyzw, dtype=np.float64), -1, 0)
     rows = [
@@ -36,7 +37,7 @@ def rotation_from_quaternion(
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def quaternion_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     """The unit quaternion x, y, z, w with w ≥ 0 of a (3, 3) rotation.
 
     Source
@@ -59,7 +60,7 @@ def quaternion_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float6
     return quaternion if quaternion[3] >= 0 else -quaternion
 
 
-def pose(rotation: NDArray[np.float64], position: Sequence[float] | NDArray[np.float64]) -> Pose:
+def pose(rotation: FloatArray, position: Sequence[float] | FloatArray) -> Pose:
     """The (..., 4, 4) transforms of rotations (..., 3, 3) followed by translations (..., 3)."""
     matrix = np.zeros((*rotation.shape[:-2], 4, 4))
     matrix[..., :3, :3] = rotation
@@ -74,7 +75,7 @@ def inverse(matrix: Pose) -> Pose:
     return pose(rotation, -rotation @ matrix[:3, 3])
 
 
-def rotation_about_z(angle_rad: float) -> NDArray[np.float64]:
+def rotation_about_z(angle_rad: float) -> FloatArray:
     """The (3, 3) rotation about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -85,7 +86,7 @@ def gel_pose_in_gripper(pad: str, distance_m: float) -> Pose:
     return pose(GEL_AXES_IN_GRIPPER[pad], [PAD_SIDE[pad] * distance_m, 0.0, 0.0])
 
 
-def turn_rad(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def turn_rad(rotation: FloatArray) -> FloatArray:
     """The angle of each rotation of a (..., 3, 3) array, exact for small angles too."""
     sine = np.stack(
         [

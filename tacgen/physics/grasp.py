@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import (
     LABEL_NOT_EXECUTED,
@@ -18,19 +19,23 @@ from tacgen.core.records import (
     frozen_array,
 )
 from tacgen.core.units import M_PER_MM
-from tacgen.physics import labels
 from tacgen.physics.approach import approach, grasp_target
-from tacgen.physics.arm import ArmWithGripper
 from tacgen.physics.bodies import ObjectBody, object_problems, principal_axes
 from tacgen.physics.contacts import Bodies, Snapshot, closing_force_n
-from tacgen.physics.floating import FloatingGripper
 from tacgen.physics.frames import pose
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.margins import Capacity, slip_margin, torsion_factor
-from tacgen.physics.motion import trapezoid
-from tacgen.physics.outcome import capacity_of, frames_of, motion_of, object_poses_mm
+from tacgen.physics.outcome import (
+    capacity_of,
+    failure_mode,
+    first_slip,
+    frames_of,
+    label_of,
+    motion_of,
+    object_poses_mm,
+)
 from tacgen.physics.recorder import Recorder, frame_end_steps
-from tacgen.physics.robot import Robot
+from tacgen.physics.robots import ArmWithGripper, FloatingGripper, Robot
 from tacgen.physics.settings import (
     PAD_NAMES,
     FrameRequest,
@@ -41,10 +46,11 @@ from tacgen.physics.settings import (
 from tacgen.physics.world import World
 
 CHUNK_STEPS = 5
-"""How often the closing fingers are looked at."""
+"""Between checks of the closing fingers: 10 ms."""
 STEADY_CHUNKS = 5
-"""A force is steady when it keeps to the command this many looks in a row."""
+"""Checks in a row, 52 ms, for which a steady force keeps to the delivered one."""
 STEADY_TOLERANCE = 0.01
+"""Relative to the delivered force; half of the 2 % that a pad may be off."""
 
 _ROBOTS: dict[str, type[FloatingGripper] | type[ArmWithGripper]] = {
     "wsg50": FloatingGripper,
@@ -198,7 +204,7 @@ class _Grasp:
         }
 
     def _load_pads(self, grasped: Sequence[Snapshot]) -> Capacity:
-        """Couple the jaws and leave the pads the torsion that the weight does not use up."""
+        """Couple the jaws and set the torsion that the pads can hold beside the weight."""
         capacity = capacity_of(grasped, self.bodies, self.obj, self.settings)
         self.robot.fingers.set_spinning_friction(
             self.bodies.spinning_friction_m * torsion_factor(capacity.friction_share)
@@ -207,7 +213,7 @@ class _Grasp:
         return capacity
 
     def _lift(self) -> list[Snapshot]:
-        """Lift by the profile, looking at the object now and then."""
+        """Lift by the profile, sampling the object's pose."""
         settings, recorder = self.settings, self.recorder
         sampled = max(1, self._steps(settings.slip_sample_s))
         heights_m, speeds_m_s = trapezoid(
@@ -236,18 +242,18 @@ class _Grasp:
         rise_mm, turn_rad = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
         if not (math.isfinite(rise_mm) and math.isfinite(turn_rad)):
             return self._not_executed("crashed", "the simulation became unstable; shorten its step")
-        label = labels.label_of(rise_mm, turn_rad, settings)
+        label = label_of(rise_mm, turn_rad, settings)
         windows = [self.recorder.window(end) for end in self.frame_ends] or [list(grasped)]
         return GraspTrace(
             config=self.config,
             status="executed",
             label=label,
-            failure_mode="" if label == LABEL_SUCCESS else labels.failure_mode(motion, settings),
+            failure_mode="" if label == LABEL_SUCCESS else failure_mode(motion, settings),
             frames=frames_of(windows, self.bodies, settings.sensing_pads),
             object_pose=object_poses_mm([window[-1] for window in windows], self.bodies),
             rise_mm=rise_mm,
             turn_rad=turn_rad,
-            margin=slip_margin(capacity, self.obj.mass_kg, *labels.first_slip(motion, settings)),
+            margin=slip_margin(capacity, self.obj.mass_kg, *first_slip(motion, settings)),
             reason=self.note,
         )
 
@@ -263,3 +269,28 @@ class _Grasp:
             turn_rad=0.0,
             reason=reason,
         )
+
+
+def trapezoid(
+    distance: float, speed: float, acceleration: float, time_step_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Positions and speeds at the end of each step of a motion over ``distance``, rest to rest.
+
+    The speed rises and falls by ``acceleration`` and stays at ``speed`` between; where the
+    distance is too short for that speed, it turns round halfway.
+    """
+    speed = min(speed, float(np.sqrt(distance * acceleration)))
+    ramp_s = speed / acceleration
+    total_s = distance / speed + ramp_s
+    count = int(np.ceil(total_s / time_step_s - 1e-9))
+    time_s = np.arange(count + 1) * time_step_s
+    rising = np.minimum(time_s, ramp_s)
+    falling = np.clip(time_s - (total_s - ramp_s), 0.0, ramp_s)
+    cruise = np.clip(time_s - ramp_s, 0.0, total_s - 2 * ramp_s)
+    positions = (
+        acceleration * rising**2 / 2
+        + speed * cruise
+        + speed * falling
+        - acceleration * falling**2 / 2
+    )
+    return positions[1:], np.diff(positions) / time_step_s

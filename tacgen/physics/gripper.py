@@ -21,22 +21,21 @@ STROKE_MM = 110.0
 """Largest opening. Source: Weiss Robotics, WSG 50 data sheet."""
 HAND_MASS_KG = 1.2
 """Source: Weiss Robotics, WSG 50 data sheet."""
-GRASPING_FORCE_RANGE_N = (5.0, 80.0)
-"""Grasping force, which is twice the force on each finger: 2.5 to 40 N a pad.
-
-Source: Weiss Robotics, WSG 50 data sheet; the factor of two from Schunk's WSG manual, GRASP.
-"""
 FINGER_MASS_KG = 0.15
 """A finger with its sensor; assumed."""
 
 PAD_WIDTH_MM, PAD_HEIGHT_MM = 24.0, 19.0
 """A GelSight's window of 18.9 × 14.2 mm (640 × 480 at 0.0295 mm/px) and 2.5 mm around it."""
 PAD_DEPTH_MM = 6.0
+"""From the dome's top to the finger; assumed."""
 PAD_PITCH_MM = 2.0
+"""Of the vertices on the dome: chords of a 30 mm dome lie 17 µm inside it."""
 FINGER_THICKNESS_MM = 12.0
+"""Assumed."""
 FINGER_LENGTH_MM = 150.0
 """From the pad's centre to the palm; assumed, so that tall objects can be held low."""
 PALM_HALF_EXTENTS_MM = (73.0, 25.0, 35.0)
+"""Of the gripper's housing; assumed."""
 
 
 @lru_cache(maxsize=8)
@@ -173,6 +172,7 @@ class Fingers:
     """
 
     COUPLING_FORCE_N = 1000.0
+    """Far above any pad's force, so that the jaws move as one."""
 
     def __init__(self, world: World, body: int, hand: int) -> None:
         self._world = world

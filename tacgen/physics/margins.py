@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.records import SlipMargin
 from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 
@@ -15,9 +15,9 @@ from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 class PadLoad:
     """The contact points of one pad: (n, 3) points and normals into the object, (n,) forces."""
 
-    point_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    normal_force_n: NDArray[np.float64]
+    point_m: FloatArray
+    normal: FloatArray
+    normal_force_n: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +66,8 @@ def spinning_friction_of_disc_mm(friction: float, radius_mm: float, pressure: st
 def grasp_capacity(
     pads: tuple[PadLoad, ...],
     *,
-    closing_axis: NDArray[np.float64],
-    center_of_mass_m: NDArray[np.float64],
+    closing_axis: FloatArray,
+    center_of_mass_m: FloatArray,
     mass_kg: float,
     friction: float,
     spinning_friction_mm: float,
@@ -116,7 +116,7 @@ def slip_margin(
     capacity: Capacity,
     mass_kg: float,
     first_slip_time_s: float,
-    first_slip_direction: NDArray[np.float64],
+    first_slip_direction: FloatArray,
 ) -> SlipMargin:
     """The record of a grasp's margins, see ``records.SlipMargin``."""
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2

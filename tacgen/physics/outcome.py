@@ -1,13 +1,21 @@
-"""What the snapshots of a grasp amount to: loads, motion in the hand, tactile frames."""
+"""What the snapshots of a grasp amount to: loads, motion in the hand, label and tactile frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.core.records import ContactFrame, GraspObject, frozen_array
+from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.records import (
+    LABEL_FAILURE,
+    LABEL_SUCCESS,
+    ContactFrame,
+    FailureMode,
+    GraspObject,
+    frozen_array,
+)
 from tacgen.core.units import MM_PER_M
 from tacgen.physics.contacts import (
     Bodies,
@@ -18,11 +26,76 @@ from tacgen.physics.contacts import (
     mean_contacts,
     object_pose,
 )
-from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, turn_rad
-from tacgen.physics.frames import rotation_from_quaternion as rotation_of
-from tacgen.physics.labels import Motion
+from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, rotation_of, turn_rad
 from tacgen.physics.margins import Capacity, PadLoad, grasp_capacity
 from tacgen.physics.settings import PhysicsSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the object moved during the lift, n samples from its start on.
+
+    Attributes
+    ----------
+    time_s : (n,)
+        Since closing on.
+    rise_mm : (n,)
+        Height of the centre of mass above where it was.
+    turn_rad : (n,)
+        Rotation relative to the gripper.
+    slide_mm : (n, 2)
+        Displacement of the object's point between the pads, in the gel's x and y.
+    center_slide_mm : (n, 2)
+        Displacement of the centre of mass relative to the gripper, in the gel's x and y.
+    """
+
+    time_s: FloatArray
+    rise_mm: FloatArray
+    turn_rad: FloatArray
+    slide_mm: FloatArray
+    center_slide_mm: FloatArray
+
+
+def label_of(rise_mm: float, turn_rad: float, settings: PhysicsSettings) -> int:
+    """1 if the object rose far enough and turned little enough, else 0."""
+    held = rise_mm >= settings.success_rise_mm and turn_rad < settings.success_turn_rad
+    return LABEL_SUCCESS if held else LABEL_FAILURE
+
+
+def failure_mode(motion: Motion, settings: PhysicsSettings) -> FailureMode:
+    """Which limit the object passed first: the turn's, or the slide that the rise allows.
+
+    Where neither was passed, the one it came closer to.
+    """
+    allowed_mm = settings.lift_mm - settings.success_rise_mm
+    slide = np.linalg.norm(motion.slide_mm, axis=1) / allowed_mm
+    turn = motion.turn_rad / settings.success_turn_rad
+    first_slide, first_turn = _first(slide >= 1.0), _first(turn >= 1.0)
+    if first_slide == first_turn:
+        turned = turn.max() >= slide.max()
+    else:
+        turned = first_turn < first_slide
+    return "rotational_slip" if turned else "translational_slip"
+
+
+def first_slip(motion: Motion, settings: PhysicsSettings) -> tuple[float, FloatArray]:
+    """Time and direction (2,) of the first slip; NaN and 0 where nothing slips.
+
+    The direction is that in which the object slides at the pad, in the gel's x and y; where it
+    only turns, that in which its centre of mass goes.
+    """
+    slid = np.linalg.norm(motion.slide_mm, axis=1) >= settings.slip_mm
+    k = _first(slid | (motion.turn_rad >= settings.slip_turn_rad))
+    if k == len(slid):
+        return float("nan"), np.zeros(2)
+    direction = motion.slide_mm[k] if slid[k] else motion.center_slide_mm[k]
+    length = float(np.linalg.norm(direction))
+    return float(motion.time_s[k]), direction / length if length > 0 else np.zeros(2)
+
+
+def _first(flags: BoolArray) -> int:
+    """Index of the first True, or the length where there is none."""
+    return int(np.argmax(flags)) if flags.any() else len(flags)
 
 
 def capacity_of(
@@ -65,7 +138,7 @@ def motion_of(lifted: Sequence[Snapshot], bodies: Bodies, pad: str) -> Motion:
     )
 
 
-def _slide_mm(in_gripper: NDArray[np.float64], start_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _slide_mm(in_gripper: FloatArray, start_m: FloatArray) -> FloatArray:
     """Displacement (n, 3) in the gripper frame of the object's point that starts at ``start_m``."""
     material = np.linalg.inv(in_gripper[0]) @ start_m
     return ((in_gripper @ material)[:, :3] - start_m[:3]) * MM_PER_M
@@ -75,11 +148,11 @@ def frames_of(
     windows: Sequence[Sequence[Snapshot]], bodies: Bodies, pads: Sequence[str]
 ) -> dict[str, tuple[ContactFrame, ...]]:
     """The tactile frames of each of ``pads``, one a window."""
-    felt = [contact_frames(window, bodies, pads) for window in windows]
-    return {pad: tuple(frame[pad] for frame in felt) for pad in pads}
+    frames = [contact_frames(window, bodies, pads) for window in windows]
+    return {pad: tuple(frame[pad] for frame in frames) for pad in pads}
 
 
-def object_poses_mm(snapshots: Sequence[Snapshot], bodies: Bodies) -> NDArray[np.float64]:
+def object_poses_mm(snapshots: Sequence[Snapshot], bodies: Bodies) -> FloatArray:
     """(n, 7) position (mm) and quaternion x, y, z, w of the object's frame in the world."""
     poses = [object_pose(snapshot, bodies) for snapshot in snapshots]
     return frozen_array(

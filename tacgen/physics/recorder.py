@@ -1,4 +1,4 @@
-"""Advances the world and takes snapshots of it at the steps that are asked for."""
+"""Advances the simulation and records snapshots at the wanted steps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tacgen.core.units import M_PER_MM
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.contacts import Snapshot
 from tacgen.physics.gripper import STROKE_MM
-from tacgen.physics.robot import Robot
+from tacgen.physics.robots import Robot
 from tacgen.physics.settings import FrameRequest, PhysicsSettings
 from tacgen.physics.world import World
 
@@ -80,7 +80,7 @@ class Recorder:
         return self.snapshots[self.step]
 
     def observe(self) -> list[Snapshot]:
-        """Advance by as many steps as forces are averaged over, and look at each."""
+        """Advance by as many steps as forces are averaged over, and record each."""
         window = [self.snapshot()]
         for _ in range(self._average):
             self.advance(1)

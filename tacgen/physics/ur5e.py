@@ -6,8 +6,8 @@ Source: Universal Robots, "DH Parameters for calculations of kinematics and dyna
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.physics.frames import Pose, pose
 
 A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
@@ -28,9 +28,13 @@ JOINT_LIMIT_RAD = 2 * np.pi
 
 POSITION_TOLERANCE_M = 1e-7
 ANGLE_TOLERANCE_RAD = 1e-7
+"""Far below what moves a label (0.1 mm)."""
 _ITERATIONS = 200
+"""A place that is out of reach is given up after so many."""
 _LARGEST_STEP_RAD = 0.3
+"""Keeps the solution on the branch of its seed."""
 _DAMPING = 1e-3
+"""Small beside the arm's singular values, so that it acts near singular poses only."""
 
 
 def link_transform(joint: int) -> Pose:
@@ -43,12 +47,12 @@ def link_transform(joint: int) -> Pose:
 _LINK_TRANSFORMS = tuple(link_transform(joint) for joint in range(6))
 
 
-def forward(joints_rad: NDArray[np.float64]) -> Pose:
+def forward(joints_rad: FloatArray) -> Pose:
     """The flange in the base frame, (4, 4) with metres."""
     return _chain(joints_rad)[-1]
 
 
-def _chain(joints_rad: NDArray[np.float64]) -> list[Pose]:
+def _chain(joints_rad: FloatArray) -> list[Pose]:
     """The base frame and that after each joint."""
     frames = [np.eye(4)]
     for angle, transform in zip(joints_rad, _LINK_TRANSFORMS, strict=True):
@@ -58,7 +62,7 @@ def _chain(joints_rad: NDArray[np.float64]) -> list[Pose]:
     return frames
 
 
-def inverse_kinematics(target: Pose, seed_rad: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def inverse_kinematics(target: Pose, seed_rad: FloatArray) -> FloatArray | None:
     """Joint angles that bring the flange to ``target``, near ``seed_rad``; None if there are none.
 
     Source
@@ -87,7 +91,7 @@ def inverse_kinematics(target: Pose, seed_rad: NDArray[np.float64]) -> NDArray[n
     return None
 
 
-def _rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotation_vector(rotation: FloatArray) -> FloatArray:
     """Axis times angle of a (3, 3) rotation."""
     sine = 0.5 * np.array(
         [

@@ -1,4 +1,4 @@
-"""One PyBullet client: its world is rebuilt for every grasp, so that none leaves a trace."""
+"""One PyBullet client, rebuilt for every grasp so that grasps are independent."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics.settings import PhysicsSettings
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
+"""Larger than any grasp's reach; thick enough that nothing falls through in a step."""
 HULL_MARGIN_MM = 1.0
 """What Bullet adds around a convex hull; on a link it cannot be taken off."""
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
+"""The quaternion x, y, z, w of no rotation."""
 
 NOT_OPEN = "the simulator is not open; use it in a `with` block"
 

@@ -7,9 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tacgen.physics import GraspSimulator, PhysicsSettings, frames, ur5e
-from tacgen.physics.arm import BASE_POSITION_M, ArmWithGripper
-from tacgen.physics.motion import trapezoid
-from tacgen.physics.robot import GripperTarget
+from tacgen.physics.grasp import trapezoid
+from tacgen.physics.robots import BASE_POSITION_M, ArmWithGripper, GripperTarget
 
 
 def test_quaternions_and_rotations_agree_with_scipy() -> None:
@@ -18,9 +17,7 @@ def test_quaternions_and_rotations_agree_with_scipy() -> None:
         quaternion = rng.normal(size=4)
         quaternion *= np.sign(quaternion[3]) / np.linalg.norm(quaternion)
         rotation = Rotation.from_quat(quaternion).as_matrix()
-        assert frames.rotation_from_quaternion(quaternion.tolist()) == pytest.approx(
-            rotation, abs=1e-12
-        )
+        assert frames.rotation_of(quaternion.tolist()) == pytest.approx(rotation, abs=1e-12)
         assert frames.quaternion_from_rotation(rotation) == pytest.approx(quaternion, abs=1e-12)
         assert frames.turn_rad(rotation) == pytest.approx(
             Rotation.from_matrix(rotation).magnitude(), abs=1e-12
@@ -80,7 +77,7 @@ def test_the_body_in_pybullet_is_the_published_arm() -> None:
         position, quaternion = arm.gripper_position()
         assert position == pytest.approx([0.03, -0.05, 0.12], abs=1e-6)
         expected = frames.rotation_about_z(0.4)
-        assert frames.rotation_from_quaternion(quaternion) == pytest.approx(expected, abs=1e-6)
+        assert frames.rotation_of(quaternion) == pytest.approx(expected, abs=1e-6)
         joints = [
             world.bullet.getJointState(arm.body, joint, physicsClientId=world.client)[0]
             for joint in range(6)

@@ -12,9 +12,7 @@ from tacgen.core.errors import PhysicsError
 from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody, principal_axes
 from tacgen.physics.contacts import object_contacts
-from tacgen.physics.floating import FloatingGripper
 from tacgen.physics.frames import inverse, pose
-from tacgen.physics.labels import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.margins import (
     PadLoad,
     grasp_capacity,
@@ -22,8 +20,9 @@ from tacgen.physics.margins import (
     spinning_friction_of_disc_mm,
     torsion_factor,
 )
+from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.recorder import frame_end_steps
-from tacgen.physics.robot import GripperTarget
+from tacgen.physics.robots import FloatingGripper, GripperTarget
 from tacgen.physics.settings import FrameRequest
 from tacgen.physics.world import require_numpy
 

@@ -65,8 +65,8 @@ class Trial:
     """One diagnosis: what was wrong, and what was named.
 
     ``rate_after`` is the diagnosis's own figure, ``rate_of_truth`` the share of flipped labels,
-    and ``fresh_wrong`` the share of fresh grasps whose labels differ between what was found
-    than in the true one.
+    and ``fresh_wrong`` the share of fresh grasps whose labels differ between the true perturbation
+    and the one that was found.
     """
 
     objects: str
@@ -173,7 +173,7 @@ def fresh_labels(
     """Whether each grasp succeeds (N,) under the perturbation of its object.
 
     A mass is simulated as the force that it amounts to, and a grasp that another force leaves
-    beyond doubt is not simulated at it.
+    certain is not simulated at it.
     """
     simulations.simulate("declared", [(config, DECLARED) for config in simulations.configs])
     margin, _ = margins_of(simulations.outcomes(DECLARED))
@@ -218,7 +218,7 @@ def least_fresh_wrong(count: int, flips: float, rng: np.random.Generator) -> flo
 
 
 def summary_of(trials: Sequence[Trial]) -> str:
-    """The trials as a table in Markdown, a row for each perturbation and share of flipped labels."""
+    """The trials in Markdown, a row for each perturbation and share of flipped labels."""
     lines = [
         "| wrong | flipped | trials | too few labels changed | right first "
         "| right first or reported as equally good "

@@ -14,7 +14,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.records import GraspConfig
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
-from tacgen.diagnose.grasps.images import imprint_strength
+from tacgen.diagnose.grasps.force_from_images import imprint_strength
 from tacgen.diagnose.grasps.report import write_grasp_report
 
 BOX = "sugar_box"

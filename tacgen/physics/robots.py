@@ -1,11 +1,15 @@
-"""The UR5e with a WSG-50 on its flange, standing beside the object."""
+"""The robots that carry the gripper: a floating WSG-50, and one on the flange of a UR5e."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.units import M_PER_MM, MM_PER_M
 from tacgen.physics import ur5e
 from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation, rotation_about_z
@@ -19,27 +23,125 @@ from tacgen.physics.gripper import (
     finger_links,
     palm_link,
 )
-from tacgen.physics.robot import GripperTarget
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import World
 
+AXIS_FORCE_N = 2000.0
+"""Of the floating gripper's vertical axis: far more than any grasp, so that it follows."""
+SAME_SPEED_M_S = 1e-9
+"""Commands this close are one: a float's rounding along the lift's constant part."""
 BASE_POSITION_M = (-0.5, 0.0, 0.0)
+"""Of the arm: the object is well within its reach of 850 mm."""
 FLANGE_HEIGHT_M = (FINGER_LENGTH_MM + 2 * PALM_HALF_EXTENTS_MM[2]) * M_PER_MM
 """Of the flange above the pads' centre."""
 FLANGE_IN_GRIPPER = pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, FLANGE_HEIGHT_M))
 ELBOW_UP_RAD = np.array([0.2699, -1.6352, -1.9463, -1.1309, 1.5708, -1.3009])
 """Joint angles that hold the gripper, pointing down, 100 mm above the middle of the table."""
 LINK_RADIUS_M = 0.05
-"""Of the rods that stand in for the links' unpublished inertia."""
+"""Of the rods in place of the links, whose inertia is not published."""
 POSITION_GAIN = 0.2
+"""Share of a joint's position error that a step corrects; PyBullet's own default is 0.1."""
 LIFT_KNOT_MM = 10.0
+"""Between solved joint angles of the lift: a spline goes through them."""
+FLOATING_HAND = 0
+ARM_JOINTS = tuple(range(6))
+ARM_HAND = 6
+"""Numbers of the links."""
 
-_JOINTS = tuple(range(6))
-_HAND = 6
+
+@dataclass(frozen=True, slots=True)
+class GripperTarget:
+    """Where the gripper frame shall be: pointing down, turned by ``yaw_rad`` about z."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+
+
+class Robot(Protocol):
+    """A body in the world that carries the gripper."""
+
+    body: int
+    palm: int
+    fingers: Fingers
+
+    def build(self, world: World, settings: PhysicsSettings) -> None:
+        """Make the robot in an empty world."""
+
+    def place(self, target: GripperTarget) -> str:
+        """Put the gripper at ``target`` at rest; a reason where the robot cannot reach it."""
+
+    def prepare_lift(self, lift_m: float) -> str:
+        """Hold the present place from now on; a reason where it cannot rise by ``lift_m``."""
+
+    def command_lift(self, height_m: float, speed_m_s: float) -> None:
+        """Be ``height_m`` above the prepared place at the next step, moving up at ``speed_m_s``."""
+
+    def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Position (m) and quaternion (x, y, z, w) of the gripper frame in the world."""
+
+
+class FloatingGripper:
+    """The fast robot; see ``Robot``."""
+
+    def __init__(self) -> None:
+        self.body = -1
+
+    def build(self, world: World, settings: PhysicsSettings) -> None:
+        """Make the gripper in an empty world."""
+        self._world = world
+        hand = Link(-1, world.bullet.JOINT_PRISMATIC, HAND_MASS_KG)
+        links = [
+            hand,
+            *finger_links(world, settings, FLOATING_HAND),
+            palm_link(world, FLOATING_HAND),
+        ]
+        self.body = create_body(world, links, (0.0, 0.0, 0.0))
+        self.palm = len(links) - 1
+        self.fingers = Fingers(world, self.body, FLOATING_HAND)
+
+    def place(self, target: GripperTarget) -> str:
+        """Put the gripper at ``target``; every place can be reached."""
+        bullet, client = self._world.bullet, self._world.client
+        self._base = (target.x_m, target.y_m, 0.0)
+        self._quaternion = (0.0, 0.0, math.sin(target.yaw_rad / 2), math.cos(target.yaw_rad / 2))
+        bullet.resetBasePositionAndOrientation(
+            self.body, self._base, self._quaternion, physicsClientId=client
+        )
+        bullet.resetJointState(self.body, FLOATING_HAND, target.z_m, 0.0, physicsClientId=client)
+        return ""
+
+    def prepare_lift(self, lift_m: float) -> str:
+        """Hold the present height."""
+        self._speed_m_s = math.inf
+        self.command_lift(0.0, 0.0)
+        return ""
+
+    def command_lift(self, height_m: float, speed_m_s: float) -> None:
+        """Move up at ``speed_m_s``; the axis follows so closely that heights need no correction."""
+        if abs(speed_m_s - self._speed_m_s) < SAME_SPEED_M_S:
+            return
+        self._speed_m_s = speed_m_s
+        self._world.bullet.setJointMotorControl2(
+            self.body,
+            FLOATING_HAND,
+            self._world.bullet.VELOCITY_CONTROL,
+            targetVelocity=speed_m_s,
+            force=AXIS_FORCE_N,
+            physicsClientId=self._world.client,
+        )
+
+    def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Position (m) and quaternion of the gripper frame in the world."""
+        height_m = self._world.bullet.getJointState(
+            self.body, FLOATING_HAND, physicsClientId=self._world.client
+        )[0]
+        return (self._base[0], self._base[1], height_m), self._quaternion
 
 
 class ArmWithGripper:
-    """The robot with an arm; see ``robot.Robot``. The arm's own links collide with nothing."""
+    """The robot with an arm; see ``Robot``. The arm's own links collide with nothing."""
 
     def __init__(self) -> None:
         self.body = -1
@@ -49,7 +151,7 @@ class ArmWithGripper:
         self._world = world
         hand_in_flange = inverse(FLANGE_IN_GRIPPER)
         hand = Link(
-            parent=_HAND - 1,
+            parent=ARM_HAND - 1,
             joint_type=world.bullet.JOINT_FIXED,
             mass_kg=HAND_MASS_KG,
             position_m=_position(ur5e.link_transform(5) @ hand_in_flange),
@@ -59,12 +161,12 @@ class ArmWithGripper:
         links = [
             *self._arm_links(),
             hand,
-            *finger_links(world, settings, _HAND),
-            palm_link(world, _HAND),
+            *finger_links(world, settings, ARM_HAND),
+            palm_link(world, ARM_HAND),
         ]
         self.body = create_body(world, links, BASE_POSITION_M)
         self.palm = len(links) - 1
-        self.fingers = Fingers(world, self.body, _HAND)
+        self.fingers = Fingers(world, self.body, ARM_HAND)
         for link, inertia in enumerate([*_arm_inertias(), _hand_inertia()]):
             world.bullet.changeDynamics(
                 self.body, link, localInertiaDiagonal=inertia, physicsClientId=world.client
@@ -75,7 +177,7 @@ class ArmWithGripper:
     def _arm_links(self) -> list[Link]:
         """Each link's frame turns with its joint; the published frames stand at its far end."""
         links = []
-        for joint in _JOINTS:
+        for joint in ARM_JOINTS:
             before = np.eye(4) if joint == 0 else ur5e.link_transform(joint - 1)
             center = ur5e.link_transform(joint) @ [*ur5e.LINK_CENTER_OF_MASS_M[joint], 1.0]
             links.append(
@@ -100,15 +202,13 @@ class ArmWithGripper:
                 f"yaw_rad = {target.yaw_rad:.2f}"
             )
         self._joints_rad, self._target = joints, target
-        for joint, angle in zip(_JOINTS, joints.tolist(), strict=True):
+        for joint, angle in zip(ARM_JOINTS, joints.tolist(), strict=True):
             self._world.bullet.resetJointState(
                 self.body, joint, angle, 0.0, physicsClientId=self._world.client
             )
         return ""
 
-    def _inverse(
-        self, target: GripperTarget, seed_rad: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
+    def _inverse(self, target: GripperTarget, seed_rad: FloatArray) -> FloatArray | None:
         gripper = pose(
             rotation_about_z(target.yaw_rad),
             np.array([target.x_m, target.y_m, target.z_m]) - BASE_POSITION_M,
@@ -141,7 +241,7 @@ class ArmWithGripper:
         now_m = height_m - speed_m_s * self._step_s
         self._world.bullet.setJointMotorControlArray(
             self.body,
-            _JOINTS,
+            ARM_JOINTS,
             self._world.bullet.POSITION_CONTROL,
             targetPositions=self._path(now_m).tolist(),
             targetVelocities=(self._path_slope(now_m) * speed_m_s).tolist(),
@@ -154,7 +254,7 @@ class ArmWithGripper:
     def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Position (m) and quaternion of the gripper frame in the world."""
         state = self._world.bullet.getLinkState(
-            self.body, _HAND, computeForwardKinematics=1, physicsClientId=self._world.client
+            self.body, ARM_HAND, computeForwardKinematics=1, physicsClientId=self._world.client
         )
         return state[4], state[5]
 
