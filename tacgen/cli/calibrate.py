@@ -204,7 +204,7 @@ def friction(
     """Fit each object's friction μ: simulated grasps are to end as the real ones did."""
     from tacgen.calibrate.friction.report import verdict_of, write_friction_report
     from tacgen.calibrate.friction.sweep import (
-        doubts_about,
+        data_warnings,
         friction_json,
         mu_range,
         sweep_friction,
@@ -221,9 +221,9 @@ def friction(
         fits, outcomes = sweep_friction(
             loaded, grasps, mu_range(mu), out, workers=workers, show=show
         )
-    doubts = doubts_about(grasps, outcomes, mu_range(mu))
-    warn(doubts)
-    write_friction_report(out / "report.html", grasps, outcomes, fits, doubts)
+    warnings = data_warnings(grasps, outcomes, mu_range(mu))
+    warn(warnings)
+    write_friction_report(out / "report.html", grasps, outcomes, fits, warnings)
     if write_objects:
         write_object_copies(fits, out / "objects")
     verdicts = [verdict_of(name, fit) for name, fit in friction_json(fits).items()]

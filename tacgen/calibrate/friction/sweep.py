@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from tacgen.calibrate.friction.fit import FrictionFit, fit_friction
 from tacgen.collection.perturbed import (
@@ -25,7 +24,7 @@ from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import write_text
 from tacgen.core.resources import find_object_folder
-from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
+from tacgen.dataset.real_grasps import RealGrasps
 
 Key = tuple[str, float]
 """(grasp_id, μ)."""
@@ -40,7 +39,9 @@ def sweep_friction(
     workers: int,
     show: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[dict[str, FrictionFit], dict[Key, Outcome]]:
-    """Fit every object's friction to its real grasps; finished simulations in ``out`` are kept.
+    """Fit every object's friction to its real grasps.
+
+    Finished simulations are kept in ``out/outcomes.jsonl``; an interrupted sweep goes on from them.
 
     Returns
     -------
@@ -52,10 +53,19 @@ def sweep_friction(
         If a real grasp asks for a force that the recipe's gripper cannot give.
     """
     check_forces(recipe, real)
-    outcomes = simulate_outcomes(recipe, real.grasps, mu_values, out, workers=workers, show=show)
+    changes = {mu: Perturbation(friction=mu) for mu in mu_values}
+    wanted = [(grasp.config, change) for grasp in real.grasps for change in changes.values()]
+    found = simulate_perturbed(recipe, wanted, out, workers=workers, show=show)
+    outcomes = {
+        (grasp.grasp_id, mu): found[place_of(grasp.config), change]
+        for grasp in real.grasps
+        for mu, change in changes.items()
+    }
     fits: dict[str, FrictionFit] = {}
     for number, (name, grasps) in enumerate(real.by_object().items()):
-        labels = label_matrix(outcomes, grasps, mu_values)
+        labels = np.array(
+            [[outcomes[grasp.grasp_id, mu].label for grasp in grasps] for mu in mu_values]
+        )
         truth = np.array([grasp.label for grasp in grasps])
         rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(number,)))
         fits[name] = fit_friction(np.asarray(mu_values), labels, truth, rng)
@@ -63,17 +73,19 @@ def sweep_friction(
     return fits, outcomes
 
 
-def doubts_about(
+def data_warnings(
     real: RealGrasps, outcomes: Mapping[Key, Outcome], mu_values: Sequence[float]
 ) -> list[str]:
-    """What is doubtful about the data, grasps that cannot be simulated among it."""
-    # Where a grasp is executed at one μ it is at all: the best of its labels stands for it.
+    """Problems of the data, grasps that cannot be simulated among them."""
+    # A grasp that is executed at one μ is so at all: of its labels the best is looked at.
     best = [
         max((outcomes[grasp.grasp_id, mu] for mu in mu_values), key=lambda one: one.label)
         for grasp in real.grasps
     ]
-    unexecuted = unexecuted_note(real.grasps, best, "count as mislabels at every μ")
-    return [*real.warnings, *unexecuted]
+    return [
+        *real.warnings,
+        *unexecuted_note(real.grasps, best, "count as mislabels at every μ"),
+    ]
 
 
 def mu_range(text: str) -> tuple[float, ...]:
@@ -110,15 +122,6 @@ def write_object_copies(fits: Mapping[str, FrictionFit], folder: Path) -> None:
         write_text(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
-def label_matrix(
-    outcomes: Mapping[Key, Outcome], grasps: Sequence[RealGrasp], mu_values: Sequence[float]
-) -> NDArray[np.int64]:
-    """Simulated labels (M, N) of the grasps at every μ."""
-    return np.array(
-        [[outcomes[(grasp.grasp_id, mu)].label for grasp in grasps] for mu in mu_values]
-    )
-
-
 def friction_json(fits: Mapping[str, FrictionFit]) -> dict[str, dict[str, Any]]:
     """The content of ``friction.json``."""
     return {
@@ -133,33 +136,4 @@ def friction_json(fits: Mapping[str, FrictionFit]) -> dict[str, dict[str, Any]]:
             "bounded": fit.bounded,
         }
         for name, fit in fits.items()
-    }
-
-
-def simulate_outcomes(
-    recipe: Recipe,
-    grasps: Sequence[RealGrasp],
-    mu_values: Sequence[float],
-    out: Path,
-    *,
-    workers: int,
-    show: Callable[[int, int], None],
-) -> dict[Key, Outcome]:
-    """The outcome of every grasp at every μ, by (grasp_id, μ).
-
-    What has been simulated is kept in ``out/outcomes.jsonl``; a sweep that was interrupted goes
-    on from there.
-    """
-    changes = {mu: Perturbation(friction=mu) for mu in mu_values}
-    found = simulate_perturbed(
-        recipe,
-        [(grasp.config, change) for grasp in grasps for change in changes.values()],
-        out,
-        workers=workers,
-        show=show,
-    )
-    return {
-        (grasp.grasp_id, mu): found[place_of(grasp.config), change]
-        for grasp in grasps
-        for mu, change in changes.items()
     }
