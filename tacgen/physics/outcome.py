@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.records import (
@@ -152,7 +153,7 @@ def frames_of(
     return {pad: tuple(frame[pad] for frame in frames) for pad in pads}
 
 
-def object_poses_mm(snapshots: Sequence[Snapshot], bodies: Bodies) -> FloatArray:
+def object_poses_mm(snapshots: Sequence[Snapshot], bodies: Bodies) -> NDArray[np.float64]:
     """(n, 7) position (mm) and quaternion x, y, z, w of the object's frame in the world."""
     poses = [object_pose(snapshot, bodies) for snapshot in snapshots]
     return frozen_array(

@@ -54,7 +54,7 @@ def forward(joints_rad: FloatArray) -> Pose:
 
 def _chain(joints_rad: FloatArray) -> list[Pose]:
     """The base frame and that after each joint."""
-    frames = [np.eye(4)]
+    frames: list[Pose] = [np.eye(4)]
     for angle, transform in zip(joints_rad, _LINK_TRANSFORMS, strict=True):
         c, s = np.cos(angle), np.sin(angle)
         turn = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])

@@ -126,7 +126,7 @@ class PerturbedSimulations:
                 continue
             if closed_form and candidate not in self.further:
                 unsure = np.abs(np.interp(about, axis, margin[:, n])) < RULES.sure_margin
-                places = about[unsure]
+                places: FloatArray = about[unsure]
             else:
                 places = crossings(axis[near], margin[near, n])
             for place in places:
