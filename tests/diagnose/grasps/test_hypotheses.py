@@ -13,7 +13,7 @@ from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import ContactError
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.diagnose.grasps import perturbed_simulations
-from tacgen.diagnose.grasps.command import diagnose_grasps
+from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
 from tacgen.diagnose.grasps.hypotheses import (
     Hypothesis,
     Parameter,
@@ -77,7 +77,9 @@ def test_a_hypothesis_of_ones_own_is_found_simulated_written_and_reported(
     assert "worn_pads at 0." in channel["sentence"]
     assert findings.recipe.physics.pad_friction == pytest.approx(value, abs=1e-4)
     assert channel["simulated_again"]["mislabels"] <= 2
-    write_grasp_report(tmp_path / "report.html", real, findings)
+    record = record_of(findings, RECIPE, [BOX])
+    before, after = findings.diagnosis.simulated_before, findings.simulated_after
+    write_grasp_report(tmp_path / "report.html", record, real, before, after)
     assert "worn_pads" in (tmp_path / "report.html").read_text()
 
 
