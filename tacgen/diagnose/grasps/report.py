@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.calibrate.friction.report import grasp_places
+from tacgen.core.arrays import IntArray
 from tacgen.dataset.real_grasps import RealGrasps
 from tacgen.report import (
     Section,
@@ -28,8 +29,8 @@ def write_grasp_report(
     path: Path,
     record: Mapping[str, Any],
     real: RealGrasps,
-    before: NDArray[np.int64],
-    after: NDArray[np.int64],
+    before: IntArray,
+    after: IntArray,
 ) -> None:
     """Write the page of the content of ``diagnosis.json``.
 
@@ -82,7 +83,7 @@ def _mislabels(channel: Mapping[str, Any]) -> Section:
 
 
 def _outcome_figure(
-    places: Mapping[str, NDArray[Any]], panels: Sequence[tuple[str, NDArray[np.int64]]]
+    places: Mapping[str, NDArray[Any]], panels: Sequence[tuple[str, IntArray]]
 ) -> Figure:
     figure, grid = plots.new_figure(12, 3.4, 1, len(panels), sharex=True, sharey=True)
     for axes, (title, labels) in zip(grid[0], panels, strict=True):
