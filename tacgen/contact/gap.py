@@ -18,7 +18,7 @@ CAMERAS = ("raster", "pyrender")
 
 GAP_GRAIN_MM = 2.0**-19
 """Gaps are whole multiples of this (1.9 nm). Below 32 mm such multiples and their differences are
-exact in float32, so the felt shape keeps its last bit wherever along z the object stands."""
+exact in float32, so the indentation keeps its last bit wherever along z the object is."""
 
 NO_OBJECT = 2**30
 """In place of a number of grains where there is no object (or one over half a metre away)."""
@@ -33,7 +33,7 @@ DepthCamera = Callable[
 
 
 @dataclass(frozen=True, slots=True)
-class FeltGap:
+class ObjectGap:
     """The gap of one posed mesh, re-zeroed at first touch.
 
     Attributes
@@ -145,7 +145,7 @@ class GapMapper:
         pose_gel_object: NDArray[np.float64],
         *,
         reach_mm: float = np.inf,
-    ) -> FeltGap:
+    ) -> ObjectGap:
         """The gap of a posed mesh, re-zeroed at first touch.
 
         Parameters
@@ -157,7 +157,7 @@ class GapMapper:
             Object to gel frame, mm.
         reach_mm : float
             Gaps further than this beyond first touch may be left at +inf: the depth of the gel,
-            say, since nothing further can be felt.
+            say, since nothing further can touch.
         """
         if self._camera is None:
             window, zero_mm = self._rasterize(vertices_mm, faces, pose_gel_object, reach_mm)
@@ -167,11 +167,11 @@ class GapMapper:
             zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
         top, bottom, left, right = window
         if not np.isfinite(zero_mm):
-            return FeltGap((0, 0, 0, 0), np.empty((0, 0), dtype=np.int32), np.inf)
+            return ObjectGap((0, 0, 0, 0), np.empty((0, 0), dtype=np.int32), np.inf)
         shape = (bottom - top, right - left)
         grains = self._grains[: shape[0] * shape[1]].reshape(shape)
         _fill_grains(self._depth_mm, self._gel_mm, window, zero_mm, grains)
-        return FeltGap(window, grains, zero_mm + float(pose_gel_object[2, 3]))
+        return ObjectGap(window, grains, zero_mm + float(pose_gel_object[2, 3]))
 
     def _rasterize(
         self,
@@ -242,13 +242,13 @@ def gap_map(
     Si et al. 2022, §III-B: the depth camera at the gel's surface.
     """
     vertices_mm, faces, pose_gel_object = checked_mesh(vertices_mm, faces, pose_gel_object)
-    felt = GapMapper(sensor, camera).measure(vertices_mm, faces, pose_gel_object)
+    gap = GapMapper(sensor, camera).measure(vertices_mm, faces, pose_gel_object)
     gap_mm = np.full(sensor.shape_px, np.inf, dtype=np.float32)
-    if felt.touches:
-        top, bottom, left, right = felt.window
-        touch = round(felt.first_touch_mm / GAP_GRAIN_MM)
+    if gap.touches:
+        top, bottom, left, right = gap.window
+        touch = round(gap.first_touch_mm / GAP_GRAIN_MM)
         gap_mm[top:bottom, left:right] = np.where(
-            felt.grains == NO_OBJECT, np.inf, (felt.grains + np.int64(touch)) * GAP_GRAIN_MM
+            gap.grains == NO_OBJECT, np.inf, (gap.grains + np.int64(touch)) * GAP_GRAIN_MM
         )
     return gap_mm
 

@@ -80,7 +80,7 @@ def solve_indentation(
     if gaps.size == 0:
         msg = "no pixel can touch: the gap map is +inf everywhere; move the object over the pad"
         raise ContactError(msg)
-    # Relative to first touch, so that no digit is spent on where the object stands.
+    # Relative to first touch, so that no digit is spent on where the object is.
     zero_mm = float(gaps.min())
     return zero_mm + _solve(gaps - zero_mm, gaps.size, volume_mm3 / pixel_area_mm2)
 

@@ -115,7 +115,7 @@ class ContactLaw:
             rest, and what happens in it carries through its samples.
         simulate : bool
             The columns are a simulated grasp: effects of the measurement (zero offset, latency,
-            drift with the session) are left out, and so are effects whose columns are missing
+            drift with the session) do not act, nor do effects whose columns are missing
             (no thermometer, say), which then stay at their reference.
 
         Returns
@@ -212,7 +212,7 @@ def _law_problems(law: ContactLaw) -> list[str]:
     for index, fitted in enumerate(law.effects):
         where = f"effects[{index}] ({fitted.name})"
         if (fitted.channel, fitted.name) in seen:
-            problems.append(f"{where} stands twice")
+            problems.append(f"{where} is given twice")
         seen.add((fitted.channel, fitted.name))
         problems += _effect_problems(where, fitted)
     return problems

@@ -26,7 +26,7 @@ def to_window(
 ) -> None:
     """Pose the vertices: fractional column and row (0 at the first pixel's centre), z in mm.
 
-    The translation along z is left out: the felt shape does not depend on it, and without it not
+    The translation along z is left out: the indentation does not depend on it, and without it not
     even the last bit does.
     """
     t = pose_gel_object

@@ -117,7 +117,7 @@ class MarkerField:
         )
 
     def motion(self, shear_sum_mm: NDArray[np.float64], turn_sum_mm2: float = 0.0) -> Motion:
-        """The motion of the object for which the field sums to what the law says.
+        """The motion of the object for which the field sums to what the law predicts.
 
         Parameters
         ----------

@@ -159,7 +159,7 @@ def load_rig_recipe(name: str | Path, changes: Mapping[str, Any] | None = None) 
     Raises
     ------
     RecipeError
-        Lists everything that is wrong, each with its file, line and mend.
+        Lists everything that is wrong, each with its file, line and fix.
     """
     source = read_yaml(find_recipe(str(name)))
     source.data.update(changes or {})
@@ -180,7 +180,7 @@ def _indenter_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
     names = [indenter.name for indenter in recipe.indenters]
     for i, name in enumerate(names):
         if name in names[:i]:
-            yield source.problem(("indenters", i), f"= {name!r} stands there twice; rename one")
+            yield source.problem(("indenters", i), f"= {name!r} is given twice; rename one")
 
 
 def _effect_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
@@ -203,4 +203,4 @@ def _effect_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
             yield source.problem(where, "needs a temperature; add a `temperature:` section")
         repeated = [(e.channel, e.name) for e in recipe.effects[:i]]
         if (given.channel, given.name) in repeated:
-            yield source.problem(where, f"= {given.name!r} stands there twice; keep one")
+            yield source.problem(where, f"= {given.name!r} is given twice; keep one")

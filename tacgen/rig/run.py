@@ -84,7 +84,7 @@ def _measured(
     for column, name in enumerate(("force_normal_n", "force_shear_x_n", "force_shear_y_n")):
         measured[name] = true_columns[name] + noise.force_n * draws[:, column]
     measured["volume_mm3"] = truth.volume_mm3 + noise.volume_mm3 * draws[:, 3]
-    # The sum's noise is said for its length: each axis has its share.
+    # The noise is that of the sum's length: each axis has its share.
     per_axis = noise.marker_sum_mm / np.sqrt(2.0)
     measured["shear_x_mm"] = truth.shear_mm[:, 0] + per_axis * draws[:, 4]
     measured["shear_y_mm"] = truth.shear_mm[:, 1] + per_axis * draws[:, 5]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tacgen.contact.gap import GAP_GRAIN_MM, FeltGap, GapMapper, checked_mesh
+from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap, checked_mesh
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
@@ -229,7 +229,7 @@ class TactilePad:
                 return self._imprint_at(gap, delta, saturated=delta >= deepest)
             reach_mm = delta * GAP_GRAIN_MM
 
-    def _imprint_at(self, gap: FeltGap, delta: float, *, saturated: bool) -> Imprint:
+    def _imprint_at(self, gap: ObjectGap, delta: float, *, saturated: bool) -> Imprint:
         if delta <= 0:
             return Imprint(0.0, 0.0, False, _NOWHERE, np.zeros((0, 0), dtype=np.float32))
         bounds = _patch_bounds(gap.grains, delta)

@@ -167,7 +167,7 @@ def test_everything_wrong_with_a_recipe_is_said_at_once(tmp_path):
         ("[{name: creeep, strength: 1}]", "effect 'creeep' is unknown; the normal channel has"),
         ("[{name: creep, parameters: {tau: 1}}]", "effects[0].parameters.tau is no parameter"),
         ("[{name: creep}]", "neither strength nor parameters"),
-        ("[creep, creep]", "stands there twice"),
+        ("[creep, creep]", "is given twice"),
         ("[{name: slip, strength: 1}]", "effect 'slip' is unknown"),
     ],
 )

@@ -18,7 +18,7 @@ HOWS: tuple[How, ...] = ("gain", "added")
 class Covariate:
     """A dependence on ``column`` that acts on the compliance (``gain``) or is added.
 
-    ``kind`` says of what form: ``levels`` of a text column, a ``polynomial`` in a numeric one, a
+    ``kind`` is its form: ``levels`` of a text column, a ``polynomial`` in a numeric one, a
     ``oscillation`` of ``frequency_hz`` in the session's clock.
     """
 

@@ -1,4 +1,4 @@
-"""What a diagnosis has to say about the data that it was given."""
+"""Notes of a diagnosis on the data that it was given."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tacgen.presses.press_log import PressLog
 
 
 def log_notes(log: PressLog) -> list[str]:
-    """What the reader of the log said of it."""
+    """Warnings and dropped presses of the log."""
     return [*log.warnings, *(str(dropped) for dropped in log.dropped)]
 
 
 def channel_notes(found: ChannelDiagnosis) -> list[str]:
-    """What can not be said of a channel, and why."""
+    """What a channel cannot show, and why."""
     name = found.data.channel
     return [*_column_notes(found), *_few_trials_notes(found, name), *_spike_notes(found, name)]
 
@@ -33,7 +33,9 @@ def _column_notes(found: ChannelDiagnosis) -> list[str]:
         array = np.asarray(values)
         levels = np.unique(array)
         if levels.size == 1:
-            notes.append(f"column {column!r} is constant: nothing can be said of it")
+            notes.append(
+                f"column {column!r} is constant: whether anything follows it cannot be seen"
+            )
         elif not np.issubdtype(array.dtype, np.number):
             per_trial = np.unique(data.history.text(column)[data.history.starts[:-1]])
             if levels.size > max_levels(data):
@@ -63,7 +65,7 @@ def _equal_columns(data: ChannelData) -> list[str]:
     names = [n for n, v in data.columns.items() if np.issubdtype(np.asarray(v).dtype, np.number)]
     values = {n: np.nan_to_num(data.history.column(n)) for n in names}
     return [
-        f"columns {a!r} and {b!r} are equal: what follows the one cannot be told from the other"
+        f"columns {a!r} and {b!r} are equal: what follows one follows the other"
         for a, b in combinations(names, 2)
         if b not in known_columns() and np.array_equal(values[a], values[b])
     ]

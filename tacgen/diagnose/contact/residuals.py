@@ -23,7 +23,7 @@ class Dependence:
     """How strongly a residual follows a covariate.
 
     ``p_value`` is corrected for the number of covariates; ``share`` is the part of the held-out
-    sum of squares (noise included) that a smooth function of the covariate takes away.
+    sum of squares (noise included) that a smooth function of the covariate explains.
     """
 
     covariate: str

@@ -1,4 +1,4 @@
-"""What the loop says about a press log, and how it stands in ``diagnosis.json``."""
+"""The result of diagnosing a press log, and the content of ``diagnosis.json``."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def unit_of(effect: Any, name: str) -> str:
 
 
 def advice(name: str, other: str) -> str:
-    """Which measurement would tell two effects apart."""
+    """Which measurement would separate two effects."""
     known = separating_measurement(name, other)
     words = known or "more trials in which the one varies while the other does not"
     return f"{name} or {other}: {words}"

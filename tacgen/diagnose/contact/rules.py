@@ -79,7 +79,7 @@ class SelectionRules:
     min_cycles: float = _rule(1.5, "slower within the session is a drift, not an oscillation")
     rows_per_period: int = _rule(4, "shortest period that an oscillation may have, in samples")
     n_oscillation_flips: int = _rule(
-        39, "sign flips whose highest peaks say how high one is by chance", NUMERICAL
+        39, "sign flips whose highest peaks show how high one is by chance", NUMERICAL
     )
 
     # Numbers of the linear algebra
@@ -87,7 +87,7 @@ class SelectionRules:
         1e-8, "of the diagonal: enough to solve with columns equal but for noise", NUMERICAL
     )
     min_column_share_in_fold: float = _rule(
-        0.02, "part of a column's squares that the fitted folds must hold for it to say anything"
+        0.02, "part of a column's squares that the fitted folds must hold for it to count"
     )
     negative_loss_tolerance: float = _rule(
         0.25,
@@ -136,7 +136,7 @@ class SelectionRules:
     same_kind_share: float = _rule(
         0.06,
         "of another member's worth that one of the same kind must have, a quarter in amplitude: "
-        "less is not told from the other's true form being a little different",
+        "less cannot be separated from the other's true form being a little different",
     )
     other_kind_share: float = _rule(0.02, "the same for members of different kinds")
     third_memory_share: float = _rule(
