@@ -15,7 +15,7 @@ from tacgen.contact import ContactLaw
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import ContactFrame, GraspObject
 from tacgen.physics import GraspSimulator, run_grasp
-from tacgen.report import Section, figure_section, image_section, write_page
+from tacgen.report import Section, figure_section, pictures_section, write_page
 from tacgen.report import figures as plots
 from tacgen.report.formatting import number
 from tacgen.report.images import difference, evenly, side_by_side
@@ -45,7 +45,9 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
         for name, law in (("before", before), ("after", after))
     }
     sections = [_strips(rendered), _curves(frames, rendered)]
-    write_page(path, "One grasp by the law before and after", sections, summary=_summary(rendered))
+    write_page(
+        path, "One grasp with the law before and after", sections, summary=_summary(rendered)
+    )
 
 
 def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, ...]]:
@@ -96,13 +98,9 @@ def _strips(rendered: dict[str, list[TactileFrame]]) -> Section:
     changes = [
         difference(new, old, DIFFERENCE_GAIN) for new, old in zip(after, before, strict=True)
     ]
-    strips = [side_by_side(images, THUMBNAIL_WIDTH_PX) for images in (before, after, changes)]
-    return image_section(
-        "Images: before, after, difference",
-        np.concatenate(strips),
-        f"Frames from the start of closing to the end; the difference is shown {DIFFERENCE_GAIN}× "
-        "about grey.",
-    )
+    rows = (("before", before), ("after", after), (f"difference, {DIFFERENCE_GAIN}×", changes))
+    strips = [(name, side_by_side(images, THUMBNAIL_WIDTH_PX)) for name, images in rows]
+    return pictures_section("Images from the start of closing to the end", strips)
 
 
 def _summary(rendered: dict[str, list[TactileFrame]]) -> str:
