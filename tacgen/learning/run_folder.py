@@ -67,8 +67,8 @@ class ModelFolder:
         with locked(path) as held:
             if held is False:
                 msg = (
-                    f"{self.root}: {holder_of(path) or 'another process'} trains this model at "
-                    "present; wait for it, or end it"
+                    f"{self.root}: {holder_of(path) or 'another process'} is training this "
+                    "model; wait for it, or end it"
                 )
                 raise LearningError(msg)
             if held:

@@ -107,7 +107,9 @@ def test_one_class_only_is_told_for_every_object_at_once():
 
 def test_objects_that_are_not_there_are_named(toy):
     table = SimulatedGrasps(toy).table
-    with pytest.raises(LearningError, match=r"no executed grasps of mug; let `objects` .* name only can, cup"):
+    with pytest.raises(
+        LearningError, match=r"no executed grasps of mug; let `objects` .* name only can, cup"
+    ):
         plan_models(recipe_of(objects=["can", "mug"]), table, "data")
 
 
