@@ -8,8 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
+
 INK_TRANSMISSION = 0.25
-"""Share of the light that a dot gives back."""
+"""Share of the light that a dot reflects."""
 
 
 @njit(cache=True, nogil=True)
@@ -34,7 +36,7 @@ def _draw(
 
 def draw_markers(
     image: NDArray[np.float32],
-    centers_mm: NDArray[np.float64],
+    centers_mm: FloatArray,
     radius_mm: float,
     mm_per_px: float,
     *,
@@ -45,7 +47,7 @@ def draw_markers(
     Parameters
     ----------
     centers_mm : (n, 2) float64
-        x, y of the dots in the gel frame; those outside the image are left out.
+        x, y of the dots in the gel frame; those outside the image are skipped.
     """
     n_rows, n_columns = image.shape[:2]
     columns = centers_mm[:, 0] / mm_per_px + (n_columns / 2 - 0.5)

@@ -1,7 +1,7 @@
 """From a picture back to the gel's shape: the lookup table inverted, then Poisson's equation.
 
 The table says what grey levels a slope has at a place; here each pixel's grey levels say its
-slope. What the background picture says is taken off, so that the gel at rest, dome or not, is
+slope. What the background picture says is subtracted, so that the gel at rest, dome or not, is
 flat in the result.
 """
 
@@ -16,9 +16,10 @@ from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter, label
 from scipy.spatial import cKDTree
 
+from tacgen.core.arrays import FloatArray
+from tacgen.optics.sampled_table import features
 from tacgen.optics.table import LookupTable
 
-Floats = NDArray[np.floating]
 Tile = tuple[tuple[int, int], tuple[int, int]]
 
 MAX_WIDTH_PX = 320
@@ -40,19 +41,19 @@ CONTACT_SHARE = 0.02
 
 FIRM_LAYERS = (0.25, 0.55)
 """Shares of the deepest point's depth between which the gel keeps to the object: less deep it
-bends freely, deeper a few noisy pixels are left."""
+bends freely, deeper only a few noisy pixels remain."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
     """What was reconstructed: depth below the gel at rest (h, w), and the pixels' size."""
 
-    depth_mm: Floats
+    depth_mm: FloatArray
     mm_per_px: float
 
     @property
     def volume_mm3(self) -> float:
-        """Volume that the object takes below the gel at rest, around the deepest point.
+        """Volume that the object fills below the gel at rest, around the deepest point.
 
         The gel around a contact sinks with it and is no part of it. So the lower layers alone are
         summed as they are; the object's cross-section, which for a ball grows by the same area
@@ -112,7 +113,7 @@ class Reconstructor:
         surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
         return Shape(_rest_level(surface) - surface, self.mm_per_px)
 
-    def _slopes_of(self, change: Floats) -> Floats:
+    def _slopes_of(self, change: FloatArray) -> FloatArray:
         """(h, w, 2) slopes that explain a change of grey levels from the gel at rest."""
         wanted = change + self._rest_colors
         slopes = np.empty((*self._shape, 2))
@@ -130,7 +131,7 @@ class Reconstructor:
             np.clip(slopes, -self._steepest, self._steepest, out=slopes)
         return slopes
 
-    def _newton_step(self, slopes: Floats, wanted: Floats) -> Floats:
+    def _newton_step(self, slopes: FloatArray, wanted: FloatArray) -> FloatArray:
         """Gauss–Newton on the squared difference of colours, with the weak wish to be flat."""
         nudge = 0.5 * 2.0 * self._steepest / (self._grid.shape[0] - 1)
         here = self._colors_at(slopes)
@@ -147,7 +148,7 @@ class Reconstructor:
         step = np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[..., None]
         return np.clip(step, -4.0 * nudge, 4.0 * nudge)
 
-    def _colors_at(self, slopes: Floats) -> Floats:
+    def _colors_at(self, slopes: FloatArray) -> FloatArray:
         """Grey levels (h, w, 3) that the table adds at slopes (h, w, 2), each at its place."""
         scale = (self._grid.shape[0] - 1) / (2.0 * self._steepest)
         limit = self._grid.shape[0] - 1.001
@@ -182,7 +183,7 @@ class Reconstructor:
         return cKDTree(np.column_stack([colors, flatness])), nodes
 
 
-def _cartesian(table: LookupTable, steepest: float) -> Floats:
+def _cartesian(table: LookupTable, steepest: float) -> FloatArray:
     """The table's coefficients over slopes (∂h/∂y, ∂h/∂x) on a square grid (m, m, 3, 6)."""
     axis = np.linspace(-steepest, steepest, GRID_NODES)
     slope_y, slope_x = np.meshgrid(axis, axis, indexing="ij")
@@ -200,7 +201,7 @@ def _cartesian(table: LookupTable, steepest: float) -> Floats:
     )
 
 
-def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: float) -> Floats:
+def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: float) -> FloatArray:
     """(h, w, 2) slopes of the gel at rest: a sphere's, or 0."""
     rows, columns = np.indices(shape_px, dtype=np.float64)
     x = (columns - (shape_px[1] - 1) / 2) * mm_per_px
@@ -211,24 +212,19 @@ def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: fl
     return np.stack([-x / height, -y / height], axis=-1)
 
 
-def _features(shape_px: tuple[int, int]) -> Floats:
+def _features(shape_px: tuple[int, int]) -> FloatArray:
     """(h, w, 6) features of the table, u², v², uv, u, v, 1."""
-    height, width = shape_px
-    v, u = np.meshgrid(
-        (np.arange(height) + 0.5) / height - 0.5,
-        (np.arange(width) + 0.5) / width - 0.5,
-        indexing="ij",
-    )
-    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+    v, u = (index / size for index, size in zip(np.indices(shape_px) + 0.5, shape_px, strict=True))
+    return features(u - 0.5, v - 0.5)
 
 
-def _averaged(image: Floats, step: int, shape_px: tuple[int, int]) -> Floats:
+def _averaged(image: FloatArray, step: int, shape_px: tuple[int, int]) -> FloatArray:
     if step == 1:
         return image
     return np.asarray(cv2.resize(image, (shape_px[1], shape_px[0]), interpolation=cv2.INTER_AREA))
 
 
-def _filled(values: Floats, known: Floats) -> Floats:
+def _filled(values: FloatArray, known: FloatArray) -> FloatArray:
     """Values (h, w, c) with the unknown pixels filled in from around them."""
     if known.all():
         return values
@@ -238,7 +234,7 @@ def _filled(values: Floats, known: Floats) -> Floats:
     return np.where(known[..., None] > 0, values, smooth)
 
 
-def integrate(slope_x: Floats, slope_y: Floats, mm_per_px: float) -> Floats:
+def integrate(slope_x: FloatArray, slope_y: FloatArray, mm_per_px: float) -> FloatArray:
     """The surface (h, w), mm, whose slopes come nearest to the given ones; its mean is 0.
 
     Least squares by Poisson's equation with free edges, solved by cosine transforms.
@@ -265,6 +261,6 @@ def integrate(slope_x: Floats, slope_y: Floats, mm_per_px: float) -> Floats:
     return np.asarray(idctn(spectrum, norm="ortho"))
 
 
-def _rest_level(surface: Floats) -> float:
+def _rest_level(surface: FloatArray) -> float:
     """Height of the gel that was not touched: the median over the upper half of the surface."""
     return float(np.median(surface[surface >= np.median(surface)]))

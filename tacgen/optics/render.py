@@ -1,4 +1,4 @@
-"""From the deformed surface of the gel to the picture that the sensor takes of it."""
+"""From the deformed surface of the gel to the sensor's picture of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
 from tacgen.optics.effects import (
     OpticalEffect,
@@ -174,7 +175,7 @@ def render_rgb(
     rng : Generator, optional
         Draws the camera's noise of ``table.noise_grey``; no noise without it.
     leds : tuple, optional
-        The sensor's lights, for shadows; read off the table where left out.
+        The sensor's lights, for shadows; read off the table by default.
 
     Returns
     -------
@@ -269,7 +270,7 @@ class Renderer:
         deformation_mm: NDArray[np.float32],
         window: Window,
         *,
-        markers_mm: NDArray[np.float64] | None = None,
+        markers_mm: FloatArray | None = None,
         rng: np.random.Generator | None = None,
     ) -> NDArray[np.uint8]:
         """The picture of the gel deformed within a window.

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
 from tacgen.optics.virtual_sensor import VirtualSensor
 
@@ -69,10 +71,6 @@ def with_reference(
 
     The background is kept to a sixteenth of a grey level, so that the file stays small.
     """
-    from dataclasses import replace
-
-    from tacgen.optics.render import Shader
-
     bare = replace(
         table, background=np.zeros((*rest_map_mm.shape, 3), dtype=np.float32), effects={}
     )

@@ -14,7 +14,7 @@ Window = tuple[int, int, int, int]
 """Half-open rectangle of pixels: top, bottom, left, right."""
 
 COARSEST = 4
-"""The largest number of pixels, along a side, that a wide Gaussian takes as one."""
+"""The largest number of pixels, along a side, that a wide Gaussian averages into one."""
 
 _REACH_SIGMAS = 3.0
 
@@ -119,7 +119,7 @@ def half_kernel(sigma_px: float) -> NDArray[np.float32]:
 def smooth(
     surface: NDArray[np.float32], window: Window, kernel: NDArray[np.float32], scratch: NDArray
 ) -> None:
-    """Blur ``surface`` in place within the window, whose surroundings it takes for its edge."""
+    """Blur ``surface`` in place within the window; beyond it the edge's values go on."""
     _blur_rows(surface, window, kernel, scratch)
     _blur_columns(scratch, window, kernel, surface)
 

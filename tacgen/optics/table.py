@@ -22,7 +22,7 @@ Leds = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
 """One (unit vector from the gel towards the light, RGB weight) a light; gel axes."""
 
 DEFAULT_ELEVATION_RAD = math.radians(20.0)
-"""Taken for lights whose height nobody gave: side-lit gels have theirs at 10° to 30°."""
+"""Assumed for lights of unknown height: side-lit gels have theirs at 10° to 30°."""
 N_FEATURES = 6
 """x², y², xy, x, y, 1 in image position, Taxim's order."""
 
@@ -51,7 +51,8 @@ class LookupTable:
     noise_grey : float
         Standard deviation of the camera's noise, for renders that ask for noise.
     effects : mapping
-        Optical effects found by the loop, name → parameters, which the renderer applies.
+        Optical effects, name → parameters, which the renderer applies; `tacgen diagnose optics`
+        finds them.
     provenance : mapping
         What it was made of: hashes, versions, chosen settings, held-out error.
 

@@ -1,6 +1,6 @@
 """A virtual GelSight: coloured lights, a painted gel and a camera, by physics and not by table.
 
-It stands in for a real sensor: its ball presses are what the shipped tables are fitted to, and
+It replaces a real sensor: its ball presses are what the shipped tables are fitted to, and
 what tests compare the table renderer with. It shares no code with the renderer. Its figures are
 those that agree best with real presses of a GelSight (``docs/contact_optics.md``).
 """
@@ -59,7 +59,7 @@ class VirtualSensor:
     gamma : float
         The camera's response: grey = 255 (exposure · irradiance)^(1/gamma), softly saturating.
     shadow : float
-        Share of a light that its cast shadow takes away; 0 casts none.
+        Share of a light that its cast shadow removes; 0 casts none.
     blur_mm : float
         The skin bridges what is finer than this: a Gaussian on the height map.
     noise_grey : float

@@ -1,1 +1,1 @@
-"""The loop on press images: what a calibrated look-up table leaves over, and its cause."""
+"""Diagnosis of press images: the residuals of a calibrated look-up table, and their causes."""

@@ -1,4 +1,4 @@
-"""Between what a diagnosis of images found and a table that the renderer takes."""
+"""A diagnosis of images as a table that the renderer reads, and such a table as its start."""
 
 from __future__ import annotations
 

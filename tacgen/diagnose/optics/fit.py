@@ -208,7 +208,7 @@ def _own_step(
 
 
 def _bounded(problem: Problem, shared: Sequence[FreeParameter], step: FloatArray) -> FloatArray:
-    """The step with every parameter's within what the linear model may speak for."""
+    """The step, each parameter's within the range in which the linear model holds."""
     rules = problem.rules
     limits = [
         min(

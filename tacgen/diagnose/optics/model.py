@@ -77,10 +77,6 @@ SKIRT = FreeParameter("", "skirt_per_radius", Parameter(0.0, 0.02, 3.0))
 contact radii."""
 
 
-RELIEF_POINTS = 151
-"""Of the profile that the relief around a ball is drawn by: finer than its own steps."""
-
-
 @dataclass(frozen=True, slots=True)
 class ModelState:
     """Every number of the chain; effects that it does not name do nothing.
@@ -113,7 +109,7 @@ class ModelState:
     )
 
     def value(self, free: FreeParameter) -> FloatArray:
-        """What a parameter stands at: one number, or (N,) of each press."""
+        """A parameter's value: one number, or (N,) of each press."""
         if free.each_press:
             return self.own[free.key]
         return np.asarray(self.shared[free.key])
@@ -278,7 +274,7 @@ def geometry_of(problem: Problem, state: ModelState) -> tuple[FloatArray, FloatA
 
 
 def membrane_of(state: ModelState, pixels: PressPixels) -> Membrane:
-    """How the gel leaves a ball, in mm."""
+    """How the gel curves away from a ball, in mm."""
     return Membrane(state.shared[SKIRT.key] * float(pixels.labels[:, 2].mean()), state.sharpness)
 
 
@@ -356,7 +352,7 @@ def prepared(
 
 def scene_of(problem: Problem, state: ModelState) -> PressScene:
     """What effects may ask about the presses and the model."""
-    pixels = problem.pixels
+    pixels, rules = problem.pixels, problem.rules
 
     def rendered(without: str) -> FloatArray:
         return render(problem, state.without(without) if without else state)
@@ -375,7 +371,7 @@ def scene_of(problem: Problem, state: ModelState) -> PressScene:
             cell_mm = max(pixels.mm_per_px, radius / cells_per_radius)
             half = math.ceil(reach_radii * radius / cell_mm)
             side = np.arange(-half, half + 1) * cell_mm
-            r = np.linspace(0.0, problem.rules.profile_reach_radii * radius, RELIEF_POINTS)
+            r = np.linspace(0.0, rules.profile_reach_radii * radius, rules.relief_points)
             one = np.ones(len(r))
             slope = radial_slopes(problem, expected, r, radius * one, ball * one)
             rise = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(r))])

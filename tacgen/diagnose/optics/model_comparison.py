@@ -237,7 +237,7 @@ class ModelComparison:
         ).dependences(only)
 
     def _plain(self, state: ModelState) -> FittedModel:
-        """The model without effects, with the form of the gel that the presses speak for."""
+        """The model without effects, with the form of the gel that fits held-out presses best."""
         problem, rules = self.problem, self.rules
         fits = []
         for form in FORMS:
@@ -308,7 +308,7 @@ class ModelComparison:
         shared = {(name, key): parameter.identity for key, parameter in candidate.shared.items()}
         n_presses = problem.pixels.n_presses
         own = {(name, key): np.zeros(n_presses) for key in candidate.own}
-        # What a given table knows of the effect is where it goes on from.
+        # Values that a given table has of the effect are kept as the start.
         state = replace(state, shared={**shared, **state.shared}, own={**state.own, **own})
         starts = []
         for values in candidate.starts(scene_of(problem, state)):
@@ -326,7 +326,7 @@ class ModelComparison:
         return self._fit(model.candidates, model.problem, model.state, self.rules.more_steps)
 
     def _best_form(self, model: FittedModel) -> FittedModel:
-        """The same model with the form of the gel that the presses now speak for."""
+        """The same model with the form of the gel that now fits best."""
         if isinstance(model.problem.table, GivenTable):
             return model
         others = [

@@ -96,7 +96,7 @@ class Residuals:
     def dependences(self, only: tuple[str, ...] = ()) -> list[Dependence]:
         """Covariates (all, or some) that the residuals follow, the strongest first.
 
-        For each the residuals are predicted from the other folds' presses and taken off; it must
+        For each the residuals are predicted from the other folds' presses and subtracted; it must
         gain by the same rule as an effect.
         """
         rules, pixels = self.rules, self.pixels

@@ -55,6 +55,8 @@ class SelectionRules:
     smallest_contact: float = 0.5
     largest_contact: float = 1.6
     """Of these, over the smallest and the largest label: as far as a scale may move them."""
+    relief_points: int = 151
+    """Of the profile that a height map around a ball is drawn by: finer than those steps."""
     least_contact: float = 0.1
     """Share of its label that a contact's radius never falls below: a fit must not lose it."""
 
@@ -76,11 +78,11 @@ class SelectionRules:
     """No parameter goes farther in one step than this share of its range, or so many of the steps
     of its finite difference: beyond, the linear model says nothing."""
     max_press_step_range: float = 0.25
-    """The same for parameters of each press, which fewer pixels speak for."""
+    """The same for parameters of each press, which fewer pixels determine."""
     correlated_pixels: float = 6.0
     """Residuals of neighbouring lattice pixels go together: so many count as one."""
     least_square_grey: float = 0.05
-    """Mean squared error that noise is taken to have at least: half of rounding to 8 bits."""
+    """Mean squared error that noise has at least: half of rounding to 8 bits."""
     press_steps: int = 4
     linear_press_steps: int = 2
     """Of a held-out press's own parameters; of those in which the grey levels are linear."""

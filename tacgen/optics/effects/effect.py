@@ -48,7 +48,7 @@ class Stage(IntEnum):
     LENS = 6
     """On what passes the lens."""
     CAMERA = 7
-    """On the grey levels that the camera gives out."""
+    """On the grey levels that the camera puts out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class PressScene:
     reliefs : callable
         From a reach (contact radii) and cells per radius, of each press: its pixels, its height
         map (mm), that one's cell (mm), and row and column in it of the pixels. The balls are where
-        their labels say, so that a held-out press gives nothing away.
+        their labels say, so that nothing is learnt from held-out presses.
     """
 
     contact_radius_mm: float
@@ -147,7 +147,7 @@ class Candidate:
     Attributes
     ----------
     effect, label : str
-        The effect's name, and the way in words.
+        The effect's name, and the way in plain language.
     shared, own : mapping
         Parameters of all presses, and what those of each press differ by.
     starts : callable

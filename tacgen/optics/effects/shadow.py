@@ -17,7 +17,7 @@ from tacgen.optics.effects import effect as base
 from tacgen.optics.table import Leds, LookupTable, leds_of_table
 
 DEFAULT_STRENGTH = 0.8
-"""Share of a light that its shadow takes away; the rest is scattered into it by the gel."""
+"""Share of a light that its shadow removes; the gel scatters the rest into the shadow."""
 PENUMBRA_MM = 0.2
 """How far a ray must pass below the relief for its light to be hidden whole: a light 2 mm wide,
 25 mm away, behind an edge 2.5 mm away."""
@@ -84,7 +84,7 @@ def cast_shadow(
         The deformed gel surface, gel frame; the lights and the camera look at it from below.
     mm_per_px : float
     direction : tuple of float
-        Unit vector from the gel towards the light; its z is negative or taken to be so.
+        Unit vector from the gel towards the light; its z counts as negative.
 
     Source
     ------
@@ -113,7 +113,7 @@ def shadow_reach_mm(depth_mm: float, leds: Leds) -> float:
 def unlit_image(table: LookupTable) -> NDArray[np.float32]:
     """Grey levels (H, W, 3) of a slope that faces away from each channel's light.
 
-    What is left of a channel in full shadow: the table knows it from the slopes that its presses
+    What remains of a channel in full shadow: the table has it from the slopes that its presses
     turned away, in which the light's own share is missing and all else is there.
     """
     n_rows, n_columns = table.shape_px
@@ -150,8 +150,8 @@ def cast_shadows(
 ) -> None:
     """Darken ``image`` (h, w, 3) in place where the relief (h, w) hides lights.
 
-    A light that is hidden whole takes ``strength`` of its share in what each channel has above
-    ``unlit`` (h, w, 3) away.
+    A light that is wholly hidden loses ``strength`` of its share in what each channel has above
+    ``unlit`` (h, w, 3).
     """
     total = np.maximum(np.sum([rgb for _, rgb in leds], axis=0), 1e-9)
     for direction, rgb in leds:
@@ -173,7 +173,7 @@ def _lowered(leds: Leds, length_mm: float) -> Leds:
 class Shadow(base.OpticalEffect):
     """The gel's relief hides a share of each light.
 
-    ``length_mm`` is that of the shadow of 1 mm of relief; 0 takes the lights' own height.
+    ``length_mm`` is that of the shadow of 1 mm of relief; 0 keeps the lights' own height.
     """
 
     name = "shadow"
