@@ -16,6 +16,7 @@ from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.lock import holder_of, locked
 from tacgen.core.yaml_source import read_mapping
+from tacgen.dataset.check import content_problems
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.manifest import (
     ShardLine,
@@ -29,7 +30,6 @@ from tacgen.dataset.manifest import (
 )
 from tacgen.dataset.plan import create_whole, differences, holds, plan_of, read_plan
 from tacgen.dataset.samples import DatasetSpec, GraspSample
-from tacgen.dataset.shard_check import content_problems
 from tacgen.dataset.writer import write_shard_file
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.core.errors import DatasetError
+from tacgen.dataset.check import OUTCOME
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
-from tacgen.dataset.tally import OUTCOME
 
 _MB = 1e6
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from tacgen.core.errors import DatasetError, RecipeError, TacgenError
 from tacgen.core.files import sha256_of_content
+from tacgen.dataset.check import byte_problems, content_problems
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import (
     ShardLine,
@@ -20,7 +21,6 @@ from tacgen.dataset.manifest import (
     read_lines,
     read_part,
 )
-from tacgen.dataset.shard_check import byte_problems, content_problems
 
 SHARDS_AHEAD = 2
 

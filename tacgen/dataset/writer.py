@@ -15,13 +15,12 @@ import numpy as np
 import tacgen
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
-from tacgen.dataset.check import sample_problems
+from tacgen.dataset.check import Tally, sample_problems
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.schema import CONTACT_NAMES, FORMAT_VERSION, ArraySpec, Layout, array_sizes
-from tacgen.dataset.tally import Tally
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")

@@ -20,8 +20,7 @@ from tacgen.core.records import GraspObject, Mesh
 from tacgen.objects.decompose import convex_parts
 from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import collision_error_mm, suggest_ranges
-from tacgen.objects.load import load_object
-from tacgen.objects.mesh_files import write_parts
+from tacgen.objects.load import load_object, write_parts
 from tacgen.objects.mesh_import import UP_AXES, import_surface
 from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
 

@@ -19,7 +19,7 @@ from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
 from tacgen.objects.add import add_object
 from tacgen.objects.decompose import convex_parts
-from tacgen.objects.mesh_files import read_parts
+from tacgen.objects.load import read_parts
 from tacgen.objects.mesh_import import import_surface
 from tacgen.objects.shapes.mass_properties import volume_mm3
 

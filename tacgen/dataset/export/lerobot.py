@@ -8,22 +8,133 @@ Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/i
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tacgen.dataset.export.lerobot_stats import ImageStats, VectorStats
-from tacgen.dataset.export.lerobot_table import arrow_schema, episode_table
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.dataset.schema import SPLITS
+
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+_GREY = np.arange(256) / 255.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImageStats:
+    """Of images, channel by channel, scaled to [0, 1]; exact, from a histogram of grey levels."""
+
+    histogram: NDArray[np.int64]
+    n_frames: int
+
+    @classmethod
+    def of(cls, images: NDArray[np.uint8]) -> ImageStats:
+        """Those of images (T, H, W, C)."""
+        channels = np.moveaxis(images, -1, 0).reshape(images.shape[-1], -1)
+        return cls(np.stack([np.bincount(c, minlength=256) for c in channels]), len(images))
+
+    @classmethod
+    def merged(cls, parts: Sequence[ImageStats]) -> ImageStats:
+        """Those of all the images that ``parts`` are of."""
+        histogram = np.sum([part.histogram for part in parts], axis=0)
+        return cls(histogram, sum(part.n_frames for part in parts))
+
+    def as_dict(self) -> dict[str, Any]:
+        """``min``, ``max``, ``mean``, ``std`` and quantiles (C, 1, 1), and ``count`` (1,)."""
+        share = self.histogram / self.histogram.sum(axis=1, keepdims=True)
+        mean = share @ _GREY
+        seen = self.histogram > 0
+        below = np.cumsum(share, axis=1)
+        found = {
+            "min": _GREY[seen.argmax(axis=1)],
+            "max": _GREY[255 - seen[:, ::-1].argmax(axis=1)],
+            "mean": mean,
+            "std": np.sqrt(np.maximum(0.0, share @ _GREY**2 - mean**2)),
+        } | {
+            name: _GREY[(below >= level - 1e-12).argmax(axis=1)]
+            for name, level in QUANTILES.items()
+        }
+        stats: dict[str, Any] = {key: v.reshape(-1, 1, 1).tolist() for key, v in found.items()}
+        return stats | {"count": [self.n_frames]}
+
+
+@dataclass(frozen=True, slots=True)
+class VectorStats:
+    """Of vectors or numbers, component by component."""
+
+    rows: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, values: NDArray[Any]) -> VectorStats:
+        """Those of (T, n) or (T,)."""
+        return cls(np.asarray(values, np.float64).reshape(len(values), -1))
+
+    @classmethod
+    def merged(cls, parts: Sequence[VectorStats]) -> VectorStats:
+        """Those of all the values that ``parts`` are of."""
+        return cls(np.concatenate([part.rows for part in parts]))
+
+    def as_dict(self) -> dict[str, Any]:
+        """``min``, ``max``, ``mean``, ``std`` and quantiles (n,), and ``count`` (1,)."""
+        found = {
+            "min": self.rows.min(axis=0),
+            "max": self.rows.max(axis=0),
+            "mean": self.rows.mean(axis=0),
+            "std": self.rows.std(axis=0),
+        } | {name: np.quantile(self.rows, level, axis=0) for name, level in QUANTILES.items()}
+        stats: dict[str, Any] = {name: values.tolist() for name, values in found.items()}
+        return stats | {"count": [len(self.rows)]}
+
+
+def arrow_schema(features: Mapping[str, Mapping[str, Any]]) -> pa.Schema:
+    """The Arrow schema, with the note by which Hugging Face's datasets knows the images."""
+    fields: list[pa.Field] = []
+    described: dict[str, dict[str, Any]] = {}
+    for name, feature in features.items():
+        length, dtype = feature["shape"][0], feature["dtype"]
+        if dtype == "image":
+            kind: pa.DataType = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+            described[name] = {"_type": "Image"}
+        elif length == 1:
+            kind = pa.from_numpy_dtype(dtype)
+            described[name] = {"dtype": dtype, "_type": "Value"}
+        else:
+            kind = pa.list_(pa.from_numpy_dtype(dtype), length)
+            value = {"dtype": dtype, "_type": "Value"}
+            described[name] = {"feature": value, "length": length, "_type": "Sequence"}
+        fields.append(pa.field(name, kind))
+    note = json.dumps({"info": {"features": described}})
+    return pa.schema(fields, metadata={"huggingface": note})
+
+
+def episode_table(
+    values: Mapping[str, NDArray[Any]], features: Mapping[str, Mapping[str, Any]], schema: pa.Schema
+) -> pa.Table:
+    """One episode as a table: ``values`` holds (T, …) of every feature."""
+    columns = []
+    for field_ in schema:
+        array = values[field_.name]
+        if features[field_.name]["dtype"] == "image":
+            rows: list[Any] = [{"bytes": png, "path": None} for png in _pngs(array)]
+        else:
+            rows = array.astype(features[field_.name]["dtype"]).tolist()
+        columns.append(pa.array(rows, type=field_.type))
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def _pngs(images: NDArray[np.uint8]) -> Iterator[bytes]:
+    for rgb in images:
+        _, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
+        yield data.tobytes()
+
 
 CODEBASE_VERSION = "v3.0"
 CHUNKS_SIZE, DATA_FILES_SIZE_MB, VIDEO_FILES_SIZE_MB = 1000, 100, 200

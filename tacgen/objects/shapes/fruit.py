@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
+from tacgen.objects.shapes.mass_properties import settled
 from tacgen.objects.shapes.profiles import Curve, angles_rad, arc, between, joined
-from tacgen.objects.shapes.rest import settled
 from tacgen.objects.shapes.shape import Shape, hull, loft, moved, revolve
 
 GOLDEN_ANGLE_RAD = np.pi * (3 - np.sqrt(5))

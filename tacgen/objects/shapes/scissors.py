@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from tacgen.core.records import Mesh
+from tacgen.objects.shapes.mass_properties import settled
 from tacgen.objects.shapes.profiles import (
     angles_rad,
     arc,
@@ -14,7 +15,6 @@ from tacgen.objects.shapes.profiles import (
     rounded_rectangle,
     superellipse_radius,
 )
-from tacgen.objects.shapes.rest import settled
 from tacgen.objects.shapes.shape import (
     Body,
     Shape,

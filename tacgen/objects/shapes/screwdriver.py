@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from tacgen.objects.shapes.mass_properties import settled
 from tacgen.objects.shapes.profiles import angles_rad, between, superellipse_radius
-from tacgen.objects.shapes.rest import settled
 from tacgen.objects.shapes.shape import Body, Mesh, Shape, loft, moved, slab_hulls
 
 ACETATE_KG_M3 = 1280.0

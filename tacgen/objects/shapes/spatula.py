@@ -8,6 +8,7 @@ from scipy.interpolate import PchipInterpolator
 
 from tacgen.core.records import Mesh
 from tacgen.objects.shapes.cans import offset_rings
+from tacgen.objects.shapes.mass_properties import settled
 from tacgen.objects.shapes.profiles import (
     angles_rad,
     arc,
@@ -15,7 +16,6 @@ from tacgen.objects.shapes.profiles import (
     rounded_rectangle,
     superellipse_radius,
 )
-from tacgen.objects.shapes.rest import settled
 from tacgen.objects.shapes.shape import (
     Shape,
     from_manifold,

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
+from tacgen.objects.shapes.mass_properties import (
+    mass_properties,
+    resting_tilt_rad,
+    settled,
+    volume_mm3,
+)
 from tacgen.objects.shapes.profiles import (
     angles_rad,
     circle,
@@ -17,7 +22,6 @@ from tacgen.objects.shapes.profiles import (
     rounded_rectangle,
     superellipse_radius,
 )
-from tacgen.objects.shapes.rest import resting_tilt_rad, settled
 from tacgen.objects.shapes.shape import Shape, hull, loft, moved, revolve, sweep, union
 
 
