@@ -56,14 +56,15 @@ class ObjectBody:
     def __init__(self, world: World, obj: GraspObject) -> None:
         self._world = world
         moments, axes = principal_axes(obj.inertia_kg_mm2)
-        self._inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
-        self._object_from_inertial = inverse(self._inertial)
+        self.principal_moments_kg_m2 = moments * M_PER_MM**2
+        self.inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
+        self._object_from_inertial = inverse(self.inertial)
         bullet, client = world.bullet, world.client
         standing = _standing_link(world, obj) if len(obj.collision) > 1 else {}
         self.body = bullet.createMultiBody(
             obj.mass_kg,
             world.hull_shape(obj.collision),
-            baseInertialFramePosition=self._inertial[:3, 3].tolist(),
+            baseInertialFramePosition=self.inertial[:3, 3].tolist(),
             baseInertialFrameOrientation=quaternion_from_rotation(axes).tolist(),
             physicsClientId=client,
             **standing,
@@ -72,7 +73,7 @@ class ObjectBody:
         bullet.changeDynamics(
             self.body,
             -1,
-            localInertiaDiagonal=(moments * M_PER_MM**2).tolist(),
+            localInertiaDiagonal=self.principal_moments_kg_m2.tolist(),
             physicsClientId=client,
         )
         if standing:

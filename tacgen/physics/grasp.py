@@ -20,9 +20,8 @@ from tacgen.core.records import (
 )
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.approach import approach, grasp_target
-from tacgen.physics.bodies import ObjectBody, object_problems, principal_axes
+from tacgen.physics.bodies import ObjectBody, object_problems
 from tacgen.physics.contacts import Bodies, Snapshot, closing_force_n
-from tacgen.physics.frames import pose
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.margins import Capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import (
@@ -132,13 +131,12 @@ class _Grasp:
         self.robot.fingers.set_surface(settings, obj.friction, obj.spinning_friction_mm)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
-        moments, axes = principal_axes(obj.inertia_kg_mm2)
         self.bodies = Bodies(
             object_body=self.body.body,
             robot_body=self.robot.body,
             pad_links=self.robot.fingers.links,
-            principal_moments_kg_m2=moments * M_PER_MM**2,
-            inertial=pose(axes, obj.center_of_mass_mm * M_PER_MM),
+            principal_moments_kg_m2=self.body.principal_moments_kg_m2,
+            inertial=self.body.inertial,
             spinning_friction_m=obj.spinning_friction_mm * settings.pad_friction * M_PER_MM,
             time_step_s=settings.time_step_s,
         )

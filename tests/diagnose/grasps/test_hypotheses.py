@@ -10,7 +10,7 @@ import pytest
 import tacgen.diagnose.grasps
 from tacgen.collection.perturbed import Outcome, Perturbation, perturbed_settings
 from tacgen.collection.recipe import Recipe
-from tacgen.core.errors import ContactError
+from tacgen.core.errors import TacgenError
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.diagnose.grasps import perturbed_simulations
 from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
@@ -87,7 +87,7 @@ def test_it_goes_as_it_came(worn_pads):
     assert worn_pads in registered()
     assert worn_pads.name in {candidate.name for candidate in candidates_for((BOX,))}
     assert advice("friction", "worn_pads") == "friction or worn_pads: put on new pads"
-    with pytest.raises(ContactError, match="'worn_pads' is registered twice"):
+    with pytest.raises(TacgenError, match="'worn_pads' is registered twice"):
         register(worn_pads)
 
 

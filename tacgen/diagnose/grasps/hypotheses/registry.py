@@ -17,7 +17,7 @@ import numpy as np
 
 from tacgen.collection.perturbed import Perturbation
 from tacgen.core.arrays import FloatArray
-from tacgen.core.errors import ContactError
+from tacgen.core.errors import TacgenError
 from tacgen.core.records import GraspObject
 
 
@@ -159,12 +159,12 @@ def register(hypothesis: Hypothesis) -> Hypothesis:
 
     Raises
     ------
-    ContactError
+    TacgenError
         If its name is registered already.
     """
     if hypothesis.name in _REGISTRY:
         msg = f"the hypothesis {hypothesis.name!r} is registered twice; give one another name"
-        raise ContactError(msg)
+        raise TacgenError(msg)
     _REGISTRY[hypothesis.name] = hypothesis
     return hypothesis
 
