@@ -19,7 +19,7 @@ _DEFAULT_MAX_ARRAY = 1000
 def live_jobs(submissions: Iterable[Submission]) -> dict[str, tuple[str, str]] | None:
     """Job id → (``running`` or ``queued``, the scheduler's reason) of every job not yet ended.
 
-    None where that cannot be told from here: another machine's processes, or no ``squeue``.
+    None where that is unknown here: another machine's processes, or no ``squeue``.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from tacgen.dataset import DatasetFolder
 from tacgen.dataset.manifest import ShardLine
 
 ALIVE = ("queued", "running", "unknown")
-"""States of a job that has not ended, or may not have (where that cannot be told)."""
+"""States of a job that has not ended, or may not have (where that is unknown)."""
 
 RATE_WINDOW_S = 600.0
 RATE_SHARDS = 200
@@ -68,7 +68,7 @@ class Status:
 
     @property
     def alive(self) -> bool:
-        """Whether some job still runs or waits, or might (where that cannot be told)."""
+        """Whether some job still runs or waits, or might (where that is unknown)."""
         return any(task.state in ALIVE for task in self.tasks)
 
     def as_dict(self) -> dict[str, Any]:

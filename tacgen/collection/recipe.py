@@ -219,7 +219,7 @@ def load_recipe(name: str | Path) -> Recipe:
     Raises
     ------
     RecipeError
-        Lists everything that is wrong, each with its file, line and mend.
+        Lists everything that is wrong, each with its file, line and the fix.
     """
     source = read_yaml(find_recipe(str(name)))
     recipe = validate(Recipe, source)

@@ -1,4 +1,4 @@
-"""Datasets of felt grasps: what a shard holds, writing, reading, checking and showing them."""
+"""Datasets of simulated grasps: what a shard holds, writing, reading, checking and showing them."""
 
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset

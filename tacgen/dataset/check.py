@@ -203,16 +203,16 @@ def outcome_problem(label: int, status: str, failure_mode: str) -> str:
     return ""
 
 
-def _pad_problems(felt: PadSample, spec: DatasetSpec) -> Iterator[str]:
+def _pad_problems(pad: PadSample, spec: DatasetSpec) -> Iterator[str]:
     n_frames, shape_px = len(spec.time_s), spec.sensor.shape_px
-    yield from _array_problems("rgb", felt.rgb, (n_frames, *shape_px, 3), "uint8")
-    yield from _array_problems("force_normal_n", felt.force_normal_n, (n_frames,))
-    yield from _array_problems("force_shear_n", felt.force_shear_n, (n_frames, 2))
-    yield from _array_problems("indentation_mm", felt.indentation_mm, (n_frames,))
+    yield from _array_problems("rgb", pad.rgb, (n_frames, *shape_px, 3), "uint8")
+    yield from _array_problems("force_normal_n", pad.force_normal_n, (n_frames,))
+    yield from _array_problems("force_shear_n", pad.force_shear_n, (n_frames, 2))
+    yield from _array_problems("indentation_mm", pad.indentation_mm, (n_frames,))
     if spec.depth:
-        if felt.depth_mm is None:
+        if pad.depth_mm is None:
             yield "depth_mm is missing"
-        yield from _array_problems("depth_mm", felt.depth_mm, shape_px)
+        yield from _array_problems("depth_mm", pad.depth_mm, shape_px)
 
 
 def _array_problems(

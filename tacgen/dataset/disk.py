@@ -11,7 +11,7 @@ from pathlib import Path
 from tacgen.core.errors import DatasetError
 
 _WRITABLE = "give a folder that you may write to"
-_MENDS = {
+_FIXES = {
     errno.ENOSPC: "free some space and run the same command again; finished shards are kept",
     errno.EDQUOT: "your quota is used up; free some and run the same command again",
     errno.EACCES: _WRITABLE,
@@ -24,17 +24,17 @@ _MENDS = {
 
 @contextlib.contextmanager
 def disk_errors(root: Path) -> Iterator[None]:
-    """Turn what the operating system says about a disk into one ``DatasetError`` with its mend."""
+    """Turn what the operating system says about a disk into one ``DatasetError`` with the fix."""
     try:
         yield
     except OSError as error:
         if error.errno is None:
             raise
-        mend = _MENDS.get(error.errno, "finished shards are kept; run the same command again")
+        fix = _FIXES.get(error.errno, "finished shards are kept; run the same command again")
         what = error.strerror or str(error)
         in_the_way = error.errno == errno.EISDIR
         where = (in_the_way and (error.filename2 or error.filename)) or root
-        msg = f"{where}: {what[:1].lower()}{what[1:]}; {mend}"
+        msg = f"{where}: {what[:1].lower()}{what[1:]}; {fix}"
         raise DatasetError(msg) from error
 
 

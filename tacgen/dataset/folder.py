@@ -123,7 +123,7 @@ class DatasetFolder:
             # Whoever held the lock before may have finished the shard.
             mine = held is not False and (redo or not self.is_done(shard))
             if mine and held:
-                self._remove_leftovers(shard)
+                self._remove_partial_files(shard)
             yield mine
 
     def write_shard(
@@ -195,7 +195,7 @@ class DatasetFolder:
             self._merged_seen = (key, read_lines(self.manifest_path))
         return self._merged_seen[1]
 
-    def _remove_leftovers(self, shard: int) -> None:
+    def _remove_partial_files(self, shard: int) -> None:
         for path in self.root.glob(f"shards/.{self.shard_path(shard).stem}.*.part"):
             path.unlink(missing_ok=True)
 
@@ -225,17 +225,17 @@ class DatasetFolder:
         made = self.plan()
         if made == plan:
             return
-        told = list(differences(made, plan))
+        lines = list(differences(made, plan))
         if made.get("recipe_sha256") != plan["recipe_sha256"]:
-            # Without a recipe to compare with, the hashes are told.
+            # Without a recipe to compare with, the hashes are shown.
             with contextlib.suppress(RecipeError):
                 settings = differences(self.recipe(), json.loads(json.dumps(recipe)))
-                others = [text for text in told if not text.startswith("recipe_sha256")]
-                told = [*settings, *others]
+                others = [text for text in lines if not text.startswith("recipe_sha256")]
+                lines = [*settings, *others]
         raise DatasetError.from_problems(
             [
-                f"{self.root} holds a dataset made otherwise:",
-                *(f"  {text}" for text in told),
+                f"{self.root} holds another dataset; these differ:",
+                *(f"  {text}" for text in lines),
                 "give another --out, set these back to what made it, or delete the folder",
             ]
         )

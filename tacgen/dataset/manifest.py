@@ -20,8 +20,8 @@ from tacgen.core.files import read_small_text, write_text
 
 SCHEMA = 1
 MAX_LINE_BYTES = 1 << 20
-MEND_MERGED = "remake the manifest with `tacgen merge`"
-MEND_PART = "`tacgen collect` remakes that shard"
+FIX_MERGED = "remake the manifest with `tacgen merge`"
+FIX_PART = "`tacgen collect` remakes that shard"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +57,8 @@ class ShardLine:
         return json.dumps(asdict(self), sort_keys=True)
 
 
-def parse_line(text: str, where: str, mend: str = MEND_MERGED) -> ShardLine:
-    """The record that ``text`` holds; ``where`` names the place in the error, ``mend`` what helps.
+def parse_line(text: str, where: str, fix: str = FIX_MERGED) -> ShardLine:
+    """The record that ``text`` holds; ``where`` names the place in the error, ``fix`` what helps.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def parse_line(text: str, where: str, mend: str = MEND_MERGED) -> ShardLine:
         data = None
     problem = _problem_of(data)
     if problem:
-        msg = f"{where}: {problem}; {mend}"
+        msg = f"{where}: {problem}; {fix}"
         raise DatasetError(msg)
     data["index_range"] = tuple(data["index_range"])
     data["pads"] = tuple(data["pads"])
@@ -269,10 +269,10 @@ def read_part(path: Path) -> ShardLine:
         text = read_small_text(path, MAX_LINE_BYTES)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
-        msg = f"{path}: {reason}; {MEND_PART}"
+        msg = f"{path}: {reason}; {FIX_PART}"
         raise DatasetError(msg) from error
-    line = parse_line(text, str(path), MEND_PART)
+    line = parse_line(text, str(path), FIX_PART)
     if line.shard != part_number(path):
-        msg = f"{path}: holds the line of shard {line.shard}; {MEND_PART}"
+        msg = f"{path}: holds the line of shard {line.shard}; {FIX_PART}"
         raise DatasetError(msg)
     return line

@@ -31,7 +31,7 @@ class Dataset:
     """The grasps of a folder that ``tacgen collect`` made.
 
     Grasps are named by their index in the recipe's grid: ``indices`` lists those there are. Each
-    shard is hashed once before it is first opened, so damage is told rather than trained on.
+    shard is hashed once before it is first opened, so damage is reported rather than trained on.
     The object can be pickled and used after a fork; every process opens files of its own.
 
     Parameters
@@ -173,7 +173,7 @@ class Dataset:
     def columns(
         self, shards: Sequence[int] | None = None, *, contact: bool = False
     ) -> dict[str, NDArray]:
-        """Everything that is said of each grasp, by name, (N, …), in the order of ``indices``.
+        """What is known of each grasp, by name, (N, …), in the order of ``indices``.
 
         ``shards`` limits it to those places in ``lines``; ``contact`` adds what the first pad's
         contact arrays hold, (N, T) or (N, T, 2).
@@ -215,34 +215,34 @@ class Dataset:
 
     def read(self, index: int) -> GraspSample:
         """Everything there is about one grasp."""
-        said = {
+        columns = {
             array.path.rsplit("/", 1)[1]: _as_text(self._read(index, array.path))
             for array in GRASP_ARRAYS
         }
-        executed = said["status"] == "executed"
+        executed = columns["status"] == "executed"
         return GraspSample(
             config=GraspConfig(
-                index=int(said["index"]),
-                object=str(said["object"]),
-                force_n=float(said["force_n"]),
-                x_mm=float(said["x_mm"]),
-                y_mm=float(said["y_mm"]),
-                z_mm=float(said["z_mm"]),
-                yaw_rad=float(said["yaw_rad"]),
+                index=int(columns["index"]),
+                object=str(columns["object"]),
+                force_n=float(columns["force_n"]),
+                x_mm=float(columns["x_mm"]),
+                y_mm=float(columns["y_mm"]),
+                z_mm=float(columns["z_mm"]),
+                yaw_rad=float(columns["yaw_rad"]),
             ),
-            seed=int(said["seed"]),
-            split=str(said["split"]),
-            status=str(said["status"]),  # type: ignore[arg-type]
-            label=int(said["label"]),
-            failure_mode=str(said["failure_mode"]),  # type: ignore[arg-type]
+            seed=int(columns["seed"]),
+            split=str(columns["split"]),
+            status=str(columns["status"]),  # type: ignore[arg-type]
+            label=int(columns["label"]),
+            failure_mode=str(columns["failure_mode"]),  # type: ignore[arg-type]
             pads={pad: self._pad_sample(index, pad) for pad in self.pads} if executed else {},
             object_pose=self._read(index, "/object/pose"),
-            rise_mm=float(said["rise_mm"]),
-            turn_rad=float(said["turn_rad"]),
-            margin=_margin(said),
-            grasp_frame=int(said["grasp_frame"]),
+            rise_mm=float(columns["rise_mm"]),
+            turn_rad=float(columns["turn_rad"]),
+            margin=_margin(columns),
+            grasp_frame=int(columns["grasp_frame"]),
             picture=self.picture(index),
-            reason=str(said["reason"]),
+            reason=str(columns["reason"]),
         )
 
     def close(self) -> None:
@@ -327,12 +327,12 @@ def _as_text(values: Any) -> Any:
     return values
 
 
-def _margin(said: Mapping[str, Any]) -> SlipMargin | None:
-    if np.isnan(said["margin_translational"]) and np.isnan(said["margin_rotational"]):
+def _margin(columns: Mapping[str, Any]) -> SlipMargin | None:
+    if np.isnan(columns["margin_translational"]) and np.isnan(columns["margin_rotational"]):
         return None
     return SlipMargin(
-        translational=float(said["margin_translational"]),
-        rotational=float(said["margin_rotational"]),
-        first_slip_time_s=float(said["first_slip_time_s"]),
-        first_slip_direction=said["first_slip_direction"],
+        translational=float(columns["margin_translational"]),
+        rotational=float(columns["margin_rotational"]),
+        first_slip_time_s=float(columns["first_slip_time_s"]),
+        first_slip_direction=columns["first_slip_direction"],
     )

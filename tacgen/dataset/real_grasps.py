@@ -79,7 +79,7 @@ def read_real_grasps(
     Raises
     ------
     DatasetError
-        Listing every row that cannot be used, with its line and mend.
+        Listing every row that cannot be used, with its line and the fix.
     """
     folder = Path(folder)
     path = folder / "grasps.csv"

@@ -14,7 +14,7 @@ from tacgen.core.records import FailureMode, GraspConfig, Sensor, SlipMargin, St
 
 @dataclass(frozen=True, slots=True)
 class PadSample:
-    """What one tactile pad felt during one grasp.
+    """The images and forces of one tactile pad during one grasp.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class PadSample:
 class GraspSample:
     """One grasp of a dataset.
 
-    ``pads`` maps ``left`` and/or ``right`` to what was felt there; it is empty where the grasp
-    was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z (mm)
-    and the quaternion x, y, z, w in the world. ``grasp_frame`` is the frame of the moment of
+    ``pads`` maps ``left`` and/or ``right`` to that pad's images and forces; it is empty where the
+    grasp was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z
+    (mm) and the quaternion x, y, z, w in the world. ``grasp_frame`` is the frame of the moment of
     grasp. ``picture`` (h, w, 3) uint8 shows the scene from outside.
     """
 

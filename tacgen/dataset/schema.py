@@ -16,11 +16,11 @@ Layout of ``shards/shard-00000.h5`` with N grasps, T frames, images of H × W pi
     /scene/picture                 (N, h, w, 3)    uint8    optional
     /time_s                        (T,)
 
-With one tactile pad ``<sensor>`` is the sensor's name. With two, everything that a pad feels
+With one tactile pad ``<sensor>`` is the sensor's name. With two, everything about a pad
 stands once for each: ``/tactile/<sensor>_left/…`` and ``/tactile/<sensor>_right/…``,
 ``/contact/<sensor>_left/…`` and ``/contact/<sensor>_right/…``. The root attribute ``pads`` says
 which there are. Text is UTF-8 of fixed length. A grasp that could not be executed has label −1,
-its status, and zeros for all that was not felt.
+its status, and zeros for all that was not measured.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def verify(
     """Check the whole dataset in ``root``.
 
     ``decode`` also decompresses every image; without it the hash of the shard vouches for them,
-    taken when the shard was written and checked. ``progress`` is told the bytes of each shard
+    taken when the shard was written and checked. ``progress`` gets the bytes of each shard
     that is through.
 
     Raises

@@ -157,7 +157,7 @@ def _check_shape(shape: Shape, description: ObjectDescription, folder: Path) -> 
     if not np.allclose(extent, stated, rtol=SIZE_TOLERANCE):
         shown = [" × ".join(f"{value:.4g}" for value in size) for size in (extent, stated)]
         problems.append(
-            f"{where}: shape is {shown[0]} mm, but dimensions_mm says {shown[1]}; mend either"
+            f"{where}: shape is {shown[0]} mm, but dimensions_mm says {shown[1]}; correct either"
         )
     center = np.array(description.center_of_mass_mm.value)
     if (center < vertices.min(axis=0)).any() or (center > vertices.max(axis=0)).any():

@@ -50,7 +50,7 @@ def import_surface(path: Path, *, scale: float = 1.0, up: str = "z") -> Imported
     ------
     ObjectError
         If it is not a closed surface of a size that a gripper can hold, after what can safely
-        be repaired; the message says how to mend it.
+        be repaired; the message says how to fix it.
     """
     path = Path(path)
     loaded = _read(path)

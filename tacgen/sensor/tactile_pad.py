@@ -179,7 +179,7 @@ class TactilePad:
         markers_mm = self.markers_mm(imprint)
         return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng)
 
-    def markers_mm(self, imprint: Imprint) -> FloatArray | None:
+    def markers_mm(self, imprint: Imprint) -> NDArray[np.float64] | None:
         """Places (n, 2) of the marker dots, gel frame, mm; None where none are drawn."""
         if not self._markers_drawn:
             return None

@@ -71,7 +71,9 @@ def test_a_spoiled_recipe_is_told_and_written_again(toy, spec, kind):
     assert problem.file == "recipe.yaml"
     assert "`tacgen collect` with that recipe writes it again" in problem.reason
     write_gallery(toy.root)
-    with pytest.raises(DatasetError, match="holds a dataset made otherwise:\n  .* there, .* now"):
+    with pytest.raises(
+        DatasetError, match="holds another dataset; these differ:\n  .* there, .* now"
+    ):
         DatasetFolder(toy.root).prepare(replace(spec, recipe_sha256="ef"))
     toy.prepare(spec)
     assert toy.recipe_path.read_text() == text

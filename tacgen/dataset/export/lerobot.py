@@ -142,7 +142,7 @@ DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 POSE = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
-FELT = ("force_normal_n", "force_shear_x_n", "force_shear_y_n", "indentation_mm")
+CONTACT_STATE = ("force_normal_n", "force_shear_x_n", "force_shear_y_n", "indentation_mm")
 _SCALARS = {
     "label": "int64",
     "time_s": "float32",
@@ -230,7 +230,9 @@ class _Export:
             "names": ["height", "width", "channels"],
         }
         pads = self.dataset.pads
-        state = [name if len(pads) == 1 else f"{pad}.{name}" for pad in pads for name in FELT]
+        state = [
+            name if len(pads) == 1 else f"{pad}.{name}" for pad in pads for name in CONTACT_STATE
+        ]
         vectors = {
             "observation.state": state,
             "observation.environment_state": list(POSE),
@@ -307,7 +309,7 @@ class _Export:
     def _values(self, sample: GraspSample) -> dict[str, NDArray[Any]]:
         """What a grasp contributes to each feature, (T, …)."""
         n_frames = self.dataset.n_frames
-        felt = [
+        contact = [
             np.column_stack([pad.force_normal_n, pad.force_shear_n, pad.indentation_mm])
             for pad in sample.pads.values()
         ]
@@ -318,7 +320,7 @@ class _Export:
         last = np.arange(n_frames) == n_frames - 1
         asked = [getattr(sample.config, name) for name in ACTION]
         return images | {
-            "observation.state": np.concatenate(felt, axis=1),
+            "observation.state": np.concatenate(contact, axis=1),
             "observation.environment_state": np.asarray(sample.object_pose),
             "action": np.tile(asked, (n_frames, 1)),
             "label": np.full(n_frames, sample.label),
