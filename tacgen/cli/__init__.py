@@ -1,7 +1,7 @@
 """The command line: each command loads its input, calls one function and prints.
 
-Imports of the stages stand inside the commands, so that ``tacgen --help`` is quick and a missing
-extra only matters to the commands that need it.
+Imports of the stages are inside the commands, so that ``tacgen --help`` is fast and a missing extra
+only affects the commands that need it.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ ORDER_OF_WORK = (
     *("submit", "status"),
     *("doctor", "bench"),
 )
-"""Help lists commands, and thereby their panels, in this order; others follow."""
+"""Order of the commands in the help, and thereby of their panels."""
 
 
 class _InOrderOfWork(TyperGroup):
@@ -78,7 +78,7 @@ def options(
         ),
     ] = False,
 ) -> None:
-    """Take the options that stand before a command."""
+    """Accept the options before a command."""
 
 
 RecipeArgument = Annotated[
@@ -91,23 +91,27 @@ PressesArgument = Annotated[
     Path,
     typer.Argument(help="Folder of press images with presses.csv, or Taxim's dataPack.npz."),
 ]
-_REAL_GRASPS = "Folder of real grasps: grasps.csv and, if there are any, images/."
+_REAL_GRASPS = "Folder of real grasps: grasps.csv and, optionally, images/."
 RealGraspsArgument = Annotated[Path, typer.Argument(help=_REAL_GRASPS)]
 RealGraspsOption = Annotated[Path, typer.Option("--real", help=_REAL_GRASPS)]
 ResultsOption = Annotated[
-    Path, typer.Option("--out", help="Folder for the results; a run that stopped is resumed.")
+    Path, typer.Option("--out", help="Folder for the results; an interrupted run is resumed.")
 ]
 MmPerPxOption = Annotated[
     float | None,
-    typer.Option("--mm-per-px", help="Pixel size on the gel, mm, unless the presses state it."),
+    typer.Option(
+        "--mm-per-px", help="Pixel size on the gel, mm; needed if the presses do not state it."
+    ),
 ]
 BallRadiusOption = Annotated[
     float | None,
-    typer.Option("--ball-radius-mm", help="Radius of the ball, unless the presses state it."),
+    typer.Option(
+        "--ball-radius-mm", help="Radius of the ball, mm; needed if the presses do not state it."
+    ),
 ]
 MarkerPitchOption = Annotated[
     float | None,
-    typer.Option(help="Spacing of the gel's markers whose motion the log sums up, mm."),
+    typer.Option(help="Spacing of the gel's markers, whose summed motion the log holds, mm."),
 ]
 WorkersOption = Annotated[int, typer.Option(min=1, help="Number of parallel processes.")]
 JsonFlag = Annotated[
@@ -116,7 +120,7 @@ JsonFlag = Annotated[
 
 
 def print_result(record: object, text: str | Iterable[str], json_output: bool) -> None:
-    """Print ``record`` as JSON, or else the ``text``, which may be an iterable of lines."""
+    """Print ``record`` as JSON, or otherwise ``text``, which may be an iterable of lines."""
     if json_output:
         typer.echo(json.dumps(record, indent=2, ensure_ascii=False))
     else:
@@ -124,7 +128,7 @@ def print_result(record: object, text: str | Iterable[str], json_output: bool) -
 
 
 def print_record(record: Mapping[str, object], json_output: bool) -> None:
-    """Print a flat record as JSON, or as one line an entry."""
+    """Print a flat record as JSON, or as one line per entry."""
 
     def line(name: str, value: object) -> str:
         text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)

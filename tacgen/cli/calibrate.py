@@ -1,4 +1,4 @@
-"""Commands that calibrate a sensor, and the virtual rig that makes presses to try them on."""
+"""Commands that calibrate a sensor, and the virtual rig that simulates presses for them."""
 
 from __future__ import annotations
 
@@ -39,9 +39,7 @@ def import_(
             "feeling-of-success (real grasps).",
         ),
     ],
-    source: Annotated[
-        Path, typer.Argument(metavar="SRC", help="Folder or file of the other project.")
-    ],
+    source: Annotated[Path, typer.Argument(metavar="SRC", help="Folder or file in that format.")],
     out: Annotated[Path, typer.Option(help="Folder to write; it must not exist yet.")],
     mm_per_px: MmPerPxOption = None,
     ball_radius_mm: BallRadiusOption = None,
@@ -80,12 +78,12 @@ def calibrate_lookup(
         bool,
         typer.Option(
             "--without-dots",
-            help="Remove the gel's printed dots from the background; for optics.markers: true.",
+            help="Remove the gel's printed dots from the background (for optics.markers: true).",
         ),
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:
-    """Fit the lookup table to pictures of ball presses; prints its error on held-out presses."""
+    """Fit the lookup table to images of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
 
     made, used = command.calibrate_lookup(
@@ -104,7 +102,7 @@ def calibrate_score(
     ball_radius_mm: BallRadiusOption = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Compute a table's image error on presses, at the labelled and at the fitted ball centres."""
+    """Compute a table's image error on presses, at the labelled and the fitted ball centres."""
     from tacgen.calibrate.lookup import command
 
     score, used = command.score_presses(
@@ -123,7 +121,7 @@ def calibrate_import(
     mm_per_px: Annotated[float, typer.Option(help="Pixel size on the gel, mm.")],
     out: TableOutput,
 ) -> None:
-    """Convert a calibration of Taxim into a table that renders the same images."""
+    """Convert a Taxim calibration into a table that renders the same images."""
     from tacgen.calibrate.lookup.taxim_import import import_polycalib
     from tacgen.optics import save_table
 
@@ -145,8 +143,8 @@ def calibrate_contact(
     by: Annotated[
         str | None,
         typer.Option(
-            help="Column whose values are compared by a k each, or `trial`; if not given, the "
-            "indenters or the first text column."
+            help="Column by whose values k is compared, or `trial`; default: the indenters or the "
+            "first text column."
         ),
     ] = None,
     contact_point: Annotated[
@@ -201,7 +199,7 @@ def friction(
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:
-    """Fit each object's friction μ: simulated grasps are to end as the real ones did."""
+    """Fit each object's friction μ so that simulated grasps match the labels of real ones."""
     from tacgen.calibrate.friction.report import verdict_of, write_friction_report
     from tacgen.calibrate.friction.sweep import (
         data_warnings,
@@ -235,7 +233,7 @@ def rig(
     recipe: RecipeArgument,
     out: Annotated[Path, typer.Option("--out", help="Folder for the press log and the images.")],
     seed: Annotated[
-        int | None, typer.Option(help="Another session of the same recipe.", min=0)
+        int | None, typer.Option(help="Seed instead of the recipe's: another session.", min=0)
     ] = None,
 ) -> None:
     """Simulate a ball-press rig: press log, press images or both, with known effects."""

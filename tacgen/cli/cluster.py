@@ -1,4 +1,4 @@
-"""Commands about batch jobs: submit a recipe or a command, see how far it is."""
+"""Commands for batch jobs: submit a recipe or a command, show its progress."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacgen.cli.app import CLUSTER, DatasetArgument, JsonFlag, app, print_record
 from tacgen.core.errors import ClusterError
 
 COMMAND_SETTINGS = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
-"""What the job of a command asks for by default: enough for a network on one GPU."""
+"""Default resources of the job of a command: enough to train a network on one GPU."""
 
 
 @app.command(rich_help_panel=CLUSTER)
@@ -22,39 +22,48 @@ def submit(
         list[str],
         typer.Argument(
             metavar="RECIPE | -- COMMAND …",
-            help="A recipe, to collect its dataset; or friction … or train …, as after `tacgen`, "
-            "behind `--`.",
+            help="A recipe, to collect its dataset; or, after `--`, a friction or train command "
+            "without `tacgen`.",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="The dataset's folder, seen by every machine; for a recipe only."),
+        typer.Option(help="The dataset's folder, mounted on every machine; for a recipe only."),
     ] = None,
     executor: Annotated[str, typer.Option(help="local or slurm.")] = "slurm",
     failed: Annotated[
         bool,
-        typer.Option("--failed", help="Only shards that no running or waiting job will make."),
+        typer.Option(
+            "--failed", help="Submit only missing shards that are in no running or queued job."
+        ),
     ] = False,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Stay until the jobs end; exit 1 if work is missing.")
+        bool, typer.Option("--wait", help="Wait until the jobs end; exit 1 if work is missing.")
     ] = False,
     time_min: Annotated[
-        int | None, typer.Option(help="Minutes until a job is requeued; of a command: 480.")
+        int | None,
+        typer.Option(help="Minutes until a job is requeued; default for a command: 480."),
     ] = None,
-    mem_gb: Annotated[float | None, typer.Option(help="Memory of a job; of a command: 16.")] = None,
+    mem_gb: Annotated[
+        float | None, typer.Option(help="Memory of a job, GB; default for a command: 16.")
+    ] = None,
     cpus_per_task: Annotated[
-        int | None, typer.Option(help="Processes of a job; processors of a command: 4.")
+        int | None, typer.Option(help="Worker processes of a job; default for a command: 4 cores.")
     ] = None,
-    gpus: Annotated[int | None, typer.Option(min=0, help="GPUs of a command.")] = None,
+    gpus: Annotated[
+        int | None, typer.Option(min=0, help="Number of GPUs, for a command only.")
+    ] = None,
     partition: Annotated[str | None, typer.Option(help="Slurm partition.")] = None,
     account: Annotated[str | None, typer.Option(help="Slurm account.")] = None,
-    max_array: Annotated[int | None, typer.Option(help="Most jobs of one array.")] = None,
-    shards_per_task: Annotated[int | None, typer.Option(help="Shards of one job.")] = None,
+    max_array: Annotated[
+        int | None, typer.Option(help="Maximum number of jobs in one array.")
+    ] = None,
+    shards_per_task: Annotated[int | None, typer.Option(help="Number of shards per job.")] = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Hand a recipe's missing shards, or a long command, to a scheduler.
+    """Submit a recipe's missing shards, or a long command, to a scheduler.
 
-    `tacgen submit RECIPE --out DIR`, where flags win over the recipe's section `cluster`, or
+    `tacgen submit RECIPE --out DIR`, where flags override the recipe's section `cluster`, or
     `tacgen submit --gpus 1 -- train RECIPE --data DIR --out RUN`.
     """
     settings: dict[str, Any] = {
@@ -70,9 +79,9 @@ def submit(
         settings = {**COMMAND_SETTINGS, **{k: v for k, v in settings.items() if v is not None}}
         _submit_command(work, executor, wait, settings, gpus, json_output)
         return
-    _refuse({"--gpus": gpus}, "a command; a recipe asks for GPUs in its section cluster.sbatch")
+    _refuse({"--gpus": gpus}, "a command; for a recipe, set GPUs in its section cluster.sbatch")
     if len(work) != 1:
-        msg = f"`{' '.join(work)}`: with --out give one recipe, and nothing after it"
+        msg = f"`{' '.join(work)}`: with --out, give exactly one recipe"
         raise ClusterError(msg)
     settings |= {"max_array": max_array, "shards_per_task": shards_per_task}
     _submit_recipe(work[0], out, executor, failed, wait, settings, json_output)
@@ -81,7 +90,7 @@ def submit(
 def _refuse(options: Mapping[str, object], owner: str) -> None:
     given = [name for name, value in options.items() if value not in (None, False)]
     if given:
-        msg = f"{', '.join(given)}: only for {owner}; leave it out"
+        msg = f"{', '.join(given)}: only for {owner}; remove it"
         raise ClusterError(msg)
 
 
@@ -100,7 +109,7 @@ def _submit_recipe(
     loaded = with_cluster(load_recipe(recipe), **settings)
     submitted = cluster.submit(loaded, out, cluster.Request(executor, failed_only=failed))
     if not submitted.shards:
-        text = "tacgen: nothing to submit: every shard is there, or a job will make it"
+        text = "tacgen: nothing to submit: every shard is done or in a job"
         typer.echo(text, err=True)
     print_record(asdict(submitted), json_output)
     if wait:
@@ -123,7 +132,7 @@ def _submit_command(
 
     cluster.require_command(command)
     commands: Any = typer.main.get_command(app)
-    # Wrong options end here, as they do when the command itself is called.
+    # Wrong options raise an error here, as when the command itself is called.
     context = commands.commands[command[0]].make_context(command[0], list(command[1:]))
     out = Path(context.params["out"])
     section = cluster_section(**settings, sbatch={"gpus": gpus} if gpus else None)
@@ -145,7 +154,7 @@ def _run_command(arguments: Sequence[str]) -> None:
 
 @app.command(rich_help_panel=CLUSTER)
 def status(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
-    """Show how far a dataset is, or submitted jobs: done, running, failed and why, time left."""
+    """Show the progress of a dataset or of jobs: done, running, failed and why, time left."""
     from tacgen import cluster
 
     jobs = () if (folder / "dataset.json").exists() else cluster.job_states(folder)

@@ -1,4 +1,4 @@
-"""Commands about datasets: plan, collect, look at, check, export."""
+"""Commands for datasets: plan, collect, inspect, verify, merge, export."""
 
 from __future__ import annotations
 
@@ -28,18 +28,21 @@ from tacgen.cli.app import (
 def collect(
     recipe: RecipeArgument,
     out: Annotated[
-        Path, typer.Option(help="Folder of the dataset; a collection that stopped is resumed.")
+        Path, typer.Option(help="Folder of the dataset; an interrupted collection is resumed.")
     ],
     workers: WorkersOption = 1,
     shard: Annotated[
         str,
-        typer.Option(help="Collect part I of N (I from 0) only; auto: as a job array's task says."),
+        typer.Option(
+            help="I/N: collect only part I of N (from 0); auto: the part of this job-array task."
+        ),
     ] = "0/1",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan and collect nothing.")
     ] = False,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Verify the dataset first and remake damaged shards.")
+        bool,
+        typer.Option("--repair", help="Verify the dataset first and collect damaged shards again."),
     ] = False,
     grasp_limit_s: Annotated[
         float, typer.Option(min=1.0, help="Time after which a grasp is recorded as crashed, s.")
@@ -108,7 +111,7 @@ def verify(
     decode: Annotated[bool, typer.Option("--decode", help="Also decompress every image.")] = False,
     json_output: JsonFlag = False,
 ) -> None:
-    """Check every hash, shape and label; exit 1 and list the damaged shards if any is wrong."""
+    """Check every hash, shape and label; lists damaged shards and exits 1 if there are any."""
     from tqdm import tqdm
 
     from tacgen.core.errors import VerificationError
@@ -121,10 +124,10 @@ def verify(
             [
                 f"{folder}: {len(found.problems)} problems, {len(found.bad_shards)} bad shards",
                 *(f"  {problem.file}: {problem.reason}" for problem in found.problems),
-                "`tacgen collect` makes missing shards, `tacgen collect --repair` the bad ones",
+                "`tacgen collect` makes missing shards; `--repair` also remakes damaged ones",
             ]
         )
-    text = f"{found.n_grasps} grasps in {found.n_shards} shards, all as they were written"
+    text = f"{found.n_grasps} grasps in {found.n_shards} shards, all intact"
     print_result(found.as_dict(), text, json_output)
     if found.problems:
         raise typer.Exit(1)
@@ -144,20 +147,21 @@ def export(
     folder: DatasetArgument,
     out: Annotated[Path, typer.Option(help="Folder to write; it must not exist yet.")],
     format_name: Annotated[
-        str, typer.Option("--format", help="lerobot, or real-grasps: as a robot's grasps.")
+        str, typer.Option("--format", help="lerobot, or real-grasps (the layout of real grasps).")
     ] = "lerobot",
     split: Annotated[
-        str | None, typer.Option(help="Only the train or the test grasps; both if not given.")
+        str | None, typer.Option(help="Export only the train or the test grasps.")
     ] = None,
     per_object: Annotated[
-        int | None, typer.Option(min=1, help="Only the first so many grasps of each object.")
+        int | None,
+        typer.Option(min=1, help="Maximum number of grasps of each object (the first ones)."),
     ] = None,
     no_images: Annotated[
-        bool, typer.Option("--no-images", help="Leave the images out (real-grasps only).")
+        bool, typer.Option("--no-images", help="Export no images (real-grasps only).")
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:
-    """Write the executed grasps of a dataset in a format that other tools read."""
+    """Write the executed grasps of a dataset in another format."""
     from tacgen.dataset.export import export_dataset
 
     result = export_dataset(
@@ -167,7 +171,7 @@ def export(
 
 
 def _looks_whole(out: Path) -> bool:
-    """Whether it seems that no worker will be needed; a guess that only saves time."""
+    """Whether the dataset looks complete, so that no workers need to start early."""
     try:
         plan = json.loads((out / "dataset.json").read_text(encoding="utf-8"))
         return len(list(out.glob("shards/shard-*.json"))) >= int(plan["n_shards"])

@@ -1,4 +1,4 @@
-"""Commands that find what a calibrated model lacks: contact law, lookup table, grasps."""
+"""Commands that find effects missing from the contact law, the lookup table or the grasps."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def diagnose_contact(
     grasp: Annotated[
         str | None,
         typer.Option(
-            help="Recipe with sequences: also show its strongest grasp under the linear and the "
-            "extended law (grasp.html)."
+            help="Recipe with sequences: also render its grasp with the largest force under the "
+            "linear and the extended law (grasp.html)."
         ),
     ] = None,
     json_output: JsonFlag = False,
@@ -93,7 +93,7 @@ def diagnose_grasps_command(
     workers: WorkersOption = 2,
     json_output: JsonFlag = False,
 ) -> None:
-    """Find what the simulated set-up lacks, from grasps that ended otherwise than simulated."""
+    """Find the parameters of the simulation that explain mislabelled real grasps."""
     from tacgen.collection.recipe import load_recipe
     from tacgen.core.progress import progress_counter
     from tacgen.core.resources import object_folders

@@ -1,4 +1,4 @@
-"""What this machine can do for tacgen, and how to install what is missing."""
+"""Checks of this machine, and how to install what is missing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tacgen.core.errors import PhysicsError
 MIN_FREE_GB = 2.0
 """Some 3000 grasps of eight frames of 320×240 px, at 80 kB a compressed frame."""
 GL_PROBE_TIMEOUT_S = 60.0
-"""A software renderer on a loaded machine answers within ten seconds; drivers may hang for ever."""
+"""A software renderer on a loaded machine responds within ten seconds; drivers may hang."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def _cores() -> Finding:
 def _disk(folder: Path) -> Finding:
     free_gb = shutil.disk_usage(folder).free / 1e9
     ok = free_gb >= MIN_FREE_GB
-    fix = "" if ok else f"free some space or write elsewhere; datasets want {MIN_FREE_GB:g} GB"
+    fix = "" if ok else f"free some space or write elsewhere; datasets need {MIN_FREE_GB:g} GB"
     return Finding("free disk", ok, True, f"{free_gb:.1f} GB in {folder.resolve()}", fix)
 
 

@@ -1,4 +1,4 @@
-"""Commands about the networks: train, evaluate, whole studies."""
+"""Commands for the networks: train, evaluate, run studies."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def train(
     ],
     data: Annotated[Path, typer.Option("--data", help="Dataset that `tacgen collect` wrote.")],
     out: Annotated[
-        Path, typer.Option("--out", help="Folder of the run; a training that stopped is resumed.")
+        Path, typer.Option("--out", help="Folder of the run; an interrupted training is resumed.")
     ],
     workers: Annotated[
-        int, typer.Option(min=1, help="Models to train in parallel (one model an object).")
+        int, typer.Option(min=1, help="Models to train in parallel (one model per object).")
     ] = 1,
     json_output: JsonFlag = False,
 ) -> None:
@@ -52,13 +52,13 @@ def evaluate(
         str | None,
         typer.Option(
             "--baseline",
-            help="parameters: instead of a RUN, cross-validate decision trees that see the force "
-            "and place of each training grasp in --data, and no image.",
+            help="parameters: instead of a RUN, cross-validate decision trees on the force and "
+            "position (no image) of each training grasp in --data.",
         ),
     ] = None,
     json_output: JsonFlag = False,
 ) -> None:
-    """Test a run on simulated or real grasps; after both, prints the sim-to-real gap too."""
+    """Test a run on simulated or real grasps; once both are tested, prints the sim-to-real gap."""
     from tacgen.learning import require_learning_extra
 
     require_learning_extra()
@@ -91,7 +91,7 @@ def study(
         Path | None,
         typer.Option(
             "--calibrate-on",
-            help="Folder of other real grasps, for rows that fit the friction to real grasps.",
+            help="Folder of other real grasps, for rows that fit friction to real labels.",
         ),
     ] = None,
     contact: Annotated[

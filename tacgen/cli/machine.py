@@ -1,4 +1,4 @@
-"""Commands about this machine: what it can do, how fast it is."""
+"""Commands for this machine: check what is installed, measure its speed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacgen.cli.app import MACHINE, JsonFlag, app, print_result
 
 @app.command(rich_help_panel=MACHINE)
 def doctor(json_output: JsonFlag = False) -> None:
-    """Check what tacgen needs on this machine, and say how to install what is missing."""
+    """Check what tacgen needs on this machine and state how to install what is missing."""
     from tacgen.cli.doctor import examine
 
     findings = examine()

@@ -1,4 +1,4 @@
-"""Commands about the objects to grasp."""
+"""Commands for the objects to grasp."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ def objects_add(
         float, typer.Option("--scale", help="Millimetres per unit of the mesh: 1000 for metres.")
     ] = 1.0,
     name: Annotated[
-        str | None, typer.Option("--name", help="Name of the object; the mesh file's if not given.")
+        str | None,
+        typer.Option("--name", help="Name of the object; default: the mesh file's name."),
     ] = None,
     friction: Annotated[
         float, typer.Option("--friction", help="Coulomb friction coefficient against the gel.")
@@ -58,7 +59,7 @@ def objects_add(
         str, typer.Option("--up", help="Axis of the mesh that points up: x, y or z.")
     ] = "z",
     force: Annotated[
-        bool, typer.Option("--force", help="Replace an existing object of that name.")
+        bool, typer.Option("--force", help="Replace an existing object with this name.")
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:

@@ -68,7 +68,7 @@ def test_what_could_not_run_is_refused_at_once(tmp_path, words, said):
     [
         (["--failed", "--", "train", "train_single"], "--failed: only for a recipe"),
         (["quickstart", "--out", "x", "--gpus", "1"], "--gpus: only for a command"),
-        (["quickstart", "again", "--out", "x"], "with --out give one recipe"),
+        (["quickstart", "again", "--out", "x"], "with --out, give exactly one recipe"),
     ],
 )
 def test_options_of_the_other_kind_of_work_are_refused(tmp_path, monkeypatch, words, message):

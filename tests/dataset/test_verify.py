@@ -175,7 +175,7 @@ def test_command_verify(toy):
     run = CliRunner().invoke(app, ["verify", str(toy.root)])
     assert (run.exit_code, run.output.strip()) == (
         0,
-        "10 grasps in 3 shards, all as they were written",
+        "10 grasps in 3 shards, all intact",
     )
     toy.shard_path(2).write_bytes(b"")
     run = CliRunner().invoke(app, ["verify", str(toy.root)])
