@@ -252,7 +252,7 @@ def _bullet_shape(data: tuple[Any, ...]) -> trimesh.Trimesh:
         shape = _capsule(sizes[1], sizes[0])
     else:
         try:
-            shape = trimesh.load(file.decode(), force="mesh")
+            shape = trimesh.load_mesh(file.decode())
         except (OSError, ValueError, TypeError, NotImplementedError):
             msg = f"PyBullet keeps no mesh file of body {data[0]}; give one: add_object(…, mesh=…)"
             raise SensorError(msg) from None
