@@ -13,7 +13,9 @@ def test_the_lock_file_pins_every_dependency():
         for lock in ("requirements.lock", "requirements-learn.lock")
         for line in (ROOT / lock).read_text(encoding="utf-8").splitlines()
     }
-    tables = re.findall(r"^(?:dependencies|learn|cluster|mujoco|dev) = \[(.*?)\]", PYPROJECT, re.M | re.S)
+    tables = re.findall(
+        r"^(?:dependencies|learn|cluster|mujoco|dev) = \[(.*?)\]", PYPROJECT, re.M | re.S
+    )
     assert len(tables) == 5
     named = {
         re.split(r"[><=\[]", name)[0].lower().replace("_", "-")

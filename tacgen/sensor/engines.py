@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh
 from tacgen.core.units import MM_PER_M
 from tacgen.physics.contacts import object_contacts
-from tacgen.physics.frames import inverse, pose, rotation_from_quaternion
+from tacgen.physics.frames import inverse, pose, rotation_of
 
 SPHERE_SUBDIVISIONS = 6
 """82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm."""
@@ -56,13 +55,13 @@ class _Contacts:
             return self._objects[0].mesh, poses[0], force, float(torsion)
         return _joined([one.mesh for one in self._objects], poses), np.eye(4), force, float(torsion)
 
-    def _gel_pose_m(self) -> NDArray[np.float64]:
+    def _gel_pose_m(self) -> FloatArray:
         raise NotImplementedError
 
-    def _object_pose_m(self, body: int) -> NDArray[np.float64]:
+    def _object_pose_m(self, body: int) -> FloatArray:
         raise NotImplementedError
 
-    def _forces_on_gel(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
         raise NotImplementedError
 
 
@@ -70,7 +69,7 @@ class PyBulletContacts(_Contacts):
     """A link of a PyBullet body that carries the gel."""
 
     def __init__(
-        self, body_id: int, link_id: int, pose_link_gel_m: NDArray[np.float64], client_id: int
+        self, body_id: int, link_id: int, pose_link_gel_m: FloatArray, client_id: int
     ) -> None:
         import pybullet
 
@@ -112,29 +111,30 @@ class PyBulletContacts(_Contacts):
             mesh = Mesh(MM_PER_M * vertices_m, np.asarray(found.faces, np.int32))
         self._objects.append(_Body(int(body), mesh))
 
-    def _inertial_m(self, body: int, link: int) -> NDArray[np.float64]:
+    def _inertial_m(self, body: int, link: int) -> FloatArray:
         """The link's inertial frame in the link's own."""
         known = self._asked("link", link, self._bullet.getDynamicsInfo, body, link)
-        return pose(rotation_from_quaternion(known[4]), known[3])
+        return pose(rotation_of(known[4]), known[3])
 
-    def _link_pose_m(self, body: int, link: int) -> NDArray[np.float64]:
+    def _link_pose_m(self, body: int, link: int) -> FloatArray:
         if link == -1:
             at, turned = self._asked("body", body, self._bullet.getBasePositionAndOrientation, body)
-            return pose(rotation_from_quaternion(turned), at) @ inverse(self._inertial_m(body, -1))
+            return pose(rotation_of(turned), at) @ inverse(self._inertial_m(body, -1))
         state = self._bullet.getLinkState(
             body, link, computeForwardKinematics=True, physicsClientId=self._client
         )
-        return pose(rotation_from_quaternion(state[5]), state[4])
+        return pose(rotation_of(state[5]), state[4])
 
-    def _gel_pose_m(self) -> NDArray[np.float64]:
+    def _gel_pose_m(self) -> FloatArray:
         return self._link_pose_m(self._body, self._link) @ self._gel
 
-    def _object_pose_m(self, body: int) -> NDArray[np.float64]:
+    def _object_pose_m(self, body: int) -> FloatArray:
         return self._link_pose_m(body, -1)
 
-    def _forces_on_gel(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
         raw = self._bullet.getContactPoints(physicsClientId=self._client)
-        points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        points: list[FloatArray] = [np.zeros((0, 3))]
+        forces: list[FloatArray] = [np.zeros((0, 3))]
         for one in self._objects:
             touching = object_contacts(raw, one.body).of(self._body, self._link)
             points.append(touching.point_m)
@@ -145,9 +145,7 @@ class PyBulletContacts(_Contacts):
 class MujocoContacts(_Contacts):
     """A body of a MuJoCo model that carries the gel."""
 
-    def __init__(
-        self, model: Any, data: Any, body: int | str, pose_body_gel_m: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, model: Any, data: Any, body: int | str, pose_body_gel_m: FloatArray) -> None:
         import mujoco
 
         super().__init__()
@@ -209,18 +207,16 @@ class MujocoContacts(_Contacts):
             msg = f"geom {name!r} has no mesh of its own; give one: add_object(body, mesh=…)"
             raise SensorError(msg)
         w, x, y, z = self._model.geom_quat[geom]
-        shape.apply_transform(
-            pose(rotation_from_quaternion([x, y, z, w]), self._model.geom_pos[geom])
-        )
+        shape.apply_transform(pose(rotation_of([x, y, z, w]), self._model.geom_pos[geom]))
         return shape
 
-    def _gel_pose_m(self) -> NDArray[np.float64]:
+    def _gel_pose_m(self) -> FloatArray:
         return self._object_pose_m(self._body) @ self._gel
 
-    def _object_pose_m(self, body: int) -> NDArray[np.float64]:
+    def _object_pose_m(self, body: int) -> FloatArray:
         return pose(np.array(self._data.xmat[body]).reshape(3, 3), np.array(self._data.xpos[body]))
 
-    def _forces_on_gel(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
         objects = {one.body for one in self._objects}
         points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for k in range(self._data.ncon):
@@ -257,7 +253,7 @@ def _bullet_shape(data: tuple[Any, ...]) -> trimesh.Trimesh:
             msg = f"PyBullet keeps no mesh file of body {data[0]}; give one: add_object(…, mesh=…)"
             raise SensorError(msg) from None
         shape.apply_scale(sizes)
-    shape.apply_transform(pose(rotation_from_quaternion(data[6]), data[5]))
+    shape.apply_transform(pose(rotation_of(data[6]), data[5]))
     return shape
 
 
@@ -272,10 +268,11 @@ def _merged(shapes: list[trimesh.Trimesh], what: str) -> trimesh.Trimesh:
     if not shapes:
         msg = f"{what} has no shape that collides; give a mesh: add_object(…, mesh=…)"
         raise SensorError(msg)
-    return shapes[0] if len(shapes) == 1 else trimesh.util.concatenate(shapes)
+    whole: trimesh.Trimesh = trimesh.util.concatenate(shapes)
+    return whole
 
 
-def _joined(meshes: list[Mesh], poses_mm: list[NDArray[np.float64]]) -> Mesh:
+def _joined(meshes: list[Mesh], poses_mm: list[FloatArray]) -> Mesh:
     """Several objects as one mesh in the gel frame."""
     vertices, faces, start = [], [], 0
     for mesh, at in zip(meshes, poses_mm, strict=True):
@@ -285,7 +282,7 @@ def _joined(meshes: list[Mesh], poses_mm: list[NDArray[np.float64]]) -> Mesh:
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def _in_mm(pose_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_mm(pose_m: FloatArray) -> FloatArray:
     pose_mm = pose_m.copy()
     pose_mm[:3, 3] *= MM_PER_M
     return pose_mm
