@@ -143,8 +143,8 @@ def calibrate_contact(
     by: Annotated[
         str | None,
         typer.Option(
-            help="Column by whose values k is compared, or `trial`; default: the indenters or the "
-            "first text column."
+            help="Compare k between the values of this column, or `trial`; default: the indenters "
+            "or the first text column."
         ),
     ] = None,
     contact_point: Annotated[
@@ -233,7 +233,8 @@ def rig(
     recipe: RecipeArgument,
     out: Annotated[Path, typer.Option("--out", help="Folder for the press log and the images.")],
     seed: Annotated[
-        int | None, typer.Option(help="Seed instead of the recipe's: another session.", min=0)
+        int | None,
+        typer.Option(help="Seed that replaces the recipe's, for another session.", min=0),
     ] = None,
 ) -> None:
     """Simulate a ball-press rig: press log, press images or both, with known effects."""

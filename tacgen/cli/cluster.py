@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tacgen.cli.app import CLUSTER, DatasetArgument, JsonFlag, app, print_record, print_result
+from tacgen.cli.app import CLUSTER, JsonFlag, app, print_record, print_result
 from tacgen.core.errors import ClusterError
 
 COMMAND_SETTINGS = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
@@ -153,7 +153,12 @@ def _run_command(arguments: Sequence[str]) -> None:
 
 
 @app.command(rich_help_panel=CLUSTER)
-def status(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
+def status(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of a dataset, or --out of a submitted command.")
+    ],
+    json_output: JsonFlag = False,
+) -> None:
     """Show the progress of a dataset or of jobs: done, running, failed and why, time left."""
     from tacgen import cluster
 

@@ -135,7 +135,7 @@ def verify(
 
 @app.command(rich_help_panel=DATASETS)
 def merge(folder: DatasetArgument) -> None:
-    """Join the manifests of shards that several machines wrote into one."""
+    """Join the manifest lines of all shards, from all machines, in manifest.jsonl."""
     from tacgen.dataset import DatasetFolder
 
     lines = DatasetFolder(folder).merge()

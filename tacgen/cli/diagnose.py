@@ -93,7 +93,7 @@ def diagnose_grasps_command(
     workers: WorkersOption = 2,
     json_output: JsonFlag = False,
 ) -> None:
-    """Find the parameters of the simulation that explain mislabelled real grasps."""
+    """Find simulation parameters that explain why real grasps ended differently than simulated."""
     from tacgen.collection.recipe import load_recipe
     from tacgen.core.progress import progress_counter
     from tacgen.core.resources import object_folders
