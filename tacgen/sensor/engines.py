@@ -268,8 +268,7 @@ def _merged(shapes: list[trimesh.Trimesh], what: str) -> trimesh.Trimesh:
     if not shapes:
         msg = f"{what} has no shape that collides; give a mesh: add_object(…, mesh=…)"
         raise SensorError(msg)
-    whole: trimesh.Trimesh = trimesh.util.concatenate(shapes)
-    return whole
+    return sum(shapes[1:], start=shapes[0])
 
 
 def _joined(meshes: list[Mesh], poses_mm: list[FloatArray]) -> Mesh:

@@ -268,7 +268,9 @@ def test_a_checkpoint_of_another_model_is_refused(toy, recipe, trained, tmp_path
     with pytest.raises(LearningError, match="not a checkpoint of the sequence network"):
         train(recipe, toy, run)
     (run / "models/pooled/checkpoint.pt").write_bytes(b"broken")
-    with pytest.raises(LearningError, match=r"cannot be read as a checkpoint.*train anew"):
+    with pytest.raises(
+        LearningError, match=r"cannot be read as a checkpoint.*train from the start"
+    ):
         train(recipe, toy, run)
 
 
@@ -280,7 +282,7 @@ def test_a_checkpoint_that_does_not_say_how_good_its_best_epoch_was_is_refused(
     path = run / "models/pooled/checkpoint.pt"
     state = torch.load(path, weights_only=True)
     torch.save({**state, "best": {"epoch": 1, "loss": 0.5}}, path)
-    with pytest.raises(LearningError, match=r"does not fit this network.*remove it to train anew"):
+    with pytest.raises(LearningError, match=r"does not fit this network.*train from the start"):
         train(recipe, toy, run)
 
 

@@ -54,7 +54,7 @@ def test_what_is_no_ball_is_said():
     cone = DepthCurve("cone", made.depth_mm, made.depth_mm**3)
     found = explain_curves((cone,))
     assert found.curves[0].waviness > 0.5
-    assert any("no noise" in text for text in depth_warnings(Path("c.csv"), found))
+    assert any("the residual is not noise" in text for text in depth_warnings(Path("c.csv"), found))
     assert abs(explain_curves((made,)).curves[0].waviness) < 0.5
 
 
