@@ -21,7 +21,14 @@ from tacgen.optics.effects import (
 )
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
-from tacgen.optics.shade import feature_factors, packed_nodes, quantize, shade_window
+from tacgen.optics.shade import (
+    feature_factors,
+    packed_nodes,
+    packed_response,
+    quantize,
+    shade_response,
+    shade_window,
+)
 from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import Leds, LookupTable
 
@@ -60,6 +67,7 @@ class Shader:
         self.table = table
         self._nodes = packed_nodes(table)
         self._along = feature_factors(table.shape_px)
+        self._response = None if table.response is None else packed_response(table.response)
         self._interpolate = table.interpolation == "linear" and self._nodes.shape[0] > 1
         self._background = np.ascontiguousarray(table.background, dtype=np.float32)
         n_rows, n_columns = table.shape_px
@@ -104,6 +112,17 @@ class Shader:
         """
         for active in self._surface:
             height_map_mm = self._on_surface(active, height_map_mm, window)
+        if self._response is not None:
+            shade_response(
+                height_map_mm,
+                window,
+                self.table.mm_per_px,
+                self._response,
+                self.table.max_slope_rad,
+                self._background,
+                image,
+            )
+            return
         shade_window(
             height_map_mm,
             window,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tacgen.optics.smooth import Window
 from tacgen.optics.table import N_FEATURES, LookupTable
-from tacgen.optics.vector import NODE_FLOATS, blend_nodes
+from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 
 _LANES = NODE_FLOATS // N_FEATURES
 
@@ -25,6 +25,18 @@ def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
     nodes[:, :-1, :, :3] = table.coefficients.transpose(0, 1, 3, 2)
     nodes[:, -1] = nodes[:, 0]
     return nodes.reshape(n_slope, n_direction + 1, NODE_FLOATS)
+
+
+def packed_response(response: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A table's response (n_slope, n_direction + 1, n_rows, n_columns, 4).
+
+    The first direction is repeated at the end, and a node holds R, G, B and a zero.
+    """
+    n_slope, n_direction, n_rows, n_columns, _ = response.shape
+    packed = np.zeros((n_slope, n_direction + 1, n_rows, n_columns, _LANES), dtype=np.float32)
+    packed[:, :-1, ..., :3] = response
+    packed[:, -1] = packed[:, 0]
+    return packed
 
 
 def feature_factors(shape_px: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -117,19 +129,20 @@ def _place_in_table(
     n_slope: int,
     n_direction: int,
     interpolate: bool,
+    node_floats: int,
     offset: NDArray,
 ) -> None:
     """Turn coordinates into the node below (its offset) and the shares of the next ones."""
     last_slope = np.int32(n_slope - 2 if interpolate else n_slope - 1)
     last_direction = np.int32(n_direction - 1)
-    row_length = np.int32((n_direction + 1) * NODE_FLOATS)
+    row_length = np.int32((n_direction + 1) * node_floats)
     share = np.float32(1 if interpolate else 0)
     for k in range(slope.shape[0]):
         i = min(np.int32(slope[k]), last_slope)
         j = min(np.int32(direction[k]), last_direction)
         slope[k] = share * min(slope[k] - np.float32(i), np.float32(1))
         direction[k] = share * min(direction[k] - np.float32(j), np.float32(1))
-        offset[k] = i * row_length + j * np.int32(NODE_FLOATS)
+        offset[k] = i * row_length + j * np.int32(node_floats)
 
 
 @njit(cache=True, nogil=True)
@@ -176,7 +189,7 @@ def shade_window(
             slope,
             direction,
         )
-        _place_in_table(slope, direction, n_slope, n_direction, interpolate, offset)
+        _place_in_table(slope, direction, n_slope, n_direction, interpolate, NODE_FLOATS, offset)
         for k in range(width):
             p, q, here = slope[k], direction[k], np.int64(offset[k])
             w11 = p * q
@@ -191,6 +204,92 @@ def shade_window(
                 (left + k) * NODE_FLOATS,
                 along_v,
                 r * NODE_FLOATS,
+                change,
+                3 * k,
+            )
+        image_row, background_row = (
+            image[r, left:right].reshape(-1),
+            background[r, left:right].reshape(-1),
+        )
+        for k in range(3 * width):
+            image_row[k] = background_row[k] + change[k]
+
+
+@njit(cache=True, nogil=True)
+def shade_response(
+    height_mm: NDArray,
+    window: Window,
+    mm_per_px: float,
+    response: NDArray,
+    max_slope_rad: float,
+    background: NDArray,
+    image: NDArray,
+) -> None:
+    """Write background + response into ``image`` (H, W, 3) float32, within ``window``.
+
+    Parameters
+    ----------
+    height_mm : (H, W) float32
+        The deformed gel surface, gel frame.
+    response : (n_slope, n_direction + 1, n_rows, n_columns, 4) float32
+        See ``packed_response``.
+    """
+    top, bottom, left, right = window
+    n_slope, n_direction = response.shape[0], response.shape[1] - 1
+    n_rows, n_columns = response.shape[2], response.shape[3]
+    node_floats = n_rows * n_columns * _LANES
+    width = right - left
+    table = response.reshape(-1)
+    slope, direction = np.empty(width, np.float32), np.empty(width, np.float32)
+    offset, column = np.empty(width, np.int32), np.empty(width, np.int32)
+    across = np.empty(width, np.float32)
+    change = np.empty(3 * width + 1, np.float32)
+    to_row, to_direction = n_columns * _LANES, node_floats
+    to_slope = (n_direction + 1) * node_floats
+    one = np.float32(1)
+    for k in range(width):
+        at = (left + k + 0.5) / image.shape[1] * (n_columns - 1)
+        column[k] = min(int(at), n_columns - 2) * _LANES
+        across[k] = at - column[k] // _LANES
+    for r in range(top, bottom):
+        _slope_coordinates(
+            height_mm,
+            r,
+            left,
+            right,
+            mm_per_px,
+            (n_slope - 1) / max_slope_rad,
+            n_direction / (2 * math.pi),
+            slope,
+            direction,
+        )
+        _place_in_table(slope, direction, n_slope, n_direction, True, node_floats, offset)
+        at = (r + 0.5) / image.shape[0] * (n_rows - 1)
+        row = min(int(at), n_rows - 2)
+        down = np.float32(at - row)
+        for k in range(width):
+            p, q = slope[k], direction[k]
+            here = np.int64(offset[k]) + row * to_row + column[k]
+            w11 = p * q
+            w10, w01 = p - w11, q - w11
+            w00 = one - p - w01
+            beside, above = here + to_direction, here + to_slope
+            both = beside + to_slope
+            d00, d01, d10, d11 = down * w00, down * w01, down * w10, down * w11
+            blend_places(  # type: ignore[call-arg]  # numba passes the typing context itself
+                table,
+                (
+                    here,
+                    beside,
+                    above,
+                    both,
+                    here + to_row,
+                    beside + to_row,
+                    above + to_row,
+                    both + to_row,
+                ),
+                (w00 - d00, w01 - d01, w10 - d10, w11 - d11, d00, d01, d10, d11),
+                across[k],
                 change,
                 3 * k,
             )

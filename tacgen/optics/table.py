@@ -14,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.safe_io import check_archive
@@ -45,6 +46,12 @@ class LookupTable:
         Grey levels, channels RGB, features u², v², uv, u, v, 1.
     background : (H, W, 3) float32
         RGB grey levels such that the undeformed gel (dome included) renders the reference image.
+    response : (n_slope, n_direction, n_rows, n_columns, 3) float32, optional
+        Grey levels that each slope adds at nodes of position, for light that is no quadratic in
+        position. Where it is given it is what renders, linear between its nodes in all four
+        directions; its nodes of slope and direction are spaced as those of the coefficients, but
+        are as many as its shape has, and node (r, c) stands at v = r/(n_rows − 1) − ½,
+        u = c/(n_columns − 1) − ½. The coefficients are then the quadratic nearest to it.
     mm_per_px : float
     max_slope_rad : float
         At most π/2.
@@ -70,6 +77,7 @@ class LookupTable:
     noise_grey: float = 0.0
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    response: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         if self.coefficients.ndim != 4 or self.coefficients.shape[2:] != (3, N_FEATURES):
@@ -81,6 +89,14 @@ class LookupTable:
         if self.background.ndim != 3 or self.background.shape[2] != 3:
             msg = f"background has shape {self.background.shape}, not (H, W, 3)"
             raise TableError(msg)
+        if self.response is not None and (
+            self.response.ndim != 5 or min(self.response.shape) < 2 or self.response.shape[4] != 3
+        ):
+            msg = (
+                f"response has shape {self.response.shape}, not (n_slope, n_direction, n_rows, "
+                "n_columns, 3) with at least two nodes each way"
+            )
+            raise TableError(msg)
         if self.interpolation not in ("linear", "floor"):
             msg = f"interpolation is {self.interpolation!r}, not 'linear' or 'floor'"
             raise TableError(msg)
@@ -91,6 +107,36 @@ class LookupTable:
         return self.background.shape[0], self.background.shape[1]
 
 
+def response_at(
+    table: LookupTable, gx: FloatArray, gy: FloatArray, u: FloatArray, v: FloatArray
+) -> FloatArray:
+    """Grey levels (n, 3) of a table's response to slopes (n,) at positions (n,), in float64."""
+    if table.response is None:
+        msg = "the table has coefficients only"
+        raise TableError(msg)
+    n_slope, n_direction, n_rows, n_columns, _ = table.response.shape
+    share = np.minimum(np.arctan(np.hypot(gx, gy)) / table.max_slope_rad, 1.0)
+    turn = (np.arctan2(gy, gx) + np.pi) / (2 * np.pi)
+    at = np.stack(
+        [
+            share * (n_slope - 1),
+            turn * n_direction,
+            (v + 0.5) * (n_rows - 1),
+            (u + 0.5) * (n_columns - 1),
+        ]
+    )
+    last = np.array([[n_slope - 2], [n_direction - 1], [n_rows - 2], [n_columns - 2]])
+    below = np.clip(at.astype(int), 0, last)
+    above_share = at - below
+    change = np.zeros((len(gx), 3))
+    for corner in np.ndindex(2, 2, 2, 2):
+        step = np.array(corner)[:, None]
+        weight = np.where(step == 1, above_share, 1.0 - above_share).prod(axis=0)
+        i, j, row, column = below + step
+        change += weight[:, None] * table.response[i, j % n_direction, row, column]
+    return change
+
+
 _SCALARS = ("mm_per_px", "max_slope_rad", "interpolation", "sensor", "noise_grey")
 
 
@@ -99,11 +145,13 @@ def save_table(table: LookupTable, path: Path) -> None:
     meta = {name: getattr(table, name) for name in _SCALARS}
     meta["effects"] = {name: dict(parameters) for name, parameters in table.effects.items()}
     meta["provenance"] = dict(table.provenance)
+    arrays: dict[str, Any] = {"coefficients": table.coefficients, "background": table.background}
+    if table.response is not None:
+        arrays["response"] = table.response.astype(np.float16)
     with atomic_path(Path(path)) as partial, partial.open("wb") as file:
         np.savez_compressed(
             file,
-            coefficients=table.coefficients,
-            background=table.background,
+            **arrays,
             meta=np.frombuffer(json.dumps(meta, sort_keys=True).encode(), dtype=np.uint8),
         )
 
@@ -121,6 +169,7 @@ def load_table(path: Path | str) -> LookupTable:
         check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("coefficients", "background", "meta")}
+            arrays |= {name: archive[name] for name in ("response",) if name in archive}
     except FileNotFoundError:
         msg = f"{path}: no such table; `tacgen calibrate lookup` makes one"
         raise TableError(msg) from None
@@ -140,6 +189,7 @@ def load_table(path: Path | str) -> LookupTable:
         background=arrays["background"].astype(np.float32),
         effects=meta["effects"],
         provenance=meta["provenance"],
+        response=arrays["response"].astype(np.float32) if "response" in arrays else None,
         **scalars,
     )
 

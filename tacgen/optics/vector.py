@@ -101,3 +101,50 @@ def blend_nodes(
         return context.get_dummy_value()
 
     return signature, codegen
+
+
+@intrinsic
+def blend_places(
+    typing_context: Any,
+    nodes: Any,
+    offsets: Any,
+    weights: Any,
+    across: Any,
+    target: Any,
+    target_offset: Any,
+) -> Any:
+    """Blend eight pairs of neighbouring nodes of a table's response.
+
+    Parameters
+    ----------
+    nodes, target : contiguous float32
+        Four floats a node; four are written to the target: R, G, B and a zero.
+    offsets, weights : tuple of 8
+        Where each pair starts, and its weight.
+    across : float32
+        Share of the second node of every pair.
+    target_offset : int
+        Nothing is checked: the caller keeps all offsets within the arrays.
+    """
+    signature = types.void(nodes, offsets, weights, across, target, target_offset)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        table = _data(context, builder, signature.args[0], args[0])
+        parts = [
+            builder.fmul(_everywhere(builder, weight), _load(builder, table, offset, _LANES))
+            for offset, weight in zip(
+                cgutils.unpack_tuple(builder, args[1], 8),
+                cgutils.unpack_tuple(builder, args[2], 8),
+                strict=True,
+            )
+        ]
+        while len(parts) > 1:
+            parts = [builder.fadd(a, b) for a, b in zip(parts[::2], parts[1::2], strict=True)]
+        first, second = _half(builder, parts[0], 0), _half(builder, parts[0], 4)
+        share = _half(builder, _everywhere(builder, args[3]), 0)
+        rgb = builder.fadd(first, builder.fmul(share, builder.fsub(second, first)))
+        place = builder.gep(_data(context, builder, signature.args[4], args[4]), [args[5]])
+        builder.store(rgb, builder.bitcast(place, rgb.type.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen

@@ -19,7 +19,7 @@ MIN_PRESSES = 3
 MAX_OUTSIDE = 0.25
 """A contact may lie out of view by this share of its circle."""
 
-MAX_SATURATED = 0.25
+MAX_SATURATED = 0.9
 """Share of the contact's pixels that may be at 0 or 255 in a channel where the gel is not."""
 
 MAX_LABEL_SHARE = 1.5

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from tacgen.core.errors import TableError
-from tacgen.optics import LookupTable, render_rgb
+from tacgen.optics import LookupTable, load_table, render_rgb, save_table
 from tacgen.optics.render import Renderer
 from tacgen.optics.sampled_table import with_reference
+from tacgen.optics.table import response_at
 
 SHAPE = (90, 120)
 MM_PER_PX = 0.1
@@ -79,6 +80,69 @@ def plain_render(height_mm, made):
     return made.background + (here * features[..., None, :]).sum(axis=-1)
 
 
+def with_response(made, seed=5):
+    rng = np.random.default_rng(seed)
+    response = rng.normal(0, 12, (7, 9, 5, 4, 3)).astype(np.float16).astype(np.float32)
+    return replace(made, response=response)
+
+
+def plain_response(height_mm, made):
+    """The response between its nodes by scipy, in float64, from the table's docstring alone."""
+    gradient_y, gradient_x = np.gradient(np.float32(height_mm).astype(float), made.mm_per_px)
+    slope = np.minimum(np.arctan(np.hypot(gradient_x, gradient_y)), made.max_slope_rad)
+    direction = np.arctan2(gradient_y, gradient_x)
+    n_slope, n_direction, n_rows, n_columns, _ = made.response.shape
+    nodes = (
+        np.linspace(0, made.max_slope_rad, n_slope),
+        np.linspace(-np.pi, np.pi, n_direction + 1),
+        np.linspace(-0.5, 0.5, n_rows),
+        np.linspace(-0.5, 0.5, n_columns),
+    )
+    wrapped = np.concatenate([made.response, made.response[:, :1]], axis=1).astype(float)
+    u = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1] - 0.5
+    v = ((np.arange(SHAPE[0]) + 0.5) / SHAPE[0] - 0.5)[:, None]
+    at = np.stack(np.broadcast_arrays(slope, direction, v, u), axis=-1)
+    return made.background + RegularGridInterpolator(nodes, wrapped)(at)
+
+
+def test_a_response_is_linear_between_its_nodes():
+    made = with_response(table())
+    rendered = render_rgb(bumps(), made).astype(float)
+    expected = np.clip(plain_response(bumps(), made), 0, 255)
+    assert abs(rendered - expected).max() <= 0.5 + 2e-3
+    gy, gx = np.gradient(np.float32(bumps()).astype(float), MM_PER_PX)
+    u, v = (part.ravel() for part in np.meshgrid(*(np.arange(n) / n for n in SHAPE[::-1])))
+    half = 0.5 - 0.5 / np.array(SHAPE[::-1])
+    looked_up = response_at(made, gx.ravel(), gy.ravel(), u - half[0], v - half[1])
+    plain = plain_response(bumps(), made) - made.background
+    np.testing.assert_allclose(looked_up.reshape(plain.shape), plain, atol=1e-9)
+
+
+def test_a_response_that_is_linear_in_position_renders_as_its_coefficients():
+    """Features u, v and 1 alone: both forms of a table are the same function."""
+    made = table()
+    coefficients = made.coefficients.copy()
+    coefficients[..., :3] = 0
+    v, u = np.meshgrid(np.linspace(-0.5, 0.5, 4), np.linspace(-0.5, 0.5, 6), indexing="ij")
+    linear = np.stack([u, v, np.ones_like(u)], axis=-1)
+    response = np.einsum("sdcf,rkf->sdrkc", coefficients[..., 3:], linear).astype(np.float32)
+    made = replace(made, coefficients=coefficients)
+    by_response = render_rgb(bumps(), replace(made, response=response)).astype(int)
+    assert abs(by_response - render_rgb(bumps(), made)).max() <= 1
+
+
+def test_a_response_survives_its_file_and_a_wrong_one_is_refused(tmp_path):
+    made = with_response(table())
+    save_table(made, tmp_path / "table.npz")
+    read = load_table(tmp_path / "table.npz")
+    np.testing.assert_array_equal(read.response, made.response)
+    np.testing.assert_array_equal(render_rgb(bumps(), read), render_rgb(bumps(), made))
+    save_table(table(), tmp_path / "plain.npz")
+    assert load_table(tmp_path / "plain.npz").response is None
+    with pytest.raises(TableError, match="response has shape"):
+        replace(made, response=made.response[..., :1])
+
+
 @pytest.mark.parametrize("interpolation", ["linear", "floor"])
 def test_rendering_is_the_look_up_that_the_table_describes(interpolation):
     made = table(interpolation=interpolation)
@@ -112,8 +176,9 @@ EFFECTS = {
 @pytest.mark.parametrize("effects", EFFECTS.values(), ids=EFFECTS)
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("window", [(20, 61, 30, 81), (0, 35, 60, 120), (0, 90, 0, 120)])
-def test_the_quick_path_gives_the_same_picture_to_the_last_bit(effects, shadows, window):
-    made = table(effects=effects)
+@pytest.mark.parametrize("form", [table, lambda **changes: with_response(table(**changes))])
+def test_the_quick_path_gives_the_same_picture_to_the_last_bit(effects, shadows, window, form):
+    made = form(effects=effects)
     rest = dome().astype(np.float32)
     renderer = Renderer(made, rest, shadows=shadows, leds=LEDS)
     top, bottom, left, right = window

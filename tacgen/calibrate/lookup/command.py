@@ -106,6 +106,12 @@ def score_text(score: TableScore | None, *, json_output: bool = False) -> str:
             "RMSE in grey levels (R, G, B)",
             f"  labels as given             {labels:6.2f}  {_channels(labels_rgb)}",
             f"  centre, radius re-estimated {refined:6.2f}  {_channels(refined_rgb)}",
+            *(
+                f"  {ring['from_radii']:g} to {ring['to_radii']:g} radii: "
+                f"{ring['rmse_labels']:.2f}, re-estimated {ring['rmse_refined']:.2f}, "
+                f"without a contact {ring['rmse_bare']:.2f}"
+                for ring in score.rings()[1:]
+            ),
         ]
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, BackgroundRecipe, LookupRules
-from tacgen.calibrate.lookup.smooth_model import position_terms
+from tacgen.calibrate.lookup.smooth_model import position_features, position_terms
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.presses.dots import coarse, filled_in
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
@@ -24,6 +24,10 @@ BARE_BEYOND_RADII = 2.2
 
 MIN_VIEWS = 3
 """Presses that must leave a pixel bare for their median to be used there."""
+
+LIGHT_SMOOTH = 0.05
+"""Width, as a share of the image's, of the Gaussian that leaves the light of the reference image:
+a table's nodes of position stand as far apart."""
 
 _FINE_SIGMA_PX = 4.0
 """A Gaussian of this width is as good as any wider one, on fewer pixels."""
@@ -68,6 +72,15 @@ class Pixels:
         """The pixels where ``mask`` (n,) holds."""
         return Pixels(*(getattr(self, name)[mask] for name in self.__slots__))
 
+    def with_these(self, others: Sequence[Pixels]) -> Pixels:
+        """These pixels and those of ``others``, one after the other."""
+        return Pixels(
+            *(
+                np.concatenate([getattr(part, name) for part in (self, *others)])
+                for name in self.__slots__
+            )
+        )
+
     @property
     def odd_block(self) -> BoolArray:
         """Which of the two sets of a chess board of 8×8 blocks each pixel belongs to."""
@@ -75,9 +88,14 @@ class Pixels:
 
 
 def disc_pixels(
-    presses: PressImages, k: int, *, reach: float = 1.0, limit: int | None = None
+    presses: PressImages,
+    k: int,
+    *,
+    reach: float = 1.0,
+    limit: int | None = None,
+    inner: float = 0.0,
 ) -> Pixels:
-    """The pixels of press ``k`` within ``reach`` × its contact circle that no dot covers.
+    """The pixels of press ``k`` from ``inner`` to ``reach`` contact radii that no dot covers.
 
     Where there are more than ``limit``, an even lattice of them: every k-th row and column, so
     that no part of the circle is favoured.
@@ -90,11 +108,12 @@ def disc_pixels(
     left, right = (int(np.clip(x + s * (reach_px + 1), 0, width)) for s in (-1, 1))
     step = 1
     if limit is not None:
-        step = max(1, math.ceil(math.sqrt(np.pi * reach_px**2 / limit) - 0.05))
+        area_px = np.pi * (reach**2 - inner**2) * radius_px**2
+        step = max(1, math.ceil(math.sqrt(area_px / limit) - 0.05))
     rows, columns = np.mgrid[top:bottom:step, left : right + 1 : step]
     rows, columns = rows.ravel(), np.minimum(columns.ravel(), width - 1)
     distance = np.hypot(columns - x, rows - y)
-    near = distance < reach_px
+    near = (distance < reach_px) & (distance >= inner * radius_px)
     if hidden is not None:
         near &= ~hidden[rows, columns]
     rows, columns, distance = rows[near], columns[near], distance[near]
@@ -116,6 +135,8 @@ class Sample:
 
     Attributes
     ----------
+    position : (n, f) float
+        Features of position of the highest degree.
     change : (n, 3) float
         Grey levels less the background's.
     weight : (n,) float
@@ -124,6 +145,7 @@ class Sample:
     """
 
     pixels: Pixels
+    position: FloatArray
     change: FloatArray
     weight: FloatArray
     label: FloatArray
@@ -144,6 +166,8 @@ class PreparedPresses:
         What each picture's bare gel is brighter by than that of the others, grey levels.
     backgrounds : mapping of BackgroundRecipe to (H, W, 3) float32
         Every candidate of the rules.
+    light : (H, W, 3) float32
+        Brightness of the reference image, smoothed, relative to its mean.
     """
 
     presses: PressImages
@@ -151,7 +175,10 @@ class PreparedPresses:
     bare_changes: FloatArray
     drift: FloatArray
     backgrounds: Mapping[BackgroundRecipe, FloatArray]
-    _pixels: dict[int, list[Pixels]] = field(default_factory=dict, repr=False)
+    light: FloatArray
+    _pixels: dict[int, list[tuple[Pixels, FloatArray, FloatArray]]] = field(
+        default_factory=dict, repr=False
+    )
 
     @classmethod
     def of(
@@ -169,7 +196,8 @@ class PreparedPresses:
             recipe: make_background(presses.background, change, recipe, presses.dots)
             for recipe in recipes
         }
-        return cls(presses, rules, changes, _drift(changes), backgrounds)
+        light = _light(presses)
+        return cls(presses, rules, changes, _drift(changes), backgrounds, light)
 
     def __len__(self) -> int:
         return len(self.presses)
@@ -187,21 +215,46 @@ class PreparedPresses:
         rules = self.rules
         limit = rules.pixels_per_press if limit is None else limit
         if limit not in self._pixels:
-            self._pixels[limit] = [
-                disc_pixels(self.presses, k, reach=rules.reach_radii, limit=limit)
-                for k in range(len(self))
-            ]
+            self._pixels[limit] = [self._rings(k, limit) for k in range(len(self))]
         labels = label_mm(self.presses)
         return [
             Sample(
                 pixels=pixels,
+                position=position,
                 change=pixels.grey - background[pixels.rows, pixels.columns],
-                weight=np.where(pixels.inside, 1.0, rules.rim_weight),
+                weight=weight,
                 label=labels[k],
                 ball_radius_mm=float(self.presses.ball_radius_mm[k]),
             )
-            for k, pixels in enumerate(self._pixels[limit])
+            for k, (pixels, position, weight) in enumerate(self._pixels[limit])
         ]
+
+    def _rings(self, k: int, limit: int) -> tuple[Pixels, FloatArray, FloatArray]:
+        """Pixels of press ``k`` in every ring, their features of position and their weights."""
+        rules = self.rules
+        inner, parts, weights = 0.0, [], []
+        for reach, share, weight in zip(
+            rules.ring_radii, rules.ring_pixels, rules.ring_weights, strict=True
+        ):
+            most = max(1, int(share * limit))
+            part = disc_pixels(self.presses, k, reach=reach, limit=most, inner=inner)
+            parts.append(part)
+            weights.append(np.full(len(part), weight))
+            inner = reach
+        pixels = parts[0].with_these(parts[1:])
+        height, width = self.presses.shape_px
+        u, v = (pixels.columns + 0.5) / width - 0.5, (pixels.rows + 0.5) / height - 0.5
+        position = position_features(u, v, self.light, max(rules.position_degrees))
+        return pixels, position, np.concatenate(weights)
+
+
+def _light(presses: PressImages) -> FloatArray:
+    """Brightness of the reference image (H, W, 3), smoothed, relative to its mean, less 1."""
+    gel = presses.background.astype(np.float32)
+    if presses.dots is not None:
+        gel = filled_in(gel, presses.dots)
+    smooth = _blur(gel, LIGHT_SMOOTH * presses.shape_px[1])
+    return np.asarray(smooth / max(float(smooth.mean()), 1.0) - 1.0)
 
 
 def _blur(image: FloatArray, sigma_px: float) -> FloatArray:

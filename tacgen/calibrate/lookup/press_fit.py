@@ -13,11 +13,14 @@ from tacgen.calibrate.lookup.settings import FitSettings, LookupRules
 from tacgen.calibrate.lookup.smooth_model import (
     SmoothModel,
     design,
+    first_features,
     monomial_derivatives,
     monomials,
+    n_position_features,
     n_terms,
     normal_parts,
     solve_ridge,
+    weighed,
 )
 from tacgen.core.arrays import FloatArray
 from tacgen.presses.geometry import (
@@ -34,8 +37,9 @@ EXPECTED_RADIUS_SHARE = 0.95
 """Largest expected contact radius as a share of the ball's: a fit may still go up to
 ``MAX_RADIUS_SHARE``."""
 
-ROUGH_DEGREE = 4
-"""Presses are placed with a model of this degree at most: higher terms only cost time there."""
+ROUGH_DEGREE, ROUGH_POSITION_DEGREE, ROUGH_RIDGE = 4, 3, 1e-4
+"""Presses are placed with a model of at most these degrees and at least this ridge: a stiffer one
+moves contacts to explain light, a softer one bends to explain contacts out of place."""
 
 LARGEST_STEP_RADII = 0.06
 """Of one Gauss–Newton step of a press's place: the model is linear over no more."""
@@ -175,10 +179,11 @@ class JointFit:
 
 
 def sample_design(
-    sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int
+    sample: Sample, geometry: FloatArray, press_model: PressModel, settings: FitSettings
 ) -> FloatArray:
-    """Design matrix (n, n_terms · 6) of a press: what its slopes add to the gel at rest."""
-    return design(_added_terms(sample, geometry, press_model, degree), sample.pixels.position)
+    """Design matrix (n, n_terms · n_features) of a press: what its slopes add to gel at rest."""
+    position = first_features(sample.position, n_position_features(settings.position_degree))
+    return design(_added_terms(sample, geometry, press_model, settings.degree), position)
 
 
 def predicted(
@@ -186,7 +191,7 @@ def predicted(
 ) -> FloatArray:
     """Change of grey level (n, 3) that ``model`` gives at a press's pixels."""
     terms = _added_terms(sample, geometry, press_model, model.degree)
-    return model.of_terms(terms, sample.pixels.position)
+    return model.of_terms(terms, sample.position)
 
 
 def _added_terms(
@@ -216,7 +221,11 @@ def fit_jointly(
     rules, presses = prepared.rules, prepared.presses
     thinned = prepared.samples(background, rules.pixels_to_place)
     labels = np.array([sample.label for sample in thinned])
-    rough = replace(settings, degree=min(settings.degree, ROUGH_DEGREE))
+    rough = FitSettings(
+        min(settings.degree, ROUGH_DEGREE),
+        min(settings.position_degree, ROUGH_POSITION_DEGREE),
+        max(settings.ridge, ROUGH_RIDGE),
+    )
     if start is None:
         radius = np.minimum(rules.first_radius_share * labels[:, 2], 0.9 * presses.ball_radius_mm)
         geometry = np.column_stack([labels[:, :2], radius])
@@ -253,15 +262,16 @@ def _fit_model(
     samples: list[Sample], geometry: FloatArray, press_model: PressModel, settings: FitSettings
 ) -> SmoothModel:
     """The smooth model by ridge regression, for a given geometry of the presses."""
-    size = 6 * n_terms(settings.degree)
-    gram, moment = np.zeros((size, size)), np.zeros((size, 3))
+    size = n_terms(settings.degree) * n_position_features(settings.position_degree)
+    gram, moment, weight = np.zeros((size, size)), np.zeros((size, 3)), 0.0
     for sample, place in zip(samples, geometry, strict=True):
-        features = sample_design(sample, place, press_model, settings.degree)
+        features = sample_design(sample, place, press_model, settings)
         root = np.sqrt(sample.weight)[:, None]
         weighted = features * root
         gram += weighted.T @ weighted
         moment += weighted.T @ (sample.change * root)
-    return solve_ridge(gram, moment, settings.ridge, settings.degree)
+        weight += float(sample.weight.sum())
+    return solve_ridge(gram / max(weight, 1.0), moment / max(weight, 1.0), settings)
 
 
 def _drift_share(
@@ -276,7 +286,9 @@ def _drift_share(
     residual = np.zeros_like(drift)
     for k, (sample, place) in enumerate(zip(samples, geometry, strict=True)):
         apart = sample.change - predicted(sample, place, press_model, model)
-        residual[k] = apart[sample.pixels.inside].mean(axis=0)
+        seen = sample.pixels.inside & (sample.weight > 0)
+        if seen.any():
+            residual[k] = apart[seen].mean(axis=0)
     residual -= residual.mean(axis=0)
     size = float((drift**2).sum()) + len(drift) * prepared.rules.drift_noise_grey**2
     return float(np.clip((residual * drift).sum() / size, 0.0, 1.0))
@@ -288,13 +300,16 @@ def _expected(
     """Expected geometry (N, 3), mm, and its scatter (N, 3), label radii.
 
     A circle that is seen in the picture says more about the centre than a label does, and keeps a
-    shift that all labels share from going into the table.
+    shift that all labels share from going into the table. Where it stands in for the label it is no
+    second piece of evidence.
     """
     expected = np.array(by_label)
     expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
     scatter = np.tile(label_scatter(rules), (len(presses), 1))
     if presses.seen_px is not None:
         known = np.isfinite(presses.seen_px).all(axis=1)
+        if len(presses.found):
+            known &= ~presses.found
         x, y = presses.seen_px[:, 0], presses.seen_px[:, 1]
         seen = np.column_stack(place_mm(x, y, presses.shape_px, presses.mm_per_px))
         label, circle = rules.center_scatter_radii, rules.seen_scatter_radii
@@ -364,18 +379,18 @@ def _place_sample(
     ``scatter`` (3,) are the prior's standard deviations in label radii.
     """
     pixels, radius = sample.pixels, float(sample.label[2])
+    at_places = model.at_places(sample.position)
     at_rest: FloatArray = np.zeros((len(pixels), 3))
     if press_model.dome_radius_mm > 0:
         slope = rest_slope(pixels.x_mm, pixels.y_mm, press_model.dome_radius_mm)
-        at_rest = model.change(*slope, pixels.position)
+        at_rest = weighed(monomials(*normal_parts(*slope), model.degree), at_places)
     nudge = 1e-4 * radius
 
     def linearised(place: FloatArray) -> tuple[FloatArray, FloatArray]:
         normal = normal_parts(*press_model.slopes(place, sample.ball_radius_mm, pixels))
-        value = model.of_terms(monomials(*normal, model.degree), pixels.position)
+        value = weighed(monomials(*normal, model.degree), at_places)
         along_x, along_y = (
-            model.of_terms(terms, pixels.position)
-            for terms in monomial_derivatives(*normal, model.degree)
+            weighed(terms, at_places) for terms in monomial_derivatives(*normal, model.degree)
         )
         columns = []
         for k in range(3):

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tacgen.calibrate.lookup.press_fit import sample_design
+from tacgen.calibrate.lookup.press_fit import predicted
 from tacgen.calibrate.lookup.scale import evidence_lines
-from tacgen.calibrate.lookup.score import PressRenderer
+from tacgen.calibrate.lookup.score import PICTURES, PressRenderer
 from tacgen.calibrate.lookup.table_fit import Calibration
 from tacgen.presses.press_images import PressImages, label_mm
 from tacgen.report import (
@@ -36,7 +36,7 @@ PICTURE_WIDTH_PX = 320
 DIFFERENCE_GAIN = 4
 MAX_CANDIDATES = 10
 """Settings in the ranking."""
-RADIUS_EDGES = np.linspace(0, 1.5, 16)
+RADIUS_EDGES = np.linspace(0, 2.5, 26)
 """Rings, in labelled radii, whose residual is shown."""
 SLOPE_BINS, DIRECTION_BINS = 12, 24
 """Of the map of coverage."""
@@ -62,15 +62,10 @@ def write_table_report(folder: Path, presses: PressImages, calibration: Calibrat
         _ranking("Settings, by cross-validation over whole presses", calibration.choice.errors,
                  "A background other than the photographed one is chosen only where it is better "
                  "by more than one standard error."),
-        _ranking("Smooth model and bins, by the same cross-validation",
-                 calibration.choice.bin_errors,
-                 f"Chosen: {calibration.choice.bins}. In each bin of slope and direction six "
-                 "coefficients are fitted to the residual of the smooth model, regularised by so "
-                 "many presses; bins are chosen only where they are better by more than one "
-                 "standard error over the presses."),
         _label_figure(presses, calibration),
         *_coverage_figures(presses, calibration),
         text_section("What to press next", *what_to_press_next(presses, calibration)),
+        *_ring_table(calibration),
         *_error_table(calibration),
         *_picture_section(
             "Further held-out presses",
@@ -111,13 +106,13 @@ def _pictures(
         PressRenderer(table, calibration.fit.press_model) for table in calibration.fold_tables
     ]
     scored = list(enumerate(calibration.heldout.presses[:MAX_PICTURES]))
-    for k, press in sorted(scored, key=lambda item: item[1].rmse_refined):
+    for k, press in sorted(scored, key=lambda item: item[1].rmse("refined")):
         renderer = renderers[k % len(renderers)]
         made = renderer.picture(press.refined_mm, float(presses.ball_radius_mm[k]))
         real = presses.images[k]
         strip = [real, made, difference(real, made, DIFFERENCE_GAIN)]
         yield (
-            f"{press.name}: {press.rmse_refined:.2f} grey levels in the contact",
+            f"{press.name}: {press.rmse('refined'):.2f} grey levels in the contact",
             side_by_side([no_wider(image, PICTURE_WIDTH_PX) for image in strip]),
         )
 
@@ -126,7 +121,7 @@ def _error_figure(calibration: Calibration) -> list[Section]:
     score = calibration.heldout
     if score is None:
         return []
-    errors = {press.name: press.rmse_refined for press in score.presses}
+    errors = {press.name: press.rmse("refined") for press in score.presses}
     figure = plots.columns(errors, score.rmse("refined")[0], ("press", "RMSE, grey levels"))
     note = "With its place re-estimated; the line is the error over all."
     return [figure_section("Error of each held-out press", figure, note)]
@@ -136,11 +131,31 @@ def _error_table(calibration: Calibration) -> list[Section]:
     if calibration.heldout is None:
         return []
     rows = [
-        (press.name, fixed(press.rmse_labels, 2), fixed(press.rmse_refined, 2), press.n_pixels)
+        (
+            press.name,
+            fixed(press.rmse("labels"), 2),
+            fixed(press.rmse("refined"), 2),
+            press.n_pixels,
+        )
         for press in calibration.heldout.presses
     ]
     header = ("press", "as labelled", "place re-estimated", "pixels")
     return [table_section("Errors of held-out presses, grey levels", header, rows)]
+
+
+def _ring_table(calibration: Calibration) -> list[Section]:
+    if calibration.heldout is None:
+        return []
+    rows = [
+        (
+            f"{ring['from_radii']:g} to {ring['to_radii']:g}",
+            *(fixed(ring[f"rmse_{picture}"], 2) for picture in PICTURES),
+        )
+        for ring in calibration.heldout.rings(calibration.presses.rules)
+    ]
+    header = ("labelled radii from the centre", "as labelled", "place re-estimated", "background")
+    note = "The last column is the error of the reference image, which shows no contact."
+    return [table_section("Held-out errors around the contact, grey levels", header, rows, note)]
 
 
 def _summary(presses: PressImages, calibration: Calibration) -> Section:
@@ -231,8 +246,7 @@ def _residuals(
         fit.geometry,
         strict=True,
     ):
-        features = sample_design(sample, place, fit.press_model, fit.model.degree)
-        fitted = features @ fit.model.weights.reshape(-1, 3)
+        fitted = predicted(sample, place, fit.press_model, fit.model)
         distance = np.hypot(sample.pixels.x_mm - place[0], sample.pixels.y_mm - place[1])
         found = (distance / sample.label[2], sample.change - fitted, sample.change, fitted)
         for part, values in zip(parts, found, strict=True):

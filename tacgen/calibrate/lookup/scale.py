@@ -40,7 +40,7 @@ RIM_EXCESS = 1.05
 RADIUS_FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1)
 """Of the stated radius, that are tried; the best is interpolated."""
 
-RATIO_SETTINGS = FitSettings(degree=5, ridge=1e-3)
+RATIO_SETTINGS = FitSettings(degree=4, position_degree=2, ridge=1e-4)
 """A model of few terms tells the size of a ball as well and is fitted five times a ball."""
 
 BOOTSTRAPS = 200
@@ -221,13 +221,13 @@ def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
     sums = [
         press_sums(
             sample,
-            sample_design(sample, place, placed.press_model, RATIO_SETTINGS.degree),
+            sample_design(sample, place, placed.press_model, RATIO_SETTINGS),
             sample.change,
         )
         for sample, place in zip(samples, placed.geometry, strict=True)
     ]
     folds = fold_of(len(prepared), rules.n_folds)
-    return held_out_squares(sums, folds, RATIO_SETTINGS.ridge, RATIO_SETTINGS.degree)[:, 0]
+    return held_out_squares(sums, folds, RATIO_SETTINGS)[:, 0]
 
 
 def _lowest(squares: FloatArray) -> float:

@@ -17,7 +17,7 @@ from tacgen.calibrate.lookup.press_fit import (
     plain_press_model,
 )
 from tacgen.calibrate.lookup.settings import LookupRules
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
@@ -27,26 +27,40 @@ _MARGIN_PX = 3
 """The renderer's differences and shadows reach this far beyond the pixels that are read."""
 
 
+PICTURES = ("labels", "refined", "bare")
+"""What a press is compared with: the table at the label's word, at the place re-estimated, and the
+background without a contact."""
+
+
 @dataclass(frozen=True, slots=True)
 class PressScore:
-    """One press: squared errors summed over its pixels, RGB, and the geometry that was found."""
+    """One press: squared errors summed over its pixels, and the geometry that was found.
+
+    Attributes
+    ----------
+    squares : (n_rings, 3, 3) float
+        By ring (the contact first), by ``PICTURES``, RGB.
+    counts : (n_rings,) int
+        Pixels in each ring.
+    expected_mm, refined_mm : (3,) float
+        Centre and contact radius.
+    """
 
     name: str
-    n_pixels: int
-    squared_labels: FloatArray
-    squared_refined: FloatArray
+    squares: FloatArray
+    counts: IntArray
     expected_mm: FloatArray
     refined_mm: FloatArray
 
     @property
-    def rmse_refined(self) -> float:
-        """Over the channels, grey levels."""
-        return float(np.sqrt(self.squared_refined.sum() / (3 * self.n_pixels)))
+    def n_pixels(self) -> int:
+        """Pixels inside the contact circle."""
+        return int(self.counts[0])
 
-    @property
-    def rmse_labels(self) -> float:
-        """Over the channels, grey levels."""
-        return float(np.sqrt(self.squared_labels.sum() / (3 * self.n_pixels)))
+    def rmse(self, picture: str) -> float:
+        """Inside the circle, over the channels, grey levels."""
+        square = self.squares[0, PICTURES.index(picture)].sum()
+        return float(np.sqrt(square / (3 * self.n_pixels)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +74,25 @@ class TableScore:
         """Pixels inside the contact circles."""
         return sum(press.n_pixels for press in self.presses)
 
-    def rmse(self, which: str) -> tuple[float, list[float]]:
-        """Over all and per channel (RGB); ``which`` is ``labels`` or ``refined``."""
-        squares = np.sum([getattr(press, f"squared_{which}") for press in self.presses], axis=0)
-        mean = squares / self.n_pixels
+    def rmse(self, picture: str, ring: int = 0) -> tuple[float, list[float]]:
+        """Over all and per channel (RGB) in a ring; ``picture`` is one of ``PICTURES``."""
+        which = PICTURES.index(picture)
+        squares = np.sum([press.squares[ring, which] for press in self.presses], axis=0)
+        mean = squares / max(sum(int(press.counts[ring]) for press in self.presses), 1)
         return float(np.sqrt(mean.mean())), [float(value) for value in np.sqrt(mean)]
+
+    def rings(self, rules: LookupRules | None = None) -> list[dict[str, float]]:
+        """RMSE in each ring around the circles, with the bare background's beside it."""
+        radii = (LookupRules() if rules is None else rules).ring_radii
+        return [
+            {
+                "from_radii": inner,
+                "to_radii": outer,
+                "n_pixels": sum(int(press.counts[k]) for press in self.presses),
+                **{f"rmse_{picture}": self.rmse(picture, k)[0] for picture in PICTURES},
+            }
+            for k, (inner, outer) in enumerate(zip((0.0, *radii), radii, strict=False))
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """What ``tacgen calibrate score --json`` prints."""
@@ -78,11 +106,12 @@ class TableScore:
             "n_images": len(self.presses),
             "n_pixels": self.n_pixels,
             "unit": "grey",
+            "rings": self.rings(),
             "images": [
                 {
                     "name": press.name,
-                    "rmse_labels": press.rmse_labels,
-                    "rmse_refined": press.rmse_refined,
+                    "rmse_labels": press.rmse("labels"),
+                    "rmse_refined": press.rmse("refined"),
                     "n_pixels": press.n_pixels,
                 }
                 for press in self.presses
@@ -179,23 +208,30 @@ def _score_press(
 ) -> PressScore:
     ball = float(presses.ball_radius_mm[k])
     label_radius_mm = float(presses.radius_px[k] * presses.mm_per_px)
-    pixels = disc_pixels(presses, k)
-    error = pixels.grey - renderer.grey(expected, ball, pixels)
-    squared, places = np.zeros(3), []
+    pixels = disc_pixels(presses, k, reach=rules.ring_radii[-1])
+    distance = np.hypot(*(np.stack([pixels.columns, pixels.rows], -1) - presses.center_px[k]).T)
+    ring = np.digitize(distance, np.array(rules.ring_radii[:-1]) * presses.radius_px[k])
+    inside, odd_block = ring == 0, pixels.odd_block
+    errors = np.empty((len(PICTURES), len(pixels), 3))
+    errors[0] = pixels.grey - renderer.grey(expected, ball, pixels)
+    errors[2] = pixels.grey - presses.background[pixels.rows, pixels.columns]
+    places = []
     for odd in (False, True):
-        estimating = pixels.select(pixels.odd_block == odd)
-        scoring = pixels.select(pixels.odd_block != odd)
+        estimating, scoring = inside & (odd_block == odd), odd_block != odd
         place = expected
-        if len(estimating) and len(scoring):
-            place = _place_on_table(estimating, renderer, expected, label_radius_mm, ball, rules)
-        if len(scoring):
-            squared += ((scoring.grey - renderer.grey(place, ball, scoring)) ** 2).sum(axis=0)
+        if estimating.any() and scoring.any():
+            place = _place_on_table(
+                pixels.select(estimating), renderer, expected, label_radius_mm, ball, rules
+            )
+        if scoring.any():
+            scored = pixels.select(scoring)
+            errors[1, scoring] = scored.grey - renderer.grey(place, ball, scored)
         places.append(place)
+    squares = [(errors[:, ring == k] ** 2).sum(axis=1) for k in range(len(rules.ring_radii))]
     return PressScore(
         name=presses.names[k],
-        n_pixels=len(pixels),
-        squared_labels=(error**2).sum(axis=0),
-        squared_refined=squared,
+        squares=np.array(squares),
+        counts=np.bincount(ring, minlength=len(rules.ring_radii)),
         expected_mm=expected,
         refined_mm=np.mean(places, axis=0),
     )

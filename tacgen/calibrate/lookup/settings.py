@@ -13,12 +13,21 @@ class FitSettings:
     ----------
     degree : int
         Of the polynomial in the surface normal.
+    position_degree : int
+        Of the polynomial in image position.
     ridge : float
-        Strength of the penalty on rough terms, relative to the mean of the normal matrix.
+        Strength of the penalty on rough terms, relative to the mean of the squared features.
     """
 
-    degree: int = 7
+    degree: int = 5
+    position_degree: int = 4
     ridge: float = 1e-4
+
+    def __str__(self) -> str:
+        return (
+            f"degree {self.degree} in the normal and {self.position_degree} in position, "
+            f"ridge {self.ridge:g}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,38 +57,19 @@ SMOOTH_WITH_DRIFT = BackgroundRecipe(smooth=0.05, drift=True)
 
 
 @dataclass(frozen=True, slots=True)
-class BinSettings:
-    """How fine the bins are and how firmly they are held to the smooth model.
-
-    Attributes
-    ----------
-    n_slope, n_direction : int
-        0 for no bins: the smooth model alone.
-    held_presses : float
-        The ridge, in presses: a bin that as many presses reach goes half of the way.
-    """
-
-    n_slope: int = 0
-    n_direction: int = 0
-    held_presses: float = 0.0
-
-    def __str__(self) -> str:
-        if not self.n_slope:
-            return "smooth model alone"
-        return f"{self.n_slope}×{self.n_direction} bins, held by {self.held_presses:g} presses"
-
-
-@dataclass(frozen=True, slots=True)
 class LookupRules:
     """Numbers that steer the fit of a table and that a study may vary.
 
     Attributes
     ----------
-    reach_radii : float
-        Pixels up to this many label radii from the centre are fitted: the gel beside the contact
-        shows where its rim is.
-    rim_weight : float
-        Weight of pixels outside the labelled circle, which the error is not measured on.
+    ring_radii : tuple of float
+        Outer radii, in label radii, of the rings that are fitted and scored: the contact, its rim
+        and the gel beside it.
+    ring_weights : tuple of float
+        Weight of a pixel of each ring: the contact is what a table is for, the gel beside it is
+        most of the pixels.
+    ring_pixels : tuple of float
+        Share of the pixels that are looked at in each ring.
     pixels_per_press, pixels_to_place, pixels_to_choose, pixels_for_ratio : int
         Most pixels of a press, an even lattice of them, that the table is fitted to, that a
         press is placed by, that settings are compared on and that a ball's size is judged by:
@@ -98,13 +88,11 @@ class LookupRules:
     seen_scatter_radii : float
         Standard deviation, in radii, of the centre of a circle that is seen in the picture: what
         remains of its distance from 37 real labels (1.6 px of 17) beside the labels' own scatter.
-    degrees, ridges : tuple
+    degrees, position_degrees, ridges : tuple
         Candidates for the smooth model.
     backgrounds : tuple of BackgroundRecipe
         Candidates, from what needs no evidence to what needs most: the first is the reference
         image itself.
-    bin_counts, bin_held_presses : tuple
-        Candidates for bins of (slope, direction) and for how firmly they are held.
     n_folds : int
         Folds of whole presses that candidates are compared on and the table is scored on.
     clear_sigmas, clear_share : float
@@ -112,10 +100,11 @@ class LookupRules:
         and this share.
     """
 
-    reach_radii: float = 1.5
-    rim_weight: float = 0.05
+    ring_radii: tuple[float, float, float] = (1.0, 1.5, 2.5)
+    ring_weights: tuple[float, float, float] = (1.0, 0.25, 0.1)
+    ring_pixels: tuple[float, float, float] = (0.5, 0.25, 0.25)
     pixels_per_press: int = 2000
-    pixels_to_place: int = 600
+    pixels_to_place: int = 700
     pixels_to_choose: int = 700
     pixels_for_ratio: int = 300
     first_radius_share: float = 0.85
@@ -125,8 +114,9 @@ class LookupRules:
     center_scatter_radii: float = 0.15
     radius_scatter_radii: float = 0.10
     seen_scatter_radii: float = 0.07
-    degrees: tuple[int, ...] = (3, 5, 7)
-    ridges: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1)
+    degrees: tuple[int, ...] = (3, 5)
+    position_degrees: tuple[int, ...] = (1, 2, 4)
+    ridges: tuple[float, ...] = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 1e-2)
     backgrounds: tuple[BackgroundRecipe, ...] = (
         BackgroundRecipe(),
         BackgroundRecipe(drift=True),
@@ -135,14 +125,6 @@ class LookupRules:
         BackgroundRecipe(smooth=0.05),
         SMOOTH_WITH_DRIFT,
     )
-    bin_counts: tuple[tuple[int, int], ...] = ((6, 12), (12, 24), (24, 48))
-    bin_held_presses: tuple[float, ...] = (1.0, 4.0, 16.0)
     n_folds: int = 5
     clear_sigmas: float = 3.0
     clear_share: float = 0.02
-
-    @property
-    def bins(self) -> tuple[BinSettings, ...]:
-        """All candidates for bins; the first is none."""
-        found = (BinSettings(*n, held) for n in self.bin_counts for held in self.bin_held_presses)
-        return (BinSettings(), *found)

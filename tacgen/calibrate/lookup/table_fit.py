@@ -8,24 +8,22 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tacgen import __version__
-from tacgen.calibrate.lookup.model_choice import (
-    Bins,
-    Choice,
-    InnerPixels,
-    choose,
-    fit_bins,
-    fold_of,
-    inside,
-)
+from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
-from tacgen.calibrate.lookup.press_fit import JointFit, PressModel, fit_jointly, predicted
+from tacgen.calibrate.lookup.press_fit import JointFit, PressModel, fit_jointly
 from tacgen.calibrate.lookup.scale import ScaleEvidence, scale_evidence
 from tacgen.calibrate.lookup.score import PressScore, TableScore, score_table
 from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings, LookupRules
-from tacgen.calibrate.lookup.smooth_model import SmoothModel, position_terms
+from tacgen.calibrate.lookup.smooth_model import (
+    SmoothModel,
+    position_degree_of,
+    position_features,
+    position_terms,
+)
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.workers import map_in_processes
 from tacgen.optics.table import LookupTable
@@ -33,7 +31,10 @@ from tacgen.presses.geometry import press_slope, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
 N_SLOPE, N_DIRECTION = 48, 120
-"""Nodes of the table: fine enough that interpolation adds less than 0.1 grey levels."""
+"""Nodes of a table's coefficients: so many that interpolation adds less than 0.1 grey levels."""
+
+RESPONSE_SLOPES, RESPONSE_DIRECTIONS, RESPONSE_PLACES = 32, 64, 25
+"""Nodes of a table's response to a slope, and of position along the image's longer side."""
 
 IMAGES_FOR_NOISE = 12
 """The camera's noise is the same in every image: a dozen give it."""
@@ -136,38 +137,17 @@ def _portable(table: LookupTable) -> LookupTable:
 def _fit(prepared: PreparedPresses) -> tuple[LookupTable, JointFit, Choice]:
     first = FitSettings()
     fit = fit_jointly(prepared, prepared.backgrounds[SMOOTH_WITH_DRIFT], first)
-    choice = choose(prepared, fit, first)
-    background = prepared.backgrounds[choice.background]
+    choice = choose(prepared, fit)
     if (choice.settings, choice.background) != (first, SMOOTH_WITH_DRIFT):
+        background = prepared.backgrounds[choice.background]
         fit = fit_jointly(prepared, background, choice.settings, start=fit, iterations=3)
-    bins = _bins(prepared, fit, background, choice) if choice.bins.n_slope else None
-    return _tabulate(prepared, fit, background, choice, bins), fit, choice
+    return _tabulate(prepared, fit, choice), fit, choice
 
 
-def _bins(prepared: PreparedPresses, fit: JointFit, background: FloatArray, choice: Choice) -> Bins:
-    """What the chosen bins add to the smooth model."""
-    samples = prepared.samples(background)
-    offsets = fit.drift_share * prepared.drift
-    residual = [
-        sample.change - offset - predicted(sample, place, fit.press_model, fit.model)
-        for sample, place, offset in zip(samples, fit.geometry, offsets, strict=True)
-    ]
-    steepest = steepest_slope_rad(prepared.presses, fit)
-    return fit_bins(InnerPixels.of(samples, fit), inside(residual, samples), choice.bins, steepest)
-
-
-def _tabulate(
-    prepared: PreparedPresses,
-    fit: JointFit,
-    background: FloatArray,
-    choice: Choice,
-    bins: Bins | None,
-) -> LookupTable:
+def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> LookupTable:
     """The fitted model as a table that renders without any of the fit's code."""
     presses = prepared.presses
     steepest = steepest_slope_rad(presses, fit)
-    slope = np.linspace(0.0, steepest, N_SLOPE)
-    direction = -np.pi + 2 * np.pi * np.arange(N_DIRECTION) / N_DIRECTION
     provenance: dict[str, Any] = {
         "made_by": f"tacgen {__version__} calibrate lookup",
         "data_sha256": dict(presses.sha256),
@@ -177,24 +157,51 @@ def _tabulate(
         "press_model": fit.press_model.as_dict(),
         "settings": {
             **asdict(choice.settings),
-            "rim_weight": prepared.rules.rim_weight,
+            "ring_weights": list(prepared.rules.ring_weights),
             **asdict(choice.background),
-            "bins": asdict(choice.bins),
         },
         "drift_share": fit.drift_share,
     }
-    coefficients = fit.model.coefficients(slope, direction)
-    if bins is not None:
-        added = bins.at(*np.meshgrid(slope, direction, indexing="ij"))
-        coefficients = (coefficients + added.swapaxes(-1, -2)).astype(np.float32)
+    quadratic, response = _looked_up(prepared, fit.model, steepest)
+    background = prepared.backgrounds[choice.background]
     return LookupTable(
-        coefficients=coefficients,
-        background=without_rest(background, fit.model, fit.press_model, presses.mm_per_px),
+        coefficients=quadratic,
+        background=without_rest(
+            background, fit.model, fit.press_model, presses.mm_per_px, prepared.light
+        ),
+        response=response,
         mm_per_px=presses.mm_per_px,
         max_slope_rad=float(steepest),
         sensor=presses.sensor,
         noise_grey=camera_noise_grey(presses),
         provenance=MappingProxyType(provenance),
+    )
+
+
+def _looked_up(
+    prepared: PreparedPresses, model: SmoothModel, steepest_rad: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """A table's response to slopes up to the steepest, and the quadratic in position nearest it."""
+    height, width = prepared.presses.shape_px
+    per_side = (RESPONSE_PLACES - 1) / max(height, width)
+    n_rows, n_columns = (max(2, 1 + round(side * per_side)) for side in (height, width))
+    v = np.repeat(np.linspace(-0.5, 0.5, n_rows), n_columns)
+    u = np.tile(np.linspace(-0.5, 0.5, n_columns), n_rows)
+    degree = position_degree_of(model.weights.shape[1])
+    position = position_features(u, v, prepared.light, degree)
+
+    def nodes(n_slope: int, n_direction: int) -> tuple[FloatArray, FloatArray]:
+        turn = np.arange(n_direction) / n_direction
+        return np.linspace(0.0, steepest_rad, n_slope), -np.pi + 2 * np.pi * turn
+
+    quadratic = np.linalg.pinv(position_terms(u, v)) @ position
+    coefficients = model.responses(*nodes(N_SLOPE, N_DIRECTION), quadratic).swapaxes(-1, -2)
+    # Half precision: a twentieth of a grey level in a change of a hundred, in half the file.
+    response = model.responses(*nodes(RESPONSE_SLOPES, RESPONSE_DIRECTIONS), position)
+    shape = (RESPONSE_SLOPES, RESPONSE_DIRECTIONS, n_rows, n_columns, 3)
+    return (
+        coefficients.astype(np.float32),
+        response.reshape(shape).astype(np.float16).astype(np.float32),
     )
 
 
@@ -231,9 +238,16 @@ def steepest_slope_rad(presses: PressImages, fit: JointFit) -> float:
 
 
 def without_rest(
-    reference: FloatArray, model: SmoothModel, press_model: PressModel, mm_per_px: float
+    reference: FloatArray,
+    model: SmoothModel,
+    press_model: PressModel,
+    mm_per_px: float,
+    light: FloatArray | None = None,
 ) -> FloatArray:
-    """The reference image less what the table adds for the gel at rest (0 for a flat gel)."""
+    """The reference image less what the table adds for the gel at rest (0 for a flat gel).
+
+    Without ``light`` (H, W, 3) the model's features of position are a table's six.
+    """
     if press_model.dome_radius_mm <= 0:
         return reference
     height, width = reference.shape[:2]
@@ -241,5 +255,8 @@ def without_rest(
     x_mm, y_mm = place_mm(columns.ravel(), rows.ravel(), (height, width), mm_per_px)
     u, v = (columns.ravel() + 0.5) / width - 0.5, (rows.ravel() + 0.5) / height - 0.5
     slope = rest_slope(x_mm, y_mm, press_model.dome_radius_mm)
-    at_rest = model.change(*slope, position_terms(u, v))
+    position = position_terms(u, v)
+    if light is not None:
+        position = position_features(u, v, light, position_degree_of(model.weights.shape[1]))
+    at_rest = model.change(*slope, position)
     return np.asarray(reference - at_rest.reshape(height, width, 3), dtype=np.float32)

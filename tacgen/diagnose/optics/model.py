@@ -40,7 +40,7 @@ from tacgen.optics.effects import (
     optical_effect,
     optical_effects,
 )
-from tacgen.optics.table import LookupTable, leds_of_table
+from tacgen.optics.table import LookupTable, leds_of_table, response_at
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, rest_height, rest_slope
 
 Key = tuple[str, str]
@@ -228,6 +228,8 @@ class GivenTable:
         return change
 
     def _look_up(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
+        if self.table.response is not None:
+            return response_at(self.table, gx, gy, pixels.position[:, 3], pixels.position[:, 4])
         nodes = self.table.coefficients
         n_slope, n_direction = nodes.shape[:2]
         slope = np.minimum(np.arctan(np.hypot(gx, gy)) / self.table.max_slope_rad, 1.0)

@@ -72,12 +72,16 @@ def test_the_result_does_not_depend_on_the_number_of_processes():
     assert one.heldout.rmse("refined") == two.heldout.rmse("refined")
 
 
-def test_bins_are_taken_only_where_they_help_and_are_shown():
-    choice = calibrate(virtual_presses(14, count=12)).choice
-    errors = choice.bin_errors
-    assert "smooth model alone" in errors
-    assert str(choice.bins) in errors
-    assert errors[str(choice.bins)] <= errors["smooth model alone"]
+def test_rings_around_the_contact_are_scored_beside_the_bare_gel():
+    presses = virtual_presses(14, count=12)
+    heldout = calibrate(presses, heldout=True).heldout
+    contact, rim, beside = heldout.rings()
+    assert contact["rmse_labels"] == heldout.rmse("labels")[0]
+    assert [rim["from_radii"], rim["to_radii"], beside["to_radii"]] == [1.0, 1.5, 2.5]
+    assert rim["rmse_refined"] < 0.5 * rim["rmse_bare"]
+    # The bare gel's error is the pictures' own change, whatever the table.
+    change = presses.images[0].astype(float) - presses.background
+    assert 0 < heldout.presses[0].rmse("bare") < np.abs(change).max()
 
 
 def test_a_table_survives_its_file(tmp_path):

@@ -1,0 +1,95 @@
+"""The smooth model against polynomials that are known, and against light from lamps close by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tacgen.calibrate.lookup.settings import FitSettings
+from tacgen.calibrate.lookup.smooth_model import (
+    design,
+    first_features,
+    monomials,
+    n_position_features,
+    n_terms,
+    position_degree_of,
+    position_features,
+    solve_ridge,
+)
+
+LIGHT = np.stack([np.outer(np.linspace(0.5, -0.5, 40), np.ones(50)) ** k for k in (1, 2, 3)], -1)
+
+
+def places(seed, n=4000):
+    rng = np.random.default_rng(seed)
+    angle, sine = rng.uniform(-np.pi, np.pi, n), 0.8 * np.sqrt(rng.uniform(0, 1, n))
+    u, v = rng.uniform(-0.5, 0.5, (2, n))
+    return sine * np.cos(angle), sine * np.sin(angle), u, v
+
+
+def fitted(normal, position, grey, settings):
+    columns = design(monomials(*normal, settings.degree), position)
+    n = len(grey)
+    return solve_ridge(columns.T @ columns / n, columns.T @ grey / n, settings)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 4])
+def test_features_of_a_lower_degree_are_those_of_a_higher_one(degree):
+    *_, u, v = places(0, 100)
+    high, low = (position_features(u, v, LIGHT, d) for d in (4, degree))
+    np.testing.assert_array_equal(first_features(high, low.shape[1]), low)
+    assert low.shape[1] == n_position_features(degree)
+    assert position_degree_of(low.shape[1]) == degree
+
+
+def test_known_polynomials_are_recovered():
+    """Grey levels written out by hand, of degree 3 in the normal and 4 in position."""
+    nx, ny, u, v = places(1)
+
+    def truth(nx, ny, u, v):
+        return np.stack(
+            [
+                80 * nx * (1 + 3 * u * v**3) + 20 * ny**2,
+                -60 * ny * (1 - u**4) + 30 * nx * ny**2 * v,
+                40 * nx**3 - 25 * ny * u**2 * v**2,
+            ],
+            axis=-1,
+        )
+
+    settings = FitSettings(degree=3, position_degree=4, ridge=1e-12)
+    position = position_features(u, v, LIGHT, 4)
+    model = fitted((nx, ny), position, truth(nx, ny, u, v), settings)
+    assert model.weights.shape == (n_terms(3), n_position_features(4), 3)
+    nx, ny, u, v = places(2, 500)
+    gx, gy = (part / np.sqrt(1 - nx**2 - ny**2) for part in (nx, ny))
+    position = position_features(u, v, LIGHT, 4)
+    np.testing.assert_allclose(model.change(gx, gy, position), truth(nx, ny, u, v), atol=1e-3)
+    slope, direction = np.arcsin(np.hypot(nx[:1], ny[:1])), np.arctan2(ny[:1], nx[:1])
+    response = model.responses(slope, direction, position[:1])
+    np.testing.assert_allclose(response[0, 0, 0], truth(nx, ny, u, v)[0], atol=1e-3)
+
+
+def test_near_lamps_need_more_than_a_quadratic_in_position():
+    """Lambert's law under a lamp beside the gel, whose light falls off with squared distance."""
+
+    def lamps(nx, ny, u, v):
+        nz = np.sqrt(1 - nx**2 - ny**2)
+        grey = []
+        for at in ((-0.7, 0.0), (0.5, 0.6), (0.4, -0.7)):
+            to = np.stack([at[0] - u, at[1] - v, np.full_like(u, 0.35)], axis=-1)
+            distance = np.linalg.norm(to, axis=-1)
+            facing = np.maximum(-nx * to[:, 0] - ny * to[:, 1] + nz * to[:, 2], 0) / distance
+            level = to[:, 2] / distance
+            grey.append(60 * (facing - level) / distance**2)
+        return np.stack(grey, axis=-1)
+
+    errors = {}
+    for degree in (2, 4):
+        nx, ny, u, v = places(3, 12000)
+        position = position_features(u, v, LIGHT, degree)
+        settings = FitSettings(degree=5, position_degree=degree, ridge=1e-6)
+        model = fitted((nx, ny), position, lamps(nx, ny, u, v), settings)
+        nx, ny, u, v = places(4, 2000)
+        made = model.of_terms(monomials(nx, ny, 5), position_features(u, v, LIGHT, degree))
+        errors[degree] = float(np.sqrt(((made - lamps(nx, ny, u, v)) ** 2).mean()))
+    assert errors[4] < 0.6 * errors[2]
