@@ -31,7 +31,7 @@ __all__ = ["Dataset", "Sensor", "collect", "load_law", "load_recipe", "load_tabl
 
 def __getattr__(name: str) -> object:
     if name == "__version__":
-        return _version()
+        return import_module("tacgen.core.version").VERSION
     if name not in _HOMES:
         msg = f"module 'tacgen' has no attribute {name!r}; it has {', '.join(__all__)}"
         raise AttributeError(msg)
@@ -40,12 +40,3 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("tacgen")
-    except PackageNotFoundError:  # a source tree on the path that was never installed
-        return "0+not.installed"

@@ -34,9 +34,9 @@ class _InOrderOfWork(TyperGroup):
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from tacgen import __version__
+        from tacgen.core.version import VERSION
 
-        typer.echo(__version__)
+        typer.echo(VERSION)
         raise typer.Exit
 
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import yaml
 
-import tacgen
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.lock import holder_of, locked
+from tacgen.core.version import VERSION
 from tacgen.core.yaml_source import read_mapping
 from tacgen.dataset.check import content_problems
 from tacgen.dataset.disk import disk_errors
@@ -211,7 +211,7 @@ class DatasetFolder:
             with contextlib.suppress(DatasetError):
                 line = read_part(path)
                 here = (line.recipe_sha256, line.calibration, line.versions.get("tacgen"))
-                if here != (spec.recipe_sha256, dict(spec.calibration), tacgen.__version__):
+                if here != (spec.recipe_sha256, dict(spec.calibration), VERSION):
                     break
         else:
             return

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import tacgen
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import read_small_text, sync_directory, sync_file
+from tacgen.core.version import VERSION
 from tacgen.dataset.samples import DatasetSpec
 
 MAX_PLAN_BYTES = 1 << 20
@@ -23,7 +23,7 @@ def plan_of(spec: DatasetSpec) -> dict[str, Any]:
     """What ``dataset.json`` says for ``spec``."""
     return {
         "schema": 1,
-        "tacgen_version": tacgen.__version__,
+        "tacgen_version": VERSION,
         "recipe": spec.recipe.get("name", ""),
         "recipe_sha256": spec.recipe_sha256,
         "calibration": dict(sorted(spec.calibration.items())),

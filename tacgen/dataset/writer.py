@@ -12,9 +12,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-import tacgen
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
+from tacgen.core.version import VERSION
 from tacgen.dataset.check import Tally, sample_problems
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
@@ -40,7 +40,7 @@ HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 
 
 def library_versions() -> dict[str, str]:
     """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
-    versions = {"tacgen": tacgen.__version__, "hdf5": h5py.version.hdf5_version}
+    versions = {"tacgen": VERSION, "hdf5": h5py.version.hdf5_version}
     return dict(sorted((versions | _installed()).items()))
 
 
@@ -187,7 +187,7 @@ def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> Non
     """
     texts = {
         "format": "tacgen",
-        "tacgen_version": tacgen.__version__,
+        "tacgen_version": VERSION,
         "recipe_sha256": spec.recipe_sha256,
         "sensor": spec.sensor.name,
         "pads": ",".join(spec.pads),

@@ -15,9 +15,9 @@ from pydantic.dataclasses import dataclass
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-import tacgen
 from tacgen.core.errors import LearningError
 from tacgen.core.files import atomic_path
+from tacgen.core.version import VERSION
 from tacgen.learning.backbone import UNREADABLE
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network
@@ -43,7 +43,7 @@ class ModelCard:
     validation_loss: float
     validation_balanced_accuracy: float
     recipe_sha256: str
-    tacgen_version: str = tacgen.__version__
+    tacgen_version: str = VERSION
 
 
 def save_model(

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-import tacgen
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
+from tacgen.core.version import VERSION
 from tacgen.core.workers import map_in_processes
 from tacgen.learning import library_versions
 from tacgen.learning.backbone import NO_WEIGHTS
@@ -113,7 +113,7 @@ def _run_plan(
     }
     return {
         "schema": SCHEMA,
-        "tacgen_version": tacgen.__version__,
+        "tacgen_version": VERSION,
         "recipe": recipe.resolved(),
         "recipe_sha256": recipe.sha256(),
         "dataset": source.identity(),

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tacgen import __version__
 from tacgen.contact.law import save_law
 from tacgen.core.files import atomic_path
+from tacgen.core.version import VERSION
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import rig_sensor, write_images
 from tacgen.rig.rig_recipe import RigRecipe
@@ -52,7 +52,7 @@ def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
     pitch_mm = sensor.markers.pitch_mm if sensor.markers else np.nan
     provenance: dict[str, Any] = {
         "rig": recipe.model_dump(mode="json"),
-        "versions": {"tacgen": __version__},
+        "versions": {"tacgen": VERSION},
     }
     law = replace(
         session.truth.law,

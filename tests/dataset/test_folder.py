@@ -56,7 +56,7 @@ def test_another_recipe_is_refused_key_by_key(toy, spec, change, words):
 
 
 def test_another_version_is_refused(toy, spec, monkeypatch):
-    monkeypatch.setattr("tacgen.__version__", "9.9.9")
+    monkeypatch.setattr("tacgen.dataset.plan.VERSION", "9.9.9")
     with pytest.raises(DatasetError, match=r'tacgen_version: "0.*" there, "9.9.9" now'):
         DatasetFolder(toy.root).prepare(spec)
 

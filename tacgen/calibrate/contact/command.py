@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen import __version__
 from tacgen.calibrate.contact.depth_curves import (
     DepthReport,
     explain_curves,
@@ -29,6 +28,7 @@ from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of
 from tacgen.core.records import Estimate
+from tacgen.core.version import VERSION
 from tacgen.optics.table import LookupTable, load_table
 from tacgen.presses.press_log import read_press_log
 
@@ -161,7 +161,7 @@ def _explain_depths(
     spread = max(np.ptp(values), max(float(np.ptp(end)) for end in ends)) / 2.0
     provenance: dict[str, Any] = {
         "data": {log.name: sha256_of(log)},
-        "versions": {"tacgen": __version__},
+        "versions": {"tacgen": VERSION},
         "trials": {"fit": len(found.curves), "left_out": 0},
         "curves": depth_dict(found)["curves"],
         "warnings": list(warnings),

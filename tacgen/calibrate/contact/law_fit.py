@@ -12,7 +12,6 @@ import numpy as np
 import scipy
 from scipy.special import fdtrc
 
-from tacgen import __version__
 from tacgen.calibrate.contact.contact_point import ContactPoint, free_contact_points
 from tacgen.calibrate.contact.identifiability import limits_of
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
@@ -20,6 +19,7 @@ from tacgen.contact.law import ContactLaw
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
+from tacgen.core.version import VERSION
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
 from tacgen.report.formatting import unit_text
 
@@ -314,7 +314,7 @@ def _provenance(fit: ContactFit) -> dict[str, Any]:
     return {
         "data": {fit.log.path.name: fit.log.sha256},
         "versions": {
-            "tacgen": __version__,
+            "tacgen": VERSION,
             "numpy": np.__version__,
             "scipy": scipy.__version__,
             "python": platform.python_version(),

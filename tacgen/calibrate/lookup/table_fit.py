@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tacgen import __version__
 from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, PressModel, fit_jointly
@@ -25,6 +24,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     position_terms,
 )
 from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.core.version import VERSION
 from tacgen.core.workers import map_in_processes
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import press_slope, rest_slope
@@ -149,7 +149,7 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
     presses = prepared.presses
     steepest = steepest_slope_rad(presses, fit)
     provenance: dict[str, Any] = {
-        "made_by": f"tacgen {__version__} calibrate lookup",
+        "made_by": f"tacgen {VERSION} calibrate lookup",
         "data_sha256": dict(presses.sha256),
         "n_presses": len(presses),
         "left_out": [str(press) for press in presses.dropped],

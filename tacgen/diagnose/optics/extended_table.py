@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen import __version__
 from tacgen.calibrate.lookup.prepared import make_background
 from tacgen.calibrate.lookup.press_fit import LabelModel, PressModel
 from tacgen.calibrate.lookup.settings import BackgroundRecipe
@@ -19,6 +18,7 @@ from tacgen.calibrate.lookup.smooth_model import SmoothModel
 from tacgen.calibrate.lookup.table_fit import N_DIRECTION, N_SLOPE, camera_noise_grey, without_rest
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
+from tacgen.core.version import VERSION
 from tacgen.diagnose.optics.model import (
     SKIRT,
     ModelState,
@@ -123,7 +123,7 @@ def extended_table(
     """
     effects = MappingProxyType(effects_of(found.state))
     if given is not None:
-        provenance = {**given.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
+        provenance = {**given.provenance, "diagnosed_by": f"tacgen {VERSION} diagnose optics"}
         return replace(given, effects=effects, provenance=MappingProxyType(provenance))
     table, state, rules = found.problem.table, found.state, found.problem.rules
     if not isinstance(table, PlainTable):
@@ -169,7 +169,7 @@ def _provenance(
     presses: PressImages, found: FittedModel, press_model: PressModel
 ) -> dict[str, Any]:
     return {
-        "made_by": f"tacgen {__version__} diagnose optics",
+        "made_by": f"tacgen {VERSION} diagnose optics",
         "data_sha256": dict(presses.sha256),
         "n_presses": len(presses),
         "left_out": [str(press) for press in presses.dropped],

@@ -1,0 +1,8 @@
+"""The version of the installed package, which follows the git tags."""
+
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    VERSION = version("tacgen")
+except PackageNotFoundError:  # a source tree on the path that was never installed
+    VERSION = "0+not.installed"
