@@ -24,6 +24,7 @@ def run(name, *arguments, cwd):
     return result.stdout
 
 
+@pytest.mark.slow
 def test_own_mesh(tmp_path):
     depth_mm, volume_mm3 = map(float, re.findall(r"[\d.]+", run("own_mesh.py", cwd=tmp_path))[:2])
     assert 0 < depth_mm < 4
@@ -31,6 +32,7 @@ def test_own_mesh(tmp_path):
     assert cv2.imread(str(tmp_path / "own_mesh.png")).shape == (240, 320, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_digit_reads_the_weight_of_the_ball(engine, tmp_path):
     pytest.importorskip(engine)
@@ -39,6 +41,7 @@ def test_digit_reads_the_weight_of_the_ball(engine, tmp_path):
     assert (tmp_path / "digit.png").is_file()
 
 
+@pytest.mark.slow
 def test_training_loop(tmp_path):
     pytest.importorskip("torch")
     collect_toy(tmp_path / "data", make_spec())

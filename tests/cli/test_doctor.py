@@ -6,6 +6,7 @@ from tacgen.cli import doctor
 from tacgen.core.errors import PhysicsError
 
 
+@pytest.mark.slow
 def test_this_machine_can_run_the_default_path():
     needed = [finding for finding in doctor.examine() if finding.needed]
     assert {finding.name for finding in needed} == {"pybullet", "free disk"}

@@ -46,6 +46,7 @@ def test_what_ended_a_job_is_told_with_its_log(tmp_path):
     assert "log: " in run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "said"),
     [

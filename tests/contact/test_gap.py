@@ -176,6 +176,7 @@ except ContactError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("platform", ["egl", "osmesa"])
 def test_pyrender_sees_the_same_gap(platform):
     """On the slopes that a gel feels, to a thousandth of a millimetre; in a process of its own."""

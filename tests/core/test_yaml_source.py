@@ -81,6 +81,7 @@ def test_no_code_runs_from_a_tag(tmp_path):
     assert not marker.exists()
 
 
+@pytest.mark.slow
 def test_aliases_that_unfold_without_bound_are_refused(tmp_path):
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)]

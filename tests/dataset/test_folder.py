@@ -90,6 +90,7 @@ def _hold(root, shard, ready):
         time.sleep(60)
 
 
+@pytest.mark.slow
 def test_the_second_on_a_shard_leaves_and_a_dead_holder_is_succeeded(toy):
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
@@ -242,6 +243,7 @@ time.sleep(600)  # however late the kill comes, it comes before the end
 """
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_nothing_is_lost_or_wrong(tmp_path):
     spec = make_spec(n_grasps=200, shard_size=4)
     script = KILLED.format(checkout=str(CHECKOUT), root=str(tmp_path / "killed"))

@@ -60,6 +60,7 @@ def test_names_in_a_gallery_are_shown_not_run(tmp_path):
     assert "<script>alert" not in write_gallery(tmp_path).read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 @pytest.mark.parametrize(
     ("state", "shown"),

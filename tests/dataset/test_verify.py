@@ -27,6 +27,7 @@ def test_a_sound_dataset_has_no_problems(toy):
     assert (found.n_shards, found.n_grasps) == (3, 10)
 
 
+@pytest.mark.slow
 def test_one_flipped_byte_anywhere_is_found_in_that_shard(toy):
     path = toy.shard_path(1)
     sound = path.read_bytes()

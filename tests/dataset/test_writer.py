@@ -84,6 +84,7 @@ def test_two_pads_stand_in_groups_of_their_own(tmp_path):
     assert not np.array_equal(sample.pads["left"].rgb, sample.pads["right"].rgb)
 
 
+@pytest.mark.slow
 def test_same_bytes_in_another_order_and_another_process(tmp_path, spec):
     one = collect_toy(tmp_path / "one", spec, shards=(0, 1, 2))
     two = collect_toy(tmp_path / "two", spec, shards=(2, 0, 1))

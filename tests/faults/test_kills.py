@@ -35,6 +35,7 @@ def write_what_is_missing(root, spec):
     folder.merge()
 
 
+@pytest.mark.slow
 def test_fifty_writers_killed_at_random_moments(tmp_path):
     """After every kill, what counts as done has the right bytes; the next one goes on."""
     spec = make_spec(n_grasps=80, shard_size=2)

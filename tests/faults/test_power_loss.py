@@ -63,6 +63,7 @@ class Disk:
         return now[: len(now) // 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("redo", [False, True])
 def test_whatever_was_not_synced_is_lost_and_the_dataset_is_right(tmp_path, monkeypatch, redo):
     spec = make_spec(n_grasps=6, shard_size=3)

@@ -84,6 +84,7 @@ def test_the_backbone_is_resnet_18():
     assert backbone(torch.zeros(2, 3, 64, 96)).shape == (2, 512)
 
 
+@pytest.mark.slow
 def test_a_sequence_is_judged_by_the_last_hidden_state_of_features_in_order():
     network = build_network("sequence").eval()
     images = torch.rand(2, 4, 3, 32, 32)
@@ -129,6 +130,7 @@ def test_torchvision_names_are_those_of_transformers_resnet_18():
     assert renamed == own
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
 def test_a_local_weight_file_sets_every_layer(tmp_path, torchvision_weights, suffix):
     path = tmp_path / f"resnet18{suffix}"
@@ -204,6 +206,7 @@ def test_without_imagenet_weights_auto_says_none_and_imagenet_stops(monkeypatch)
         make_backbone("imagenet")
 
 
+@pytest.mark.slow
 def test_weights_that_are_not_a_resnet_18_are_refused(tmp_path, torchvision_weights):
     cases = {
         "missing": {k: v for k, v in torchvision_weights.items() if k != "layer3.1.conv2.weight"},

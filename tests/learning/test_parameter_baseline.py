@@ -30,6 +30,7 @@ def table_of(label_of, n: int = 150, split: str = "train") -> GraspTable:
     )
 
 
+@pytest.mark.slow
 def test_an_outcome_that_force_decides_is_found_from_force():
     scores = baseline_scores(table_of(lambda f, y, z, rng: f > 10))["can"]
     assert list(scores["tree_accuracy"]) == [
@@ -41,6 +42,7 @@ def test_an_outcome_that_force_decides_is_found_from_force():
     assert scores["tree_accuracy"]["all but force_n"] < 0.5 + 0.13
 
 
+@pytest.mark.slow
 def test_a_height_that_decides_and_is_not_seen_costs_accuracy():
     accuracy = baseline_scores(table_of(lambda f, y, z, rng: f > 10 * (z > 40)))["can"][
         "tree_accuracy"
@@ -49,6 +51,7 @@ def test_a_height_that_decides_and_is_not_seen_costs_accuracy():
     assert accuracy["all but z_mm"] < accuracy["force_n, y_mm, z_mm"] - 0.1
 
 
+@pytest.mark.slow
 def test_chance_is_not_learnt():
     scores = baseline_scores(table_of(lambda f, y, z, rng: rng.random(len(f)) < 0.5))["can"]
     assert abs(scores["tree_accuracy"]["force_n, y_mm, z_mm"] - 0.5) < 0.13
@@ -65,6 +68,7 @@ def test_the_test_side_is_not_looked_at():
     assert (scores["can"]["n"], scores["can"]["tree_accuracy"]) == (0, {})
 
 
+@pytest.mark.slow
 def test_the_command_reports_each_object(toy, capsys, monkeypatch):
     monkeypatch.setattr(
         sys, "argv", ["tacgen", "eval", "--baseline", "parameters", "--data", str(toy), "--json"]

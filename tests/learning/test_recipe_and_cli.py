@@ -58,6 +58,7 @@ def run_cli(monkeypatch, *arguments: object) -> int:
     return int(stopped.value.code or 0)
 
 
+@pytest.mark.slow
 def test_from_a_dataset_to_the_gap_on_the_command_line(toy, tmp_path, monkeypatch, capsys):
     recipe, run = tmp_path / "toy.yaml", tmp_path / "run"
     recipe.write_text(yaml.safe_dump(recipe_of(training={"epochs": 1}).resolved()))

@@ -42,6 +42,7 @@ def test_scores_of_a_small_example_by_hand():
     assert scores["n"] == 6
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 1000))
 def test_auroc_is_the_share_of_pairs_in_the_right_order(seed):
     rng = np.random.default_rng(seed)

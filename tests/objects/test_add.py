@@ -212,6 +212,7 @@ def test_an_l_shape_is_decomposed_into_convex_parts_the_same_way_twice():
         np.testing.assert_array_equal(part.vertices_mm, other.vertices_mm)
 
 
+@pytest.mark.slow
 def test_the_commands_add_list_and_show(own_folder):
     runner = CliRunner()
     exported(box(), "my_box.stl")

@@ -143,6 +143,7 @@ def test_a_response_survives_its_file_and_a_wrong_one_is_refused(tmp_path):
         replace(made, response=made.response[..., :1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interpolation", ["linear", "floor"])
 def test_rendering_is_the_look_up_that_the_table_describes(interpolation):
     made = table(interpolation=interpolation)
@@ -173,6 +174,7 @@ EFFECTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", EFFECTS.values(), ids=EFFECTS)
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("window", [(20, 61, 30, 81), (0, 35, 60, 120), (0, 90, 0, 120)])

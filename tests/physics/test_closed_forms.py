@@ -77,6 +77,7 @@ def farthest_held(
     return threshold(holds, *WITHIN_10_PERCENT, halvings=7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
 def test_two_fingers_hold_what_coulomb_allows(
     simulator: GraspSimulator, friction: float, record_property: Record
@@ -86,6 +87,7 @@ def test_two_fingers_hold_what_coulomb_allows(
     assert ratio == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force_n", [3.0, 35.0])
 def test_the_threshold_scales_with_force(
     simulator: GraspSimulator, force_n: float, record_property: Record
@@ -95,6 +97,7 @@ def test_the_threshold_scales_with_force(
     assert ratio == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_friction_does_not_depend_on_yaw(
     simulator: GraspSimulator, record_property: Record
 ) -> None:
@@ -138,6 +141,7 @@ def test_friction_is_a_cone_and_not_a_pyramid(
         assert ratio == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "force_n", "spinning_friction_mm", "friction_share"),
     [
@@ -207,6 +211,7 @@ def test_each_pad_presses_with_the_commanded_force(
         assert single.frames[pad][0].force_normal_n == pytest.approx(force_n, rel=0.02)
 
 
+@pytest.mark.slow
 def test_halving_the_time_step_moves_no_threshold(
     simulator: GraspSimulator, record_property: Record
 ) -> None:
@@ -270,6 +275,7 @@ def test_a_held_object_stays_where_it_is(simulator: GraspSimulator) -> None:
     assert trace.turn_rad < 1e-3
 
 
+@pytest.mark.slow
 def test_the_arm_and_the_floating_gripper_agree_but_for_the_border(
     simulator: GraspSimulator, arm_simulator: GraspSimulator, record_property: Record
 ) -> None:

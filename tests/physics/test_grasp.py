@@ -88,6 +88,7 @@ class TestOutcomes:
         assert trace.status == "unreachable"
         assert "the arm does not reach x_mm = 600" in trace.reason
 
+    @pytest.mark.slow
     def test_margins_and_labels_agree(self, simulator: GraspSimulator) -> None:
         for force_n in (2.0, 4.0, 8.0, 16.0):
             for y_mm in (0.0, 7.0, 16.0):

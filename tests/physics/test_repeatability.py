@@ -29,6 +29,7 @@ def as_bytes(value: object) -> bytes:
 
 
 class TestRepeatability:
+    @pytest.mark.slow
     def test_a_grasp_does_not_remember_those_before_it(self) -> None:
         asked = [
             (block(), 8.0, FrameRequest()),

@@ -67,6 +67,7 @@ def test_slopes_integrate_to_the_surface_they_came_from():
     np.testing.assert_allclose(found, surface - surface.mean(), atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("volume_mm3", "share"), [(2.0, 0.04), (8.0, 0.02), (20.0, 0.07)])
 def test_a_reconstructed_ball_has_its_volume(recipe, sensor, table, volume_mm3, share):
     """The gel around the contact, 2 to 6 % of it all, is left out; the steep walls of the deepest
@@ -82,6 +83,7 @@ def test_a_reconstructed_ball_has_its_volume(recipe, sensor, table, volume_mm3, 
     assert shape.depth_mm.max() == pytest.approx(contact.depth_mm.max(), rel=0.06)
 
 
+@pytest.mark.slow
 def test_the_gel_at_rest_has_no_volume(recipe, sensor, table):
     camera = Camera(recipe, sensor)
     rng = np.random.default_rng(0)
@@ -118,6 +120,7 @@ def test_a_lost_marker_moves_with_its_neighbours(recipe, sensor):
     np.testing.assert_allclose(motion[0, 30], [5.0, 0.0], atol=0.3)
 
 
+@pytest.mark.slow
 def test_volumes_by_the_circle_of_a_known_ball(folder):
     """Where the change has fallen to half is 2 or 3 % outside of where the ball meets the gel's
     level, and a volume goes with the fourth power: up to 12 % too much, and little scatter.
@@ -128,6 +131,7 @@ def test_volumes_by_the_circle_of_a_known_ball(folder):
     assert np.std(ratio) < 0.08 * K_N
 
 
+@pytest.mark.slow
 def test_the_log_has_the_contract_columns_and_the_true_compliances(by_table):
     frame = by_table.frame
     assert {"trial", "time_s", "force_normal_n", "volume_mm3", "shear_x_mm", "radius_mm"} <= set(
@@ -141,6 +145,7 @@ def test_the_log_has_the_contract_columns_and_the_true_compliances(by_table):
     assert (force * motion).sum() / (force**2).sum() == pytest.approx(K_S, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_folder(folder):
     out = folder / "contact.yaml"
     result = CliRunner().invoke(

@@ -128,6 +128,7 @@ def test_the_truth_file_predicts_the_session(tmp_path):
     assert np.std(log["volume_mm3"] - volume) == pytest.approx(0.207, rel=0.05)
 
 
+@pytest.mark.slow
 def test_compliances_are_inside_their_intervals_as_often_as_said():
     """200 sessions; 95 % within 3.5 standard deviations of the binomial is 89.6 % or more."""
     inside = {"k_n": 0, "k_s": 0}

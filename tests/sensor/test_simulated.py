@@ -17,6 +17,7 @@ def sensor():
     return Sensor("gelsight_mini")
 
 
+@pytest.mark.slow
 def test_the_gel_gives_way_by_k_n_f(sensor):
     for force_n in (1.0, 3.0, 6.0):
         frame = sensor.render(BALL, np.eye(4), force_n=force_n)

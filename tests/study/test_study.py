@@ -59,6 +59,7 @@ def test_the_grids_of_the_table_are_force_and_one_axis_of_places_over_the_object
             assert min(own[axis]) <= min(given) <= max(given) <= max(own[axis]), (entry.name, axis)
 
 
+@pytest.mark.slow
 def test_of_every_object_in_the_table_the_weakest_grasps_slip_and_some_strong_one_holds():
     """A grid whose grasps nearly all hold teaches nothing, and its row would be refused."""
     study = load_study("paper_table")
@@ -199,6 +200,7 @@ def toy(tmp_path) -> Path:
     return collect(tmp_path / "toy", make_spec())
 
 
+@pytest.mark.slow
 def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy_collect):
     study, real = load_study(small_study(tmp_path)), write_real(tmp_path / "real")
     result = run_study(study, tmp_path / "out", RealData(test=real), quick=True)
@@ -216,6 +218,7 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy
     assert "Accuracy" in (tmp_path / "out" / "table.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(tmp_path, toy_collect):
     study = load_study(small_study(tmp_path, ", train: {training: {grasps: 500}}"))
     result = run_study(study, tmp_path / "out", RealData())
@@ -236,6 +239,7 @@ def test_a_study_of_which_nothing_can_be_trained_says_so_in_its_table(tmp_path, 
     assert str(caught.value).count("'missing.pth' is no file") == 2
 
 
+@pytest.mark.slow
 def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect):
     """The folder says that it is simulated: no table and no line may call it real."""
     study = load_study(small_study(tmp_path))
@@ -265,6 +269,7 @@ def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, t
     assert not toy_collect
 
 
+@pytest.mark.slow
 def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_collect, monkeypatch):
     study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
     asked: list[list[str]] = []
@@ -287,6 +292,7 @@ def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_coll
     assert not toy_collect
 
 
+@pytest.mark.slow
 def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
     study = load_study(small_study(tmp_path, ", calibrate_contact: true"))
     with pytest.raises(TacgenError, match=r"contact\.yaml .*--contact FILE"):

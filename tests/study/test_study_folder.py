@@ -39,6 +39,7 @@ def run_cli(monkeypatch, *arguments: object) -> int:
     return int(stopped.value.code or 0)
 
 
+@pytest.mark.slow
 def test_real_grasps_of_other_objects_leave_the_simulated_result_in_the_table(
     tmp_path, toy_collect
 ):

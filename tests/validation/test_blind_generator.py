@@ -37,6 +37,7 @@ def test_normal_effects_have_the_strength_they_were_asked_for(name):
     assert case.normal == (name,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(forms.SHEAR))
 def test_shear_effects_have_the_strength_they_were_asked_for(name):
     case = draw_case(9, shear=[(name, 2.0)], n_trials=16, noise_share=0.01, force_noise_share=0.0)

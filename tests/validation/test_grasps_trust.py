@@ -21,6 +21,7 @@ def test_the_least_error_is_half_a_grasp_of_all_and_one_more(count):
     assert found == pytest.approx(1 / (2 * (count + 1)), rel=0.05)
 
 
+@pytest.mark.slow
 def test_flipped_labels_cost_more_and_more_grasps_less():
     few, many = (least_fresh_wrong(n, 0.05, np.random.default_rng(0)) for n in (40, 100))
     assert 1 / 82 < few < 2 / 82

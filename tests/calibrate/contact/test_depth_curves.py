@@ -24,6 +24,7 @@ def curve(name, radius_mm, k_n, deepest_mm, *, late_mm=0.0, seed=0):
     return DepthCurve(name, depth, force + noise)
 
 
+@pytest.mark.slow
 def test_the_ball_and_k_n_are_found_where_the_curve_bends():
     """Deep enough that the cap is no parabola: radius and k_n part."""
     found = explain_curves((curve("a", 2.0, 4.0, 2.5, late_mm=0.1),)).curves[0]
@@ -33,6 +34,7 @@ def test_the_ball_and_k_n_are_found_where_the_curve_bends():
     assert found.r_squared > 0.999
 
 
+@pytest.mark.slow
 def test_a_shallow_curve_says_that_it_cannot_tell_the_radius():
     """V ≈ π R d² for d ≪ R: only R / k_n is known, and the interval is open above."""
     found = explain_curves((curve("a", 5.0, 4.0, 0.3),)).curves[0]
@@ -40,6 +42,7 @@ def test_a_shallow_curve_says_that_it_cannot_tell_the_radius():
     assert found.radius_mm / found.k_n_mm3_per_n == pytest.approx(5.0 / 4.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_one_k_n_or_not():
     same = explain_curves((curve("a", 2.0, 4.0, 2.5), curve("b", 4.0, 4.0, 3.0, seed=1)))
     assert same.one_k_n_will_do
@@ -48,6 +51,7 @@ def test_one_k_n_or_not():
     assert not other.one_k_n_will_do
 
 
+@pytest.mark.slow
 def test_what_is_no_ball_is_said():
     """A cone: F grows as d³ and no ball's curve does."""
     made = curve("a", 2.0, 4.0, 2.5)
@@ -71,6 +75,7 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path):
         read_depth_curves(path)
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_curves(tmp_path):
     path = tmp_path / "curves.csv"
     made = curve("a", 2.0, 4.0, 2.5)
@@ -85,6 +90,7 @@ def test_the_page_shows_the_curves(tmp_path):
     assert "the volume is that of a ball whose radius was fitted" in page
 
 
+@pytest.mark.slow
 def test_measured_curves_by_the_command(measured_data, tmp_path):
     path = measured_data / "force_depth_curves" / "force_depth.csv"
     out = tmp_path / "contact.yaml"

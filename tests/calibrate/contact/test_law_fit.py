@@ -67,6 +67,7 @@ def calibrate(*arguments: object):
     return CliRunner().invoke(app, ["calibrate", "contact", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_law_is_recovered_and_loads(tmp_path):
     log, out = write(session(), tmp_path), tmp_path / "contact.yaml"
     result = calibrate(log, "--out", out, "--report", tmp_path / "report", "--marker-pitch-mm", 1.5)
@@ -105,6 +106,7 @@ def test_balls_that_agree_and_balls_that_do_not(tmp_path):
     assert any("k differs between values of 'indenter'" in text for text in other.warnings)
 
 
+@pytest.mark.slow
 def test_agreement_is_rejected_as_often_as_it_says():
     """5 % of 100 true hypotheses, within 3.5 standard deviations of the binomial."""
     rejected = 0

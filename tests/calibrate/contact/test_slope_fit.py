@@ -78,6 +78,7 @@ def test_one_press_has_no_error():
     assert np.isnan(fit_slope(load, response, trial).stderr)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n_trials", "between", "gauge"), [(8, 0.0, 0.0), (12, 0.03, 0.1), (40, 0.0, 0.3)]
 )

@@ -37,6 +37,7 @@ def test_the_true_friction_is_found_within_a_step(mu_star):
     assert fit.interval[1] >= mu_star - 0.05
 
 
+@pytest.mark.slow
 def test_one_flipped_label_in_twenty_is_survived():
     found = 0
     for draw in range(20):
@@ -78,6 +79,7 @@ def spanning(mu_star, rng, span, count=20):
     return WEIGHT_N / (2 * mu_star) * span ** (2 * places - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("span", "flipped"), [(2.0, 0), (1.4, 1)])
 def test_forces_at_any_spacing_find_the_friction_in_19_of_20_draws(span, flipped):
     found = 0

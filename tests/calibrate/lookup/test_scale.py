@@ -46,6 +46,7 @@ def read(folder, **changes):
     return usable_presses(replace(raw, **changes))
 
 
+@pytest.mark.slow
 def test_two_rulers_measure_the_scale(folder):
     found = evidence(read(folder))
     assert [ruler.name for ruler in found.rulers] == ["the stage's places", "the printed dots"]
@@ -57,6 +58,7 @@ def test_two_rulers_measure_the_scale(folder):
     assert found.warnings == ()
 
 
+@pytest.mark.slow
 def test_a_stated_scale_that_is_off_is_said(folder):
     found = evidence(read(folder, mm_per_px=1.1 * MM_PER_PX))
     assert found.estimate.mm_per_px == pytest.approx(MM_PER_PX, rel=0.015)
@@ -66,6 +68,7 @@ def test_a_stated_scale_that_is_off_is_said(folder):
     assert "--mm-per-px 0.1" in said
 
 
+@pytest.mark.slow
 def test_on_a_dome_a_ball_touches_beside_its_centre(folder):
     """Places of a ball's centre are farther apart than its contacts: no reason for a warning."""
     presses = read(folder, dot_pitch_mm=0.0)
@@ -77,6 +80,7 @@ def test_on_a_dome_a_ball_touches_beside_its_centre(folder):
     assert not [line for line in found.warnings if "the stage's places" in line]
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_not_what_it_is_said_to_be(folder):
     """The ball of 4 mm, stated 8 % too small, is 1.08 times larger than said."""
     honest = evidence(read(folder)).ratios[0]
@@ -88,6 +92,7 @@ def test_a_ball_that_is_not_what_it_is_said_to_be(folder):
     assert "the ball of 3.7037 mm looks like one of" in "\n".join(found.warnings)
 
 
+@pytest.mark.slow
 def test_without_a_ruler_there_is_only_a_bound(folder):
     presses = read(folder, stage_mm=None, dot_pitch_mm=0.0)
     one = presses.select(presses.ball_radius_mm == 2.0)
@@ -99,6 +104,7 @@ def test_without_a_ruler_there_is_only_a_bound(folder):
     assert "one ball only" in said
 
 
+@pytest.mark.slow
 def test_contacts_wider_than_their_ball(folder):
     found = evidence(read(folder, mm_per_px=1.8 * MM_PER_PX, stage_mm=None, dot_pitch_mm=0.0))
     said = "\n".join(found.warnings)

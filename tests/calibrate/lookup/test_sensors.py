@@ -44,6 +44,7 @@ def change_in_contact(presses):
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("labels", [True, False])
 @pytest.mark.parametrize("name", SENSORS)
 def test_unseen_balls_are_rendered(name, labels, tmp_path):
@@ -56,6 +57,7 @@ def test_unseen_balls_are_rendered(name, labels, tmp_path):
     assert error < 0.25 * change_in_contact(test)
 
 
+@pytest.mark.slow
 def test_labels_that_are_all_off_by_the_same_do_not_move_the_table(tmp_path):
     """The circles that are seen say where the balls are: the true surface renders as well."""
     sensor = gelsight_mini(4, dots=False, shape=SMALL)
@@ -79,6 +81,7 @@ def _contact(press):
     return away < press.contact_px
 
 
+@pytest.mark.slow
 def test_volume_by_shape_leaves_out_the_gel_that_sinks_around_the_contact(tmp_path):
     """A tensed skin sinks by a fifth of the volume beside the ball, which is none of the ball's."""
     sensor = SENSORS["Mini, no dots"]
@@ -95,6 +98,7 @@ def test_volume_by_shape_leaves_out_the_gel_that_sinks_around_the_contact(tmp_pa
     assert np.median(ratios) == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.slow
 def test_dots_stay_in_the_background_unless_they_are_to_be_drawn(tmp_path):
     session = draw_presses(gelsight_mini(3, shape=SMALL), 45, count=6)
     folder = write_folder(session, tmp_path / "p")
@@ -111,6 +115,7 @@ def test_dots_stay_in_the_background_unless_they_are_to_be_drawn(tmp_path):
     assert spread[1] > 0.6
 
 
+@pytest.mark.slow
 def test_three_presses_are_enough_to_start_with(tmp_path):
     presses = read(draw_presses(SENSORS["Mini, no dots"], 46, count=3), tmp_path / "p")
     score = score_table(fit_lookup(presses), presses)

@@ -13,6 +13,7 @@ from tacgen.presses.screening import usable_presses
 from tests.virtual_presses import virtual_presses, virtual_sensor
 
 
+@pytest.mark.slow
 def test_renders_unseen_balls_of_the_virtual_sensor():
     table = fit_lookup(virtual_presses(1, count=24, noise=0.5))
     score = score_table(table, virtual_presses(2, count=8, noise=0.0))
@@ -20,6 +21,7 @@ def test_renders_unseen_balls_of_the_virtual_sensor():
     assert score.rmse("refined")[0] < 1.5
 
 
+@pytest.mark.slow
 def test_labels_that_are_off_are_mended():
     table = fit_lookup(virtual_presses(3, count=24, noise=0.5, center_scatter_px=1.0))
     clean = virtual_presses(4, count=8, noise=0.0)
@@ -29,6 +31,7 @@ def test_labels_that_are_off_are_mended():
     assert score.rmse("labels")[0] > 1.5 * score.rmse("refined")[0]
 
 
+@pytest.mark.slow
 def test_gel_at_rest_renders_the_reference():
     presses = virtual_presses(6, count=16, noise=0.0)
     table = fit_lookup(presses)
@@ -36,6 +39,7 @@ def test_gel_at_rest_renders_the_reference():
     assert np.abs(rest.astype(float) - presses.background).mean() < 1.0
 
 
+@pytest.mark.slow
 def test_a_domed_gel_at_rest_renders_the_reference():
     presses = virtual_presses(7, count=24, noise=0.0, dome_mm=40.0)
     table = fit_lookup(presses)
@@ -48,6 +52,7 @@ def test_a_domed_gel_at_rest_renders_the_reference():
     assert np.abs(rest.astype(float) - presses.background)[middle].mean() < 1.5
 
 
+@pytest.mark.slow
 def test_circles_are_found_where_none_are_labelled():
     truth = virtual_presses(8, count=16)
     blind = usable_presses(virtual_presses(8, count=16, labelled=False))
@@ -58,6 +63,7 @@ def test_circles_are_found_where_none_are_labelled():
     assert fit_lookup(blind).provenance["n_presses"] == 16
 
 
+@pytest.mark.slow
 def test_fit_does_not_depend_on_a_press_order_or_on_the_run():
     presses = virtual_presses(9, count=12)
     first, again = fit_lookup(presses), fit_lookup(presses)
@@ -65,6 +71,7 @@ def test_fit_does_not_depend_on_a_press_order_or_on_the_run():
     assert np.array_equal(first.background, again.background)
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_number_of_processes():
     presses = virtual_presses(13, count=10)
     one, two = (calibrate(presses, heldout=True, processes=n) for n in (1, 2))
@@ -84,6 +91,7 @@ def test_rings_around_the_contact_are_scored_beside_the_bare_gel():
     assert 0 < heldout.presses[0].rmse("bare") < np.abs(change).max()
 
 
+@pytest.mark.slow
 def test_a_table_survives_its_file(tmp_path):
     presses = virtual_presses(10, count=12)
     table = fit_lookup(presses)
@@ -100,6 +108,7 @@ def test_large_images_give_the_same_table():
     assert score.rmse("refined")[0] < 1.5
 
 
+@pytest.mark.slow
 def test_measured_presses(measured_data):
     path = measured_data / "taxim_ball_presses" / "dataPack_small_37.npz"
     presses = usable_presses(read_presses(path))

@@ -84,6 +84,7 @@ def new_effect():
     unregister(effect)
 
 
+@pytest.mark.slow
 def test_an_effect_registered_here_is_pressed_diagnosed_reported_and_simulated(
     new_effect, tmp_path
 ):

@@ -52,6 +52,7 @@ def switched_on(effect, history):
     return parameters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_shape_and_values_are_kept_finite_and_input_untouched(effect):
     columns = press_columns()

@@ -30,6 +30,7 @@ def names(channel):
     return [effect["name"] for effect in channel["effects"]]
 
 
+@pytest.mark.slow
 def test_a_clean_log_is_sufficient_in_both_channels():
     columns, noise = case([])
     record = diagnosis_record(diagnose(columns))
@@ -40,6 +41,7 @@ def test_a_clean_log_is_sufficient_in_both_channels():
         assert found["error_after"]["rmse"] < 1.1 * noise[channel]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "columns"),
     [
@@ -64,6 +66,7 @@ def test_one_effect_is_named_and_brings_the_error_down_to_the_noise(effect, colu
     assert found["trials"] == {"fit": 36, "test": 12}
 
 
+@pytest.mark.slow
 def test_a_slipping_contact_is_found_in_the_shear_channel_alone():
     made, _ = case([("shear", "slip", 0)], strength=3.0)
     channels = diagnosis_record(diagnose(made))["channels"]
@@ -71,6 +74,7 @@ def test_a_slipping_contact_is_found_in_the_shear_channel_alone():
     assert channels["normal"]["verdict"] == "sufficient"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("covariate", "form"), [("operator", 0), ("time_s", 0)])
 def test_what_no_effect_explains_is_named_by_its_covariate(covariate, form):
     made, _ = case([("outside", covariate, form)], strength=2.0)
@@ -80,6 +84,7 @@ def test_what_no_effect_explains_is_named_by_its_covariate(covariate, form):
     assert [entry["covariate"] for entry in found["unexplained"]] == [covariate]
 
 
+@pytest.mark.slow
 def test_the_extended_law_predicts_trials_that_nothing_saw(tmp_path):
     made, noise = case([("normal", "creep", 2)], strength=3.0, n_trials=60)
     frame = pd.DataFrame(few_columns(made))
@@ -100,6 +105,7 @@ def test_the_extended_law_predicts_trials_that_nothing_saw(tmp_path):
     assert "creep" in result.output
 
 
+@pytest.mark.slow
 def test_parameters_of_a_linear_law_are_covered_by_their_errors():
     inside = 0
     for seed in range(12):
@@ -135,6 +141,7 @@ def test_columns_that_cannot_be_compared_are_said():
     assert "shear channel: not diagnosed" in notes
 
 
+@pytest.mark.slow
 def test_rows_without_shear_do_not_stop_the_shear_channel():
     columns, _ = case([])
     gone = columns["trial"] < 10
@@ -156,6 +163,7 @@ def test_forces_of_the_wrong_sign_are_said_and_not_fitted():
     assert any("shear channel: not diagnosed" in note for note in diagnosis.notes)
 
 
+@pytest.mark.slow
 def test_a_p_value_is_no_less_than_so_few_trials_allow():
     columns, _ = case([("normal", "latency", 0)], strength=3.0)
     four = {name: values[columns["trial"] < 4] for name, values in few_columns(columns).items()}

@@ -21,6 +21,7 @@ CREEP = FittedEffect(
 )
 
 
+@pytest.mark.slow
 def test_the_page_says_how_far_the_laws_part(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recipe = load_recipe(write_world(tmp_path, frames="{mode: sequence, count: 4}"))

@@ -32,6 +32,7 @@ def test_the_table_in_the_docs_is_that_of_the_rules():
     assert rules_table(DEFAULT_RULES) in METHOD.read_text()
 
 
+@pytest.mark.slow
 def test_rules_are_an_argument():
     effects = (RigEffect(name="temperature", strength=3.0),)
     session = simulate_session(load_rig_recipe("rig").model_copy(update={"effects": effects}))

@@ -58,6 +58,7 @@ def test_the_noise_floor_is_that_of_volume_and_force_together():
     assert data.noise == pytest.approx(np.hypot(0.5, 4.0 * 0.3), rel=0.08)
 
 
+@pytest.mark.slow
 def test_shuffles_keep_their_level_and_see_a_bend():
     rng = np.random.default_rng(3)
     shuffled = scores.shuffles(N_TRIALS, 499, rng)

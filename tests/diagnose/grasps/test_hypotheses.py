@@ -60,6 +60,7 @@ def simulated(recipe, wanted, out, **_):
     return found
 
 
+@pytest.mark.slow
 def test_a_hypothesis_of_ones_own_is_found_simulated_written_and_reported(
     worn_pads, tmp_path, monkeypatch
 ):

@@ -113,6 +113,7 @@ def test_a_shifted_centre_of_mass_is_named_with_its_size(offset, flips):
     assert abs(first.value - offset) < max(3 * first.stderr, 3.0)
 
 
+@pytest.mark.slow
 def test_clean_labels_name_nothing_more_often_than_promised():
     named = 0
     for seed in range(40):
@@ -134,6 +135,7 @@ def test_what_one_object_cannot_tell_is_said():
     }
 
 
+@pytest.mark.slow
 def test_a_second_object_tells_the_force_from_the_mass():
     """A wrong force acts on both objects, a wrong mass on one."""
     grasps = Grasps(3, ("block", "can"), 60)

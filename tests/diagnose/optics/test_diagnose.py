@@ -32,6 +32,7 @@ def names(diagnosis):
     return [effect.name for effect in diagnosis.effects]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["three", "four"])
 def test_clean_presses_need_no_effect(kind):
     diagnosis = diagnose_optics(presses(kind))
@@ -143,6 +144,7 @@ def test_lamps_close_by_are_illumination_by_place():
     assert names(diagnose_optics(virtual_presses(0)))[:1] == ["illumination"]
 
 
+@pytest.mark.slow
 def test_the_json_has_the_contracts_fields():
     content = json.loads(json.dumps(diagnose_optics(presses("four", count=12)).as_dict()))
     channel = content["channels"]["rgb"]
@@ -157,6 +159,7 @@ def test_too_few_presses():
         diagnose_optics(presses("four", count=5))
 
 
+@pytest.mark.slow
 def test_a_table_of_another_resolution_is_refused():
     given = presses("four", count=12)
     found = diagnose_optics(given)

@@ -67,6 +67,7 @@ def glowing_presses(strength):
     return replace(plain, images=np.rint(np.clip(images, 0, 255)).astype(np.uint8))
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_is_fitted_named_rendered_and_reported(glow):
     given = presses("four")
     first = diagnose_optics(given)

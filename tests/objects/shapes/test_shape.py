@@ -160,6 +160,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_every_object_is_the_same_bit_for_bit_in_another_process():
     found = set()
     for seed in ("1", "2"):
