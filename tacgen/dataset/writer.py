@@ -144,12 +144,12 @@ def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, obj
         yield "/object/pose", sample.object_pose
     if layout.picture and sample.picture is not None:
         yield "/scene/picture", sample.picture
-    for pad, felt in sample.pads.items():
-        yield layout.tactile(pad, "rgb"), felt.rgb
-        if layout.depth and felt.depth_mm is not None:
-            yield layout.tactile(pad, "depth_mm"), felt.depth_mm
+    for pad, recorded in sample.pads.items():
+        yield layout.tactile(pad, "rgb"), recorded.rgb
+        if layout.depth and recorded.depth_mm is not None:
+            yield layout.tactile(pad, "depth_mm"), recorded.depth_mm
         for name in CONTACT_NAMES:
-            yield layout.contact(pad, name), getattr(felt, name)
+            yield layout.contact(pad, name), getattr(recorded, name)
 
 
 def _text_length(path: str, layout: Layout) -> int:

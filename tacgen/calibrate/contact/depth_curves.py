@@ -48,7 +48,7 @@ class BallFit:
     ``radius_interval_mm`` and ``k_interval`` (95 %) come from the profile of the misfit: at its
     ends the other quantities are refitted. An interval that ends at a bound of ``RADII_MM`` is
     open there: the curve cannot tell. ``exponent`` is the slope of log F against log depth.
-    ``waviness`` is the correlation of neighbouring residuals: near 1, what is left over is no
+    ``waviness`` is the correlation of neighbouring residuals: near 1, the residual is not
     noise but shape that a ball on a linear gel does not have, and the intervals are too narrow.
     """
 
