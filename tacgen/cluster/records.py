@@ -83,10 +83,7 @@ def write_submission(folder: Path, submission: Submission) -> None:
 def read_submission(path: Path) -> Submission:
     """What ``write_submission`` wrote.
 
-    Raises
-    ------
-    ClusterError
-        If the file does not hold that.
+    Raises ``ClusterError`` if the file does not hold that.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

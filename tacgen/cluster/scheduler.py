@@ -21,10 +21,7 @@ def live_jobs(submissions: Iterable[Submission]) -> dict[str, tuple[str, str]] |
 
     None where that is unknown here: another machine's processes, or no ``squeue``.
 
-    Raises
-    ------
-    ClusterError
-        If ``squeue`` fails.
+    Raises ``ClusterError`` if ``squeue`` fails.
     """
     live: dict[str, tuple[str, str]] = {}
     slurm_ids: set[str] = set()

@@ -79,12 +79,8 @@ class Status:
 def status(root: Path) -> Status:
     """Look at the dataset in ``root`` and at its jobs; writes nothing.
 
-    Raises
-    ------
-    DatasetError
-        If there is no dataset.
-    ClusterError
-        If the record of a submission cannot be read, or the scheduler does not answer.
+    Raises ``DatasetError`` if there is no dataset. Raises ``ClusterError`` if the record of a
+    submission cannot be read, or the scheduler does not answer.
     """
     folder = DatasetFolder(root)
     plan = folder.plan()
@@ -123,10 +119,8 @@ def status(root: Path) -> Status:
 def job_states(root: Path) -> tuple[TaskState, ...]:
     """The jobs of ``root``, where commands rather than shards were submitted.
 
-    Raises
-    ------
-    ClusterError
-        If the record of a submission cannot be read, or the scheduler does not answer.
+    Raises ``ClusterError`` if the record of a submission cannot be read, or the scheduler does not
+    answer.
     """
     submissions = JobsFolder(root).submissions()
     live = live_jobs(submissions.values())

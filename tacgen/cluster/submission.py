@@ -72,13 +72,9 @@ class Submitted:
 def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
     """Submit jobs for every shard that ``out`` lacks and no running or waiting job will make.
 
-    Raises
-    ------
-    ClusterError
-        If submitit or the scheduler is missing or refuses, or jobs of this dataset still run
-        (unless ``request.failed_only``).
-    DatasetError
-        If the folder cannot be written to or holds another dataset.
+    Raises ``ClusterError`` if submitit or the scheduler is missing or refuses, or jobs of this
+    dataset still run (unless ``request.failed_only``). Raises ``DatasetError`` if the folder cannot
+    be written to or holds another dataset.
     """
     require_executor(request.executor)
     planned = plan_recipe(recipe)
@@ -121,11 +117,8 @@ def submit_command(
     ``out`` is the folder that it writes to, where the job's record and logs go too, in ``jobs/``;
     ``run`` runs the command.
 
-    Raises
-    ------
-    ClusterError
-        If the command is none that resumes, a job of its folder still runs, or the scheduler is
-        missing or refuses.
+    Raises ``ClusterError`` if the command is none that resumes, a job of its folder still runs, or
+    the scheduler is missing or refuses.
     """
     require_command(command)
     require_executor(executor)

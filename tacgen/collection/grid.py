@@ -44,10 +44,8 @@ def plan_grasps(recipe: Recipe, ranges_of: RangesOf) -> tuple[PlannedGrasp, ...]
 
     ``ranges_of`` gives the grasp ranges of an object by name, for axes that the recipe leaves out.
 
-    Raises
-    ------
-    RecipeError
-        If an axis is given nowhere, a force exceeds the gripper's, or the grid is too large.
+    Raises ``RecipeError`` if an axis is given nowhere, a force exceeds the gripper's, or the grid
+    is too large.
     """
     planned: list[PlannedGrasp] = []
     for number, entry in enumerate(recipe.objects):

@@ -17,10 +17,7 @@ def parse_share(text: str, environment: Mapping[str, str]) -> tuple[int, int, st
 
     ``auto`` reads a Slurm array's or a Kubernetes indexed job's place. I counts from 0.
 
-    Raises
-    ------
-    DatasetError
-        If the text is neither, or ``auto`` finds no such place.
+    Raises ``DatasetError`` if the text is neither, or ``auto`` finds no such place.
     """
     if text == "auto":
         return _share_of_the_job(environment)

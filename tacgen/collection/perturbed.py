@@ -244,10 +244,7 @@ def place_of(config: GraspConfig) -> Place:
 def check_forces(recipe: Recipe, real: RealGrasps) -> None:
     """Refuse real grasps that the recipe's gripper could not be asked for.
 
-    Raises
-    ------
-    DatasetError
-        Listing each with its fix.
+    Raises ``DatasetError``, listing each with its fix.
     """
     found = (
         (grasp.grasp_id, force_problem(grasp.config.force_n, recipe.robot.max_force_n))

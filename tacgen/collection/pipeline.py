@@ -143,10 +143,7 @@ def grasp_frame(trace: GraspTrace) -> int:
 def contact_law(contact: Contact) -> ContactLaw:
     """The law that a recipe names: a calibrated file, or its own figures.
 
-    Raises
-    ------
-    ContactError
-        If the file is not a contact law.
+    Raises ``ContactError`` if the file is not a contact law.
     """
     if contact.file is not None:
         return load_law(contact_law_path(contact.file))
@@ -160,10 +157,7 @@ def contact_law(contact: Contact) -> ContactLaw:
 def tactile_pad(recipe: Recipe) -> TactilePad:
     """The tactile pad of a recipe with its table.
 
-    Raises
-    ------
-    TableError
-        If the table cannot be read, or is of another resolution than the sensor.
+    Raises ``TableError`` if the table cannot be read, or is of another resolution than the sensor.
     """
     sensor = load_sensor(recipe.sensor)
     table = load_table(sensor.table)
@@ -207,10 +201,7 @@ def with_gain(rgb: NDArray[np.uint8], gain: float) -> NDArray[np.uint8]:
 def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
     """What all shards of a recipe's dataset have in common.
 
-    Raises
-    ------
-    TacgenError
-        If the sensor, its table or the contact law cannot be used.
+    Raises ``TacgenError`` if the sensor, its table or the contact law cannot be used.
     """
     sensor = load_sensor(recipe.sensor)
     calibration = {"table": sha256_of(Path(sensor.table))}

@@ -236,10 +236,7 @@ def load_recipe(name: str | Path) -> Recipe:
 def with_cluster(recipe: Recipe, **settings: str | float | None) -> Recipe:
     """``recipe`` with these settings of its section ``cluster``; None leaves one as it is.
 
-    Raises
-    ------
-    RecipeError
-        Names every setting that cannot be.
+    Raises ``RecipeError``, which names every setting that cannot be.
     """
     cluster = cluster_section(recipe.cluster, **settings)
     return recipe.model_copy(update={"cluster": cluster})
@@ -248,10 +245,7 @@ def with_cluster(recipe: Recipe, **settings: str | float | None) -> Recipe:
 def cluster_section(before: Cluster | None = None, **settings: object) -> Cluster:
     """The section ``cluster`` with these settings; None leaves one as it is.
 
-    Raises
-    ------
-    RecipeError
-        Names every setting that cannot be.
+    Raises ``RecipeError``, which names every setting that cannot be.
     """
     given = {name: value for name, value in settings.items() if value is not None}
     try:

@@ -39,10 +39,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside ``path``; renamed to it on success, removed on failure.
 
-    Raises
-    ------
-    TacgenError
-        If ``path`` exists already.
+    Raises ``TacgenError`` if ``path`` exists already.
     """
     path = Path(path)
     if path.exists():
@@ -92,10 +89,8 @@ def is_file(path: Path) -> bool:
 def read_small_text(path: Path, most_bytes: int) -> str:
     """The text of a file that somebody else may have put there; what is not UTF-8 is marked.
 
-    Raises
-    ------
-    ValueError
-        If it is no regular file (a pipe would never end), or larger than ``most_bytes``.
+    Raises ``ValueError`` if it is no regular file (a pipe would never end), or larger than
+    ``most_bytes``.
     """
     if not path.is_file():
         msg = "missing, or not a file"

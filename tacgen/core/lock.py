@@ -24,10 +24,7 @@ def locked(path: Path) -> Iterator[bool | None]:
     Yields True, False where another process holds it, or None where this file system has no
     locks. The file names its holder.
 
-    Raises
-    ------
-    TacgenError
-        If ``path`` is a symbolic link.
+    Raises ``TacgenError`` if ``path`` is a symbolic link.
     """
     descriptor, held = open_locked(path)
     try:
@@ -56,10 +53,7 @@ def open_locked(path: Path) -> tuple[int, bool | None]:
 
     None instead of True where this file system has no locks.
 
-    Raises
-    ------
-    TacgenError
-        If ``path`` is a symbolic link.
+    Raises ``TacgenError`` if ``path`` is a symbolic link.
     """
     tries = _LOCK_TRIES
     while True:

@@ -57,10 +57,7 @@ def read_bgr(path: Path) -> NDArray[np.uint8] | None:
 def check_archive(path: Path) -> None:
     """See that every array of a .npz is as large as it says, and all of them not too large.
 
-    Raises
-    ------
-    ValueError
-        If it is not so; ``OSError`` if there is no such file.
+    Raises ``ValueError`` if it is not so; ``OSError`` if there is no such file.
     """
     try:
         with zipfile.ZipFile(path) as archive:

@@ -133,10 +133,7 @@ def map_in_processes(
     run threads of their own, and pickles the task. Where processes cannot be started so, the
     items are worked through one after the other.
 
-    Raises
-    ------
-    TacgenError
-        If a process is killed.
+    Raises ``TacgenError`` if a process is killed.
     """
     count = min(len(items), processes or _cores())
     # A daemon may have no children of its own.
@@ -183,11 +180,8 @@ def run_tasks(
     ``make_job`` is called once in each process; it must be picklable. Leaving the iterator early
     ends every process.
 
-    Raises
-    ------
-    TacgenError
-        If a job raises one, if three items in a row crash, or if a task's worker is killed again
-        and again.
+    Raises ``TacgenError`` if a job raises one, if three items in a row crash, or if a task's worker
+    is killed again and again.
     """
     progress = _Progress(deque(tasks))
     start_early(_module_of(make_job))

@@ -56,10 +56,8 @@ def dotted(key_path: KeyPath) -> str:
 def read_yaml(path: Path) -> YamlSource:
     """Read one YAML mapping; whatever it extends is merged below it.
 
-    Raises
-    ------
-    RecipeError
-        If the file cannot be read, is not a mapping, repeats a key, or extends itself.
+    Raises ``RecipeError`` if the file cannot be read, is not a mapping, repeats a key, or extends
+    itself.
     """
     return _read(Path(path), ())
 
@@ -67,10 +65,7 @@ def read_yaml(path: Path) -> YamlSource:
 def read_mapping(path: Path) -> dict[str, Any]:
     """The content of one YAML mapping within the same bounds, ``extends`` and all.
 
-    Raises
-    ------
-    RecipeError
-        If the file cannot be read, is not a mapping, or repeats a key.
+    Raises ``RecipeError`` if the file cannot be read, is not a mapping, or repeats a key.
     """
     return _parse(path).data
 

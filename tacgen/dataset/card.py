@@ -14,10 +14,7 @@ from tacgen.report.page import templates
 def write_card(root: Path | str) -> Path:
     """Write ``README.md`` of the dataset in ``root``, finished or not.
 
-    Raises
-    ------
-    DatasetError
-        If there is no finished shard, or the first is damaged.
+    Raises ``DatasetError`` if there is no finished shard, or the first is damaged.
     """
     folder = DatasetFolder(root)
     summary = summarize(folder.root)

@@ -90,9 +90,7 @@ def encode_image(rgb: NDArray[np.uint8]) -> bytes:
 def frame_head(height: int, width: int, chunk_bytes: int) -> bytes:
     """How the frame of an image starts whose compressed chunk takes ``chunk_bytes``.
 
-    Source
-    ------
-    C-Blosc2, README_CFRAME_FORMAT and README_CHUNK_FORMAT.
+    Source: C-Blosc2, README_CFRAME_FORMAT and README_CHUNK_FORMAT.
     """
     n_bytes = 3 * height * width
     frame_bytes = _FRAME_BYTES + chunk_bytes + len(_INDEX) + len(_TRAILER)
@@ -142,9 +140,7 @@ def is_sound(dataset: h5py.Dataset, ends: ChunkEnds) -> bool:
 def _is_zstd(ends: ChunkEnds, shape: tuple[int, ...], n_bytes: int) -> bool:
     """A frame that states its size, and the right one.
 
-    Source
-    ------
-    RFC 8878, section 3.1.1.1.
+    Source: RFC 8878, section 3.1.1.1.
     """
     if not ends.head.startswith(_ZSTD_MAGIC):
         return False

@@ -71,11 +71,8 @@ class DatasetFolder:
     def prepare(self, spec: DatasetSpec) -> None:
         """Make the folder ready for shards of ``spec``, or check that it is.
 
-        Raises
-        ------
-        DatasetError
-            If it cannot be written to, or holds a dataset of another recipe, calibration or
-            version of tacgen; the message shows the difference and says how to go on.
+        Raises ``DatasetError`` if it cannot be written to, or holds a dataset of another recipe,
+        calibration or version of tacgen; the message shows the difference and says how to go on.
         """
         with disk_errors(self.root):
             (self.root / "shards").mkdir(parents=True, exist_ok=True)
@@ -131,11 +128,8 @@ class DatasetFolder:
     ) -> ShardLine:
         """Write one shard, whole or not at all, and then its line of the manifest.
 
-        Raises
-        ------
-        DatasetError
-            If a grasp does not fit, the folder was never prepared or is gone, or the disk is full
-            or may not be written to.
+        Raises ``DatasetError`` if a grasp does not fit, the folder was never prepared or is gone,
+        or the disk is full or may not be written to.
         """
         self.plan()
         with disk_errors(self.root):
@@ -162,20 +156,14 @@ class DatasetFolder:
     def plan(self) -> dict[str, Any]:
         """What ``dataset.json`` says: ``n_grasps``, ``shard_size``, ``n_shards``, hashes, version.
 
-        Raises
-        ------
-        DatasetError
-            If the folder is not a dataset's.
+        Raises ``DatasetError`` if the folder is not a dataset's.
         """
         return read_plan(self.plan_path)
 
     def recipe(self) -> dict[str, Any]:
         """What ``recipe.yaml`` says.
 
-        Raises
-        ------
-        RecipeError
-            If it is missing or broken.
+        Raises ``RecipeError`` if it is missing or broken.
         """
         return read_mapping(self.recipe_path)
 

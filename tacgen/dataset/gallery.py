@@ -71,10 +71,7 @@ class CardMaker:
     rows : list of int
         The places in ``points`` of the grasps that get a card.
 
-    Raises
-    ------
-    DatasetError
-        If there is no finished shard, or one is damaged.
+    Raises ``DatasetError`` if there is no finished shard, or one is damaged.
     """
 
     def __init__(self, root: Path | str) -> None:
@@ -97,10 +94,7 @@ def write_gallery(
     ``make_cards`` makes the cards of the given rows, in their order, if several processes are to
     share the work.
 
-    Raises
-    ------
-    DatasetError
-        If there is no finished shard, or one is damaged.
+    Raises ``DatasetError`` if there is no finished shard, or one is damaged.
     """
     folder = DatasetFolder(root)
     maker = CardMaker(folder.root)

@@ -42,10 +42,7 @@ def import_grasps(format_name: str, source: Path, out: Path) -> tuple[int, tuple
     count, notes
         Grasps written, and a line for each that was not, with its reason.
 
-    Raises
-    ------
-    DatasetError
-        If there is none that can be written.
+    Raises ``DatasetError`` if there is none that can be written.
     """
     notes: list[str] = []
     rows = []

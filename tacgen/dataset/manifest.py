@@ -60,10 +60,7 @@ class ShardLine:
 def parse_line(text: str, where: str, fix: str = FIX_MERGED) -> ShardLine:
     """The record that ``text`` holds; ``where`` names the place in the error, ``fix`` what helps.
 
-    Raises
-    ------
-    DatasetError
-        If it is no such record.
+    Raises ``DatasetError`` if it is no such record.
     """
     try:
         data = json.loads(text)
@@ -137,10 +134,7 @@ def shard_file(shard: int) -> str:
 def read_manifest(folder: Path) -> dict[int, ShardLine]:
     """Every finished shard's line, by shard, from ``manifest.jsonl`` and the files it lacks.
 
-    Raises
-    ------
-    DatasetError
-        If a line cannot be understood.
+    Raises ``DatasetError`` if a line cannot be understood.
     """
     lines = read_lines(folder / "manifest.jsonl")
     missing = (path for path in part_paths(folder) if part_number(path) not in lines)
@@ -151,10 +145,7 @@ def read_manifest(folder: Path) -> dict[int, ShardLine]:
 def merge_manifest(folder: Path) -> dict[int, ShardLine]:
     """Make the one ``manifest.jsonl`` of every finished shard; what it said before is kept.
 
-    Raises
-    ------
-    DatasetError
-        If a line cannot be understood, or nothing is there to merge.
+    Raises ``DatasetError`` if a line cannot be understood, or nothing is there to merge.
     """
     path = folder / "manifest.jsonl"
     parts = [read_part(part) for part in part_paths(folder)]
@@ -218,10 +209,7 @@ def total(lines: Iterable[ShardLine], name: str) -> dict[str, int]:
 def read_lines(path: Path) -> dict[int, ShardLine]:
     """The lines of one ``manifest.jsonl``, by shard; none where it does not exist.
 
-    Raises
-    ------
-    DatasetError
-        If a line cannot be understood, or two are of the same shard.
+    Raises ``DatasetError`` if a line cannot be understood, or two are of the same shard.
     """
     if not path.is_file():
         return {}
@@ -239,10 +227,7 @@ def read_lines(path: Path) -> dict[int, ShardLine]:
 def part_paths(folder: Path) -> list[Path]:
     """The lines that stand beside the shards.
 
-    Raises
-    ------
-    DatasetError
-        If the folder is there, but may not be looked into.
+    Raises ``DatasetError`` if the folder is there, but may not be looked into.
     """
     shards = folder / "shards"
     if shards.is_dir() and not os.access(shards, os.R_OK | os.X_OK):
@@ -260,10 +245,7 @@ def part_number(path: Path) -> int:
 def read_part(path: Path) -> ShardLine:
     """The line that stands beside a shard.
 
-    Raises
-    ------
-    DatasetError
-        If it cannot be understood, or is that of another shard.
+    Raises ``DatasetError`` if it cannot be understood, or is that of another shard.
     """
     try:
         text = read_small_text(path, MAX_LINE_BYTES)

@@ -38,10 +38,7 @@ def plan_of(spec: DatasetSpec) -> dict[str, Any]:
 def read_plan(path: Path) -> dict[str, Any]:
     """What ``dataset.json`` says.
 
-    Raises
-    ------
-    DatasetError
-        If it is missing or broken.
+    Raises ``DatasetError`` if it is missing or broken.
     """
     try:
         plan = json.loads(read_small_text(path, MAX_PLAN_BYTES))

@@ -76,10 +76,7 @@ def read_real_grasps(
         Columns beside ``grasp_id``, ``object`` and ``label`` that every grasp must fill; what is
         neither needed nor given is NaN.
 
-    Raises
-    ------
-    DatasetError
-        Listing every row that cannot be used, with its line and the fix.
+    Raises ``DatasetError``, listing every row that cannot be used, with its line and the fix.
     """
     folder = Path(folder)
     path = folder / "grasps.csv"

@@ -74,11 +74,8 @@ def broken_as_error(path: Path) -> Iterator[None]:
 def open_shard(path: Path) -> Shard:
     """Open a shard for reading once its structure is what the schema says.
 
-    Raises
-    ------
-    DatasetError
-        Naming every array that is missing or otherwise than the schema says, or what is
-        forbidden in it.
+    Raises ``DatasetError``, naming every array that is missing or otherwise than the schema says,
+    or what is forbidden in it.
     """
     if not path.is_file():
         msg = f"{path}: the shard is missing; `tacgen collect` remakes it"
@@ -102,10 +99,7 @@ def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray:
     What is compressed has a header of its own, with a size of its own: one that lies would have
     the codec take any amount of memory, so it is read first.
 
-    Raises
-    ------
-    ValueError
-        If the header is not that of an image of this size.
+    Raises ``ValueError`` if the header is not that of an image of this size.
     """
     is_image_sound(dataset, place)
     return dataset[place]
@@ -114,10 +108,7 @@ def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray:
 def is_image_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
     """Look at the image at ``place`` without decompressing it; False if it was never written.
 
-    Raises
-    ------
-    ValueError
-        If its header is not that of an image of this size.
+    Raises ``ValueError`` if its header is not that of an image of this size.
     """
     ends = ends_of(dataset, place)
     if ends is None:

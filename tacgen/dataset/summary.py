@@ -53,10 +53,7 @@ class Summary:
 def summarize(root: Path | str) -> Summary:
     """Sum up the dataset in ``root``, finished or not, without opening a shard.
 
-    Raises
-    ------
-    DatasetError
-        If there is no finished shard, or the manifest cannot be read.
+    Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
     folder = DatasetFolder(root)
     lines = list(folder.manifest().values())

@@ -29,10 +29,8 @@ class Grasps(Protocol):
 class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
     """(images, label) of each executed grasp; images float32 in [0, 1], channels first.
 
-    Raises
-    ------
-    DatasetError
-        If ``split`` or ``frames`` is unknown, or no executed grasp is on that side of the split.
+    Raises ``DatasetError`` if ``split`` or ``frames`` is unknown, or no executed grasp is on that
+    side of the split.
     """
 
     def __init__(self, dataset: Grasps, split: str | None, frames: str) -> None:

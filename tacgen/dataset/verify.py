@@ -69,10 +69,7 @@ def verify(
     taken when the shard was written and checked. ``progress`` gets the bytes of each shard
     that is through.
 
-    Raises
-    ------
-    DatasetError
-        If there is no dataset at all.
+    Raises ``DatasetError`` if there is no dataset at all.
     """
     folder = DatasetFolder(root)
     lines, problems = _all_lines(folder)

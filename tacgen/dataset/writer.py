@@ -66,10 +66,7 @@ def write_shard_file(
 
     Grasps are taken one at a time, in the order of their indices; only one is in memory.
 
-    Raises
-    ------
-    DatasetError
-        If a grasp does not fit the spec, or one is missing, or one too many.
+    Raises ``DatasetError`` if a grasp does not fit the spec, or one is missing, or one too many.
     """
     indices = spec.shard_range(shard)
     layout = layout_of(spec)

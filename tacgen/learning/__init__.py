@@ -18,10 +18,7 @@ _INFLUENTIAL = ("tacgen", "torch", "transformers", "numpy", "opencv-python-headl
 def require_learning_extra() -> None:
     """Check that the libraries for learning are installed.
 
-    Raises
-    ------
-    LearningError
-        Names every missing library and the command that installs them.
+    Raises ``LearningError``, which names every missing library and the command that installs them.
     """
     missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:

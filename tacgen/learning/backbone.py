@@ -87,10 +87,7 @@ class Backbone(nn.Module):
     def load(self, weights: Mapping[str, Tensor], where: str) -> None:
         """Load pre-trained ``weights``, named as by transformers or torchvision.
 
-        Raises
-        ------
-        LearningError
-            If they are not those of a ResNet-18.
+        Raises ``LearningError`` if they are not those of a ResNet-18.
         """
         given = {own_name(name): value for name, value in weights.items()}
         given = {name: v for name, v in given.items() if not name.startswith(_CLASSIFIER)}
@@ -125,10 +122,7 @@ def make_backbone(weights: str) -> Backbone:
         ``none``; ``imagenet``; ``auto`` (``imagenet`` where the weights are at hand, else none);
         or the path of a weight file (``.safetensors``, or torch's ``.pth``, ``.pt``, ``.bin``).
 
-    Raises
-    ------
-    LearningError
-        If the named weights are not at hand or not a ResNet-18's.
+    Raises ``LearningError`` if the named weights are not at hand or not a ResNet-18's.
     """
     backbone = Backbone()
     if weights == NO_WEIGHTS:
@@ -173,10 +167,7 @@ def cached_imagenet_file() -> Path | None:
 def read_weights(path: Path) -> dict[str, Tensor]:
     """Named tensors of a weight file, read without running anything in it.
 
-    Raises
-    ------
-    LearningError
-        If it is no such file, or holds more than tensors.
+    Raises ``LearningError`` if it is no such file, or holds more than tensors.
     """
     try:
         if path.suffix == ".safetensors":

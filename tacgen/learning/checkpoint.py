@@ -62,10 +62,7 @@ def save_model(
 def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] | None]:
     """Read a model, its card, and the image of the undeformed gel that it was trained with.
 
-    Raises
-    ------
-    LearningError
-        If the file is missing, damaged, or that of another network.
+    Raises ``LearningError`` if the file is missing, damaged, or that of another network.
     """
     if not path.is_file():
         msg = (
@@ -101,10 +98,7 @@ def save_state(path: Path, state: dict[str, Any]) -> None:
 def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
     """Read a training state that holds ``keys``; nothing in the file is run.
 
-    Raises
-    ------
-    LearningError
-        If it cannot be read, or is not such a state.
+    Raises ``LearningError`` if it cannot be read, or is not such a state.
     """
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)

@@ -30,10 +30,7 @@ class Device:
 def choose_device(options: TrainingOptions) -> Device:
     """The device that the recipe asks for.
 
-    Raises
-    ------
-    LearningError
-        If it asks for a GPU and there is none.
+    Raises ``LearningError`` if it asks for a GPU and there is none.
     """
     has_gpu = torch.cuda.is_available()
     if options.device == "cuda" and not has_gpu:

@@ -41,11 +41,8 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     Writes ``eval.json`` and ``eval.html`` into the run, and the same figures as
     ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is computed.
 
-    Raises
-    ------
-    TacgenError
-        If the run, the dataset or the folder of real grasps cannot be used, or a grasp to be
-        tested was trained on.
+    Raises ``TacgenError`` if the run, the dataset or the folder of real grasps cannot be used, or a
+    grasp to be tested was trained on.
     """
     if data is not None and real is None:
         source_name, where = "sim", data

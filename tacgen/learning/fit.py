@@ -106,10 +106,7 @@ class Fit:
     def run(self) -> list[dict[str, Any]]:
         """Train to the recipe's last epoch; the metrics, one entry an epoch.
 
-        Raises
-        ------
-        LearningError
-            If the loss diverges; the last good checkpoint stays.
+        Raises ``LearningError`` if the loss diverges; the last good checkpoint stays.
         """
         epochs = self.job.recipe.training.epochs
         bar = _epoch_bar(self.job.name, epochs, self.epoch)

@@ -106,12 +106,8 @@ class GraspSource(Protocol):
 class SimulatedGrasps:
     """The executed grasps of a dataset; its shards are opened when first needed.
 
-    Raises
-    ------
-    DatasetError
-        If the dataset is incomplete, mixed or damaged.
-    LearningError
-        If no grasp in it was executed.
+    Raises ``DatasetError`` if the dataset is incomplete, mixed or damaged. Raises ``LearningError``
+    if no grasp in it was executed.
     """
 
     def __init__(self, root: Path, pad: str | None = None) -> None:
@@ -158,12 +154,8 @@ class RealGraspImages:
     An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``.
     ``made_with`` is the hash of the recipe where a simulation wrote the folder, else None.
 
-    Raises
-    ------
-    DatasetError
-        Lists the rows that cannot be used.
-    LearningError
-        Lists the grasps without images.
+    Raises ``DatasetError``, which lists the rows that cannot be used. Raises ``LearningError``,
+    which lists the grasps without images.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -190,10 +182,7 @@ class RealGraspImages:
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some images of one grasp, (len(frames), H, W, 3) RGB.
 
-        Raises
-        ------
-        LearningError
-            If one cannot be read, or is not of the size of the others.
+        Raises ``LearningError`` if one cannot be read, or is not of the size of the others.
         """
         paths = [self._grasps[row].images[frame] for frame in frames]
         images = [_read_image(path) for path in paths]

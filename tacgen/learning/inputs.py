@@ -66,10 +66,8 @@ def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[i
 def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], where: str) -> None:
     """Check that a source's images are as the spec requires.
 
-    Raises
-    ------
-    LearningError
-        If they are of another size, or single images where a sequence is needed.
+    Raises ``LearningError`` if they are of another size, or single images where a sequence is
+    needed.
     """
     problems = []
     if source.shape_px != spec.source_shape_px:

@@ -1,8 +1,6 @@
 """The two grasp-stability networks, layer by layer as published.
 
-Source
-------
-Si et al. 2022, *Grasp Stability Prediction with Sim-to-Real Transfer from Tactile Sensing*,
+Source: Si et al. 2022, *Grasp Stability Prediction with Sim-to-Real Transfer from Tactile Sensing*,
 arXiv 2208.02885, section III.D.
 """
 
@@ -40,10 +38,7 @@ class StabilityNet(nn.Module):
     def load(self, weights: Mapping[str, Tensor], where: str) -> None:
         """Load all ``weights`` of a saved network.
 
-        Raises
-        ------
-        LearningError
-            If they are those of another network.
+        Raises ``LearningError`` if they are those of another network.
         """
         problem = shape_problem(self.state_dict(), weights)
         if problem:

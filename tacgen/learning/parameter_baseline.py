@@ -30,10 +30,7 @@ def evaluate_baseline(
 ) -> dict[str, Any]:
     """The scores that ``tacgen eval --baseline`` prints; see ``baseline_scores``.
 
-    Raises
-    ------
-    LearningError
-        If the baseline is not known, or anything but a dataset is given.
+    Raises ``LearningError`` if the baseline is not known, or anything but a dataset is given.
     """
     if name != NAME:
         msg = f"--baseline {name}: not known; give {NAME}"

@@ -57,10 +57,7 @@ class ModelFolder:
     def locked(self) -> Iterator[None]:
         """Keep other processes from training this model; removes unfinished files of killed ones.
 
-        Raises
-        ------
-        LearningError
-            If another process holds it.
+        Raises ``LearningError`` if another process holds it.
         """
         self.root.mkdir(parents=True, exist_ok=True)
         path = self.root / ".lock"
@@ -99,10 +96,8 @@ class RunFolder:
     def prepare(self, plan: Mapping[str, Any], recipe: Mapping[str, Any]) -> bool:
         """Make the folder ready for this run; True where it resumes a run.
 
-        Raises
-        ------
-        LearningError
-            If it holds a run of another recipe or dataset; the message says what differs.
+        Raises ``LearningError`` if it holds a run of another recipe or dataset; the message says
+        what differs.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -119,10 +114,7 @@ class RunFolder:
     def plan(self) -> dict[str, Any]:
         """The content of ``run.json``.
 
-        Raises
-        ------
-        LearningError
-            If the folder is not a run's.
+        Raises ``LearningError`` if the folder is not a run's.
         """
         plan = read_json(self.plan_path, "give the folder that `tacgen train --out` made")
         if plan.get("schema") != SCHEMA or not _is_plan(plan):
@@ -132,10 +124,7 @@ class RunFolder:
     def recipe(self) -> TrainRecipe:
         """The training recipe of the run.
 
-        Raises
-        ------
-        LearningError
-            If it is not one of this version.
+        Raises ``LearningError`` if it is not one of this version.
         """
         try:
             return TrainRecipe.model_validate(self.plan().get("recipe"))
@@ -162,10 +151,7 @@ class RunFolder:
 def read_json(path: Path, fix: str) -> dict[str, Any]:
     """Read a JSON object.
 
-    Raises
-    ------
-    LearningError
-        If there is none; the message ends with ``fix``.
+    Raises ``LearningError`` if there is none; the message ends with ``fix``.
     """
     try:
         content = json.loads(read_small_text(path, MAX_JSON_BYTES))

@@ -29,9 +29,8 @@ class ReliabilityBin:
 def wilson_interval(n_right: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
     """Confidence interval of a proportion of which ``n_right`` of ``n`` were observed.
 
-    Source
-    ------
-    E. B. Wilson, *Probable inference, the law of succession, and statistical inference*, 1927.
+    Source: E. B. Wilson, *Probable inference, the law of succession, and statistical inference*,
+    1927.
     """
     if n == 0:
         return 0.0, 1.0
@@ -68,9 +67,7 @@ def expected_calibration_error(
 ) -> float:
     """Mean distance between predicted and true success rate over ten bins, weighed by count.
 
-    Source
-    ------
-    Guo et al. 2017, *On calibration of modern neural networks*, Eq. 3, applied to the
+    Source: Guo et al. 2017, *On calibration of modern neural networks*, Eq. 3, applied to the
     probability of success.
     """
     found = reliability(labels, probabilities)

@@ -38,11 +38,8 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
     where : str
         The dataset, for messages.
 
-    Raises
-    ------
-    LearningError
-        Lists every object that is unknown, or has too few grasps of one class, and a
-        configuration that is in both splits.
+    Raises ``LearningError``, which lists every object that is unknown, or has too few grasps of one
+    class, and a configuration that is in both splits.
     """
     objects = _chosen_objects(recipe, table, where)
     leaks = shared_configurations(
@@ -86,10 +83,8 @@ def unseen_tests(
     plan : mapping
         The run's ``run.json``.
 
-    Raises
-    ------
-    LearningError
-        If grasps made with the very recipe of the training data were trained on.
+    Raises ``LearningError`` if grasps made with the very recipe of the training data were trained
+    on.
     """
     table = source.table
     tests = table.split == "test"

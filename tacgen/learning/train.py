@@ -49,10 +49,8 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     dict
         ``models``: for each, its validation figures, best epoch, class counts and timings.
 
-    Raises
-    ------
-    TacgenError
-        If the dataset, the recipe or the folder cannot be used, or the loss diverges.
+    Raises ``TacgenError`` if the dataset, the recipe or the folder cannot be used, or the loss
+    diverges.
     """
     device = choose_device(recipe.training)
     source = SimulatedGrasps(data, recipe.input.pad)

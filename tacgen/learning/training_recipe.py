@@ -126,10 +126,7 @@ class TrainRecipe(Section):
 def load_train_recipe(name: str | Path) -> TrainRecipe:
     """Read and check the training recipe ``name`` (a path, or the name of a shipped one).
 
-    Raises
-    ------
-    TacgenError
-        Lists everything that is wrong, each with its file, line and fix.
+    Raises ``TacgenError``, which lists everything that is wrong, each with its file, line and fix.
     """
     source = read_yaml(find_recipe(str(name)))
     if "grid" in source.data:

@@ -54,10 +54,8 @@ def add_object(
 ) -> AddedObject:
     """Import a mesh into ``into/<name>``; the folder appears whole or not at all.
 
-    Raises
-    ------
-    ObjectError
-        If the arguments or the mesh cannot be used, or the object exists and not ``force``.
+    Raises ``ObjectError`` if the arguments or the mesh cannot be used, or the object exists and not
+    ``force``.
     """
     mesh_path, into = Path(mesh_path), Path(into)
     name = object_name(mesh_path) if name is None else name

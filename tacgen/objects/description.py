@@ -167,10 +167,7 @@ class ObjectDescription(Section):
 def read_description(folder: Path) -> ObjectDescription:
     """Read and check ``folder/object.yaml``.
 
-    Raises
-    ------
-    ObjectError
-        If it cannot be read; every problem in it is listed.
+    Raises ``ObjectError`` if it cannot be read; every problem in it is listed.
     """
     path = Path(folder) / "object.yaml"
     try:

@@ -97,10 +97,8 @@ def load_object(name_or_folder: str | Path) -> GraspObject:
     The same object gives the same arrays bit for bit. The inertia is that of the solid's own
     mass distribution, scaled to the measured mass and carried to the stated centre of mass.
 
-    Raises
-    ------
-    ObjectError
-        If there is no such object or its files cannot be used; every problem is listed.
+    Raises ``ObjectError`` if there is no such object or its files cannot be used; every problem is
+    listed.
     """
     folder = find_object_folder(str(name_or_folder))
     description = read_description(folder)

@@ -46,11 +46,8 @@ def import_surface(path: Path, *, scale: float = 1.0, up: str = "z") -> Imported
     up : one of UP_AXES
         The file's axis that points up; glTF's is y.
 
-    Raises
-    ------
-    ObjectError
-        If it is not a closed surface of a size that a gripper can hold, after what can safely
-        be repaired; the message says how to fix it.
+    Raises ``ObjectError`` if it is not a closed surface of a size that a gripper can hold, after
+    what can safely be repaired; the message says how to fix it.
     """
     path = Path(path)
     loaded = _read(path)

@@ -40,9 +40,7 @@ def rotation_of(
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     """The unit quaternion x, y, z, w with w ≥ 0 of a (3, 3) rotation.
 
-    Source
-    ------
-    Shepperd 1978: the largest of the four components is found first, so nothing cancels.
+    Source: Shepperd 1978: the largest of the four components is found first, so nothing cancels.
     """
     trace = np.trace(rotation)
     squares = np.array([*(2 * np.diag(rotation) - trace), trace]) + 1.0

@@ -62,10 +62,7 @@ class GraspSimulator:
 
     A grasp's trace depends on its arguments alone, not on the grasps before it.
 
-    Raises
-    ------
-    PhysicsError
-        If the robot is unknown, or PyBullet is missing or lacks numpy.
+    Raises ``PhysicsError`` if the robot is unknown, or PyBullet is missing or lacks numpy.
     """
 
     def __init__(self, robot: RobotName = "wsg50") -> None:
@@ -96,10 +93,8 @@ def run_grasp(
     A grasp that cannot be executed has the status ``unreachable`` or ``no_contact``, a reason,
     the label −1 and no frames.
 
-    Raises
-    ------
-    PhysicsError
-        If the force is not one the gripper can be asked for, or the object cannot be a body.
+    Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the object
+    cannot be a body.
     """
     problems = [*settings.problems(), *frames.problems()]
     force = force_problem(config.force_n, settings.max_force_n)

@@ -45,9 +45,7 @@ def torsion_factor(friction_share: float) -> float:
 
     The limit surface of a soft contact, taken as an ellipsoid: (f/f_max)² + (m/m_max)² = 1.
 
-    Source
-    ------
-    Howe & Cutkosky 1996, Practical force-motion models for sliding manipulation.
+    Source: Howe & Cutkosky 1996, Practical force-motion models for sliding manipulation.
     """
     return float(np.sqrt(max(0.0, 1.0 - friction_share**2)))
 

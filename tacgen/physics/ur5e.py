@@ -65,9 +65,7 @@ def _chain(joints_rad: FloatArray) -> list[Pose]:
 def inverse_kinematics(target: Pose, seed_rad: FloatArray) -> FloatArray | None:
     """Joint angles that bring the flange to ``target``, near ``seed_rad``; None if there are none.
 
-    Source
-    ------
-    Damped least squares, Wampler 1986, Nakamura & Hanafusa 1986.
+    Source: Damped least squares, Wampler 1986, Nakamura & Hanafusa 1986.
     """
     joints = np.array(seed_rad, dtype=np.float64)
     for _ in range(_ITERATIONS):

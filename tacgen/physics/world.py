@@ -40,10 +40,7 @@ class Collides(IntFlag):
 def load_bullet() -> ModuleType:
     """PyBullet, checked to exchange arrays with numpy.
 
-    Raises
-    ------
-    PhysicsError
-        If PyBullet is missing, or was built without numpy.
+    Raises ``PhysicsError`` if PyBullet is missing, or was built without numpy.
     """
     try:
         with _quiet_standard_error():
@@ -74,10 +71,7 @@ def _quiet_standard_error() -> Iterator[None]:
 def require_numpy(bullet: ModuleType) -> ModuleType:
     """``bullet`` itself, if it was built with numpy.
 
-    Raises
-    ------
-    PhysicsError
-        If it was not.
+    Raises ``PhysicsError`` if it was not.
     """
     if not bullet.isNumpyEnabled():
         msg = (

@@ -29,10 +29,7 @@ class RealData:
 def check_real_data(study: Study, real: RealData, *, quick: bool) -> None:
     """Check that the rows have what they need, and that what is given can be read.
 
-    Raises
-    ------
-    TacgenError
-        Lists everything that is wrong.
+    Raises ``TacgenError``, which lists everything that is wrong.
     """
     problems = []
     for check in (_check_given, _check_tested, _check_calibration, _check_contact):
@@ -47,10 +44,7 @@ def check_real_data(study: Study, real: RealData, *, quick: bool) -> None:
 def calibration_grasps(recipe: Recipe, folder: Path) -> RealGrasps:
     """The real grasps of the recipe's objects, to fit their friction to.
 
-    Raises
-    ------
-    TacgenError
-        If an object has none, or one asks for more force than the gripper has.
+    Raises ``TacgenError`` if an object has none, or one asks for more force than the gripper has.
     """
     found = read_real_grasps(folder)
     wanted = {entry.name for entry in recipe.objects}

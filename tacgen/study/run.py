@@ -57,12 +57,9 @@ def run_study(
         ``rows`` with the scores on simulated and, where given, real grasps, and ``problems`` of
         this run; also written as ``table.json``, ``table.md`` and ``table.html``.
 
-    Raises
-    ------
-    TacgenError
-        If what is given cannot be used, the folder holds another study or version, or a row
-        cannot be collected. A row that cannot be trained or tested keeps its ``problem`` in the
-        table; ``check_finished`` raises it.
+    Raises ``TacgenError`` if what is given cannot be used, the folder holds another study or
+    version, or a row cannot be collected. A row that cannot be trained or tested keeps its
+    ``problem`` in the table; ``check_finished`` raises it.
     """
     chosen = with_rows(study, rows)
     run = _StudyRun(study, out, real, quick, workers)
@@ -80,10 +77,7 @@ def run_study(
 def check_finished(result: Mapping[str, Any]) -> None:
     """Check that every row of this run was trained and tested.
 
-    Raises
-    ------
-    LearningError
-        Lists the rows that were not, and why.
+    Raises ``LearningError``, which lists the rows that were not, and why.
     """
     if result["problems"]:
         first = (
@@ -106,10 +100,8 @@ class _StudyRun:
     def finished_rows(self) -> dict[str, dict[str, Any]]:
         """The rows of the table in the folder whose settings are still the study's, by name.
 
-        Raises
-        ------
-        LearningError
-            If the table is of another study, or of the other version of this one.
+        Raises ``LearningError`` if the table is of another study, or of the other version of this
+        one.
         """
         path = self.out / TABLE
         if not path.is_file():

@@ -86,10 +86,8 @@ class Study(Section):
 def load_study(name: str | Path) -> Study:
     """Read and check the study ``name`` (a path, or the name of a shipped one).
 
-    Raises
-    ------
-    RecipeError
-        Lists everything that is wrong; what a row turns the recipes into is checked too.
+    Raises ``RecipeError``, which lists everything that is wrong; what a row turns the recipes into
+    is checked too.
     """
     source = read_yaml(find_recipe(str(name)))
     study = validate(Study, source)
@@ -112,10 +110,7 @@ def run_folder_name(row_name: str) -> str:
 def with_rows(study: Study, names: Sequence[str]) -> Study:
     """The study with these rows alone; all of them where none is named.
 
-    Raises
-    ------
-    RecipeError
-        Lists the names that no row has, and those there are.
+    Raises ``RecipeError``, which lists the names that no row has, and those there are.
     """
     known = [row.name for row in study.rows]
     unknown = [name for name in names if name not in known]

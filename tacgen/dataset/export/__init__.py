@@ -70,10 +70,8 @@ def export_dataset(
     images : bool
         Whether to write the images; labels and forces suffice to calibrate friction.
 
-    Raises
-    ------
-    DatasetError
-        If the format or the split is not known, ``out`` exists, or no grasp is left to export.
+    Raises ``DatasetError`` if the format or the split is not known, ``out`` exists, or no grasp is
+    left to export.
     """
     out = Path(out)
     if format_name not in FORMATS:
