@@ -3,7 +3,7 @@ PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c 'import venv
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: setup demo test test-fast slowest check format bench trust lock clean
+.PHONY: setup demo test test-fast coverage slowest check format bench trust lock clean
 
 setup: $(READY)
 
@@ -23,6 +23,9 @@ test: setup
 
 test-fast: setup
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow"
+
+coverage: setup
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow" --cov=tacgen --cov-report=term:skip-covered
 
 slowest: setup
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations 30

@@ -55,6 +55,7 @@ def simulated(tmp_path_factory):
     return out, wanted, by_name
 
 
+@pytest.mark.slow
 def test_mass_force_and_friction_are_one_ratio_for_a_block(simulated):
     *_, found = simulated
     assert found["above", "declared"].label == 1
@@ -64,6 +65,7 @@ def test_mass_force_and_friction_are_one_ratio_for_a_block(simulated):
         assert ratio == pytest.approx(found["above", "declared"].friction_ratio / 1.4, rel=0.01)
 
 
+@pytest.mark.slow
 def test_force_that_is_delivered_on_top_holds_what_slipped(simulated):
     *_, found = simulated
     assert found["below", "declared"].label == 0
@@ -71,6 +73,7 @@ def test_force_that_is_delivered_on_top_holds_what_slipped(simulated):
     assert found["below", "offset"].label == 1
 
 
+@pytest.mark.slow
 def test_a_centre_of_mass_moved_under_the_pads_takes_the_moment_away(simulated):
     *_, found = simulated
     declared, shifted = found["aside", "declared"], found["aside", "shifted"]
@@ -78,6 +81,7 @@ def test_a_centre_of_mass_moved_under_the_pads_takes_the_moment_away(simulated):
     assert shifted.torsion_ratio == pytest.approx(3 * declared.torsion_ratio, rel=0.03)
 
 
+@pytest.mark.slow
 def test_what_was_simulated_is_not_simulated_again(simulated):
     out, wanted, found = simulated
     seen = []

@@ -19,6 +19,8 @@ from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset
 from tests.small_world import write_world
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
@@ -150,7 +152,6 @@ def test_what_a_grasp_varies_does_not_depend_on_the_others(tmp_path, monkeypatch
     assert hashes(tmp_path / "part")[name] == hashes(tmp_path / "whole")[name]
 
 
-@pytest.mark.slow
 def test_ctrl_c_keeps_finished_shards_and_exits_130(reference, world, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", str(out)]

@@ -17,6 +17,8 @@ from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def single(toy, tmp_path_factory) -> Path:
@@ -43,7 +45,6 @@ def real(tmp_path) -> Path:
     return write_real(tmp_path / "real")
 
 
-@pytest.mark.slow
 def test_the_test_grasps_are_judged_and_the_file_keeps_the_contract(run, toy):
     result = evaluate(run, data=toy)
     written = json.loads((run / "eval.json").read_text())
@@ -68,7 +69,6 @@ def is_test_grasp(index: int) -> bool:
     return make_sample(index, make_spec()).split == "test"
 
 
-@pytest.mark.slow
 def test_the_report_shows_the_scores_and_the_misjudged_grasps(run, toy, tmp_path):
     def swapped(index, spec):
         """Grasps that look one way and end the other: every one is misjudged."""
@@ -88,7 +88,6 @@ def test_the_report_shows_the_scores_and_the_misjudged_grasps(run, toy, tmp_path
     assert evaluate(run, data=toy)["notes"] == []
 
 
-@pytest.mark.slow
 def test_real_grasps_are_judged_and_the_gap_is_told(run, toy, real):
     simulated = evaluate(run, data=toy)
     result = evaluate(run, real=real)
@@ -99,12 +98,10 @@ def test_real_grasps_are_judged_and_the_gap_is_told(run, toy, real):
     assert json.loads((run / "eval.json").read_text())["source"] == "real"
 
 
-@pytest.mark.slow
 def test_no_gap_is_told_where_there_is_no_simulated_evaluation(run, real):
     assert "sim_to_real_gap" not in evaluate(run, real=real)
 
 
-@pytest.mark.slow
 def test_the_gap_counts_the_objects_that_both_sides_have(run, toy, real):
     simulated = evaluate(run, data=toy)
     table = pd.read_csv(real / "grasps.csv")
@@ -115,13 +112,11 @@ def test_the_gap_counts_the_objects_that_both_sides_have(run, toy, real):
     assert result["sim_to_real_gap"] == pytest.approx(expected)
 
 
-@pytest.mark.slow
 def test_a_sequence_of_another_length_is_judged(sequence, tmp_path):
     result = evaluate(sequence, real=write_real(tmp_path / "real", n_frames=5))
     assert result["accuracy"] >= 0.8
 
 
-@pytest.mark.slow
 def test_without_a_background_the_gel_of_the_training_data_is_taken_and_it_is_said(
     run, tmp_path, capsys
 ):
@@ -143,7 +138,6 @@ def test_test_grasps_that_were_trained_on_are_refused(run, tmp_path):
         evaluate(run, data=data)
 
 
-@pytest.mark.slow
 def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, tmp_path):
     """Another recipe by its hash, which may differ in the split alone."""
     whole = evaluate(run, data=toy)["n"]
@@ -157,7 +151,6 @@ def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, t
     assert "are left out: a grasp with the same configuration" in " ".join(result["notes"])
 
 
-@pytest.mark.slow
 def test_the_training_grasps_written_as_real_ones_are_refused(run, toy, tmp_path):
     for split in ("train", "test"):
         export_dataset(toy, tmp_path / split, "real-grasps", split=split)
@@ -166,7 +159,6 @@ def test_the_training_grasps_written_as_real_ones_are_refused(run, toy, tmp_path
     assert evaluate(run, real=tmp_path / "test")["real_is_simulated"]
 
 
-@pytest.mark.slow
 def test_a_run_that_is_not_finished_is_judged_and_it_is_said(run, toy):
     path = run / "models/can/metrics.jsonl"
     path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:2]))
@@ -191,7 +183,6 @@ def test_a_plan_that_is_not_of_this_version_is_refused(run, toy, spoil):
         evaluate(run, data=toy)
 
 
-@pytest.mark.slow
 def test_images_of_another_size_are_refused(run, real, tmp_path):
     sensor = Sensor("gelsight", height_px=40, width_px=64, mm_per_px=0.3, gel_depth_mm=2.0)
 

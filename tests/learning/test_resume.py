@@ -13,6 +13,8 @@ from tacgen.learning.train import train
 from tests.learning.conftest import recipe_of
 from tests.learning.test_train import metrics_of
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def begun(toy, tmp_path_factory) -> Path:
@@ -48,7 +50,6 @@ def change(run: Path, change_state) -> None:
     torch.save(state, path)
 
 
-@pytest.mark.slow
 def test_the_name_of_the_pretrained_weights_is_kept_and_not_looked_up_again(toy, run):
     """The weights may lie on the disk now that did not when the training began, or no longer."""
     change(run, lambda state: state.update(pretrained="imagenet (there before)"))
@@ -67,7 +68,6 @@ def test_an_optimizer_of_other_shapes_is_refused(toy, run):
         go_on(toy, run)
 
 
-@pytest.mark.slow
 def test_two_processes_do_not_train_one_model(toy, run):
     folder = ModelFolder(run / "models/pooled")
     with (
@@ -79,7 +79,6 @@ def test_two_processes_do_not_train_one_model(toy, run):
     assert len(metrics_of(run)) == 3
 
 
-@pytest.mark.slow
 def test_what_a_killed_process_left_half_written_is_removed(toy, run):
     left = run / "models/pooled/.checkpoint.pt.host.1.part"
     left.write_bytes(b"half")
@@ -88,7 +87,6 @@ def test_what_a_killed_process_left_half_written_is_removed(toy, run):
     assert not list((run / "models/pooled").glob(".*"))
 
 
-@pytest.mark.slow
 def test_a_worker_whose_parent_was_killed_ends_after_its_epoch(toy, run, monkeypatch):
     class Gone:
         def is_alive(self):

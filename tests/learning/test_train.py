@@ -17,6 +17,8 @@ from tacgen.learning.scores import score
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_spec, recipe_of
 
+pytestmark = pytest.mark.slow
+
 TIMES = {"epoch_s", "fit_s", "loader_share"}
 
 
@@ -57,7 +59,6 @@ def trained(toy, recipe, tmp_path_factory) -> Path:
     return run
 
 
-@pytest.mark.slow
 def test_the_network_learns_what_can_be_seen(trained):
     lines = metrics_of(trained)
     assert [line["epoch"] for line in lines] == [1, 2, 3]
@@ -66,7 +67,6 @@ def test_the_network_learns_what_can_be_seen(trained):
     assert lines[0]["backbone_rate"] == pytest.approx(0.8 * lines[0]["learning_rate"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("balanced_accuracies", "best"),
     [
@@ -91,7 +91,6 @@ def test_the_best_epoch_is_the_end_of_the_best_five(
     assert train(recipe, toy, tmp_path / "run")["models"]["pooled"]["best_epoch"] == best
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("average_epochs", "shares"),
     [
@@ -129,7 +128,6 @@ def test_the_kept_model_is_the_mean_of_the_latest_epochs(
             torch.testing.assert_close(kept[name].double(), wanted, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_that_no_imagenet_weights_were_used_is_said_everywhere(toy, tmp_path, capsys):
     recipe = recipe_of(training={"epochs": 1})
     summary = train(recipe, toy, tmp_path / "run")
@@ -148,7 +146,6 @@ def test_a_run_leaves_its_log_its_report_and_its_plan(trained):
     assert not set(plan["models"]["pooled"]["fit"]) & set(plan["models"]["pooled"]["validation"])
 
 
-@pytest.mark.slow
 def test_nothing_is_drawn_where_nobody_looks(toy, tmp_path, capsys):
     train(recipe_of(training={"epochs": 1}), toy, tmp_path / "run")
     said = capsys.readouterr()
@@ -157,14 +154,12 @@ def test_nothing_is_drawn_where_nobody_looks(toy, tmp_path, capsys):
     assert "\r" not in said.err
 
 
-@pytest.mark.slow
 def test_training_repeats_bit_for_bit(toy, recipe, trained, tmp_path):
     train(recipe, toy, tmp_path / "again")
     assert_same_weights(trained, tmp_path / "again")
     assert metrics_of(trained) == metrics_of(tmp_path / "again")
 
 
-@pytest.mark.slow
 def test_models_trained_side_by_side_are_the_same(toy, tmp_path):
     """Two processes, one model each, against one process for both."""
     recipe = recipe_of(training={"epochs": 1}, per_object=True)
@@ -176,14 +171,12 @@ def test_models_trained_side_by_side_are_the_same(toy, tmp_path):
         assert metrics_of(tmp_path / "alone", name) == metrics_of(tmp_path / "beside", name)
 
 
-@pytest.mark.slow
 def test_what_goes_wrong_in_a_process_of_its_own_is_told_as_ever(toy, tmp_path):
     recipe = recipe_of(training={"epochs": 2, "learning_rate": 1e6}, per_object=True)
     with pytest.raises(LearningError, match=r"the loss diverged .* lower training\.learning_rate"):
         train(recipe, toy, tmp_path / "run", workers=2)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("batch", [0, 2])
 def test_a_killed_run_goes_on_to_the_same_weights(
     toy, recipe, trained, tmp_path, monkeypatch, batch
@@ -208,7 +201,6 @@ def test_a_killed_run_goes_on_to_the_same_weights(
     assert metrics_of(trained) == metrics_of(run)
 
 
-@pytest.mark.slow
 def test_a_kill_between_model_and_checkpoint_does_no_harm(
     toy, recipe, trained, tmp_path, monkeypatch
 ):
@@ -230,7 +222,6 @@ def test_a_kill_between_model_and_checkpoint_does_no_harm(
     assert metrics_of(trained) == metrics_of(run)
 
 
-@pytest.mark.slow
 def test_a_run_that_is_done_stays_as_it_is(toy, recipe, trained, tmp_path):
     run = tmp_path / "copy"
     shutil.copytree(trained, run)
@@ -240,7 +231,6 @@ def test_a_run_that_is_done_stays_as_it_is(toy, recipe, trained, tmp_path):
     assert summary["models"]["pooled"]["epochs"] == 3
 
 
-@pytest.mark.slow
 def test_torch_is_left_as_it_was_found(toy, tmp_path):
     torch.manual_seed(11)
     expected = torch.rand(1)
@@ -271,7 +261,6 @@ def test_a_folder_with_a_run_on_another_dataset_is_refused(recipe, trained, tmp_
         train(recipe, data, trained)
 
 
-@pytest.mark.slow
 def test_a_checkpoint_of_another_model_is_refused(toy, recipe, trained, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(trained, run)
@@ -287,7 +276,6 @@ def test_a_checkpoint_of_another_model_is_refused(toy, recipe, trained, tmp_path
         train(recipe, toy, run)
 
 
-@pytest.mark.slow
 def test_a_checkpoint_that_does_not_say_how_good_its_best_epoch_was_is_refused(
     toy, recipe, trained, tmp_path
 ):
@@ -300,7 +288,6 @@ def test_a_checkpoint_that_does_not_say_how_good_its_best_epoch_was_is_refused(
         train(recipe, toy, run)
 
 
-@pytest.mark.slow
 def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
     toy, tmp_path, monkeypatch
 ):
@@ -325,7 +312,6 @@ def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
     assert len(metrics_of(run)) == 1
 
 
-@pytest.mark.slow
 def test_one_model_an_object(toy, tmp_path):
     recipe = recipe_of(per_object=True, training={"epochs": 1})
     summary = train(recipe, toy, tmp_path / "run")

@@ -14,6 +14,8 @@ from tacgen.optics import load_table, save_table
 from tacgen.optics.effects import Stage, optical_effect, optical_effects
 from tests.small_world import write_world
 
+pytestmark = pytest.mark.slow
+
 EFFECTS = {
     "blur": {"sigma_mm": 0.6},
     "shadow": {"strength": 0.7, "length_mm": 4.0},

@@ -160,6 +160,7 @@ def test_the_command_takes_a_folder(folder):
     assert len(pd.read_csv(out.with_suffix(".csv"))) == 12
 
 
+@pytest.mark.slow
 def test_labelled_circles_are_believed(folder, tmp_path):
     copy = tmp_path / "presses"
     copy.mkdir()

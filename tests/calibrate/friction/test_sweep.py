@@ -43,6 +43,7 @@ def swept(real_folder, tmp_path_factory):
     return out, recipe, real, mus, sweep_friction(recipe, real, mus, out, workers=1)
 
 
+@pytest.mark.slow
 def test_the_sweep_finds_the_friction_of_the_closed_form(swept):
     out, _, _, _, (fits, _) = swept
     assert fits[BOX].mislabels.min() == 0
@@ -53,6 +54,7 @@ def test_the_sweep_finds_the_friction_of_the_closed_form(swept):
     assert written["n_grasps"] == 6
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_from_what_is_there(swept):
     out, recipe, real, mus, (fits, outcomes) = swept
     store = out / "outcomes.jsonl"
@@ -67,6 +69,7 @@ def test_a_sweep_goes_on_from_what_is_there(swept):
     assert again[BOX].mu == fits[BOX].mu
 
 
+@pytest.mark.slow
 def test_the_result_is_written_into_a_copy_of_the_object(swept, tmp_path):
     *_, (fits, _) = swept
     write_object_copies(fits, tmp_path)
@@ -76,6 +79,7 @@ def test_the_result_is_written_into_a_copy_of_the_object(swept, tmp_path):
     assert recipe_object(ObjectEntry(name=str(tmp_path / BOX))).friction == fits[BOX].mu
 
 
+@pytest.mark.slow
 def test_the_report_stands_alone(swept, tmp_path):
     _, _, real, _, (fits, outcomes) = swept
     write_friction_report(tmp_path / "report.html", real, outcomes, fits)

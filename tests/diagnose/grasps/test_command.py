@@ -109,6 +109,7 @@ def test_a_force_that_the_gripper_cannot_give_is_named(tmp_path):
         diagnose_grasps(RECIPE, real, tmp_path / "out", workers=1)
 
 
+@pytest.mark.slow
 def test_three_grasps_that_contradict_each_other_still_get_a_verdict(tmp_path):
     rows = [f"a,{BOX},9,0,0,87,1", f"b,{BOX},9,0,0,87,0", f"c,{BOX},3,0,0,400,0"]
     real = read_real_grasps(write_grasps(tmp_path / "real", rows))

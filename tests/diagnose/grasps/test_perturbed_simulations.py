@@ -91,6 +91,7 @@ def test_nothing_found_leaves_the_recipe_as_it_is():
     assert extended_recipe(RECIPE, [], [BOX]) is RECIPE
 
 
+@pytest.mark.slow
 def test_a_mass_predicts_what_the_inverse_force_does_failure_modes_included(tmp_path):
     """Else given failure modes would speak for whichever of the two was simulated."""
     configs = (config(6.0), config(7.0, 8.0), config(14.0, 6.0))
