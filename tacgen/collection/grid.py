@@ -11,7 +11,6 @@ import numpy as np
 from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import GraspConfig
-from tacgen.core.resources import find_object_folder
 from tacgen.objects.description import read_description
 from tacgen.physics.settings import force_problem
 
@@ -68,7 +67,7 @@ def plan_grasps(recipe: Recipe, ranges_of: RangesOf) -> tuple[PlannedGrasp, ...]
 def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
     """Every grasp of ``recipe``, axes left out taken from its objects' ``object.yaml``."""
     ranges = {
-        entry.name: read_description(find_object_folder(entry.name)).grasp_ranges.axes()
+        entry.name: read_description(entry.object_folder()).grasp_ranges.axes()
         for entry in recipe.objects
     }
     return plan_grasps(recipe, ranges.__getitem__)

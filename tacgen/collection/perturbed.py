@@ -155,7 +155,7 @@ def recipe_object(entry: ObjectEntry) -> GraspObject:
         center_of_mass_y_mm=y_mm,
         center_of_mass_z_mm=z_mm,
     )
-    return perturbed_object(load_object(entry.name), change)
+    return perturbed_object(load_object(entry.object_folder()), change)
 
 
 def declared_entry(recipe: Recipe, name: str) -> ObjectEntry:

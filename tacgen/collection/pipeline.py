@@ -25,7 +25,6 @@ from tacgen.core.records import (
     GraspObject,
     GraspTrace,
 )
-from tacgen.core.resources import contact_law_path
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
@@ -145,8 +144,8 @@ def contact_law(contact: Contact) -> ContactLaw:
 
     Raises ``ContactError`` if the file is not a contact law.
     """
-    if contact.file is not None:
-        return load_law(contact_law_path(contact.file))
+    if (path := contact.path()) is not None:
+        return load_law(path)
     law = ContactLaw.linear(contact.k_n_mm3_per_n, contact.k_s_mm_per_n or math.nan)
     if contact.law == "linear_depth":
         k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
@@ -205,9 +204,9 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
     """
     sensor = load_sensor(recipe.sensor)
     calibration = {"table": sha256_of(Path(sensor.table))}
-    if recipe.contact.file is not None:
+    if (path := recipe.contact.path()) is not None:
         contact_law(recipe.contact)
-        calibration["contact_law"] = sha256_of(contact_law_path(recipe.contact.file))
+        calibration["contact_law"] = sha256_of(path)
     return DatasetSpec(
         recipe=recipe.resolved(),
         recipe_sha256=recipe.sha256(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -21,36 +21,63 @@ from pydantic import (
 )
 
 from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
-from tacgen.core.config import Axis, Finite, Section
-from tacgen.core.errors import RecipeError
-from tacgen.core.files import is_file, sha256_of_content
-from tacgen.core.resources import find_recipe, object_folders, sensor_path
-from tacgen.core.yaml_source import YamlSource, read_yaml, validate
+from tacgen.core.config import Axis, Finite, Located, Section
+from tacgen.core.errors import ObjectError, RecipeError
+from tacgen.core.files import sha256_of_content
+from tacgen.core.resources import (
+    contact_law_path,
+    find_object_folder,
+    find_recipe,
+    object_folders,
+    sensor_path,
+    unknown_object_hint,
+)
+from tacgen.core.yaml_source import YamlSource, problem_text, read_yaml, validate
 from tacgen.physics.settings import PhysicsSettings, force_problem
 from tacgen.sensor.description import SensorByName, SensorChoice
 
 
 class Grid(Section):
-    """Axes of the grid; an axis left out is taken from the object's own grasp ranges."""
+    """Axes of the grid of grasps; an axis that is not given has the object's own grasp ranges."""
 
     force_n: Axis | None = None
+    """Force of each finger: a number, a list, ``{linspace: [first, last, count]}``,
+    ``{geomspace: …}`` or ``{range: [first, last, step]}``."""
     x_mm: Axis | None = None
+    """Gripper's centre along world x, from the centre of the object's footprint."""
     y_mm: Axis | None = None
+    """Gripper's centre along world y, from the centre of the object's footprint."""
     z_mm: Axis | None = None
+    """Height of the pads' centre above the table."""
     yaw_rad: Axis = (0.0,)
+    """Gripper's angle about z; at 0 the fingers close along world x."""
     sample: PositiveInt | None = None
+    """Number of grasps drawn at random from the grid, per object; all if not given."""
 
 
-class ObjectEntry(Section):
-    """An object to grasp, with what this recipe says otherwise than its ``object.yaml``."""
+class ObjectEntry(Located):
+    """An object to grasp, with the values that differ from its ``object.yaml``."""
+
+    path_key: ClassVar[str] = "name"
 
     name: str
+    """Name of an object (shipped, in ``./objects`` or in ``objects`` beside the recipe)."""
     friction: NonNegativeFloat | None = None
+    """Coulomb friction coefficient against the gel."""
     mass_kg: PositiveFloat | None = None
+    """Mass."""
     center_of_mass_offset_mm: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """Shift of the centre of mass in the object's frame."""
     spinning_friction_mm: NonNegativeFloat | None = None
+    """Largest moment about the contact normal per newton of normal force."""
     scale: PositiveFloat = 1.0
+    """Factor on the object's size."""
     grid: Grid | None = None
+    """Axes for this object only."""
+
+    def object_folder(self) -> Path:
+        """The folder of the object."""
+        return find_object_folder(self.name, beside=self.folder)
 
     @model_serializer(mode="wrap")
     def _without_the_usual(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -66,65 +93,102 @@ def _object_entry(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
 
 
+ObjectByName = Annotated[
+    ObjectEntry,
+    BeforeValidator(_object_entry, json_schema_input_type=str | ObjectEntry),
+]
+"""An object in a recipe: its name, or an :class:`ObjectEntry`."""
+
+
 class Robot(Section):
-    """Which robot grasps, and what it can do."""
+    """The robot that grasps."""
 
     name: Literal["wsg50", "ur5e_wsg50"] = "wsg50"
+    """A WSG-50 gripper alone, or on a UR5e arm."""
     max_force_n: PositiveFloat = 40.0
+    """Largest force of a finger."""
     tactile_pads: Literal["left", "right", "both"] = "left"
+    """Fingers that carry a sensor."""
 
 
-class Contact(Section):
-    """How force becomes deformation: a calibrated ``contact.yaml``, or the figures themselves."""
+class Contact(Located):
+    """The contact law: a calibrated ``contact.yaml``, or its coefficients."""
 
     file: str | None = None
+    """A ``contact.yaml``, as a path from the recipe's folder; replaces law and coefficients."""
     law: Literal["volume_linear", "linear_depth"] = "volume_linear"
+    """V = k_n F_n, or TACTO's depth proportional to the force."""
     k_n_mm3_per_n: PositiveFloat = PUBLISHED_K_N_MM3_PER_N
+    """Indented volume per normal force."""
     k_s_mm_per_n: NonNegativeFloat = 1.0
+    """Sum of the markers' motion per shear force."""
     k_depth_mm_per_n: PositiveFloat = 0.02
+    """Indentation per normal force, for ``linear_depth``."""
     camera: Literal["raster", "pyrender"] = "raster"
+    """Renderer of the gap map: tacgen's own, or pyrender (needs OpenGL)."""
+
+    def path(self) -> Path | None:
+        """The path of ``file``; None if the recipe gives coefficients."""
+        return None if self.file is None else contact_law_path(self.file, beside=self.folder)
 
 
 class Optics(Section):
-    """Switches of the renderer."""
+    """The renderer."""
 
     shadows: bool = False
+    """Draw the shadows of the sensor's lights."""
     markers: bool = False
+    """Draw the gel's dots, moved by pressure, shear and twist."""
     noise: bool = True
+    """Add the camera's noise."""
 
 
 class Frames(Section):
     """The tactile frames of a grasp: the moment of grasp alone, or a sequence from closing on."""
 
     mode: Literal["single", "sequence"] = "single"
+    """One image at the moment of grasp, or a sequence from the start of closing."""
     count: PositiveInt = 24
+    """Number of frames of a sequence."""
     span_s: PositiveFloat = 3.0
+    """Time from the first to the last frame of a sequence."""
 
 
 class Split(Section):
-    """How configurations are divided; no configuration is on both sides."""
+    """Division into training and test grasps; no configuration is in both."""
 
     test_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    """Share of each object's grasps that are test grasps."""
 
 
 class DatasetOptions(Section):
-    """What the shards hold."""
+    """Content of the shards."""
 
     shard_size: PositiveInt = 25
+    """Grasps per shard."""
     depth: bool = False
+    """Also store each grasp's depth map at the moment of grasp."""
     scene_pictures: bool = True
+    """Also store a small picture of the scene for the gallery."""
 
 
 class Randomize(Section):
     """Domain randomisation: standard deviations, drawn anew for each grasp from its own seed."""
 
     friction_relative: NonNegativeFloat = 0.0
+    """Friction coefficient, relative (log-normal)."""
     mass_relative: NonNegativeFloat = 0.0
+    """Mass, relative (log-normal)."""
     center_of_mass_mm: NonNegativeFloat = 0.0
+    """Centre of mass along each axis."""
     k_n_relative: NonNegativeFloat = 0.0
+    """k_n of the contact law, relative (log-normal)."""
     sensor_gain_relative: NonNegativeFloat = 0.0
+    """Gain of the camera, relative (log-normal)."""
     position_mm: NonNegativeFloat = 0.0
+    """Position of the gripper along each axis."""
     yaw_rad: NonNegativeFloat = 0.0
+    """Angle of the gripper about z."""
 
 
 def _one_line(text: str) -> str:
@@ -138,26 +202,34 @@ Line = Annotated[str, AfterValidator(_one_line)]
 
 
 class Cluster(Section):
-    """Where batch jobs run and what they ask for; it changes no byte of the dataset.
-
-    ``max_array`` is the most tasks of one array (None: asked of the scheduler), ``max_running``
-    the most of them at a time; ``setup`` are shell lines before the job, ``sbatch`` any other
-    options of sbatch, by their long names.
-    """
+    """Resources of batch jobs; they do not affect the dataset."""
 
     time_min: PositiveInt = 60
+    """Minutes after which a job is requeued."""
     mem_gb: PositiveFloat = 4.0
+    """Memory of a job."""
     cpus_per_task: PositiveInt = 1
+    """Worker processes of a job."""
     partition: Line | None = None
+    """Slurm partition."""
     account: Line | None = None
+    """Slurm account."""
     qos: Line | None = None
+    """Slurm quality of service."""
     constraint: Line | None = None
+    """Slurm constraint on nodes."""
     max_array: PositiveInt | None = None
+    """Most jobs of one array; the scheduler's own limit if not given."""
     max_running: PositiveInt = 256
+    """Most jobs of an array that run at a time."""
     shards_per_task: PositiveInt = 20
+    """Shards per job."""
     max_timeouts: NonNegativeInt = 20
+    """How often a job is requeued after its time limit."""
     setup: tuple[Line, ...] = ()
+    """Shell lines before the job, such as ``module load python``."""
     sbatch: Mapping[str, bool | int | Line] = Field(default_factory=dict)
+    """Other options of sbatch, by their long names."""
 
 
 _BELONGS_TO_ROBOT = {"max_force_n", "tactile_pads"}
@@ -175,22 +247,35 @@ class Recipe(Section):
     """One job, from the grid to the shards."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    """Name of the dataset."""
     description: str = ""
+    """One sentence for the dataset's card."""
     seed: Annotated[int, Field(ge=0)] = 0
-    objects: tuple[Annotated[ObjectEntry, BeforeValidator(_object_entry)], ...] = Field(
-        min_length=1
-    )
+    """Seed of every random number."""
+    objects: tuple[ObjectByName, ...] = Field(min_length=1)
+    """Objects to grasp: names, or sections with a name."""
     grid: Grid = Grid()
+    """Grid of grasps for all objects."""
     split: Split = Split()
+    """Training and test grasps."""
     robot: Robot = Robot()
+    """The robot."""
     physics: Annotated[PhysicsSettings, BeforeValidator(_physics_settings)] = PhysicsSettings()
+    """The simulation of a grasp."""
     sensor: SensorByName = SensorChoice()
+    """The sensor: a name, or a section with a name."""
     contact: Contact = Contact()
+    """The contact law."""
     optics: Optics = Optics()
+    """The renderer."""
     frames: Frames = Frames()
+    """Tactile images of a grasp."""
     dataset: DatasetOptions = DatasetOptions()
+    """Content of the shards."""
     randomize: Randomize = Randomize()
+    """Domain randomisation."""
     cluster: Cluster = Cluster()
+    """Batch jobs."""
 
     @property
     def physics_settings(self) -> PhysicsSettings:
@@ -252,21 +337,19 @@ def cluster_section(before: Cluster | None = None, **settings: object) -> Cluste
         return Cluster.model_validate((before or Cluster()).model_dump() | given)
     except ValidationError as error:
         raise RecipeError.from_problems(
-            [f"cluster.{d['loc'][0]} = {d['input']!r}: {d['msg']}" for d in error.errors()]
+            [f"cluster.{d['loc'][0]} = {d['input']!r}: {problem_text(d)}" for d in error.errors()]
         ) from None
 
 
 def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
-    known = object_folders()
     for i, entry in enumerate(recipe.objects):
-        if entry.name not in known and not is_file(Path(entry.name) / "object.yaml"):
-            yield source.problem(
-                ("objects", i),
-                f"= {entry.name!r} is not an object here; known: {', '.join(known)}; "
-                "add your own mesh with `tacgen objects add`",
-            )
+        try:
+            entry.object_folder()
+        except ObjectError:
+            hint = unknown_object_hint(entry.name, object_folders(entry.folder))
+            yield source.problem(("objects", i), f"= {entry.name!r} is not an object here{hint}")
     try:
-        sensor_path(recipe.sensor.name)
+        sensor_path(recipe.sensor.name, beside=recipe.sensor.folder)
     except RecipeError as error:
         yield source.problem(("sensor",), f"= {recipe.sensor.name!r}: {error}")
 
@@ -276,7 +359,7 @@ def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     for i, name in enumerate(names):
         if name in names[:i]:
             yield source.problem(
-                ("objects", i), f"= {name!r} stands there twice; keep one, or make two recipes"
+                ("objects", i), f"= {name!r} is given twice; keep one, or make two recipes"
             )
 
 

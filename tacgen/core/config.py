@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
-
-from tacgen.core.yaml_source import finite
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, PrivateAttr
 
 MAX_AXIS_VALUES = 10_000
 
@@ -15,19 +16,63 @@ MAX_AXIS_VALUES = 10_000
 class Section(BaseModel):
     """A part of a YAML file: frozen, and no key that is not known."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def finite(value: float) -> float:
+    """``value``, if it is a finite number."""
+    if not math.isfinite(value):
+        msg = "must be a finite number"
+        raise ValueError(msg)
+    return value
+
+
+class Located(Section):
+    """A section that names files; relative paths start at the folder of the YAML file."""
+
+    path_key: ClassVar[str] = "file"
+    """The key that holds the path."""
+
+    _folder: Path | None = PrivateAttr(None)
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self.__dict__ == other.__dict__
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the YAML file that holds the section; None if no file does."""
+        return self._folder
+
+    def set_folder(self, folder: Path) -> None:
+        """Set the folder at which relative paths start."""
+        self._folder = folder
+
+
+def set_folders(
+    value: object, folder_of: Callable[[tuple[str | int, ...]], Path], key_path: Any = ()
+) -> None:
+    """Set the folder of every located section in ``value``, by its key path in the file."""
+    if isinstance(value, (list, tuple)):
+        for i, item in enumerate(value):
+            set_folders(item, folder_of, (*key_path, i))
+    elif isinstance(value, Section):
+        if isinstance(value, Located):
+            value.set_folder(folder_of((*key_path, value.path_key)))
+        for name in type(value).model_fields:
+            set_folders(getattr(value, name), folder_of, (*key_path, name))
 
 
 def _axis_values(given: Any) -> Any:
     """``4.0``, ``[1, 2]``, ``{linspace: [a, b, n]}`` and the like as a list."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
         return [given]
-    if not isinstance(given, dict):
+    if isinstance(given, (list, tuple)):
         return given
-    if len(given) != 1 or next(iter(given)) not in ("linspace", "geomspace", "range"):
+    kinds = ("linspace", "geomspace", "range")
+    if not isinstance(given, dict) or len(given) != 1 or next(iter(given)) not in kinds:
         msg = (
-            "is no list, {linspace: [start, stop, count]}, {geomspace: [start, stop, count]} "
-            "or {range: [start, stop, step]}"
+            "must be a number, a list, {linspace: [start, stop, count]}, "
+            "{geomspace: [start, stop, count]} or {range: [start, stop, step]}"
         )
         raise ValueError(msg)
     kind, arguments = next(iter(given.items()))
@@ -71,4 +116,10 @@ def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:
 
 
 Finite = Annotated[float, AfterValidator(finite)]
-Axis = Annotated[tuple[Finite, ...], BeforeValidator(_axis_values), AfterValidator(_distinct)]
+Axis = Annotated[
+    tuple[Finite, ...],
+    BeforeValidator(
+        _axis_values, json_schema_input_type=float | list[float] | dict[str, list[float]]
+    ),
+    AfterValidator(_distinct),
+]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
-from tacgen.core.errors import ObjectError, RecipeError
+from tacgen.core.errors import ObjectError, RecipeError, did_you_mean
 from tacgen.core.files import is_file
 
 _PACKAGE = Path(__file__).parents[1]
@@ -29,9 +30,9 @@ def sensor_path(name: str, *, beside: Path | None = None) -> Path:
     return _find_yaml(name, "recipes/sensors", "sensor", beside)
 
 
-def contact_law_path(name: str) -> Path:
+def contact_law_path(name: str, *, beside: Path | None = None) -> Path:
     """The ``contact.yaml`` that a recipe names, found the same way."""
-    return _find_yaml(name, "recipes", "contact law", None)
+    return _find_yaml(name, "recipes", "contact law", beside)
 
 
 def _find_yaml(name: str, folder: str, kind: str, beside: Path | None) -> Path:
@@ -43,14 +44,21 @@ def _find_yaml(name: str, folder: str, kind: str, beside: Path | None) -> Path:
         if is_file(place):
             return place
     shipped = sorted(path.stem for path in (packaged("recipes").parent / folder).glob("*.yaml"))
-    msg = f"no {kind} named {name!r}; give the path of a YAML file or one of {', '.join(shipped)}"
+    near = did_you_mean(name, shipped)
+    msg = (
+        f"no {kind} named {name!r}{near}; give the path of a YAML file or one of "
+        f"{', '.join(shipped)}"
+    )
     raise RecipeError(msg)
 
 
-def object_folders() -> dict[str, Path]:
-    """Every object that can be grasped here, by name; the user's own win."""
+def object_folders(beside: Path | None = None) -> dict[str, Path]:
+    """Every object by name: shipped ones, those in ``./objects`` and in ``beside/objects``.
+
+    Of two with one name the later in this order is used.
+    """
     found: dict[str, Path] = {}
-    for root in (packaged("objects"), Path("objects")):
+    for root in (packaged("objects"), Path("objects"), *([beside / "objects"] if beside else [])):
         if root.is_dir():
             found |= {
                 folder.name: folder
@@ -60,15 +68,25 @@ def object_folders() -> dict[str, Path]:
     return found
 
 
-def find_object_folder(name: str) -> Path:
-    """The folder of the object ``name``: a path, ``./objects/<name>``, or a shipped one."""
-    if is_file(Path(name) / "object.yaml"):
-        return Path(name)
-    folders = object_folders()
+def find_object_folder(name: str, *, beside: Path | None = None) -> Path:
+    """The folder of the object ``name``: a path, ``./objects/<name>``, or a shipped one.
+
+    ``beside`` is the folder of the recipe that names it; it and its ``objects`` come first.
+    """
+    for place in ([beside / name] if beside else []) + [Path(name)]:
+        if is_file(place / "object.yaml"):
+            return place
+    folders = object_folders(beside)
     if name not in folders:
-        msg = (
-            f"no object named {name!r}; known: {', '.join(folders)}; "
-            "add your own mesh with `tacgen objects add`"
-        )
+        msg = f"no object named {name!r}{unknown_object_hint(name, folders)}"
         raise ObjectError(msg)
     return folders[name]
+
+
+def unknown_object_hint(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an object that is not known: similar name, known ones, fix."""
+    known = list(known)
+    return (
+        f"{did_you_mean(name, known)}; known: {', '.join(known)}; "
+        "add your own mesh with `tacgen objects add`"
+    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from tacgen.core.errors import RecipeError, TacgenError
+from tacgen.core.config import set_folders
+from tacgen.core.errors import RecipeError, TacgenError, did_you_mean
 
 MAX_BYTES = 1 << 20
 MAX_NODES = 200_000
@@ -39,6 +39,13 @@ class YamlSource:
                 file, line = self.origins[key_path[:length]]
                 return f"{file}:{line}"
         return str(self.path)
+
+    def file(self, key_path: KeyPath) -> Path:
+        """The file that gives ``key_path`` or the nearest part around it."""
+        for length in range(len(key_path), 0, -1):
+            if key_path[:length] in self.origins:
+                return self.origins[key_path[:length]][0]
+        return self.path
 
     def problem(self, key_path: KeyPath, text: str) -> str:
         """One line that says where ``key_path`` stands, its dotted name, and ``text``."""
@@ -188,12 +195,72 @@ def _merge(below: YamlSource, above: YamlSource) -> None:
 def validate(
     model: type[Model], source: YamlSource, error_type: type[TacgenError] = RecipeError
 ) -> Model:
-    """``source`` as a ``model``; every problem there is, in one error."""
+    """``source`` as a ``model``; one error lists every problem.
+
+    Relative paths in its sections start at the folder of the file that gives them.
+    """
+    if kind := _other_kind(source.data, model):
+        msg = f"{source.path}: this is {FILE_KINDS[kind].use}; give another file"
+        raise error_type(msg)
     try:
-        return model.model_validate(source.data)
+        checked = model.model_validate(source.data)
     except ValidationError as error:
         problems = [_describe(source, model, details) for details in error.errors()]
         raise error_type.from_problems(list(dict.fromkeys(problems))) from None
+    set_folders(checked, lambda key_path: source.file(key_path).parent)
+    return checked
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of YAML file: its purpose, and keys that no other kind has."""
+
+    use: str
+    keys: frozenset[str]
+
+
+FILE_KINDS = {
+    "Recipe": FileKind(
+        "a recipe for `tacgen collect`",
+        frozenset(("grid", "robot", "physics", "frames", "randomize", "dataset", "contact")),
+    ),
+    "TrainRecipe": FileKind(
+        "a training recipe, for `tacgen train`",
+        frozenset(("model", "input", "training", "augmentation", "per_object")),
+    ),
+    "RigRecipe": FileKind(
+        "a rig recipe, for `tacgen rig`",
+        frozenset(("indenters", "schedule", "temperature", "images", "output")),
+    ),
+    "Study": FileKind("a study, for `tacgen study`", frozenset(("rows", "quick", "data", "train"))),
+    "_SensorYaml": FileKind(
+        "a sensor, which a recipe names as `sensor: PATH`",
+        frozenset(("height_px", "width_px", "gel_depth_mm", "leds")),
+    ),
+    "ObjectDescription": FileKind(
+        "an object, whose folder a recipe names under `objects:`",
+        frozenset(("shape", "mass_kg", "center_of_mass_mm", "grasp_ranges")),
+    ),
+    "contact law": FileKind(
+        "a contact law, which a recipe names as `contact: {file: PATH}`",
+        frozenset(("k_n_mm3_per_n", "k_s_mm_per_n", "marker_pitch_mm", "provenance")),
+    ),
+}
+"""Kinds of files by the name of their model; an object file of the wrong kind is named by it."""
+
+
+def kind_of(data: Mapping[str, Any]) -> str:
+    """The kind of file (a key of ``FILE_KINDS``) whose keys ``data`` has; empty if none."""
+    counts = {name: len(kind.keys & data.keys()) for name, kind in FILE_KINDS.items()}
+    best = max(counts, key=lambda name: counts[name])
+    return best if counts[best] else ""
+
+
+def _other_kind(data: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """The kind of a file that is not one for ``model``; empty if it may be one."""
+    kind = kind_of(data)
+    own = FILE_KINDS.get(model.__name__)
+    return kind if own is not None and not own.keys & data.keys() and kind != model.__name__ else ""
 
 
 def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
@@ -201,16 +268,52 @@ def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     kind, given = details["type"], details.get("input")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         parent = _field_names(model, key_path[:-1])
+        near = did_you_mean(str(key_path[-1]), parent)
         known = f"; known here: {', '.join(parent)}" if parent else ""
-        return source.problem(key_path, f"is not a known key{known}")
+        return source.problem(key_path, f"is not a known key{near}{known}")
     if kind == "missing":
         return source.problem(details["loc"], "is missing; add it")
     if kind in ("model_type", "dataclass_type"):
         return source.problem(key_path, f"= {given!r} must hold `key: value` pairs")
-    text = details["msg"].removeprefix("Value error, ")
+    text = problem_text(details)
     if isinstance(given, (str, int, float, bool)):
         return source.problem(key_path, f"= {given!r}: {text}")
     return source.problem(key_path, f": {text}".lstrip() if not key_path else f"{text}")
+
+
+_WORDS = {
+    "greater_than": "must be above {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be below {lt}",
+    "less_than_equal": "must be at most {le}",
+    "finite_number": "must be a finite number",
+    "literal_error": "must be {expected}",
+    "too_short": "must have at least {min_length} entries",
+    "too_long": "must have at most {max_length} entries",
+    "string_too_short": "must not be empty",
+    "string_pattern_mismatch": "must match the pattern {pattern}",
+    "int_from_float": "must be a whole number",
+}
+_TYPE_WORDS = {
+    "float": "must be a number",
+    "int": "must be a whole number",
+    "bool": "must be true or false",
+    "string": "must be text",
+    "tuple": "must be a list",
+    "list": "must be a list",
+    "dict": "must hold `key: value` pairs",
+    "mapping": "must hold `key: value` pairs",
+}
+
+
+def problem_text(details: Any) -> str:
+    """One of pydantic's error records in plain words, such as ``must be above 0``."""
+    kind = str(details["type"])
+    if kind in _WORDS:
+        return _WORDS[kind].format(**details.get("ctx", {}))
+    if kind.endswith(("_type", "_parsing")) and kind.partition("_")[0] in _TYPE_WORDS:
+        return _TYPE_WORDS[kind.partition("_")[0]]
+    return str(details["msg"]).removeprefix("Value error, ")
 
 
 def _written_path(data: Any, location: tuple[str | int, ...]) -> KeyPath:
@@ -228,7 +331,7 @@ def _written_path(data: Any, location: tuple[str | int, ...]) -> KeyPath:
 
 
 def _field_names(model: Any, key_path: KeyPath) -> list[str]:
-    """The keys a model knows at ``key_path``; empty where that cannot be told."""
+    """The keys a model knows at ``key_path``; empty if they are not known."""
     for key in key_path:
         if isinstance(key, int):
             continue
@@ -258,11 +361,3 @@ def _model_within(annotation: Any) -> Any:
         if found is not None:
             return found
     return None
-
-
-def finite(value: float) -> float:
-    """``value``, if it is a finite number."""
-    if not math.isfinite(value):
-        msg = "must be a finite number"
-        raise ValueError(msg)
-    return value

@@ -16,10 +16,10 @@ from pydantic import (
     PositiveInt,
 )
 
-from tacgen.core.config import Section
+from tacgen.core.config import Section, finite
 from tacgen.core.errors import LearningError
 from tacgen.core.resources import find_recipe
-from tacgen.core.yaml_source import finite, read_yaml, validate
+from tacgen.core.yaml_source import read_yaml, validate
 
 MIN_INPUT_PX, MAX_INPUT_PX = 32, 2048
 """ResNet-18 halves an image five times; no tactile camera has more pixels."""
@@ -129,12 +129,6 @@ def load_train_recipe(name: str | Path) -> TrainRecipe:
     Raises ``TacgenError``, which lists everything that is wrong, each with its file, line and fix.
     """
     source = read_yaml(find_recipe(str(name)))
-    if "grid" in source.data:
-        msg = (
-            f"{source.where(('grid',))}: this is a recipe for `tacgen collect`; "
-            "give one for training, such as train_single"
-        )
-        raise LearningError(msg)
     recipe = validate(TrainRecipe, source, LearningError)
     problems = []
     if recipe.objects is not None and len(set(recipe.objects)) != len(recipe.objects):

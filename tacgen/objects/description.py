@@ -19,9 +19,9 @@ from pydantic import (
     model_validator,
 )
 
-from tacgen.core.config import Axis, Finite, Section
+from tacgen.core.config import Axis, Finite, Section, finite
 from tacgen.core.errors import ObjectError, TacgenError
-from tacgen.core.yaml_source import finite, read_yaml, validate
+from tacgen.core.yaml_source import read_yaml, validate
 from tacgen.objects.shapes import BUILDERS
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from tacgen.core.config import Finite, Section
+from tacgen.core.config import Finite, Located, Section
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import is_file
 from tacgen.core.records import Markers, Sensor
@@ -15,45 +15,74 @@ from tacgen.core.resources import sensor_path
 from tacgen.core.yaml_source import read_yaml, validate
 
 
-class SensorChoice(Section):
+class SensorChoice(Located):
     """A sensor of ``recipes/sensors`` and what to change about it."""
 
+    path_key: ClassVar[str] = "table"
+
     name: str = "gelsight"
+    """Name of a shipped sensor, or path of a sensor's YAML file."""
     table: str | None = None
+    """Lookup table (table.npz) instead of the sensor's own; a path from the recipe's folder."""
     dome_radius_mm: NonNegativeFloat | None = None
+    """Radius of curvature of the gel; 0 for a flat gel."""
     mm_per_px: PositiveFloat | None = None
+    """Pixel size on the gel."""
 
 
 def _by_name(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
 
 
-SensorByName = Annotated[SensorChoice, BeforeValidator(_by_name)]
+SensorByName = Annotated[
+    SensorChoice, BeforeValidator(_by_name, json_schema_input_type=str | SensorChoice)
+]
 """A sensor in a recipe: its name, or a :class:`SensorChoice`."""
 
 
 class _MarkersYaml(Section):
+    """The grid of dots printed on the gel."""
+
     rows: PositiveInt
+    """Rows of dots."""
     columns: PositiveInt
+    """Columns of dots."""
     pitch_mm: PositiveFloat
+    """Distance between neighbouring dots."""
     radius_mm: PositiveFloat
+    """Radius of a dot."""
 
 
 class _Led(Section):
+    """A light, for shadows."""
+
     direction: tuple[Finite, Finite, Finite]
+    """Direction from the gel to the light, gel frame."""
     rgb: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
+    """Weight of its shadow in each colour channel."""
 
 
 class _SensorYaml(Section):
+    """A sensor."""
+
     name: str
+    """Name of the sensor."""
     height_px: PositiveInt
+    """Height of its images."""
     width_px: PositiveInt
+    """Width of its images."""
     mm_per_px: PositiveFloat
+    """Pixel size on the gel."""
     gel_depth_mm: PositiveFloat
+    """Thickness of the gel, the largest indentation."""
     dome_radius_mm: NonNegativeFloat = 0.0
+    """Radius of curvature of the gel; 0 for a flat gel."""
     markers: _MarkersYaml | None = None
+    """Printed dots; none if not given."""
     leds: tuple[_Led, ...] = ()
+    """Lights, for ``optics.shadows``."""
     table: str = ""
+    """Lookup table (table.npz); a path from this file's folder."""
 
 
 def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sensor:
@@ -67,12 +96,12 @@ def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sens
         If the sensor is unknown, its YAML is wrong or its table is not there.
     """
     choice = SensorChoice(name=choice) if isinstance(choice, str) else choice
-    path = sensor_path(choice.name)
+    path = sensor_path(choice.name, beside=choice.folder)
     given = validate(_SensorYaml, read_yaml(path))
     table = choice.table or given.table
     places = [path.parent / table, Path(table)]
     if choice.table:
-        places.reverse()
+        places = [*([choice.folder / table] if choice.folder else []), *reversed(places)]
     found = next((place for place in places if table and is_file(place)), None)
     if found is None and needs_table:
         msg = f"{path}: there is no table {table!r}; `tacgen calibrate lookup` makes one"

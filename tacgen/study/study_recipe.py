@@ -13,7 +13,7 @@ from tacgen.collection.recipe import Recipe
 from tacgen.core.config import Section
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import find_recipe
-from tacgen.core.yaml_source import YamlSource, read_yaml, validate
+from tacgen.core.yaml_source import YamlSource, problem_text, read_yaml, validate
 from tacgen.learning.training_recipe import TrainRecipe
 
 _OWN_KEYS = ("name", "description", "objects")
@@ -206,7 +206,7 @@ def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
                     for found in error.errors():
                         where = ".".join(map(str, found["loc"])) or "the recipe"
                         yield source.problem(
-                            ("rows", i), f"cannot be used: {where}: {found['msg']}"
+                            ("rows", i), f"cannot be used: {where}: {problem_text(found)}"
                         )
 
 

@@ -96,8 +96,11 @@ def test_every_mistake_is_listed_at_once_with_its_line(folder):
     with pytest.raises(RecipeError) as caught:
         recipe_of(folder, "objects: [can]\ngrid: {force: 3, x_mm: 5 mm}\nphysics: {hold: 1}\n")
     text = str(caught.value)
-    assert "r.yaml:4: grid.force is not a known key; known here: force_n" in text
-    assert "r.yaml:4: grid.x_mm = '5 mm'" in text
+    assert (
+        "r.yaml:4: grid.force is not a known key (did you mean 'force_n'?); known here: force_n"
+        in text
+    )
+    assert "r.yaml:4: grid.x_mm = '5 mm': must be a number, a list, {linspace" in text
     assert "r.yaml:5: physics.hold is not a known key" in text
 
 
@@ -110,7 +113,7 @@ def test_names_and_ranges_are_checked_against_what_there_is(folder):
         )
     text = str(caught.value)
     assert "objects[1] = 'cann' is not an object here" in text
-    assert "objects[2] = 'can' stands there twice" in text
+    assert "objects[2] = 'can' is given twice" in text
     assert (
         "r.yaml:5: grid.force_n[2] = 80 exceeds robot.max_force_n = 40; "
         "lower it or raise robot.max_force_n"
@@ -168,3 +171,85 @@ def test_a_sensor_whose_table_has_an_endless_name_is_told(tmp_path):
     )
     with pytest.raises(RecipeError, match="there is no table"):
         load_sensor(str(tmp_path / "odd.yaml"))
+
+
+@pytest.fixture
+def elsewhere(folder, monkeypatch):
+    """A recipe with a table, a contact law and an object beside it, read from another folder."""
+    home, work = folder / "home", folder / "work"
+    (home / "objects" / "mug").mkdir(parents=True)
+    (home / "objects" / "mug" / "object.yaml").write_text("")
+    for path in (home / "law.yaml", home / "table.npz"):
+        path.write_text("")
+    work.mkdir()
+    (home / "base.yaml").write_text(
+        "contact: {file: law.yaml}\nsensor: {name: gelsight, table: table.npz}\nobjects: [mug]\n"
+    )
+    monkeypatch.chdir(work)
+    return home
+
+
+def test_paths_in_a_recipe_start_at_its_folder(elsewhere):
+    path = elsewhere / "r.yaml"
+    path.write_text("name: r\nextends: base.yaml\n")
+    recipe = load_recipe(path)
+    assert recipe.contact.path() == elsewhere / "law.yaml"
+    assert load_sensor(recipe.sensor).table == str(elsewhere / "table.npz")
+    assert recipe.objects[0].object_folder() == elsewhere / "objects" / "mug"
+
+
+def test_paths_of_a_base_start_at_the_folder_of_the_base(elsewhere):
+    path = elsewhere.parent / "work" / "r.yaml"
+    path.write_text("name: r\nextends: ../home/base.yaml\nsensor: {dome_radius_mm: 40}\n")
+    recipe = load_recipe(path)
+    assert recipe.contact.path().resolve() == elsewhere / "law.yaml"
+    assert Path(load_sensor(recipe.sensor).table).resolve() == elsewhere / "table.npz"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name: r\nmodel: {kind: single}\n", "this is a training recipe, for `tacgen train`"),
+        ("name: r\nindenters: []\n", "this is a rig recipe, for `tacgen rig`"),
+        ("name: r\nrows: []\nobjects: [can]\n", "this is a study, for `tacgen study`"),
+        ("name: r\nheight_px: 3\n", "this is a sensor, which a recipe names"),
+        ("law: volume_linear\nk_n_mm3_per_n: {value: 1}\n", "this is a contact law"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_with_its_command(folder, text, words):
+    path = folder / "r.yaml"
+    path.write_text(text)
+    with pytest.raises(RecipeError, match=words):
+        load_recipe(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("frames: {count: 0}", "frames.count = 0: must be above 0"),
+        ("frames: {count: 2.5}", "frames.count = 2.5: must be a whole number"),
+        ("frames: {mode: film}", "frames.mode = 'film': must be 'single' or 'sequence'"),
+        ("frames: 3", "frames = 3 must hold `key: value` pairs"),
+        ("optics: {shadows: often}", "optics.shadows = 'often': must be true or false"),
+        ("split: {test_fraction: 1}", "split.test_fraction = 1: must be below 1"),
+        ("seed: -1", "seed = -1: must be at least 0"),
+        ("description: [a]", "description must be text"),
+        ("grid: {force_n: {steps: 3}}", "grid.force_n must be a number, a list, {linspace"),
+        ("grid: {force_n: {linspace: 3}}", "grid.force_n linspace takes three numbers"),
+    ],
+)
+def test_problems_are_worded_without_the_validator_s_own_terms(folder, text, words):
+    with pytest.raises(RecipeError) as caught:
+        recipe_of(folder, f"objects: [can]\n{text}\n")
+    assert words in str(caught.value)
+    assert "nput should" not in str(caught.value)
+    assert "alidat" not in str(caught.value)
+
+
+def test_a_similar_name_is_suggested(folder):
+    with pytest.raises(RecipeError, match=r"is not an object here \(did you mean 'box'\?\)"):
+        recipe_of(folder, "objects: [boxx]\n")
+    path = folder / "r.yaml"
+    path.write_text("name: r\nobjects: [can]\nsensor: gelsite_mini\n")
+    with pytest.raises(RecipeError, match="did you mean 'gelsight_mini'"):
+        load_recipe(path)

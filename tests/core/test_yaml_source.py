@@ -36,7 +36,10 @@ def test_every_problem_is_listed_with_its_line(tmp_path):
     lines = str(caught.value).splitlines()
     assert len(lines) == 3
     assert lines[0].startswith(f"{path}:2: inner.force_n = 'ten'")
-    assert f"{path}:3: inner.nmae is not a known key; known here: force_n, name" in lines
+    assert (
+        f"{path}:3: inner.nmae is not a known key (did you mean 'name'?); known here: force_n, name"
+        in lines
+    )
     assert any(line.startswith(f"{path}:5: items[0].force_n is missing") for line in lines)
 
 
