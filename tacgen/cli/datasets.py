@@ -102,7 +102,7 @@ def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
     from tacgen.dataset.summary import summarize, summary_text
 
     summary = summarize(folder)
-    print_result(summary.as_dict(), summary_text(summary), json_output)
+    print_result(summary, summary_text(summary), json_output)
 
 
 @app.command(rich_help_panel=DATASETS)
@@ -167,7 +167,7 @@ def export(
     result = export_dataset(
         folder, out, format_name, split=split, per_object=per_object, images=not no_images
     )
-    print_result(result.as_dict(), result.sentence, json_output)
+    print_result(asdict(result), result.sentence, json_output)
 
 
 def _looks_whole(out: Path) -> bool:

@@ -16,7 +16,7 @@ from tacgen.core.files import sha256_of
 from tacgen.core.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 from tacgen.dataset.manifest import ShardLine
 from tacgen.dataset.samples import DatasetSpec, GraspSample, PadSample
-from tacgen.dataset.schema import FAILURE_MODES, MAX_OBJECT_BYTES, SPLITS, STATUSES
+from tacgen.dataset.schema import CONTACT_NAMES, FAILURE_MODES, MAX_OBJECT_BYTES, SPLITS, STATUSES
 from tacgen.dataset.shard import (
     Shard,
     broken_as_error,
@@ -28,33 +28,28 @@ from tacgen.dataset.shard import (
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
 
 
-class Tally:
-    """Counts the grasps of one shard for its line."""
+Outcome = tuple[int, str, str, str, str]
+"""Of a grasp: label, status, failure mode, split, object."""
 
-    def __init__(self) -> None:
-        self._by: dict[str, Counter[str]] = {
-            "counts": Counter(dict.fromkeys(OUTCOME.values(), 0)),
-            "status": Counter(),
-            "failure_modes": Counter(),
-            "splits": Counter(),
-        }
-        self._objects: dict[str, Counter[str]] = {}
 
-    def add(self, label: int, status: str, failure_mode: str, split: str, name: str) -> None:
-        """Count one grasp of the object ``name``."""
-        outcome = OUTCOME[label]
-        self._by["counts"][outcome] += 1
-        self._by["status"][status] += 1
-        self._by["splits"][split] += 1
-        if failure_mode:
-            self._by["failure_modes"][failure_mode] += 1
-        empty = Counter(dict.fromkeys(OUTCOME.values(), 0))
-        self._objects.setdefault(name, empty)[outcome] += 1
-
-    def counts(self) -> dict[str, Any]:
-        """The counts as a line holds them, by the names of its fields."""
-        counts: dict[str, Any] = {name: dict(tally) for name, tally in self._by.items()}
-        return counts | {"objects": {name: dict(tally) for name, tally in self._objects.items()}}
+def tally(grasps: Iterable[Outcome]) -> dict[str, Any]:
+    """The counts of a shard's line, by the names of its fields."""
+    none = dict.fromkeys(OUTCOME.values(), 0)
+    counts, status, modes, splits = Counter(none), Counter[str](), Counter[str](), Counter[str]()
+    objects: dict[str, Counter[str]] = {}
+    for label, state, mode, split, name in grasps:
+        counts[OUTCOME[label]] += 1
+        status[state] += 1
+        splits[split] += 1
+        modes.update([mode] if mode else [])
+        objects.setdefault(name, Counter(none))[OUTCOME[label]] += 1
+    return {
+        "counts": dict(counts),
+        "status": dict(status),
+        "failure_modes": dict(modes),
+        "splits": dict(splits),
+        "objects": {name: dict(own) for name, own in objects.items()},
+    }
 
 
 Decode = Literal["none", "first", "all"]
@@ -65,8 +60,7 @@ def byte_problems(path: Path, line: ShardLine) -> list[str]:
     """Whether the file ``path`` has the bytes that ``line`` of the manifest says."""
     if not path.is_file():
         return ["is missing"]
-    size = path.stat().st_size
-    if size != line.bytes:
+    if (size := path.stat().st_size) != line.bytes:
         return [f"has {size} bytes, not {line.bytes}"]
     if sha256_of(path) != line.sha256:
         return ["does not have the bytes that were written (its SHA-256 differs)"]
@@ -107,7 +101,7 @@ def _content_problems(shard: Shard, line: ShardLine, decode: Decode) -> Iterator
     yield from _image_problems(shard, columns, decode)
 
 
-def _grasp_problems(columns: dict[str, NDArray], line: ShardLine) -> Iterator[str]:
+def _grasp_problems(columns: dict[str, NDArray[Any]], line: ShardLine) -> Iterator[str]:
     index = columns["/grasp/index"]
     if not np.array_equal(index, np.arange(*line.index_range)):
         yield f"/grasp/index is not {line.index_range[0]} to {line.index_range[1] - 1}, each once"
@@ -115,28 +109,26 @@ def _grasp_problems(columns: dict[str, NDArray], line: ShardLine) -> Iterator[st
     yield from _named(
         "/grasp/seed", np.isin(columns["/grasp/seed"], seeds[times > 1]), "is the same grasp again"
     )
-    label = columns["/grasp/label"]
-    texts = {
-        name: [bytes(text).decode("utf-8", "replace") for text in columns[f"/grasp/{name}"]]
+    texts = [
+        [bytes(text).decode("utf-8", "replace") for text in columns[f"/grasp/{name}"]]
         for name in ("status", "failure_mode", "split", "object")
-    }
-    tally = Tally()
-    for row, (status, mode, split, name) in enumerate(zip(*texts.values(), strict=True)):
-        problem = outcome_problem(int(label[row]), status, mode)
-        if not problem and split not in SPLITS:
-            problem = f"split {split!r} is not one of {', '.join(SPLITS)}"
+    ]
+    grasps = list(zip(map(int, columns["/grasp/label"]), *texts, strict=True))
+    for number, (label, status, mode, split, _) in zip(index, grasps, strict=True):
+        problem = outcome_problem(label, status, mode, split)
         if problem:
-            yield f"grasp {index[row]}: {problem}"
+            yield f"grasp {number}: {problem}"
             return
-        tally.add(int(label[row]), status, mode, split, name)
-    for name, counts in tally.counts().items():
+    for name, counts in tally(grasps).items():
         if counts != getattr(line, name):
             yield f"{name} are {counts}, but {getattr(line, name)} in the manifest"
     frame = columns["/grasp/grasp_frame"]
     yield from _named("/grasp/grasp_frame", (frame < 0) | (frame >= line.frames), "is no frame")
 
 
-def _image_problems(shard: Shard, columns: dict[str, NDArray], decode: Decode) -> Iterator[str]:
+def _image_problems(
+    shard: Shard, columns: dict[str, NDArray[Any]], decode: Decode
+) -> Iterator[str]:
     executed = np.flatnonzero(columns["/grasp/status"] == b"executed")
     moments = columns["/grasp/grasp_frame"]
     for array in shard.layout.arrays():
@@ -168,15 +160,15 @@ def _named(path: str, wrong: NDArray[np.bool_], words: str) -> Iterator[str]:
 
 def sample_problems(sample: GraspSample, spec: DatasetSpec) -> list[str]:
     """Everything about ``sample`` that does not fit ``spec`` or itself; empty where it fits."""
-    problems = [outcome_problem(sample.label, sample.status, sample.failure_mode)]
-    if sample.split not in SPLITS:
-        problems.append(f"split {sample.split!r} is not one of {', '.join(SPLITS)}")
+    outcome = (sample.label, sample.status, sample.failure_mode, sample.split)
+    problems = [outcome_problem(*outcome)]
     if not 1 <= len(sample.config.object.encode()) <= MAX_OBJECT_BYTES:
         problems.append(f"object {sample.config.object!r} is not of 1 to {MAX_OBJECT_BYTES} bytes")
     n_frames = len(spec.time_s)
     if not 0 <= sample.grasp_frame < n_frames:
         problems.append(f"grasp_frame {sample.grasp_frame} is not one of {n_frames} frames")
-    problems += _array_problems("object_pose", sample.object_pose, (n_frames, 7))
+    if sample.object_pose is not None:
+        problems += _array_problems("object_pose", sample.object_pose, (n_frames, 7))
     if sample.picture is not None and spec.picture_px is not None:
         problems += _array_problems("picture", sample.picture, (*spec.picture_px, 3), "uint8")
     if sample.status == "executed" and set(sample.pads) != set(spec.pads):
@@ -188,8 +180,8 @@ def sample_problems(sample: GraspSample, spec: DatasetSpec) -> list[str]:
     return [text for text in problems if text]
 
 
-def outcome_problem(label: int, status: str, failure_mode: str) -> str:
-    """What is wrong between a label, its status and failure mode; empty where nothing is."""
+def outcome_problem(label: int, status: str, failure_mode: str, split: str) -> str:
+    """What is wrong about a grasp's outcome and its split; empty where nothing is."""
     if status not in STATUSES:
         return f"status {status!r} is not one of {', '.join(STATUSES)}"
     if failure_mode not in FAILURE_MODES:
@@ -200,26 +192,24 @@ def outcome_problem(label: int, status: str, failure_mode: str) -> str:
         return f"label {label} does not go with status {status}"
     if failure_mode and label != LABEL_FAILURE:
         return f"failure mode {failure_mode} does not go with label {label}"
-    return ""
+    return "" if split in SPLITS else f"split {split!r} is not one of {', '.join(SPLITS)}"
 
 
 def _pad_problems(pad: PadSample, spec: DatasetSpec) -> Iterator[str]:
-    n_frames, shape_px = len(spec.time_s), spec.sensor.shape_px
-    yield from _array_problems("rgb", pad.rgb, (n_frames, *shape_px, 3), "uint8")
-    yield from _array_problems("force_normal_n", pad.force_normal_n, (n_frames,))
-    yield from _array_problems("force_shear_n", pad.force_shear_n, (n_frames, 2))
-    yield from _array_problems("indentation_mm", pad.indentation_mm, (n_frames,))
+    n_frames, (height, width) = len(spec.time_s), spec.sensor.shape_px
+    yield from _array_problems("rgb", pad.rgb, (n_frames, height, width, 3), "uint8")
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(CONTACT_NAMES, (n_frames,))
+    shapes["force_shear_n"] = (n_frames, 2)
     if spec.depth:
-        if pad.depth_mm is None:
-            yield "depth_mm is missing"
-        yield from _array_problems("depth_mm", pad.depth_mm, shape_px)
+        shapes["depth_mm"] = (height, width)
+    for name, shape in shapes.items():
+        array = getattr(pad, name)
+        yield from [f"{name} is missing"] if array is None else _array_problems(name, array, shape)
 
 
 def _array_problems(
-    name: str, array: np.ndarray | None, shape: tuple[int, ...], dtype: str = ""
+    name: str, array: NDArray[Any], shape: tuple[int, ...], dtype: str = ""
 ) -> Iterator[str]:
-    if array is None:
-        return
     if array.shape != shape:
         yield f"{name} has shape {array.shape}, not {shape}"
     elif dtype and array.dtype != dtype:

@@ -10,21 +10,29 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Literal
+
+from pydantic import NonNegativeInt, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import read_small_text, write_text
 
-SCHEMA = 1
 MAX_LINE_BYTES = 1 << 20
 FIX_MERGED = "remake the manifest with `tacgen merge`"
 FIX_PART = "`tacgen collect` remakes that shard"
 
 
-@dataclass(frozen=True, slots=True)
+def shard_file(shard: int) -> str:
+    """Path of a shard inside the dataset's folder."""
+    return f"shards/shard-{shard:05d}.h5"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config={"extra": "forbid", "strict": True})
 class ShardLine:
     """What the manifest says of one shard.
 
@@ -32,25 +40,40 @@ class ShardLine:
     object. ``raw_bytes`` is the size of the arrays uncompressed.
     """
 
-    shard: int
+    schema: Literal[1] = 1
+    shard: NonNegativeInt
     file: str
-    index_range: tuple[int, int]
+    index_range: tuple[NonNegativeInt, NonNegativeInt]
     sha256: str
     bytes: int
     raw_bytes: int
     recipe: str
     recipe_sha256: str
-    calibration: Mapping[str, str]
+    calibration: dict[str, str]
     sensor: str
     pads: tuple[str, ...]
     frames: int
-    versions: Mapping[str, str]
-    counts: Mapping[str, int]
-    status: Mapping[str, int]
-    failure_modes: Mapping[str, int]
-    splits: Mapping[str, int]
-    objects: Mapping[str, Mapping[str, int]]
-    schema: int = SCHEMA
+    versions: dict[str, str]
+    counts: dict[str, int]
+    status: dict[str, int]
+    failure_modes: dict[str, int]
+    splits: dict[str, int]
+    objects: dict[str, dict[str, int]]
+
+    @model_validator(mode="after")
+    def _checked(self) -> ShardLine:
+        if self.index_range[0] >= self.index_range[1]:
+            msg = f"index_range = {self.index_range} is not [start, stop]"
+            raise ValueError(msg)
+        if self.file != shard_file(self.shard):
+            msg = f"file = {self.file!r} is not that of shard {self.shard}"
+            raise ValueError(msg)
+        return self
+
+    @property
+    def n_grasps(self) -> int:
+        """How many grasps the shard holds."""
+        return self.index_range[1] - self.index_range[0]
 
     def to_json(self) -> str:
         """One line, the same for the same shard."""
@@ -63,72 +86,13 @@ def parse_line(text: str, where: str, fix: str = FIX_MERGED) -> ShardLine:
     Raises ``DatasetError`` if it is no such record.
     """
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        data = None
-    problem = _problem_of(data)
-    if problem:
-        msg = f"{where}: {problem}; {fix}"
-        raise DatasetError(msg)
-    data["index_range"] = tuple(data["index_range"])
-    data["pads"] = tuple(data["pads"])
-    return ShardLine(**data)
-
-
-_COUNTS: dict[str, type] = {
-    "counts": int,
-    "status": int,
-    "failure_modes": int,
-    "splits": int,
-    "calibration": str,
-    "versions": str,
-}
-_FIELDS: dict[str, type] = {
-    "shard": int,
-    "file": str,
-    "index_range": list,
-    "sha256": str,
-    "bytes": int,
-    "raw_bytes": int,
-    "recipe": str,
-    "recipe_sha256": str,
-    "sensor": str,
-    "pads": list,
-    "frames": int,
-    "objects": dict,
-    "schema": int,
-} | dict.fromkeys(_COUNTS, dict)
-
-
-def _problem_of(data: Any) -> str:
-    """What is wrong with a parsed line; empty where nothing is."""
-    if not isinstance(data, dict):
-        return "not a line of a manifest"
-    if data.get("schema") != SCHEMA:
-        return f"schema {data.get('schema')!r} is not {SCHEMA}"
-    odd = sorted(set(_FIELDS) ^ set(data))
-    if odd:
-        return f"keys missing or unknown: {', '.join(odd)}"
-    for key, kind in _FIELDS.items():
-        if not isinstance(data[key], kind) or isinstance(data[key], bool):
-            return f"{key} = {data[key]!r} is not {kind.__name__}"
-    for key, kind in _COUNTS.items():
-        if not all(isinstance(value, kind) for value in data[key].values()):
-            return f"{key} = {data[key]!r} does not hold {kind.__name__}"
-    for tally in data["objects"].values():
-        if not isinstance(tally, dict) or not all(isinstance(n, int) for n in tally.values()):
-            return f"objects = {data['objects']!r} does not hold counts"
-    span = data["index_range"]
-    if len(span) != 2 or not all(isinstance(n, int) for n in span) or not 0 <= span[0] < span[1]:
-        return f"index_range = {span!r} is not [start, stop]"
-    if data["shard"] < 0 or data["file"] != shard_file(data["shard"]):
-        return f"file = {data['file']!r} is not that of shard {data['shard']}"
-    return ""
-
-
-def shard_file(shard: int) -> str:
-    """Path of a shard inside the dataset's folder."""
-    return f"shards/shard-{shard:05d}.h5"
+        return TypeAdapter(ShardLine).validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        problem = f"{key}: {first['msg']}" if key else first["msg"].removeprefix("Value error, ")
+        msg = f"{where}: not a line of a manifest: {problem}; {fix}"
+        raise DatasetError(msg) from None
 
 
 def read_manifest(folder: Path) -> dict[int, ShardLine]:
@@ -183,26 +147,21 @@ def manifest_problems(lines: list[ShardLine], n_grasps: int | None) -> list[str]
     if n_grasps is not None and due > n_grasps:
         problems.append(f"grasps {n_grasps} to {due - 1} are more than the recipe asks for")
     for name in ("recipe_sha256", "calibration", "sensor", "pads", "frames"):
-        problems += _mixed(lines, name)
+        odd = [line.file for line in lines if getattr(line, name) != getattr(lines[0], name)]
+        if odd:
+            which = f"{', '.join(odd[:3])} and {lines[0].file}"
+            problems.append(f"{which} differ in {name}; keep them in two folders")
     versions = {line.versions.get("tacgen", "") for line in lines}
     if len(versions) > 1:
         problems.append(f"shards of different versions of tacgen: {', '.join(sorted(versions))}")
     return problems
 
 
-def _mixed(lines: list[ShardLine], name: str) -> list[str]:
-    odd = [line.file for line in lines if getattr(line, name) != getattr(lines[0], name)]
-    if not odd:
-        return []
-    return [f"{', '.join(odd[:3])} and {lines[0].file} differ in {name}; keep them in two folders"]
-
-
 def total(lines: Iterable[ShardLine], name: str) -> dict[str, int]:
     """The sum over lines of one of their ``counts``, ``status``, ``splits``, ``failure_modes``."""
-    tally: dict[str, int] = {}
+    tally: Counter[str] = Counter()
     for line in lines:
-        for key, count in getattr(line, name).items():
-            tally[key] = tally.get(key, 0) + count
+        tally.update(getattr(line, name))
     return dict(sorted(tally.items()))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -18,7 +18,7 @@ from tacgen.core.records import GraspConfig, SlipMargin
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample
-from tacgen.dataset.schema import CONTACT_NAMES, GRASP_ARRAYS, Layout
+from tacgen.dataset.schema import CONTACT_NAMES, GRASP_NAMES, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Dataset:
         return self.__dict__ | {"_open": OrderedDict(), "_pid": -1}
 
     def __len__(self) -> int:
-        return sum(stop - start for start, stop in (line.index_range for line in self._lines))
+        return sum(line.n_grasps for line in self._lines)
 
     def __iter__(self) -> Iterator[GraspSample]:
         for index in self.indices:
@@ -99,13 +99,7 @@ class Dataset:
         if isinstance(place, slice):
             return [self[k] for k in range(*place.indices(len(indices)))]
         index = int(indices[place])
-        entries = {
-            array.path.rsplit("/", 1)[1]: _as_text(self._read(index, array.path))
-            for array in GRASP_ARRAYS
-        }
-        plain = {name: value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value
-                 for name, value in entries.items()}  # fmt: skip
-        return {"rgb": self.rgb(index), **plain}
+        return {"rgb": self.rgb(index), **self._row(index)}
 
     def torch(
         self,
@@ -172,22 +166,22 @@ class Dataset:
 
     def columns(
         self, shards: Sequence[int] | None = None, *, contact: bool = False
-    ) -> dict[str, NDArray]:
+    ) -> dict[str, NDArray[Any]]:
         """What is known of each grasp, by name, (N, …), in the order of ``indices``.
 
         ``shards`` limits it to those places in ``lines``; ``contact`` adds what the first pad's
         contact arrays hold, (N, T) or (N, T, 2).
         """
         places = range(len(self._lines)) if shards is None else shards
-        parts: dict[str, list[NDArray]] = {}
+        parts: dict[str, list[NDArray[Any]]] = {}
         for place in places:
-            layout = self._shard(place).layout
-            paths = [array.path for array in GRASP_ARRAYS]
+            paths = {name: f"/grasp/{name}" for name in GRASP_NAMES}
             if contact:
-                paths += [layout.contact(self.pads[0], name) for name in CONTACT_NAMES]
-            for path in paths:
+                layout = self._shard(place).layout
+                paths |= {name: layout.contact(self.pads[0], name) for name in CONTACT_NAMES}
+            for name, path in paths.items():
                 values = self._read(self._starts[place], path, whole=True)
-                parts.setdefault(path.rsplit("/", 1)[1], []).append(_as_text(values))
+                parts.setdefault(name, []).append(_as_text(values))
         return {name: np.concatenate(values) for name, values in parts.items()}
 
     def rgb(
@@ -215,34 +209,20 @@ class Dataset:
 
     def read(self, index: int) -> GraspSample:
         """Everything there is about one grasp."""
-        columns = {
-            array.path.rsplit("/", 1)[1]: _as_text(self._read(index, array.path))
-            for array in GRASP_ARRAYS
-        }
-        executed = columns["status"] == "executed"
+        row = self._row(index)
+        axes = ("index", "object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
+        same = ("seed", "split", "status", "label", "failure_mode", "rise_mm", "turn_rad", "reason")
+        executed = row["status"] == "executed"
+        limits = row["margin_translational"], row["margin_rotational"]
+        slip = row["first_slip_time_s"], row["first_slip_direction"]
         return GraspSample(
-            config=GraspConfig(
-                index=int(columns["index"]),
-                object=str(columns["object"]),
-                force_n=float(columns["force_n"]),
-                x_mm=float(columns["x_mm"]),
-                y_mm=float(columns["y_mm"]),
-                z_mm=float(columns["z_mm"]),
-                yaw_rad=float(columns["yaw_rad"]),
-            ),
-            seed=int(columns["seed"]),
-            split=str(columns["split"]),
-            status=str(columns["status"]),  # type: ignore[arg-type]
-            label=int(columns["label"]),
-            failure_mode=str(columns["failure_mode"]),  # type: ignore[arg-type]
+            config=GraspConfig(**{name: row[name] for name in axes}),
             pads={pad: self._pad_sample(index, pad) for pad in self.pads} if executed else {},
             object_pose=self._read(index, "/object/pose"),
-            rise_mm=float(columns["rise_mm"]),
-            turn_rad=float(columns["turn_rad"]),
-            margin=_margin(columns),
-            grasp_frame=int(columns["grasp_frame"]),
+            margin=None if np.isnan(limits).all() else SlipMargin(*limits, *slip),
             picture=self.picture(index),
-            reason=str(columns["reason"]),
+            grasp_frame=row["grasp_frame"],
+            **{name: row[name] for name in same},
         )
 
     def close(self) -> None:
@@ -250,15 +230,19 @@ class Dataset:
         while self._open:
             self._open.popitem()[1].close()
 
+    def _row(self, index: int) -> dict[str, Any]:
+        """The columns of one grasp as plain values, its directions as arrays."""
+        row = {name: _as_text(self._read(index, f"/grasp/{name}")) for name in GRASP_NAMES}
+        return {
+            name: value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value
+            for name, value in row.items()
+        }
+
     def _pad_sample(self, index: int, pad: str) -> PadSample:
         layout = self._layout(index)
-        return PadSample(
-            rgb=self.rgb(index, pad),
-            force_normal_n=self.contact(index, "force_normal_n", pad),
-            force_shear_n=self.contact(index, "force_shear_n", pad),
-            indentation_mm=self.contact(index, "indentation_mm", pad),
-            depth_mm=self._image(index, layout.tactile(pad, "depth_mm")) if layout.depth else None,
-        )
+        depth_mm = self._image(index, layout.tactile(pad, "depth_mm")) if layout.depth else None
+        contact = {name: self.contact(index, name, pad) for name in CONTACT_NAMES}
+        return PadSample(rgb=self.rgb(index, pad), depth_mm=depth_mm, **contact)
 
     def _pad(self, pad: str | None) -> str:
         if pad is None:
@@ -271,14 +255,14 @@ class Dataset:
     def _layout(self, index: int) -> Layout:
         return self._shard(self._place(index)).layout
 
-    def _image(self, index: int, path: str, *then: int) -> NDArray:
+    def _image(self, index: int, path: str, *then: int) -> NDArray[Any]:
         """One image of a grasp, out of the image array at ``path``."""
         place = self._place(index)
         shard = self._shard(place)
         with broken_as_error(shard.path):
             return read_image(shard.arrays[path], (index - self._starts[place], *then))
 
-    def _read(self, index: int, path: str, *, whole: bool = False) -> NDArray:
+    def _read(self, index: int, path: str, *, whole: bool = False) -> NDArray[Any]:
         """The array at ``path`` of a grasp's shard: the ``whole``, or the grasp's row of it."""
         place = self._place(index)
         shard = self._shard(place)
@@ -325,14 +309,3 @@ def _as_text(values: Any) -> Any:
     if isinstance(values, np.ndarray) and values.dtype.kind == "S":
         return np.char.decode(values, "utf-8", errors="replace")
     return values
-
-
-def _margin(columns: Mapping[str, Any]) -> SlipMargin | None:
-    if np.isnan(columns["margin_translational"]) and np.isnan(columns["margin_rotational"]):
-        return None
-    return SlipMargin(
-        translational=float(columns["margin_translational"]),
-        rotational=float(columns["margin_rotational"]),
-        first_slip_time_s=float(columns["first_slip_time_s"]),
-        first_slip_direction=columns["first_slip_direction"],
-    )

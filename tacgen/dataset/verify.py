@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,6 @@ from tacgen.dataset.manifest import (
     read_lines,
     read_part,
 )
-
-SHARDS_AHEAD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,38 +73,23 @@ def verify(
     if not lines and not problems and not folder.plan_path.is_file():
         msg = f"{folder.root} is not a dataset; give the folder that `tacgen collect --out` made"
         raise DatasetError(msg)
-    for line, wrong_bytes in _with_bytes_checked(folder, lines.values()):
-        reasons = wrong_bytes or content_problems(
-            folder.shard_path(line.shard), line, decode="all" if decode else "none"
-        )
-        problems += [Problem(line.file, reason, line.shard) for reason in reasons]
-        progress(line.bytes)
+    paths = [folder.shard_path(shard) for shard in lines]
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        # The next shards are hashed, which needs no lock, while this one is looked into.
+        hashed = thread.map(byte_problems, paths, lines.values())
+        for path, line, wrong_bytes in zip(paths, lines.values(), hashed, strict=True):
+            reasons = wrong_bytes or content_problems(
+                path, line, decode="all" if decode else "none"
+            )
+            problems += [Problem(line.file, reason, line.shard) for reason in reasons]
+            progress(line.bytes)
     problems += _whole_problems(folder, lines)
     return Verification(
         problems=tuple(problems),
         n_shards=len(lines),
-        n_grasps=sum(line.index_range[1] - line.index_range[0] for line in lines.values()),
+        n_grasps=sum(line.n_grasps for line in lines.values()),
         bytes=sum(line.bytes for line in lines.values()),
     )
-
-
-def _with_bytes_checked(
-    folder: DatasetFolder, lines: Iterable[ShardLine]
-) -> Iterator[tuple[ShardLine, list[str]]]:
-    """Each line and what is wrong with the bytes of its shard.
-
-    A thread hashes the next shards while the caller looks into this one: hashing needs no lock.
-    """
-    ahead: deque[tuple[ShardLine, Future[list[str]]]] = deque()
-    with ThreadPoolExecutor(max_workers=1) as thread:
-        for line in lines:
-            path = folder.shard_path(line.shard)
-            ahead.append((line, thread.submit(byte_problems, path, line)))
-            if len(ahead) > SHARDS_AHEAD:
-                first, found = ahead.popleft()
-                yield first, found.result()
-        for line, found in ahead:
-            yield line, found.result()
 
 
 def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Problem]]:

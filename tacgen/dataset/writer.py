@@ -11,16 +11,23 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
 from tacgen.core.version import VERSION
-from tacgen.dataset.check import Tally, sample_problems
+from tacgen.dataset.check import Outcome, sample_problems, tally
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
-from tacgen.dataset.schema import CONTACT_NAMES, FORMAT_VERSION, ArraySpec, Layout, array_sizes
+from tacgen.dataset.schema import (
+    CONTACT_NAMES,
+    FORMAT_VERSION,
+    MAX_REASON_BYTES,
+    Layout,
+    array_sizes,
+)
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
@@ -38,25 +45,14 @@ LIBRARIES = (
 HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 32015, Zstandard)."
 
 
+@cache
 def library_versions() -> dict[str, str]:
     """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
     versions = {"tacgen": VERSION, "hdf5": h5py.version.hdf5_version}
-    return dict(sorted((versions | _installed()).items()))
-
-
-@cache
-def _installed() -> dict[str, str]:
-    """Looked up once: it takes as long as writing ten images."""
-    found = {}
     for name in LIBRARIES:
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
-
-
-def layout_of(spec: DatasetSpec) -> Layout:
-    """The arrays that a dataset of this spec has."""
-    return Layout(spec.sensor.name, spec.pads, spec.depth, spec.picture_px is not None)
+            versions[name] = metadata.version(name)
+    return dict(sorted(versions.items()))
 
 
 def write_shard_file(
@@ -69,22 +65,18 @@ def write_shard_file(
     Raises ``DatasetError`` if a grasp does not fit the spec, or one is missing, or one too many.
     """
     indices = spec.shard_range(shard)
-    layout = layout_of(spec)
+    layout = Layout(spec.sensor.name, spec.pads, spec.depth, spec.picture_px is not None)
     sizes = array_sizes(len(indices), len(spec.time_s), spec.sensor, spec.picture_px)
-    tally = Tally()
+    outcomes: list[Outcome] = []
     with DiskFile(path) as disk:
         with h5py.File(disk, "w", libver=LIBRARY_VERSION) as file:
             _write_attributes(file, spec, indices)
             small = _create_arrays(file, layout, sizes)
             noisy = {array.path for array in layout.arrays() if array.noisy}
             for row, sample in enumerate(_expected(samples, indices, spec)):
-                tally.add(
-                    sample.label,
-                    sample.status,
-                    sample.failure_mode,
-                    sample.split,
-                    sample.config.object,
-                )
+                name = sample.config.object
+                outcome = (sample.label, sample.status, sample.failure_mode, sample.split, name)
+                outcomes.append(outcome)
                 for place, values in grasp_values(sample, layout):
                     if place in small:
                         small[place][row] = values
@@ -114,7 +106,7 @@ def write_shard_file(
         pads=spec.pads,
         frames=len(spec.time_s),
         versions=library_versions(),
-        **tally.counts(),
+        **tally(outcomes),
     )
 
 
@@ -129,12 +121,12 @@ def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, obj
         yield f"/grasp/{name}", getattr(sample, name)
     for name in ("split", "status", "failure_mode"):
         yield f"/grasp/{name}", getattr(sample, name).encode()
-    reason = sample.reason.encode()[: _text_length("/grasp/reason", layout)]
+    reason = sample.reason.encode()[:MAX_REASON_BYTES]
     yield "/grasp/reason", reason.decode(errors="ignore").encode()
-    unknown = float("nan")
-    yield "/grasp/margin_translational", margin.translational if margin else unknown
-    yield "/grasp/margin_rotational", margin.rotational if margin else unknown
-    yield "/grasp/first_slip_time_s", margin.first_slip_time_s if margin else unknown
+    limits = (margin.translational, margin.rotational) if margin else (np.nan, np.nan)
+    yield "/grasp/margin_translational", limits[0]
+    yield "/grasp/margin_rotational", limits[1]
+    yield "/grasp/first_slip_time_s", margin.first_slip_time_s if margin else np.nan
     if margin:
         yield "/grasp/first_slip_direction", margin.first_slip_direction
     if sample.object_pose is not None:
@@ -149,32 +141,21 @@ def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, obj
             yield layout.contact(pad, name), getattr(recorded, name)
 
 
-def _text_length(path: str, layout: Layout) -> int:
-    return next(np.dtype(a.dtype).itemsize for a in layout.arrays() if a.path == path)
-
-
 def _create_arrays(
     file: h5py.File, layout: Layout, sizes: Mapping[str, int]
-) -> dict[str, np.ndarray]:
+) -> dict[str, NDArray[Any]]:
     """Create every array; those that are small are given back, to be filled and written last."""
     small = {}
     for array in layout.arrays():
-        dataset = _create(file, array, array.resolve(sizes))
+        shape, dtype = array.resolve(sizes), np.dtype(array.dtype)
+        stored = h5py.string_dtype("utf-8", dtype.itemsize) if dtype.kind == "S" else dtype
+        storage = {"chunks": array.chunks(shape), **storage_of(array)} if array.image else {}
+        dataset = file.create_dataset(array.path, shape, stored, track_times=False, **storage)
+        for name in ("unit", "frame", "description"):
+            dataset.attrs[name] = getattr(array, name)
         if not array.image:
             small[array.path] = np.zeros(dataset.shape, dataset.dtype)
     return small
-
-
-def _create(file: h5py.File, array: ArraySpec, shape: tuple[int, ...]) -> h5py.Dataset:
-    dtype = np.dtype(array.dtype)
-    stored = h5py.string_dtype("utf-8", dtype.itemsize) if dtype.kind == "S" else dtype
-    storage: dict[str, Any] = {}
-    if array.image:
-        storage = {"chunks": array.chunks(shape), **storage_of(array)}
-    dataset = file.create_dataset(array.path, shape, stored, track_times=False, **storage)
-    for name in ("unit", "frame", "description"):
-        dataset.attrs[name] = getattr(array, name)
-    return dataset
 
 
 def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -38,10 +38,6 @@ class Exported:
     grasps: int
     not_executed: int
     content: str
-
-    def as_dict(self) -> dict[str, object]:
-        """All fields."""
-        return asdict(self)
 
     @property
     def sentence(self) -> str:

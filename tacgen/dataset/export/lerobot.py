@@ -8,12 +8,11 @@ Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/i
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -23,75 +22,40 @@ from numpy.typing import NDArray
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.dataset.schema import SPLITS
+from tacgen.report.images import encode_png
 
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _GREY = np.arange(256) / 255.0
 
 
-@dataclass(frozen=True, slots=True)
-class ImageStats:
-    """Of images, channel by channel, scaled to [0, 1]; exact, from a histogram of grey levels."""
-
-    histogram: NDArray[np.int64]
-    n_frames: int
-
-    @classmethod
-    def of(cls, images: NDArray[np.uint8]) -> ImageStats:
-        """Those of images (T, H, W, C)."""
-        channels = np.moveaxis(images, -1, 0).reshape(images.shape[-1], -1)
-        return cls(np.stack([np.bincount(c, minlength=256) for c in channels]), len(images))
-
-    @classmethod
-    def merged(cls, parts: Sequence[ImageStats]) -> ImageStats:
-        """Those of all the images that ``parts`` are of."""
-        histogram = np.sum([part.histogram for part in parts], axis=0)
-        return cls(histogram, sum(part.n_frames for part in parts))
-
-    def as_dict(self) -> dict[str, Any]:
-        """``min``, ``max``, ``mean``, ``std`` and quantiles (C, 1, 1), and ``count`` (1,)."""
-        share = self.histogram / self.histogram.sum(axis=1, keepdims=True)
-        mean = share @ _GREY
-        seen = self.histogram > 0
-        below = np.cumsum(share, axis=1)
-        found = {
-            "min": _GREY[seen.argmax(axis=1)],
-            "max": _GREY[255 - seen[:, ::-1].argmax(axis=1)],
-            "mean": mean,
-            "std": np.sqrt(np.maximum(0.0, share @ _GREY**2 - mean**2)),
-        } | {
-            name: _GREY[(below >= level - 1e-12).argmax(axis=1)]
-            for name, level in QUANTILES.items()
-        }
-        stats: dict[str, Any] = {key: v.reshape(-1, 1, 1).tolist() for key, v in found.items()}
-        return stats | {"count": [self.n_frames]}
+def image_stats(histogram: NDArray[np.int64], n_frames: int) -> dict[str, Any]:
+    """Statistics (C, 1, 1) of images in [0, 1], exact, from the counts of grey levels (C, 256)."""
+    share = histogram / histogram.sum(axis=1, keepdims=True)
+    mean = share @ _GREY
+    seen = histogram > 0
+    below = np.cumsum(share, axis=1)
+    found = {
+        "min": _GREY[seen.argmax(axis=1)],
+        "max": _GREY[255 - seen[:, ::-1].argmax(axis=1)],
+        "mean": mean,
+        "std": np.sqrt(np.maximum(0.0, share @ _GREY**2 - mean**2)),
+    }
+    for name, level in QUANTILES.items():
+        found[name] = _GREY[(below >= level - 1e-12).argmax(axis=1)]
+    return {key: v.reshape(-1, 1, 1).tolist() for key, v in found.items()} | {"count": [n_frames]}
 
 
-@dataclass(frozen=True, slots=True)
-class VectorStats:
-    """Of vectors or numbers, component by component."""
+def vector_stats(rows: NDArray[np.float64]) -> dict[str, Any]:
+    """Statistics (n,) of vectors (T, n), component by component."""
+    found = {name: getattr(rows, name)(axis=0) for name in ("min", "max", "mean", "std")}
+    found |= {name: np.quantile(rows, level, axis=0) for name, level in QUANTILES.items()}
+    return {name: values.tolist() for name, values in found.items()} | {"count": [len(rows)]}
 
-    rows: NDArray[np.float64]
 
-    @classmethod
-    def of(cls, values: NDArray[Any]) -> VectorStats:
-        """Those of (T, n) or (T,)."""
-        return cls(np.asarray(values, np.float64).reshape(len(values), -1))
-
-    @classmethod
-    def merged(cls, parts: Sequence[VectorStats]) -> VectorStats:
-        """Those of all the values that ``parts`` are of."""
-        return cls(np.concatenate([part.rows for part in parts]))
-
-    def as_dict(self) -> dict[str, Any]:
-        """``min``, ``max``, ``mean``, ``std`` and quantiles (n,), and ``count`` (1,)."""
-        found = {
-            "min": self.rows.min(axis=0),
-            "max": self.rows.max(axis=0),
-            "mean": self.rows.mean(axis=0),
-            "std": self.rows.std(axis=0),
-        } | {name: np.quantile(self.rows, level, axis=0) for name, level in QUANTILES.items()}
-        stats: dict[str, Any] = {name: values.tolist() for name, values in found.items()}
-        return stats | {"count": [len(self.rows)]}
+def _histogram(images: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Counts of grey levels (C, 256) of images (T, H, W, C)."""
+    channels = np.moveaxis(images, -1, 0).reshape(images.shape[-1], -1)
+    return np.stack([np.bincount(channel, minlength=256) for channel in channels])
 
 
 def arrow_schema(features: Mapping[str, Mapping[str, Any]]) -> pa.Schema:
@@ -123,17 +87,11 @@ def episode_table(
     for field_ in schema:
         array = values[field_.name]
         if features[field_.name]["dtype"] == "image":
-            rows: list[Any] = [{"bytes": png, "path": None} for png in _pngs(array)]
+            rows: list[Any] = [{"bytes": encode_png(rgb), "path": None} for rgb in array]
         else:
             rows = array.astype(features[field_.name]["dtype"]).tolist()
         columns.append(pa.array(rows, type=field_.type))
     return pa.Table.from_arrays(columns, schema=schema)
-
-
-def _pngs(images: NDArray[np.uint8]) -> Iterator[bytes]:
-    for rgb in images:
-        _, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
-        yield data.tobytes()
 
 
 CODEBASE_VERSION = "v3.0"
@@ -223,23 +181,24 @@ class _Export:
         return len(order)
 
     def _features(self) -> dict[str, dict[str, Any]]:
-        height, width = self.dataset.shape_px
-        image = {
-            "dtype": "image",
-            "shape": [height, width, 3],
-            "names": ["height", "width", "channels"],
+        data, (height, width) = self.dataset, self.dataset.shape_px
+        names = ["height", "width", "channels"]
+        images = {
+            f"observation.images.{self._image_name(pad)}": {
+                "dtype": "image",
+                "shape": [height, width, 3],
+                "names": list(names),
+            }
+            for pad in data.pads
         }
-        pads = self.dataset.pads
-        state = [
-            name if len(pads) == 1 else f"{pad}.{name}" for pad in pads for name in CONTACT_STATE
-        ]
+        prefixes = [""] if len(data.pads) == 1 else [f"{pad}." for pad in data.pads]
         vectors = {
-            "observation.state": state,
+            "observation.state": [prefix + name for prefix in prefixes for name in CONTACT_STATE],
             "observation.environment_state": list(POSE),
             "action": list(ACTION),
         }
         return (
-            {f"observation.images.{self._image_name(pad)}": dict(image) for pad in pads}
+            images
             | {
                 name: {"dtype": "float32", "shape": [len(axes)], "names": axes}
                 for name, axes in vectors.items()
@@ -280,12 +239,16 @@ class _Export:
             "index": np.arange(first_frame, first_frame + n_frames),
             "task_index": np.full(n_frames, task),
         }
-        stats = {
-            key: ImageStats.of(array) if array.dtype == np.uint8 else VectorStats.of(array)
-            for key, array in values.items()
-        }
-        for key, found in stats.items():
-            self.parts.setdefault(key, []).append(found)
+        stats: dict[str, dict[str, Any]] = {}
+        for key, array in values.items():
+            is_image = array.dtype == np.uint8
+            part = (
+                _histogram(array)
+                if is_image
+                else np.asarray(array, np.float64).reshape(n_frames, -1)
+            )
+            stats[key] = image_stats(part, n_frames) if is_image else vector_stats(part)
+            self.parts.setdefault(key, []).append(part)
         chunk, number = data.write(episode_table(values, features, data.schema))
         self.episodes.append(
             {
@@ -302,7 +265,7 @@ class _Export:
                 "split": sample.split,
                 "failure_mode": sample.failure_mode,
             }
-            | {f"stats/{key}/{k}": v for key, s in stats.items() for k, v in s.as_dict().items()}
+            | {f"stats/{key}/{k}": v for key, s in stats.items() for k, v in s.items()}
         )
         return n_frames
 
@@ -336,6 +299,7 @@ class _Export:
         n_train: int,
         n_frames: int,
     ) -> None:
+        sides = {"train": (0, n_train), "test": (n_train, n_episodes)}
         info = {
             "codebase_version": CODEBASE_VERSION,
             "robot_type": "wsg50",
@@ -346,14 +310,7 @@ class _Export:
             "data_files_size_in_mb": DATA_FILES_SIZE_MB,
             "video_files_size_in_mb": VIDEO_FILES_SIZE_MB,
             "fps": self.fps,
-            "splits": {
-                name: f"{start}:{stop}"
-                for name, start, stop in (
-                    ("train", 0, n_train),
-                    ("test", n_train, n_episodes),
-                )
-                if stop > start
-            },
+            "splits": {name: f"{a}:{b}" for name, (a, b) in sides.items() if b > a},
             "data_path": DATA_PATH,
             "video_path": None,
             "features": features,
@@ -361,7 +318,12 @@ class _Export:
         meta = self.root / "meta"
         (meta / "episodes" / "chunk-000").mkdir(parents=True)
         (meta / "info.json").write_text(json.dumps(info, indent=4), encoding="utf-8")
-        stats = {key: type(parts[0]).merged(parts).as_dict() for key, parts in self.parts.items()}
+        stats = {
+            key: image_stats(np.sum(parts, axis=0), n_frames)
+            if features[key]["dtype"] == "image"
+            else vector_stats(np.concatenate(parts))
+            for key, parts in self.parts.items()
+        }
         (meta / "stats.json").write_text(json.dumps(stats, indent=4), encoding="utf-8")
         tasks = pd.DataFrame(
             {"task_index": list(self.tasks.values())}, index=pd.Index(self.tasks, name="task")
