@@ -6,15 +6,27 @@ only affects the commands that need it.
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
+import traceback
 
 import typer
 
 # Importing a module of commands registers them.
-from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects  # noqa: F401
+from tacgen.cli import (  # noqa: F401
+    calibrate,
+    cluster,
+    datasets,
+    diagnose,
+    learning,
+    machine,
+    objects,
+    recipes,
+)
 from tacgen.cli.app import app
 from tacgen.core.errors import Interrupted, TacgenError
+from tacgen.core.progress import LOG
 
 
 def main() -> None:
@@ -34,6 +46,8 @@ def main() -> None:
 
 
 def _stop(message: str, exit_code: int) -> None:
+    if LOG.level == logging.DEBUG:
+        traceback.print_exc()
     typer.echo(f"tacgen: {message}", err=True)
     sys.exit(exit_code)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,19 +11,26 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from tacgen.core.errors import DatasetError
+from tacgen.core.progress import LOG, is_quiet
+from tacgen.core.resources import object_folders, packaged
+
 CALIBRATION = "Calibration and diagnosis"
 DATASETS = "Datasets"
 NETWORKS = "Networks"
 CLUSTER = "Cluster"
 MACHINE = "This machine"
 ORDER_OF_WORK = (
-    *("collect", "grid", "inspect", "verify", "merge", "export", "objects"),
+    *("collect", "init", "grid", "inspect", "verify", "merge", "export"),
+    *("recipe", "objects"),
     *("import", "calibrate", "diagnose", "friction", "rig"),
     *("train", "eval", "study"),
     *("submit", "status"),
     *("doctor", "bench"),
 )
 """Order of the commands in the help, and thereby of their panels."""
+ANYWHERE = ("-v", "--verbose", "-q", "--quiet")
+"""Options of ``tacgen`` that may also follow a command."""
 
 
 class _InOrderOfWork(TyperGroup):
@@ -30,6 +38,13 @@ class _InOrderOfWork(TyperGroup):
         names = super().list_commands(ctx)
         known = [name for name in ORDER_OF_WORK if name in names]
         return [*known, *(name for name in names if name not in known)]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Accept ``-v`` and ``-q`` after a command too."""
+        end = args.index("--") if "--" in args else len(args)
+        anywhere = [arg for arg in args[:end] if ctx.parent is None and arg in ANYWHERE]
+        rest = [arg for k, arg in enumerate(args) if k >= end or arg not in anywhere]
+        return super().parse_args(ctx, [*anywhere, *rest])
 
 
 def _print_version(wanted: bool) -> None:
@@ -40,22 +55,22 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _group(name: str, text: str, cls: type[TyperGroup] = TyperGroup) -> typer.Typer:
+def _group(name: str, text: str, *, completion: bool = False) -> typer.Typer:
     return typer.Typer(
         name=name,
         help=text,
-        cls=cls,
+        cls=_InOrderOfWork,
         context_settings={"help_option_names": ["-h", "--help"]},
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        add_completion=False,
+        add_completion=completion,
     )
 
 
 app = _group(
     "tacgen",
     "Simulated grasps with GelSight images, from a sensor calibrated on real presses.",
-    _InOrderOfWork,
+    completion=True,
 )
 calibrate_app = _group(
     "calibrate", "Fit the sensor model to ball presses: lookup table and contact law."
@@ -64,13 +79,25 @@ diagnose_app = _group(
     "diagnose", "Find the effects that explain the residuals of a calibrated model."
 )
 objects_app = _group("objects", "List and show the objects to grasp; add your own meshes.")
+recipe_app = _group("recipe", "Show a recipe with all of its settings; schemas for editors.")
 app.add_typer(calibrate_app, rich_help_panel=CALIBRATION)
 app.add_typer(diagnose_app, rich_help_panel=CALIBRATION)
+app.add_typer(recipe_app, rich_help_panel=DATASETS)
 app.add_typer(objects_app, rich_help_panel=DATASETS)
 
 
 @app.callback()
 def options(
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "-v", "--verbose", help="Print the traceback of an error; also after a command."
+        ),
+    ] = False,
+    quiet: Annotated[
+        bool,
+        typer.Option("-q", "--quiet", help="No progress, notes, next commands."),
+    ] = False,
     version: Annotated[
         bool,
         typer.Option(
@@ -78,12 +105,28 @@ def options(
         ),
     ] = False,
 ) -> None:
-    """Accept the options before a command."""
+    """Accept the options before a command; ``-v`` and ``-q`` also stand after it."""
+    LOG.setLevel(logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO)
+
+
+def recipe_names() -> list[str]:
+    """The shipped recipes, to complete arguments in a shell."""
+    return sorted(path.stem for path in packaged("recipes").glob("*.yaml"))
+
+
+def object_names() -> list[str]:
+    """The objects here, to complete arguments in a shell."""
+    return list(object_folders())
 
 
 RecipeArgument = Annotated[
-    str, typer.Argument(help="Path of a recipe (YAML), or the name of one that tacgen ships.")
+    str,
+    typer.Argument(
+        help="Path of a recipe (YAML), or the name of one that tacgen ships.",
+        autocompletion=recipe_names,
+    ),
 ]
+ForceFlag = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
 DatasetArgument = Annotated[
     Path, typer.Argument(help="Folder of a dataset that `tacgen collect` wrote.")
 ]
@@ -141,3 +184,46 @@ def warn(lines: Iterable[object], label: str = "warning") -> None:
     """Print lines on standard error."""
     for line in lines:
         typer.echo(f"{label}: {line}", err=True)
+
+
+def note(lines: Iterable[object]) -> None:
+    """Print notes on standard error, unless ``-q`` is given."""
+    if not is_quiet():
+        warn(lines, "note")
+
+
+def hand_over(*lines: str) -> None:
+    """Print the next commands or lines of a recipe on standard error, unless ``-q`` is given."""
+    if not is_quiet():
+        typer.echo("\n".join(["next:", *(f"  {line}" for line in lines)]), err=True)
+
+
+IN_RECIPE = "in a recipe in this folder:"
+
+
+def contact_lines(law: Path) -> list[str]:
+    """Lines of a recipe that use a contact law."""
+    return [IN_RECIPE, f"contact: {{file: {law}}}"]
+
+
+def table_lines(path: Path) -> list[str]:
+    """Lines of a recipe that use a lookup table."""
+    from tacgen.optics import load_table
+    from tacgen.sensor.description import sensor_lines
+
+    table = load_table(path)
+    return sensor_lines(path, table.shape_px, table.mm_per_px)
+
+
+def refuse_existing(force: bool, *paths: Path) -> None:
+    """Refuse to overwrite results.
+
+    Raises
+    ------
+    DatasetError
+        If one of ``paths`` exists and not ``force``.
+    """
+    there = [path for path in paths if path.exists()]
+    if there and not force:
+        msg = f"{there[0]}: exists already; pass --force to replace it, or another --out"
+        raise DatasetError(msg)

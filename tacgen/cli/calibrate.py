@@ -10,7 +10,9 @@ import typer
 
 from tacgen.cli.app import (
     CALIBRATION,
+    IN_RECIPE,
     BallRadiusOption,
+    ForceFlag,
     JsonFlag,
     MarkerPitchOption,
     MmPerPxOption,
@@ -21,7 +23,12 @@ from tacgen.cli.app import (
     WorkersOption,
     app,
     calibrate_app,
+    contact_lines,
+    hand_over,
+    note,
     print_result,
+    refuse_existing,
+    table_lines,
     warn,
 )
 
@@ -62,9 +69,10 @@ def import_(
         known = ", ".join((*PRESS_FORMATS, *GRASP_FORMATS))
         msg = f"FORMAT {format_name!r} is not known; give one of {known}"
         raise DatasetError(msg)
-    warn(notes, "note")
+    note(notes)
     record = {"folder": str(out), "format": format_name, kind: count, "notes": list(notes)}
-    print_result(record, f"{out}: {count} {kind}. Next: {follow}", json_output)
+    print_result(record, f"{out}: {count} {kind}", json_output)
+    hand_over(follow)
 
 
 @calibrate_app.command("lookup")
@@ -81,17 +89,20 @@ def calibrate_lookup(
             help="Remove the gel's printed dots from the background (for optics.markers: true).",
         ),
     ] = False,
+    force: ForceFlag = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Fit the lookup table to images of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
 
+    refuse_existing(force, out)
     made, used = command.calibrate_lookup(
         presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
         without_dots=without_dots,
     )  # fmt: skip
     warn(command.warning_lines(used, made.scale))
     typer.echo(command.lookup_text(made, used, json_output=json_output))
+    hand_over(*table_lines(out), f"tacgen calibrate score {out} OTHER_PRESSES")
 
 
 @calibrate_app.command("score")
@@ -110,6 +121,7 @@ def calibrate_score(
     )
     warn(command.warning_lines(used))
     typer.echo(command.score_text(score, json_output=json_output))
+    hand_over(f"tacgen diagnose optics {presses} --table {table} --out optics")
 
 
 @calibrate_app.command("import")
@@ -120,13 +132,16 @@ def calibrate_import(
     ],
     mm_per_px: Annotated[float, typer.Option(help="Pixel size on the gel, mm.")],
     out: TableOutput,
+    force: ForceFlag = False,
 ) -> None:
     """Convert a Taxim calibration into a table that renders the same images."""
     from tacgen.calibrate.lookup.taxim_import import import_polycalib
     from tacgen.optics import save_table
 
+    refuse_existing(force, out)
     save_table(import_polycalib(polycalib, background, mm_per_px), out)
     typer.echo(str(out))
+    hand_over(*table_lines(out))
 
 
 @calibrate_app.command("contact")
@@ -169,12 +184,15 @@ def calibrate_contact(
     save_log: Annotated[
         Path | None, typer.Option(help="Also write the press log measured in the images here.")
     ] = None,
+    force: ForceFlag = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error."""
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
     from tacgen.calibrate.contact.command import result_text
 
+    images = log.is_dir()
+    refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
@@ -182,6 +200,8 @@ def calibrate_contact(
     )  # fmt: skip
     warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
+    measured = log if not images else save_log or out.with_suffix(".csv")
+    hand_over(*contact_lines(out), f"tacgen diagnose contact {measured} --out diagnosis")
 
 
 @app.command(rich_help_panel=CALIBRATION)
@@ -226,6 +246,12 @@ def friction(
         write_object_copies(fits, out / "objects")
     verdicts = [verdict_of(name, fit) for name, fit in friction_json(fits).items()]
     print_result(friction_json(fits), verdicts, json_output)
+    hand_over(
+        IN_RECIPE,
+        "objects:",
+        *(f"  - {{name: {name}, friction: {fit.mu:g}}}" for name, fit in fits.items()),
+        f"tacgen diagnose grasps {real} --recipe {recipe} --out diagnosis",
+    )
 
 
 @app.command(rich_help_panel=CALIBRATION)
@@ -236,10 +262,18 @@ def rig(
         int | None,
         typer.Option(help="Seed that replaces the recipe's, for another session.", min=0),
     ] = None,
+    force: ForceFlag = False,
 ) -> None:
     """Simulate a ball-press rig: press log, press images or both, with known effects."""
     from tacgen.rig import load_rig_recipe, run_rig
 
     changes = {} if seed is None else {"seed": seed}
-    for path in run_rig(load_rig_recipe(recipe, changes), out):
+    loaded = load_rig_recipe(recipe, changes)
+    refuse_existing(force, out / "truth.yaml")
+    for path in run_rig(loaded, out):
         typer.echo(str(path))
+    commands = {
+        "images": [f"tacgen calibrate lookup {out}/presses --out table.npz"],
+        "log": [f"tacgen calibrate contact {out}/press_log.csv --out contact.yaml"],
+    }
+    hand_over(*commands.get(loaded.output, commands["images"] + commands["log"]))

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tacgen.cli.app import CLUSTER, JsonFlag, app, print_record, print_result
+from tacgen.cli.app import CLUSTER, JsonFlag, app, hand_over, print_record, print_result
 from tacgen.core.errors import ClusterError
 
 COMMAND_SETTINGS = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
@@ -112,6 +112,7 @@ def _submit_recipe(
         text = "tacgen: nothing to submit: every shard is done or in a job"
         typer.echo(text, err=True)
     print_record(asdict(submitted), json_output)
+    hand_over(f"tacgen status {out}")
     if wait:
         found = cluster.wait_for(out)
         typer.echo(cluster.status_text(found), err=True)
@@ -140,6 +141,7 @@ def _submit_command(
     print_record(
         {"folder": submitted.folder, "executor": executor, "job": submitted.jobs[0]}, json_output
     )
+    hand_over(f"tacgen status {out}")
     if wait:
         jobs = cluster.wait_for_command(out)
         typer.echo(cluster.jobs_text(out, jobs), err=True)
@@ -169,3 +171,4 @@ def status(
     else:
         found = cluster.status(folder)
         print_result(found.as_dict(), cluster.status_text(found), json_output)
+        hand_over(f"tacgen inspect {folder}")

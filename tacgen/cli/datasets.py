@@ -19,8 +19,10 @@ from tacgen.cli.app import (
     RecipeArgument,
     WorkersOption,
     app,
+    hand_over,
     print_record,
     print_result,
+    warn,
 )
 
 
@@ -58,6 +60,7 @@ def collect(
     from tacgen.collection.recipe import load_recipe
     from tacgen.collection.run import collect as run
     from tacgen.collection.run import describe, shards_to_repair
+    from tacgen.dataset.summary import none_executed, not_executed_lines, summarize
 
     loaded = load_recipe(recipe)
     plan = describe(loaded, out)
@@ -79,6 +82,13 @@ def collect(
         progress=not json_output,
     )
     print_record(result.summary(), json_output)
+    if not (result.made or result.found):
+        return
+    summary = summarize(out)
+    warn(not_executed_lines(summary))
+    if none_executed(summary):
+        raise typer.Exit(1)
+    hand_over(f"tacgen inspect {out}", f"tacgen train train_single --data {out} --out run")
 
 
 @app.command(rich_help_panel=DATASETS)
@@ -94,15 +104,19 @@ def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]))
     writer.writeheader()
     writer.writerows(rows)
+    hand_over(f"tacgen collect {recipe} --out data")
 
 
 @app.command(rich_help_panel=DATASETS)
 def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
     """Show the contents of a dataset: counts, labels by object, splits, sizes, origin."""
-    from tacgen.dataset.summary import summarize, summary_text
+    from tacgen.dataset.summary import none_executed, summarize, summary_text
 
     summary = summarize(folder)
     print_result(summary, summary_text(summary), json_output)
+    if none_executed(summary):
+        raise typer.Exit(1)
+    hand_over(f"tacgen verify {folder}", f"tacgen train train_single --data {folder} --out run")
 
 
 @app.command(rich_help_panel=DATASETS)
@@ -131,6 +145,7 @@ def verify(
     print_result(found.as_dict(), text, json_output)
     if found.problems:
         raise typer.Exit(1)
+    hand_over(f"tacgen train train_single --data {folder} --out run")
 
 
 @app.command(rich_help_panel=DATASETS)
@@ -140,6 +155,7 @@ def merge(folder: DatasetArgument) -> None:
 
     lines = DatasetFolder(folder).merge()
     typer.echo(f"{folder}/manifest.jsonl: {len(lines)} shards")
+    hand_over(f"tacgen verify {folder}")
 
 
 @app.command(rich_help_panel=DATASETS)

@@ -10,6 +10,7 @@ import typer
 
 from tacgen.cli.app import (
     BallRadiusOption,
+    ForceFlag,
     JsonFlag,
     MarkerPitchOption,
     MmPerPxOption,
@@ -17,8 +18,13 @@ from tacgen.cli.app import (
     RealGraspsArgument,
     ResultsOption,
     WorkersOption,
+    contact_lines,
     diagnose_app,
+    hand_over,
+    note,
     print_result,
+    refuse_existing,
+    table_lines,
     warn,
 )
 
@@ -37,15 +43,17 @@ def diagnose_contact(
             "linear and the extended law (grasp.html)."
         ),
     ] = None,
+    force: ForceFlag = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Extend the linear contact law by the effects that a press log supports."""
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.diagnose.contact.result import diagnosis_record
 
+    refuse_existing(force, out / "diagnosis.json")
     pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
     diagnosis = diagnose_log(log, out, marker_pitch_mm=pitch_mm)
-    warn(diagnosis.notes, "note")
+    note(diagnosis.notes)
     if grasp is not None:
         from tacgen.collection.recipe import load_recipe
         from tacgen.diagnose.contact.law_comparison import write_law_comparison
@@ -55,6 +63,7 @@ def diagnose_contact(
         )
     sentences = [found.sentence for found in diagnosis.channels.values()]
     print_result(diagnosis_record(diagnosis), sentences, json_output)
+    hand_over(*contact_lines(out / "contact.yaml"))
 
 
 @diagnose_app.command("optics")
@@ -71,16 +80,19 @@ def diagnose_optics(
     ] = None,
     mm_per_px: MmPerPxOption = None,
     ball_radius_mm: BallRadiusOption = None,
+    force: ForceFlag = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Find the optical effects that explain a table's image residuals on ball presses."""
     from tacgen.diagnose.optics.command import diagnose_presses
 
+    refuse_existing(force, out / "diagnosis.json")
     diagnosis, used = diagnose_presses(
         presses, out, table_path=table, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
     warn((*used.warnings, *used.dropped))
     print_result(diagnosis.as_dict(), diagnosis.sentence, json_output)
+    hand_over(*table_lines(out / "table.npz"))
 
 
 @diagnose_app.command("grasps")
@@ -105,8 +117,12 @@ def diagnose_grasps_command(
     grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
     with progress_counter("grasp") as show:
         findings = diagnose_grasps(loaded, grasps, out, workers=workers, show=lambda what: show)
-    warn(findings.diagnosis.notes, "note")
+    note(findings.diagnosis.notes)
     record = record_of(findings, loaded, list(grasps.by_object()))
     before, after = findings.diagnosis.simulated_before, findings.simulated_after
     write_grasp_report(out / "report.html", record, grasps, before, after)
     print_result(record, findings.diagnosis.sentence, json_output)
+    hand_over(
+        f"tacgen collect {out / 'recipe.yaml'} --out data   # the recipe with what was found",
+        f"grasps that would tell more, to do on the robot: {out / 'next_grasps.csv'}",
+    )

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli.app import NETWORKS, JsonFlag, WorkersOption, app, print_result
+from tacgen.cli.app import NETWORKS, JsonFlag, WorkersOption, app, hand_over, print_result
 from tacgen.core.errors import LearningError
 
 
@@ -35,6 +35,7 @@ def train(
 
     summary = train_models(load_train_recipe(recipe), data, out, workers=workers)
     print_result(summary, training_lines(summary), json_output)
+    hand_over(f"tacgen eval {out} --data {data}")
 
 
 @app.command("eval", rich_help_panel=NETWORKS)
@@ -67,6 +68,7 @@ def evaluate(
 
         scores = evaluate_baseline(baseline, run, data, real)
         print_result(scores, baseline_lines(scores), json_output)
+        hand_over(f"tacgen train train_single --data {data} --out run")
         return
     if run is None:
         msg = "eval: give the RUN to test, a folder that `tacgen train --out` made"
@@ -76,6 +78,7 @@ def evaluate(
 
     result = evaluate_run(run, data, real)
     print_result(result, evaluation_lines(result), json_output)
+    hand_over(f"tacgen eval {run} --real REAL_GRASPS" if real is None else f"tacgen status {run}")
 
 
 @app.command(rich_help_panel=NETWORKS)
@@ -126,3 +129,4 @@ def study(
     )
     print_result(result, (out / "table.md").read_text(encoding="utf-8"), json_output)
     check_finished(result)
+    hand_over(f"open {out / 'table.html'} in a browser")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli.app import MACHINE, JsonFlag, app, print_result
+from tacgen.cli.app import MACHINE, JsonFlag, app, hand_over, print_result
 
 
 @app.command(rich_help_panel=MACHINE)
@@ -20,6 +20,7 @@ def doctor(json_output: JsonFlag = False) -> None:
     print_result([asdict(finding) for finding in findings], map(str, findings), json_output)
     if any(finding.needed and not finding.ok for finding in findings):
         raise typer.Exit(1)
+    hand_over("tacgen collect quickstart --out data --workers 2")
 
 
 @app.command(rich_help_panel=MACHINE)

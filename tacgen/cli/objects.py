@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli.app import JsonFlag, objects_app, print_result, warn
+from tacgen.cli.app import JsonFlag, hand_over, note, object_names, objects_app, print_result
 
 
 @objects_app.command("list")
@@ -17,11 +17,14 @@ def objects_list(json_output: JsonFlag = False) -> None:
 
     rows = object_rows()
     print_result(rows, rows_text(rows), json_output)
+    hand_over(f"tacgen objects show {rows[0]['name']} --out {rows[0]['name']}.png")
 
 
 @objects_app.command("show")
 def objects_show(
-    name: Annotated[str, typer.Argument(help="Name of an object, or its folder.")],
+    name: Annotated[
+        str, typer.Argument(help="Name of an object, or its folder.", autocompletion=object_names)
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", help="Also write a picture of the object (PNG).")
     ] = None,
@@ -64,14 +67,20 @@ def objects_add(
     json_output: JsonFlag = False,
 ) -> None:
     """Import a mesh into ./objects; recipes can then name it."""
+    from tacgen.core.progress import print_status
     from tacgen.objects.add import add_object
     from tacgen.objects.description import read_description
     from tacgen.objects.listing import facts_text, object_facts
 
-    typer.echo(f"tacgen: importing {mesh}; convex decomposition takes up to a minute", err=True)
+    print_status(f"importing {mesh}; convex decomposition takes up to a minute")
     added = add_object(
         mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, force=force
     )
-    warn(added.notes, "tacgen: note")
+    note(added.notes)
     facts = object_facts(added.object, read_description(Path("objects") / added.object.name))
     print_result(facts, facts_text(facts), json_output)
+    hand_over(
+        f"tacgen objects show {added.object.name} --out {added.object.name}.png",
+        "in a recipe in this folder:",
+        f"objects: [{added.object.name}]",
+    )

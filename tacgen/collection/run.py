@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from tqdm import tqdm
-
 from tacgen.collection.grid import PlannedGrasp, plan_recipe, shard_ranges
 from tacgen.collection.pipeline import GraspPipeline, crashed_sample, dataset_spec
 from tacgen.collection.recipe import Recipe
+from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.workers import Event, Report, run_tasks
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.card import write_card
@@ -101,10 +99,14 @@ def collect(
     n_items = sum(len(spec.shard_range(shard)) for shard in pending)
     make_job = partial(_shard_job, recipe, tuple(planned), folder.root, spec, frozenset(redo))
     tally = _Tally()
-    with _progress_bar(n_items, enabled=progress) as show:
+    with progress_counter("grasp", enabled=progress and n_items > 0) as show:
         for event in run_tasks(pending, make_job, workers=workers, item_limit_s=item_limit_s):
             tally.take(event)
-            show(event, tally)
+            done = len(tally.labels) + len(tally.crashed)
+            show(min(done, n_items), n_items, f"{tally.successes} succeeded")
+            if progress and event.kind in ("crashed", "retried"):
+                what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
+                print_status(f"{what} {event.kind}: {event.value}")
     result = tally.collected(found)
     is_whole = len(folder.merge()) == spec.n_shards
     if is_whole and (result.made or not folder.gallery_path.is_file()):
@@ -215,20 +217,3 @@ class _Tally:
     def collected(self, found: tuple[int, ...]) -> Collected:
         made, left = tuple(sorted(self._made)), tuple(sorted(self._left))
         return Collected(made, found, left, dict(self.labels), dict(self.crashed))
-
-
-@contextlib.contextmanager
-def _progress_bar(n_items: int, *, enabled: bool) -> Iterator[Callable[[Event, _Tally], None]]:
-    """A bar with rate, time left and successes, on a terminal; nothing otherwise."""
-    quiet = not enabled or not sys.stderr.isatty() or n_items == 0
-    with tqdm(total=n_items, unit="grasp", disable=quiet, dynamic_ncols=True) as bar:
-
-        def show(event: Event, tally: _Tally) -> None:
-            bar.n = min(len(tally.labels) + len(tally.crashed), n_items)
-            bar.set_postfix_str(f"{tally.successes} succeeded", refresh=False)
-            if event.kind in ("crashed", "retried"):
-                what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
-                bar.write(f"{what} {event.kind}: {event.value}", file=sys.stderr)
-            bar.update(0)
-
-        yield show

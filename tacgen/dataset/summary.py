@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from tacgen.core.errors import DatasetError
 from tacgen.dataset.check import OUTCOME
 from tacgen.dataset.folder import DatasetFolder
-from tacgen.dataset.manifest import total
+from tacgen.dataset.manifest import ShardLine, total
+from tacgen.dataset.shard import broken_as_error, open_shard
 from tacgen.report.page import templates
 
 
 def summarize(root: Path | str) -> dict[str, Any]:
-    """The figures of ``tacgen inspect``, finished or not, without opening a shard.
+    """The figures of ``tacgen inspect``, finished or not; opens shards with unexecuted grasps only.
 
     ``success_rate`` is over executed grasps, None where none was; ``ratio`` is the size of the
-    arrays over that of the files. Raises ``DatasetError`` if there is no finished shard, or the
-    manifest cannot be read.
+    arrays over that of the files; ``not_executed`` counts grasps by the reason why they could not
+    be executed, reasons that differ only in numbers as the first of them.
+
+    Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
     folder = DatasetFolder(root)
     lines = list(folder.manifest().values())
@@ -56,7 +60,23 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "ratio": raw / max(n_bytes, 1),
         "calibration": first.calibration,
         "versions": first.versions,
+        "not_executed": _reasons(folder, lines),
     }
+
+
+def none_executed(summary: Mapping[str, Any]) -> bool:
+    """Whether all planned grasps are there and none of them could be executed."""
+    is_whole = summary["grasps"] == summary["grasps_planned"]
+    return is_whole and summary["success_rate"] is None
+
+
+def not_executed_lines(summary: Mapping[str, Any]) -> list[str]:
+    """How many grasps were not executed, and each reason with its count."""
+    reasons: Mapping[str, int] = summary["not_executed"]
+    if not reasons:
+        return []
+    lines = [f"{sum(reasons.values())} of {summary['grasps']} grasps could not be executed:"]
+    return lines + [f"  {count} × {reason}" for reason, count in reasons.items()]
 
 
 def success_rate(counts: Mapping[str, int]) -> float | None:
@@ -74,4 +94,23 @@ def summary_text(summary: Mapping[str, Any]) -> str:
         table.append((name, *(str(tally[outcome]) for outcome in OUTCOME.values()), share))
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     page = templates("tacgen.dataset", escaped=False).get_template("summary.txt")
-    return page.render(summary=summary, table=table, widths=widths).rstrip("\n")
+    text = page.render(summary=summary, table=table, widths=widths).rstrip("\n")
+    return "\n".join([text, *not_executed_lines(summary)])
+
+
+def _reasons(folder: DatasetFolder, lines: Iterable[ShardLine]) -> dict[str, int]:
+    """Counts of the reasons in the shards, the most frequent first."""
+    counts: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    for line in lines:
+        if not line.counts.get("not_executed"):
+            continue
+        path = folder.shard_path(line.shard)
+        with open_shard(path) as shard, broken_as_error(path):
+            rows = zip(*(shard.read(f"/grasp/{name}") for name in ("label", "reason")), strict=True)
+            texts = [reason.decode(errors="replace") for label, reason in rows if label < 0]
+        for text in texts:
+            kind = re.sub(r"-?\d+(\.\d+)?", "#", text)
+            counts[kind] += 1
+            first.setdefault(kind, text or "no reason recorded")
+    return {first[kind]: count for kind, count in counts.most_common()}

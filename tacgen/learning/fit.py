@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,9 +20,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
-from tqdm import tqdm
 
 from tacgen.core.errors import LearningError
+from tacgen.core.progress import progress_counter
 from tacgen.learning.checkpoint import ModelCard, load_state, save_model, save_state
 from tacgen.learning.device import Device
 from tacgen.learning.inputs import InputSpec
@@ -109,18 +108,20 @@ class Fit:
         Raises ``LearningError`` if the loss diverges; the last good checkpoint stays.
         """
         epochs = self.job.recipe.training.epochs
-        bar = _epoch_bar(self.job.name, epochs, self.epoch)
-        with bar, _Board(self.folder.board_path, self.epoch) as board:
+        progress = progress_counter("epoch", name=self.job.name)
+        with progress as show, _Board(self.folder.board_path, self.epoch) as board:
             while self.epoch < epochs:
                 _stop_if_orphaned(self.job.name)
                 line = self._run_epoch(self.epoch + 1)
                 self.metrics.append(line)
                 self._keep(line)
                 board.add(line)
-                bar.set_postfix(
-                    loss=f"{line['train_loss']:.3f}", accuracy=f"{line['validation_accuracy']:.3f}"
+                accuracy = line["validation_accuracy"]
+                show(
+                    self.epoch,
+                    epochs,
+                    f"loss {line['train_loss']:.3f}, accuracy {accuracy:.3f}",
                 )
-                bar.update(1)
         return self.metrics
 
     def _run_epoch(self, epoch: int) -> dict[str, Any]:
@@ -269,18 +270,6 @@ def _weighted_loss(
     right = np.where(labels == 1, probabilities, 1 - probabilities)
     each = weights[labels]
     return float(np.sum(-each * np.log(np.maximum(right, MIN_PROBABILITY))) / each.sum())
-
-
-def _epoch_bar(name: str, epochs: int, done: int) -> tqdm:
-    """A progress bar over the epochs of one model, on a terminal only."""
-    return tqdm(
-        total=epochs,
-        initial=done,
-        desc=name,
-        unit="epoch",
-        file=sys.stderr,
-        disable=not sys.stderr.isatty(),
-    )
 
 
 class _Board:

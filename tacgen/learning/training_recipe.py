@@ -35,84 +35,99 @@ def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
 
 
 class ModelOptions(Section):
-    """The network; its layers are the paper's and have no switches.
-
-    ``weights`` is ``none`` (from scratch), ``imagenet`` (from the cache of the Hugging Face hub or
-    of torch; an error where there is none), ``auto`` (``imagenet`` where there is such a file, else
-    from scratch with a warning), or the path of a ResNet-18 weight file.
-    """
+    """The network, with the paper's layers."""
 
     kind: Literal["single", "sequence"] = "single"
+    """ResNet-18 on one image, or with an LSTM on a sequence."""
     weights: str = "auto"
+    """Pre-trained weights: ``none``; ``imagenet`` (from the cache of the Hugging Face hub or of
+    torch; an error if there are none); ``auto`` (``imagenet`` if they are there, else none, with a
+    warning); or the path of a ResNet-18 weight file."""
 
 
 class InputOptions(Section):
-    """The network's input: pad, image size, frames, and what is subtracted from each image.
-
-    ``image`` is ``difference`` to the gel at rest, ``change`` since the frame before (of the first
-    frame: since the gel at rest), or ``raw``. While a grasp holds, images do not change,
-    so slip and rotation stand out in ``change``; for a single image it equals ``difference``.
-    """
+    """The network's input."""
 
     pad: Literal["left", "right"] | None = None
+    """The pad whose images are used; the dataset's first if not given."""
     size_px: Annotated[tuple[int, int], AfterValidator(_input_size)] = (120, 160)
+    """Height and width to which images are resized."""
     image: Literal["difference", "change", "raw"] = "difference"
+    """``difference`` to the gel at rest, ``change`` since the frame before (slip stands out; the
+    first frame: since the gel at rest), or ``raw``."""
     frames: Annotated[int, Field(ge=2, le=256)] | None = None
+    """Frames of a sequence, evenly spaced; all if not given."""
     cache_mb: NonNegativeInt = 1024
+    """Memory for resized images."""
     loader_workers: Annotated[int, Field(ge=0, le=64)] = 0
+    """Processes that read images; 0: the training process itself."""
 
 
 class Augmentation(Section):
-    """Random changes of each grasp in each epoch, the same for all of its frames.
-
-    ``shift_fraction`` is the largest shift as a fraction of the image's sides; ``gain_relative``
-    and ``noise_grey`` are standard deviations.
-    """
+    """Random changes of each grasp in each epoch, the same for all of its frames."""
 
     on: bool = False
+    """Whether training images are changed."""
     shift_fraction: Annotated[float, Field(ge=0, le=0.5)] = 0.05
+    """Largest shift, as a fraction of the image's sides."""
     gain_relative: Annotated[float, Field(ge=0, le=0.5)] = 0.05
+    """Standard deviation of the brightness, relative."""
     noise_grey: Annotated[float, Field(ge=0, le=64)] = 1.0
+    """Standard deviation of each pixel's noise, in grey levels."""
 
 
 class TrainingOptions(Section):
-    """How the network is trained. ``precision: auto`` is mixed precision on a GPU only.
-
-    The kept model is the mean of the weights over about the latest ``average_epochs`` epochs; with
-    1 it is the latest.
-    """
+    """The training."""
 
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
+    """Passes over the training grasps."""
     average_epochs: Annotated[int, Field(ge=1, le=10_000)] = 8
+    """The kept model is the mean of the weights over about this many latest epochs."""
     batch_size: Annotated[int, Field(ge=2, le=4096)] = 8
+    """Grasps per step."""
     learning_rate: Annotated[PositiveFloat, AfterValidator(finite)] = 1e-4
+    """Adam's learning rate."""
     backbone_rate_factor: Annotated[NonNegativeFloat, AfterValidator(finite)] = 0.8
+    """Learning rate of the ResNet-18 over that of the other layers."""
     weight_decay: Annotated[NonNegativeFloat, AfterValidator(finite)] = 5e-5
+    """Adam's weight decay."""
     plateau_factor: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """Factor on the learning rate when the validation loss stops falling."""
     plateau_patience: NonNegativeInt = 10
+    """Epochs without improvement before that."""
     validation_fraction: Annotated[float, Field(gt=0, lt=0.9)] = 0.15
+    """Share of the training grasps that is held out to choose the learning rate."""
     grasps: PositiveInt | None = None
+    """Number of training grasps per object; all if not given."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
+    """``auto``: a GPU if there is one."""
     precision: Literal["auto", "float32"] = "auto"
+    """``auto``: mixed precision on a GPU, float32 on a CPU."""
     threads: Annotated[int, Field(ge=1, le=256)] = 1
+    """Threads of torch on a CPU."""
 
 
 class TrainRecipe(Section):
-    """One training job.
-
-    ``per_object`` trains one model an object, as the paper does; otherwise one for all of them.
-    ``objects`` selects some of the dataset; if not given, all are used.
-    """
+    """One training job."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    """Name of the run."""
     description: str = ""
+    """One sentence on it."""
     seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of every random number."""
     objects: tuple[str, ...] | None = None
+    """Objects of the dataset to train on; all if not given."""
     per_object: bool = True
+    """One model per object, as in the paper, or one for all of them."""
     model: ModelOptions = ModelOptions()
+    """The network."""
     input: InputOptions = InputOptions()
+    """The network's input."""
     augmentation: Augmentation = Augmentation()
+    """Random changes of the training images."""
     training: TrainingOptions = TrainingOptions()
+    """The training."""
 
     def resolved(self) -> dict[str, Any]:
         """Every setting, written or not, as plain data."""

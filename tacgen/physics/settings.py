@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from pydantic import ConfigDict
+
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
 RobotName = Literal["wsg50", "ur5e_wsg50"]
@@ -57,82 +59,63 @@ def force_problem(force_n: float, limit_n: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PhysicsSettings:
-    """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure.
-
-    Attributes
-    ----------
-    time_step_s
-        Of PyBullet.
-    solver_iterations
-        Of PyBullet's constraint solver, at least; a force that is large beside the object's
-        weight needs more.
-    clearance_mm
-        Gap left between the nearer pad and the object when the fingers are pre-positioned.
-    closing_speed_mm_s
-        Speed of each finger.
-    settle_limit_s
-        How long the pads may take to reach a steady force once the fingers had time to meet.
-    hold_s
-        Time between the moment of grasp and the lift.
-    lift_mm, lift_speed_mm_s, lift_acceleration_mm_s2
-        The lift's trapezoidal profile; the acceleration is about 1 % of gravity's, so that
-        inertia moves no threshold by more.
-    success_rise_mm, success_turn_rad
-        A grasp succeeds if the object rises at least this far and turns less than that relative
-        to the gripper.
-    slip_mm, slip_turn_rad
-        The object slips once it has moved this far at the pad, or turned this far.
-    slip_sample_s
-        How often the lift is looked at for slip.
-    contact_average_steps
-        Contact forces of a frame are the mean over this many steps, the last at its time.
-    pad_dome_radius_mm
-        Radius of curvature of the pads that collide; the dome makes the contact a single point
-        on a flat face, whose moment about the normal is the object's ``spinning_friction_mm``.
-    pad_friction
-        Factor on the object's own coefficient of friction against the gel.
-    table_friction
-        Coefficient of friction of the object on the table.
-    pad_stiffness_n_mm, pad_damping_n_s_mm
-        Normal compliance of the pads; a stiffness of 0 makes them rigid.
-    delivered_force_scale, delivered_force_offset_n
-        The force each finger really presses with, from the commanded one.
-    height_offset_mm
-        Added to the height of the pads: a table that is not where it is declared.
-    max_force_n
-        Largest force per finger; the WSG-50's grasping force of 80 N is twice a finger's.
-        Source: Weiss Robotics, WSG 50 data sheet; Schunk's WSG manual, command GRASP.
-    tactile_pads
-        Which pads carry a sensor.
-    """
+    """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure."""
 
     time_step_s: float = 1 / 480
+    """PyBullet's time step."""
     solver_iterations: int = 50
+    """Least iterations of PyBullet's solver; large forces on light objects need more."""
     clearance_mm: float = 8.0
+    """Gap between the nearer pad and the object before closing."""
     closing_speed_mm_s: float = 40.0
+    """Speed of each finger."""
     settle_limit_s: float = 1.0
+    """Longest wait for a steady force after the fingers could have met."""
     hold_s: float = 0.3
+    """Time between the moment of grasp and the lift."""
     lift_mm: float = 180.0
+    """Height of the lift."""
     lift_speed_mm_s: float = 120.0
+    """Largest speed of the lift."""
     lift_acceleration_mm_s2: float = 120.0
+    """Acceleration of the lift; about 1 % of gravity's, to shift no threshold by more."""
     success_rise_mm: float = 150.0
+    """Least rise of an object that is grasped successfully."""
     success_turn_rad: float = 0.1
+    """Largest turn relative to the gripper of an object that is grasped successfully."""
     slip_mm: float = 0.5
+    """Motion at the pad from which the object slips."""
     slip_turn_rad: float = 0.01
+    """Turn at the pad from which the object slips."""
     slip_sample_s: float = 0.0125
+    """Interval at which the lift is checked for slip."""
     contact_average_steps: int = 5
+    """Steps over which a frame's contact forces are averaged."""
     pad_dome_radius_mm: float = 30.0
+    """Radius of curvature of the colliding pads; makes the contact with a flat face a point."""
     pad_friction: float = 1.0
+    """Factor on the object's friction coefficient."""
     table_friction: float = 0.4
+    """Coefficient of friction between object and table."""
     pad_stiffness_n_mm: float = 0.0
+    """Normal stiffness of the pads; 0: rigid."""
     pad_damping_n_s_mm: float = 0.5
+    """Normal damping of the pads."""
     delivered_force_scale: float = 1.0
+    """Force of a finger over the commanded one."""
     delivered_force_offset_n: float = 0.0
+    """Added to the force of a finger."""
     height_offset_mm: float = 0.0
+    """Added to the height of the pads."""
     max_force_n: float = 40.0
+    """Largest force of a finger; set it as ``robot.max_force_n``. The WSG-50's grasping
+    force of 80 N is twice a finger's (Weiss Robotics, WSG 50 data sheet)."""
     tactile_pads: Pads = "left"
+    """Fingers with a sensor; set it as ``robot.tactile_pads``."""
 
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
+        extra="forbid", use_attribute_docstrings=True
+    )
 
     @property
     def sensing_pads(self) -> tuple[str, ...]:

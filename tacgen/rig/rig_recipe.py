@@ -55,100 +55,141 @@ class Indenter(Section):
     """A rigid ball."""
 
     name: str
+    """Name in the press log."""
     radius_mm: PositiveFloat
+    """Radius of the ball."""
 
 
 class RigLaw(Section):
     """The true law of the gel."""
 
     k_n_mm3_per_n: PositiveFloat = PUBLISHED_K_N_MM3_PER_N
+    """Indented volume per normal force."""
     k_s_mm_per_n: NonNegativeFloat = 0.8
+    """Sum of the markers' motion per shear force."""
 
 
 class Schedule(Section):
-    """How often and how each press goes: load, hold, shear out and back, unload, rest.
-
-    Forces are drawn evenly from their range for every press; every phase's length varies by
-    ``jitter``.
-    """
+    """The presses: load, hold, shear out and back, unload, rest."""
 
     presses: PositiveInt = 24
+    """Number of presses."""
     force_n: PositiveRange = (2.0, 10.0)
+    """Range from which each press's normal force is drawn."""
     shear_ratio: RangeFromZero = (0.1, 0.3)
+    """Range from which each press's ratio of shear to normal force is drawn."""
     rate_hz: PositiveFloat = 20.0
+    """Samples per second."""
     load_s: PositiveFloat = 1.0
+    """Duration of loading."""
     hold_s: NonNegativeFloat = 1.5
+    """Duration at full force."""
     shear_s: NonNegativeFloat = 1.5
+    """Duration of shearing out and back."""
     unload_s: PositiveFloat = 1.0
+    """Duration of unloading."""
     rest_s: NonNegativeFloat = 8.0
+    """Pause after a press."""
     jitter: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    """Relative variation of every duration."""
     x_mm: Range = (-4.0, 4.0)
+    """Range of the contact's centre along x, gel frame."""
     y_mm: Range = (-3.0, 3.0)
+    """Range of the contact's centre along y, gel frame."""
 
 
 class Noise(Section):
-    """Standard deviations: force gauge, volume, sum of marker motion, camera."""
+    """Standard deviations of the measurements."""
 
     force_n: NonNegativeFloat = 0.01
+    """Of each force component."""
     volume_mm3: NonNegativeFloat = 0.2
+    """Of the indented volume."""
     marker_sum_mm: NonNegativeFloat = 0.03
+    """Of the sum of the markers' motion."""
     camera_grey: NonNegativeFloat = 1.0
+    """Of each pixel, in grey levels."""
 
 
 class Temperature(Section):
-    """The room: a slow swing about a mean, read by a thermometer."""
+    """Room temperature: a sinusoid, measured by a thermometer."""
 
     mean_c: Finite = 23.0
+    """Mean."""
     swing_c: NonNegativeFloat = 1.0
+    """Amplitude."""
     period_s: PositiveFloat = 400.0
+    """Period."""
     noise_c: NonNegativeFloat = 0.02
+    """Standard deviation of a reading."""
 
 
 class RigEffect(Section):
-    """An effect of the registry, by its parameters or by its strength.
-
-    ``strength`` is the RMS of what the best linear law leaves over, in units of the channel's
-    noise; the amounts are then solved for, and ``parameters`` may fix shapes.
-    """
+    """An effect of the contact law, by its parameters or by its strength."""
 
     name: str
+    """Name of the effect, such as ``creep``."""
     channel: Literal["normal", "shear"] = "normal"
+    """The channel that it changes."""
     strength: NonNegativeFloat | None = None
+    """RMS residual of the best linear law over the channel's noise; sets the amplitudes."""
     parameters: dict[str, Finite] = Field(default_factory=dict)
+    """Values of the effect's parameters."""
 
 
 class Images(Section):
-    """What the camera takes: so many images a press, at heights of the load spread evenly."""
+    """Press images."""
 
     per_press: PositiveInt = 1
+    """Images of each press, at evenly spaced loads."""
     markers: bool = False
+    """Draw the gel's dots."""
     labels: bool = True
+    """Write the true centre and radius of each contact to presses.csv."""
     blur_mm: NonNegativeFloat = 0.0
+    """Standard deviation of the camera's blur, on the gel."""
     shadow: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Strength of shadows."""
 
 
 def _effect(given: Any) -> Any:
     return {"name": given, "strength": 2.0} if isinstance(given, str) else given
 
 
+EffectByName = Annotated[
+    RigEffect, BeforeValidator(_effect, json_schema_input_type=str | RigEffect)
+]
+
+
 class RigRecipe(Section):
     """One session on the virtual rig."""
 
     name: str = "rig"
+    """Name of the session."""
     seed: NonNegativeInt = 0
+    """Seed of every random number."""
     output: Literal["log", "images", "both"] = "log"
+    """Write press_log.csv, presses/ or both."""
     sensor: SensorByName = SensorChoice()
+    """The sensor: a name, or a section with a name."""
     indenters: tuple[Indenter, ...] = (
         Indenter(name="ball_4mm", radius_mm=2.0),
         Indenter(name="ball_8mm", radius_mm=4.0),
         Indenter(name="ball_12mm", radius_mm=6.0),
     )
+    """Balls, pressed in turn."""
     law: RigLaw = RigLaw()
+    """Coefficients of the contact law."""
     schedule: Schedule = Schedule()
+    """The presses."""
     noise: Noise = Noise()
+    """Measurement noise."""
     temperature: Temperature | None = Temperature()
-    effects: tuple[Annotated[RigEffect, BeforeValidator(_effect)], ...] = ()
+    """Room temperature; null: not logged."""
+    effects: tuple[EffectByName, ...] = ()
+    """Effects of the contact law: names (strength 2), or sections with a name."""
     images: Images = Images()
+    """Press images."""
 
 
 def load_rig_recipe(name: str | Path, changes: Mapping[str, Any] | None = None) -> RigRecipe:

@@ -11,7 +11,7 @@ from tacgen.core.config import Finite, Located, Section
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import is_file
 from tacgen.core.records import Markers, Sensor
-from tacgen.core.resources import sensor_path
+from tacgen.core.resources import packaged, sensor_path
 from tacgen.core.yaml_source import read_yaml, validate
 
 
@@ -83,6 +83,26 @@ class _SensorYaml(Section):
     """Lights, for ``optics.shadows``."""
     table: str = ""
     """Lookup table (table.npz); a path from this file's folder."""
+
+
+def sensor_lines(table: Path, shape_px: tuple[int, int], mm_per_px: float) -> list[str]:
+    """Lines of YAML with which a recipe uses ``table``: of a shipped sensor, or of a new one."""
+    for path in sorted((packaged("recipes") / "sensors").glob("*.yaml")):
+        shipped = load_sensor(path.stem)
+        if shipped.shape_px == shape_px:
+            choice = f"{{name: {path.stem}, table: {table}, mm_per_px: {mm_per_px:.6g}}}"
+            return ["in a recipe in this folder:", f"sensor: {choice}"]
+    return [
+        "in a new file my_sensor.yaml in this folder:",
+        "name: my_sensor",
+        f"height_px: {shape_px[0]}",
+        f"width_px: {shape_px[1]}",
+        f"mm_per_px: {mm_per_px:.6g}",
+        "gel_depth_mm: 2.0   # thickness of the gel",
+        f"table: {table}",
+        "in a recipe in this folder:",
+        "sensor: my_sensor.yaml",
+    ]
 
 
 def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sensor:

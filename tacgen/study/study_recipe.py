@@ -23,46 +23,54 @@ class Published(Section):
     """What the paper reports for a row: accuracy on simulated and on real grasps."""
 
     sim: float | None = None
+    """Accuracy on simulated grasps."""
     real: float | None = None
+    """Accuracy on real grasps."""
 
 
 class Variant(Section):
     """Changes to the study: its objects, parts of ``data`` and of ``train``."""
 
     objects: tuple[Any, ...] | None = None
+    """Objects instead of the study's."""
     data: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the study's ``data``."""
     train: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the study's ``train``."""
 
 
 class Row(Variant):
-    """A row of the table.
-
-    ``calibrate_friction`` fits μ to real grasps before it collects; ``calibrate_contact`` takes
-    the contact law that was calibrated on the real sensor.
-    """
+    """A row of the table."""
 
     name: str = Field(min_length=1)
+    """Name of the row."""
     published: Published = Published()
+    """Accuracies that the paper reports."""
     calibrate_friction: bool = False
+    """Fit μ to real grasps (``--calibrate-on``) before collecting."""
     calibrate_contact: bool = False
+    """Use the contact law of the real sensor (``--contact``)."""
 
 
 class Study(Section):
-    """Variants of one experiment.
-
-    ``data`` is a recipe for ``tacgen collect`` and ``train`` one for ``tacgen train``, both
-    without name and objects; each row changes parts of them, and ``quick`` changes all rows for a
-    reduced version.
-    """
+    """Variants of one experiment."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    """Name of the study."""
     description: str = ""
+    """One sentence for the table."""
     objects: tuple[Any, ...] = Field(min_length=1)
+    """Objects to grasp, as in a recipe for ``tacgen collect``."""
     data: dict[str, Any] = Field(default_factory=dict)
+    """A recipe for ``tacgen collect`` without name and objects."""
     train: dict[str, Any] = Field(default_factory=dict)
+    """A recipe for ``tacgen train`` without name and objects."""
     rows: tuple[Row, ...] = Field(min_length=1)
+    """Rows of the table, each with its changes."""
     quick: Variant = Variant()
+    """Changes to all rows with ``--quick``."""
     notes: tuple[str, ...] = ()
+    """Sentences below the table."""
 
     def data_recipe(self, row: Row, *, quick: bool) -> Recipe:
         """The recipe of the row's dataset."""

@@ -312,3 +312,5 @@ def test_inspect_counts(toy):
     text = CliRunner().invoke(app, ["inspect", str(toy.root)]).stdout
     assert "62% of the executed succeed" in text
     assert "can" in text
+    assert told["not_executed"] == {"too far away": 2}
+    assert "2 of 10 grasps could not be executed:\n  2 × too far away" in text
