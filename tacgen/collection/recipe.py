@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -21,6 +22,7 @@ from pydantic import (
 )
 
 from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.columns import unit_problems
 from tacgen.core.config import Axis, Finite, Located, Section
 from tacgen.core.errors import ObjectError, RecipeError
 from tacgen.core.files import sha256_of_content
@@ -311,7 +313,7 @@ def load_recipe(name: str | Path) -> Recipe:
     problems = [
         *_unknown_names(recipe, source),
         *_repeated_objects(recipe, source),
-        *_forces_out_of_range(recipe, source),
+        *_values_out_of_range(recipe, source),
     ]
     if problems:
         raise RecipeError.from_problems(problems)
@@ -363,7 +365,7 @@ def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
             )
 
 
-def _forces_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     grids: list[tuple[tuple[str | int, ...], Grid]] = [(("grid",), recipe.grid)]
     grids += [
         (("objects", i, "grid"), entry.grid)
@@ -371,6 +373,9 @@ def _forces_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
         if entry.grid is not None
     ]
     for key_path, grid in grids:
+        for name in ("z_mm", "yaw_rad"):
+            if problem := unit_problems(name, np.array(getattr(grid, name) or ())):
+                yield source.problem((*key_path, name), f"is {problem}")
         for k, force_n in enumerate(grid.force_n or ()):
             problem = force_problem(force_n, recipe.robot.max_force_n)
             if problem:

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tacgen.core.errors import DatasetError
+from tacgen.core.columns import GRASPS, similar_columns, unit_problems
+from tacgen.core.errors import DatasetError, did_you_mean
 from tacgen.core.records import FailureMode, GraspConfig
 
 REQUIRED = ("grasp_id", "object", "label")
@@ -90,7 +91,9 @@ def read_real_grasps(
     grasps = tuple(
         _grasp(folder, number, row) for number, row in enumerate(table.to_dict("records"))
     )
-    return RealGrasps(folder, grasps, tuple(_warnings(grasps, path)), _simulated_with(folder))
+    columns = similar_columns(table.columns, GRASPS, str(path))
+    warnings = (*columns, *_unit_warnings(table, path), *_warnings(grasps, path))
+    return RealGrasps(folder, grasps, warnings, _simulated_with(folder))
 
 
 def _simulated_with(folder: Path) -> str | None:
@@ -120,8 +123,10 @@ def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:
     missing = [name for name in (*REQUIRED, *needs) if name not in table.columns]
     if missing:
         why = "; without force and place a grasp cannot be simulated" if needs else ""
+        others = [name for name in table.columns if name not in GRASPS]
+        near = "".join(did_you_mean(name, others) for name in missing)
         msg = (
-            f"{path}: has no column {', '.join(missing)}; "
+            f"{path}: has no column {', '.join(missing)}{near}; "
             f"this needs {', '.join((*REQUIRED, *needs))}{why}"
         )
         raise DatasetError(msg)
@@ -172,6 +177,15 @@ def _problems(
             "give each grasp its own"
         )
     return problems
+
+
+def _unit_warnings(table: pd.DataFrame, path: Path) -> list[str]:
+    found = []
+    for name in ("z_mm", "yaw_rad"):
+        values = np.array([_number(text) for text in table.get(name, ())])
+        if problem := unit_problems(name, values):
+            found.append(f"{path}: {name} is {problem}")
+    return found
 
 
 def _number(text: str) -> float:

@@ -37,45 +37,60 @@ class Mass(Section):
     """The weighed mass."""
 
     value: Annotated[PositiveFloat, AfterValidator(finite)]
+    """Mass, kg."""
     source: Source
+    """Where the value comes from."""
 
 
 class Friction(Section):
     """Coulomb coefficient between the object and the gel."""
 
     value: Annotated[NonNegativeFloat, Field(le=2.0), AfterValidator(finite)]
+    """Coulomb coefficient."""
     source: Source
+    """Where the value comes from."""
 
 
 class SpinningFriction(Section):
     """Moment about the contact normal that the gel holds, per newton of normal force."""
 
     value: Annotated[NonNegativeFloat, AfterValidator(finite)]
+    """Largest moment over normal force, mm."""
     source: Source
+    """Where the value comes from."""
 
 
 class Place(Section):
     """A point in the object's frame."""
 
     value: Vector
+    """x, y and z, mm."""
     source: Source
+    """Where the value comes from."""
 
 
 class Dimensions(Section):
     """Extent along the object's x, y and z in its rest pose."""
 
     value: tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+    """Extents along x, y and z, mm."""
     source: Source
+    """Where the value comes from."""
 
 
 class GraspRanges(Section):
-    """Axis values that a recipe falls back on."""
+    """Axis values of recipes that do not give them."""
 
     force_n: Axis
+    """Forces of a finger."""
     x_mm: Axis = (0.0,)
+    """Gripper's centre along x."""
     y_mm: Axis = (0.0,)
+    """Gripper's centre along y."""
     z_mm: Axis
+    """Height of the pads' centre above the table."""
     source: Source
+    """Where the values come from."""
 
     def axes(self) -> dict[str, tuple[float, ...]]:
         """The axes by name, without the source."""
@@ -83,17 +98,20 @@ class GraspRanges(Section):
 
 
 class ShapeSource(Section):
-    """A procedural builder with its dimensions, or mesh files in the object's folder.
-
-    ``scale`` is the number of mm that one unit of the mesh files stands for.
-    """
+    """A procedural builder with its dimensions, or mesh files in the object's folder."""
 
     builder: str | None = None
+    """Name of a procedural shape, instead of a mesh."""
     parameters: dict[str, StrictInt | StrictFloat] = Field(default_factory=dict)
+    """Dimensions of the procedural shape."""
     mesh: FileName | None = None
+    """Surface, a file in the object's folder."""
     collision: FileName | None = None
+    """Convex parts, a file in the object's folder."""
     scale: Annotated[PositiveFloat, AfterValidator(finite)] = 1.0
+    """mm per unit of the mesh files."""
     source: Source
+    """Where the shape comes from."""
 
     @model_validator(mode="after")
     def _one_of_both(self) -> ShapeSource:
@@ -142,19 +160,29 @@ class ObjectDescription(Section):
     """One object, as ``object.yaml`` describes it."""
 
     name: Annotated[str, Field(pattern=NAME_PATTERN)]
+    """Name of the object and of its folder."""
     description: str = ""
+    """One sentence on it."""
     shape: ShapeSource
+    """The surface and the convex parts."""
     mass_kg: Mass
+    """The weighed mass."""
     center_of_mass_mm: Place
+    """Centre of mass in the object's frame."""
     dimensions_mm: Dimensions
+    """Extents of the object in its rest pose."""
     friction: Friction
+    """Friction against the gel."""
     spinning_friction_mm: SpinningFriction
+    """Friction about the contact normal."""
     grasp_ranges: GraspRanges
+    """Grasps of recipes that do not give an axis."""
     color_rgb: tuple[
         Annotated[int, Field(ge=0, le=255)],
         Annotated[int, Field(ge=0, le=255)],
         Annotated[int, Field(ge=0, le=255)],
     ] = (190, 190, 190)
+    """Colour in pictures, 0 to 255."""
 
     def build_arguments(self) -> dict[str, Any]:
         """The builder's keyword arguments, each of the type that it asks for."""

@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.columns import PRESSES, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.safe_io import MAX_SIDE_PX, check_archive, read_bgr
@@ -279,6 +280,9 @@ def _images_of(folder: PressFolder) -> PressImages:
         sensor=folder.sensor,
         stage_mm=np.column_stack([folder.numbers(name) for name in STAGE]),
         dot_pitch_mm=folder.dot_pitch_mm,
+        warnings=tuple(
+            similar_columns(folder.table.columns, PRESSES, str(folder.path / "presses.csv"))
+        ),
         sha256={
             file.name: sha256_of(file)
             for file in (folder.path / name for name in ("background.png", "presses.csv", *names))

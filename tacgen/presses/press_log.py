@@ -20,6 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.columns import PRESS_LOG, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
@@ -191,7 +192,9 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
     columns["trial"] = columns["trial"].astype(np.int64)
     if force_unit is None and (problem := _force_unit_problem(columns, path)):
         raise PressError(problem)
-    return _checked(columns, path)
+    log = _checked(columns, path)
+    similar = similar_columns(frame.columns, PRESS_LOG, str(path))
+    return replace(log, warnings=(*similar, *log.warnings))
 
 
 def read_table(path: Path) -> pd.DataFrame:

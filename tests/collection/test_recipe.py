@@ -253,3 +253,11 @@ def test_a_similar_name_is_suggested(folder):
     path.write_text("name: r\nobjects: [can]\nsensor: gelsite_mini\n")
     with pytest.raises(RecipeError, match="did you mean 'gelsight_mini'"):
         load_recipe(path)
+
+
+def test_metres_and_degrees_are_suspected(folder):
+    with pytest.raises(RecipeError) as caught:
+        recipe_of(folder, "objects: [can]\ngrid: {z_mm: [0.03, 0.06], yaw_rad: [0, 90]}\n")
+    text = str(caught.value)
+    assert "grid.z_mm is at most 0.06 mm above the table; if it is in metres, times 1000" in text
+    assert "grid.yaw_rad is up to 90 rad, more than a turn; if it is in degrees, divide" in text

@@ -1,0 +1,229 @@
+"""MkDocs hooks: tables of every key of every kind of YAML file, generated from its model."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+from pydantic import BaseModel
+
+from tacgen.cli.recipes import recipe_kinds
+from tacgen.core.resources import packaged
+from tacgen.core.yaml_source import kind_of, read_yaml
+from tacgen.objects.description import ObjectDescription
+from tacgen.sensor.description import _SensorYaml
+
+UNITS = {
+    "mm3_per_n": "mm³/N",
+    "mm_per_n": "mm/N",
+    "mm_per_px": "mm/px",
+    "n_s_mm": "N·s/mm",
+    "n_mm": "N/mm",
+    "mm_s2": "mm/s²",
+    "mm_s": "mm/s",
+    "mm3": "mm³",
+    "mm": "mm",
+    "rad": "rad",
+    "kg": "kg",
+    "hz": "Hz",
+    "px": "px",
+    "min": "min",
+    "gb": "GB",
+    "mb": "MB",
+    "grey": "grey levels",
+    "c": "°C",
+    "s": "s",
+    "n": "N",
+}
+"""Unit by the end of a key, longer ends first."""
+EXAMPLES = {
+    "objects.friction": "0.45",
+    "objects.mass_kg": "0.3",
+    "objects.spinning_friction_mm": "1.2",
+    "grid.x_mm": "[0, 5]",
+    "grid.sample": "150",
+    "sensor.table": "table.npz",
+    "sensor.dome_radius_mm": "30",
+    "sensor.mm_per_px": "0.0634",
+    "contact.file": "contact.yaml",
+    "cluster.partition": "gpu",
+    "cluster.account": "my_group",
+    "cluster.qos": "normal",
+    "cluster.constraint": "avx2",
+    "cluster.max_array": "1000",
+    "cluster.setup": "[module load python]",
+    "cluster.sbatch": "{gpus: 1}",
+    "input.pad": "left",
+    "input.frames": "8",
+    "training.grasps": "100",
+    "grid.force_n": "{geomspace: [2, 20, 7]}",
+    "grid.y_mm": "[-8, 0, 8]",
+    "grid.z_mm": "{range: [40, 80, 10]}",
+    "objects.grid.x_mm": "[0, 5]",
+    "objects.grid.yaw_rad": "[0, 0.785]",
+    "grid.yaw_rad": "[0, 0.785]",
+    "shape.mesh": "surface.ply",
+    "shape.collision": "collision.npz",
+    "shape.source": "part.stl",
+    "friction.source": "fitted by `tacgen friction`",
+    "spinning_friction_mm.source": "3π/16 · μ · a of a patch of radius a = 5 mm",
+    "grasp_ranges.source": "around mg/(2μ)",
+}
+"""Examples of keys whose default is empty and that no shipped recipe sets."""
+KINDS: dict[str, type[BaseModel]] = {name: model for name, (model, _) in recipe_kinds().items()}
+KINDS |= {"sensor": _SensorYaml, "object": ObjectDescription}
+_FOLDERS = {"sensor": ("recipes", "sensors/*.yaml"), "object": ("objects", "*/object.yaml")}
+
+
+@dataclass(frozen=True)
+class Key:
+    """A row of the reference: a key with its dotted path, e.g. ``grid.force_n``."""
+
+    path: str
+    type: str
+    unit: str
+    default: str
+    meaning: str
+    example: str
+
+
+def keys_of(kind: str) -> list[Key]:
+    """Every key of a kind of file, sections before their own keys."""
+    schema = KINDS[kind].model_json_schema()
+    return list(_keys(schema, schema.get("$defs", {}), "", list(_shipped(kind))))
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Replace ``<!-- keys: KIND -->`` by the tables of that kind of file."""
+    return re.sub(r"<!-- keys: (\w+) -->", lambda found: _tables(found[1]), markdown)
+
+
+def _tables(kind: str) -> str:
+    sections: dict[str, list[Key]] = {}
+    for key in keys_of(kind):
+        sections.setdefault(key.path.rpartition(".")[0], []).append(key)
+    head = "| key | type | unit | default | meaning | example |\n|---|---|---|---|---|---|"
+    parts = []
+    for section, keys in sections.items():
+        title = f"### {kind}: `{section}`\n\n" if section else ""
+        rows = "\n".join(
+            "| `{}` | {} | {} | {} | {} | {} |".format(
+                key.path.rpartition(".")[2],
+                key.type,
+                key.unit,
+                f"`{key.default}`" if key.default else "",
+                key.meaning,
+                f"`{key.example}`" if key.example else "",
+            )
+            for key in keys
+        )
+        parts.append(f"{title}{head}\n{rows}")
+    return "\n\n".join(parts)
+
+
+def _keys(
+    section: Mapping[str, Any], defs: Mapping[str, Any], path: str, files: list[Any]
+) -> Iterator[Key]:
+    required = section.get("required", ())
+    nested = []
+    for name, schema in section["properties"].items():
+        here = f"{path}.{name}" if path else name
+        inner = _section(schema, defs)
+        meaning = schema.get("description") or (inner or {}).get("description", "")
+        if "set it as `" in meaning:  # belongs to another section
+            continue
+        default = schema.get("default")
+        shown = "" if name in required or inner else _flow(default)
+        if name in required:
+            shown = "required"
+        yield Key(
+            here,
+            _type(schema, defs).replace("|", "\\|"),
+            next((unit for end, unit in UNITS.items() if re.search(rf"(^|_){end}$", name)), ""),
+            shown if default is not None or name in required else "",
+            " ".join(meaning.replace("``", "`").split()).replace("|", "\\|"),
+            _example(here, files) or EXAMPLES.get(here, "") or ("" if inner else _flow(default)),
+        )
+        if inner:
+            nested.append((inner, here))
+    for inner, here in nested:
+        yield from _keys(inner, defs, here, files)
+
+
+def _section(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The section that a key holds, or holds a list of; None for a plain value."""
+    if "$ref" in schema:
+        found: Mapping[str, Any] = defs[schema["$ref"].rpartition("/")[2]]
+        return found if "properties" in found else None
+    for part in (*schema.get("anyOf", ()), schema.get("items", {})):
+        inner = _section(part, defs) if part else None
+        if inner:
+            return inner
+    return None
+
+
+def _type(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> str:
+    if "$ref" in schema:
+        return "section"
+    if "enum" in schema:
+        return " or ".join(f"`{value}`" for value in schema["enum"])
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    if "anyOf" in schema:
+        parts = [_type(part, defs) for part in schema["anyOf"] if part.get("type") != "null"]
+        return " or ".join(dict.fromkeys(parts))
+    kind = schema.get("type", "any")
+    if kind == "array":
+        items = schema.get("items") or next(iter(schema.get("prefixItems", ())), {})
+        many = len(schema.get("prefixItems", ()))
+        name = _type(items, defs)
+        return f"{many} × {name}" if many else f"list of {name}"
+    bounds = [
+        f"{sign} {schema[name]:g}"
+        for name, sign in (
+            ("exclusiveMinimum", ">"),
+            ("minimum", "≥"),
+            ("exclusiveMaximum", "<"),
+            ("maximum", "≤"),
+        )
+        if name in schema
+    ]
+    names = {"string": "text", "integer": "whole number", "boolean": "true or false"}
+    text = names.get(kind, {"object": "mapping"}.get(kind, kind))
+    return " ".join([text, ", ".join(bounds)]).strip()
+
+
+def _shipped(kind: str) -> Iterator[Any]:
+    """The content of the shipped files of a kind."""
+    folder, pattern = _FOLDERS.get(kind, ("recipes", "*.yaml"))
+    model = KINDS[kind].__name__
+    for path in sorted(packaged(folder).glob(pattern)):
+        data = read_yaml(path).data
+        if kind in _FOLDERS or (kind_of(data) or "Recipe") == model:
+            yield data
+
+
+def _example(path: str, files: list[Any]) -> str:
+    """The first value of a key in the shipped files that fits into a table."""
+    for data in files:
+        values = [data]
+        for name in path.split("."):
+            lists = [value if isinstance(value, list) else [value] for value in values]
+            values = [
+                one[name] for many in lists for one in many if isinstance(one, dict) and name in one
+            ]
+        for value in values:
+            if value is not None and len(text := _flow(value)) <= 60:
+                return text
+    return ""
+
+
+def _flow(value: Any) -> str:
+    """A value as YAML in one line."""
+    if value is None or value in ("", [], {}):
+        return ""
+    text = yaml.safe_dump(value, default_flow_style=True, width=1000, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...").removesuffix("...").strip()
