@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from safetensors import safe_open
 from safetensors.torch import save_file
@@ -31,7 +31,8 @@ class ModelCard:
     """The metadata of a model file.
 
     ``weights`` names the pre-trained weights (``none``: from scratch);
-    ``epoch`` is that of the model, counted from 1.
+    ``epoch`` is that of the model, counted from 1; ``temperature`` calibrates its probabilities;
+    ``input_range`` is the lowest and highest of each ``input_statistics`` in training.
     """
 
     name: str
@@ -43,6 +44,8 @@ class ModelCard:
     validation_loss: float
     validation_balanced_accuracy: float
     recipe_sha256: str
+    temperature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    input_range: tuple[tuple[float, float], ...]
     tacgen_version: str = VERSION
 
 
@@ -86,6 +89,7 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
     network = build_network(card.input.kind)
     network.load(tensors, str(path))
     network.backbone.origin = card.weights
+    network.temperature = card.temperature
     return network.eval(), card, None if reference is None else reference.numpy()
 
 

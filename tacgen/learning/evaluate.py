@@ -21,7 +21,7 @@ from tacgen.learning.device import Device, choose_device, exact_torch
 from tacgen.learning.grasps import GraspSource, RealGraspImages, SimulatedGrasps
 from tacgen.learning.inputs import check_source, read_input, resized
 from tacgen.learning.loader import Batches, DecodedInputs
-from tacgen.learning.predictions import Predictions, predict
+from tacgen.learning.predictions import Predictions, outside_training, predict
 from tacgen.learning.reports import started_from, write_evaluation_report
 from tacgen.learning.run_folder import RunFolder, read_json
 from tacgen.learning.scores import score
@@ -165,6 +165,13 @@ class _Test:
         if not np.isfinite(probabilities).all():
             msg = f"{folder.model_path}: predicts NaN; train the model again"
             raise LearningError(msg)
+        strange = int(outside_training(batches.in_order(), card.input_range).sum())
+        if strange:
+            self._note(
+                f"{self.where}: the brightness or contrast of {strange} of {len(rows)} grasps lies "
+                f"OUTSIDE of the training images of the model {name}; its probabilities are "
+                "uncertain there: check the background, or train with stronger augmentation"
+            )
         frames = partial(_frames, self.source, rows, card)
         return Predictions(self.source.table.take(rows), probabilities, frames), card
 

@@ -7,6 +7,7 @@ bit.
 
 from __future__ import annotations
 
+import functools
 import math
 import multiprocessing
 import time
@@ -33,7 +34,12 @@ from tacgen.learning.networks import (
     build_optimizer,
     build_scheduler,
 )
-from tacgen.learning.predictions import predict
+from tacgen.learning.predictions import (
+    MIN_PROBABILITY,
+    calibrated_temperature,
+    input_statistics,
+    predict,
+)
 from tacgen.learning.run_folder import ModelFolder
 from tacgen.learning.scores import score
 from tacgen.learning.splits import seed_of
@@ -49,9 +55,13 @@ _STATE_KEYS = (
     *("epoch", "pretrained", "best"),
     *("network", "average", "optimizer", "scheduler", "scaler"),
 )
-MIN_PROBABILITY = 1e-12
-"""Keeps the cross entropy of a certain and wrong prediction finite."""
-_STREAM_START, _STREAM_EPOCH = 20, 21  # keep the random numbers of one seed apart
+CALIBRATION_PASSES = 5
+"""Views of each validation grasp that the temperature is fitted to: some twenty grasps are few."""
+_STREAM_START, _STREAM_EPOCH, _STREAM_CALIBRATION = (
+    20,
+    21,
+    22,
+)  # keep the random numbers of one seed apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,6 +219,28 @@ class Fit:
     def _kept(self) -> StabilityNet:
         return cast(StabilityNet, self.average.module)
 
+    def _temperature(self) -> float:
+        """Of the validation grasps as other cameras might have seen them, where there is such."""
+        changes, seed = self.job.recipe.augmentation, self._seed(_STREAM_CALIBRATION)
+        batches = self.job.validation
+        passes = range(CALIBRATION_PASSES) if changes.on else range(1)
+        found = [
+            predict(self._kept, batches.shuffled(seed, k, changes), self.device) for k in passes
+        ]
+        probabilities, labels = (np.concatenate(part) for part in zip(*found, strict=True))
+        return calibrated_temperature(probabilities, labels, self.job.class_weights)
+
+    @functools.cached_property
+    def _input_range(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest of each input statistic in one augmented pass over the training."""
+        seed = self._seed(_STREAM_CALIBRATION)
+        batches = self.job.fit.shuffled(seed, 0, self.job.recipe.augmentation)
+        statistics = np.concatenate([input_statistics(images) for images, _, _ in batches])
+        return tuple(
+            (float(low), float(high))
+            for low, high in zip(statistics.min(0), statistics.max(0), strict=True)
+        )
+
     def _card(self) -> ModelCard:
         return ModelCard(
             name=self.job.name,
@@ -220,6 +252,8 @@ class Fit:
             validation_loss=self.best["loss"],
             validation_balanced_accuracy=self.best["balanced_accuracy"],
             recipe_sha256=self.job.recipe.sha256(),
+            temperature=self._temperature(),
+            input_range=self._input_range,
         )
 
     def _resume(self) -> None:

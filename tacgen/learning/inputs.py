@@ -9,6 +9,7 @@ from typing import Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspSource
@@ -165,10 +166,10 @@ def augmented(
     options: Augmentation,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """One grasp's frames (T, h, w, 3) shifted, scaled in brightness, with noise.
+    """One grasp's frames (T, h, w, 3) as another camera might have seen it a little further on.
 
-    All frames change alike. The imprint moves, the illumination of the gel at rest does not; what
-    a shift brings in from outside repeats the edge.
+    All frames change alike. The imprint moves and changes its contrast and sharpness, the
+    illumination of the gel at rest does not; what a shift brings in from outside repeats the edge.
 
     Parameters
     ----------
@@ -178,13 +179,17 @@ def augmented(
     height, width = frames.shape[1:3]
     shift = rng.uniform(-1, 1, 2) * options.shift_fraction * (height, width)
     dy, dx = (int(step) for step in np.rint(shift))
-    gain = 1 + options.gain_relative * rng.standard_normal()
+    gain = (1 + options.gain_relative * rng.standard_normal(3)).astype(np.float32)
+    contrast = (1 + options.imprint_relative * rng.standard_normal(3)).astype(np.float32)
+    blur_px = rng.uniform(0, options.blur_px)
     noise = options.noise_grey * rng.standard_normal(frames.shape, dtype=np.float32)
     ys = np.clip(np.arange(height) - dy, 0, height - 1)
     xs = np.clip(np.arange(width) - dx, 0, width - 1)
     rest = np.float32(0) if reference is None else reference.astype(np.float32)
-    moved = rest + (frames - rest)[:, ys][:, :, xs]
-    return np.clip(np.rint(gain * moved + noise), 0, 255).astype(np.uint8)
+    imprint = contrast * (frames - rest)[:, ys][:, :, xs]
+    if blur_px > 0:
+        imprint = gaussian_filter(imprint, (0, blur_px, blur_px, 0), mode="nearest")
+    return np.clip(np.rint(gain * (rest + imprint) + noise), 0, 255).astype(np.uint8)
 
 
 def _three(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float, float]:

@@ -26,6 +26,8 @@ class StabilityNet(nn.Module):
     """The base of both networks: the backbone, and how weights are loaded."""
 
     kind: str
+    temperature: float = 1.0
+    """Logits are divided by it before they become probabilities (Guo et al. 2017)."""
 
     def __init__(self, weights: str) -> None:
         super().__init__()

@@ -8,10 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import optimize, special
 
 from tacgen.learning.device import Device
 from tacgen.learning.grasps import GraspTable
 from tacgen.learning.networks import StabilityNet
+
+MIN_PROBABILITY = 1e-12
+"""Predictions are cut to this, so that one certain mistake does not make the loss infinite."""
+RANGE_MARGIN = 0.5
+"""Of the training's range, on either side: the extremes of some hundred grasps are chance."""
+TEMPERATURE_RANGE = (0.25, 16.0)
+"""A validation set without a mistake asks for 0, one of pure chance for infinity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +48,48 @@ class Predictions:
         return labels, np.concatenate([part.probabilities for part in parts])
 
 
+def input_statistics(images: torch.Tensor) -> NDArray[np.float64]:
+    """Mean and standard deviation of each colour (B, 6) over all pixels of inputs (B, T, 3, h, w).
+
+    They tell images of another sensor, light or gain from those of the training.
+    """
+    by_color = images.transpose(1, 2).flatten(2).double()
+    return torch.cat([by_color.mean(2), by_color.std(2)], dim=1).numpy()
+
+
+def outside_training(
+    batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
+    input_range: Sequence[tuple[float, float]],
+) -> NDArray[np.bool_]:
+    """Which grasps (N,) have an input statistic far outside of those of the training images."""
+    low, high = np.array(input_range).T
+    low, high = low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
+    found = [np.empty(0, dtype=np.bool_)]
+    for images, _, _ in batches:
+        statistics = input_statistics(images)
+        found.append(((statistics < low) | (statistics > high)).any(axis=1))
+    return np.concatenate(found)
+
+
+def calibrated_temperature(
+    probabilities: NDArray[np.float64], labels: NDArray[np.int64], weights: NDArray[np.float64]
+) -> float:
+    """The temperature that makes predictions (N,) of an uncalibrated network most likely.
+
+    Source: Guo et al. 2017, *On Calibration of Modern Neural Networks*, arXiv 1706.04599, section
+    4.2; each class has its weight, as in training.
+    """
+    logit = special.logit(np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY))
+    towards_truth = np.where(labels == 1, logit, -logit)
+
+    def loss(log_temperature: float) -> float:
+        nll = np.logaddexp(0, -towards_truth / np.exp(log_temperature))
+        return float(np.average(nll, weights=weights[labels]))
+
+    bounds = tuple(np.log(TEMPERATURE_RANGE))
+    return float(np.exp(optimize.minimize_scalar(loss, bounds=bounds, method="bounded").x))
+
+
 def predict(
     network: StabilityNet,
     batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
@@ -51,7 +101,7 @@ def predict(
     with torch.inference_mode():
         for images, truth, _ in batches:
             with device.autocast():
-                logits = network(images.to(device.name))
+                logits = network(images.to(device.name)) / network.temperature
             probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
             labels.append(truth.numpy())
     return np.concatenate(probabilities), np.concatenate(labels)

@@ -71,9 +71,13 @@ class Augmentation(Section):
     shift_fraction: Annotated[float, Field(ge=0, le=0.5)] = 0.05
     """Largest shift, as a fraction of the image's sides."""
     gain_relative: Annotated[float, Field(ge=0, le=0.5)] = 0.05
-    """Standard deviation of the brightness, relative."""
+    """Standard deviation of the camera's gain in each colour."""
+    imprint_relative: Annotated[float, Field(ge=0, le=0.5)] = 0.15
+    """Standard deviation, by colour, of the contrast of what the contact changes: other lamps."""
     noise_grey: Annotated[float, Field(ge=0, le=64)] = 1.0
-    """Standard deviation of each pixel's noise, in grey levels."""
+    """Standard deviation of each pixel's noise in grey levels, at the network's input size."""
+    blur_px: Annotated[float, Field(ge=0, le=16)] = 1.0
+    """Largest standard deviation of a Gaussian blur of the imprint, at the network's input size."""
 
 
 class TrainingOptions(Section):

@@ -98,6 +98,14 @@ def test_real_grasps_are_judged_and_the_gap_is_told(run, toy, real):
     assert json.loads((run / "eval.json").read_text())["source"] == "real"
 
 
+def test_images_unlike_those_of_the_training_are_reported(run, real):
+    for path in real.glob("images/*/*.png"):
+        image = cv2.imread(str(path))
+        cv2.imwrite(str(path), cv2.add(image, (0, 90, 0, 0)))
+    notes = " ".join(evaluate(run, real=real)["notes"])
+    assert notes.count("of 4 of 4 grasps lies OUTSIDE of the training images") == 2
+
+
 def test_no_gap_is_told_where_there_is_no_simulated_evaluation(run, real):
     assert "sim_to_real_gap" not in evaluate(run, real=real)
 

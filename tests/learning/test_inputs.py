@@ -98,9 +98,47 @@ def test_images_that_never_change_do_not_divide_by_zero():
     assert np.isfinite(to_network(REFERENCE[None, None], REFERENCE, spec)).all()
 
 
+STILL = {"gain_relative": 0, "imprint_relative": 0, "noise_grey": 0, "blur_px": 0}
+
+
+def test_gain_and_contrast_of_the_imprint_differ_by_colour_as_asked():
+    """The standard deviation of 2000 draws is within 8 % of the one asked for (5 σ of it)."""
+    rest = np.full((2, 2, 3), 100, np.uint8)
+    frames = np.stack([rest, rest + 100])
+    options = Augmentation(on=True, **{**STILL, "shift_fraction": 0, "gain_relative": 0.05})
+    seen = np.stack(
+        [
+            augmented(frames, rest, options, np.random.default_rng(k))[:, 0, 0].astype(float)
+            for k in range(2000)
+        ]
+    )
+    assert (seen[:, 0] / 100).std(axis=0) == pytest.approx([0.05] * 3, rel=0.08)
+    assert abs(np.corrcoef(seen[:, 0, 0], seen[:, 0, 1])[0, 1]) < 0.12
+    options = Augmentation(on=True, **{**STILL, "shift_fraction": 0, "imprint_relative": 0.15})
+    seen = np.stack(
+        [
+            augmented(frames, rest, options, np.random.default_rng(k))[:, 0, 0].astype(float)
+            for k in range(2000)
+        ]
+    )
+    np.testing.assert_array_equal(seen[:, 0], 100)
+    assert ((seen[:, 1] - 100) / 100).std(axis=0) == pytest.approx([0.15] * 3, rel=0.08)
+
+
+def test_a_blurred_imprint_keeps_its_sum_and_loses_its_peak():
+    rest = np.zeros((24, 32, 3), np.uint8)
+    frame = rest.copy()
+    frame[11:14, 15:18] = 240
+    options = Augmentation(on=True, **{**STILL, "shift_fraction": 0, "blur_px": 2.0})
+    (blurred,) = augmented(frame[None], rest, options, np.random.default_rng(1)).astype(float)
+    assert blurred.max() < 230
+    # Each of some fifty pixels and three colours is rounded by at most half a grey level.
+    assert blurred.sum() == pytest.approx(float(frame.sum()), rel=0.02)
+
+
 def test_augmentation_of_no_strength_changes_nothing():
     frames = np.random.default_rng(0).integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
-    off = Augmentation(on=True, shift_fraction=0, gain_relative=0, noise_grey=0)
+    off = Augmentation(on=True, shift_fraction=0, **STILL)
     np.testing.assert_array_equal(augmented(frames, None, off, np.random.default_rng(1)), frames)
 
 
@@ -108,7 +146,7 @@ def test_augmentation_moves_all_frames_of_a_grasp_alike_and_leaves_its_input():
     frames = np.zeros((2, 24, 32, 3), np.uint8)
     frames[:, 12, 16] = 200
     before = frames.copy()
-    options = Augmentation(on=True, shift_fraction=0.25, gain_relative=0, noise_grey=0)
+    options = Augmentation(on=True, shift_fraction=0.25, **STILL)
     moved = augmented(frames, None, options, np.random.default_rng(3))
     np.testing.assert_array_equal(frames, before)
     np.testing.assert_array_equal(moved[0], moved[1])
@@ -124,7 +162,7 @@ def test_a_shift_moves_the_imprint_and_not_the_light_of_the_gel():
     rest = rng.integers(60, 120, (24, 32, 3), dtype=np.uint8)
     imprint = np.zeros((24, 32, 3), np.uint8)
     imprint[10:14, 12:18] = rng.integers(20, 90, (4, 6, 3))
-    options = Augmentation(on=True, shift_fraction=0.2, gain_relative=0, noise_grey=0)
+    options = Augmentation(on=True, shift_fraction=0.2, **STILL)
     pressed, unpressed = augmented(
         np.stack([rest + imprint, rest]), rest, options, np.random.default_rng(4)
     )
