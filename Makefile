@@ -3,7 +3,7 @@ PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c 'import venv
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: setup demo test test-fast coverage slowest check format bench trust lock clean
+.PHONY: setup demo test test-fast coverage slowest check format docs bench trust lock clean
 
 setup: $(READY)
 
@@ -39,6 +39,10 @@ format: setup
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "Look at out/site/index.html"
+
 bench: setup
 	$(BIN)/tacgen bench
 
@@ -46,7 +50,7 @@ trust: setup
 	$(BIN)/python -m validation.contact
 
 lock: setup
-	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --extra mujoco --universal --python-version 3.10 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --extra mujoco --extra docs --universal --python-version 3.10 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock
 	@echo "requirements-learn.lock pins torch by hand: its CPU and CUDA builds share a version"
 
 clean:

@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel
 
 from tacgen.cli.recipes import recipe_kinds
+from tacgen.core import columns
 from tacgen.core.resources import packaged
 from tacgen.core.yaml_source import kind_of, read_yaml
 from tacgen.objects.description import ObjectDescription
@@ -97,8 +98,14 @@ def keys_of(kind: str) -> list[Key]:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Replace ``<!-- keys: KIND -->`` by the tables of that kind of file."""
-    return re.sub(r"<!-- keys: (\w+) -->", lambda found: _tables(found[1]), markdown)
+    """Replace ``<!-- keys: KIND -->`` and ``<!-- columns: LIST -->`` by their tables."""
+    markdown = re.sub(r"<!-- keys: (\w+) -->", lambda found: _tables(found[1]), markdown)
+    return re.sub(r"<!-- columns: (\w+) -->", lambda found: _columns(found[1]), markdown)
+
+
+def _columns(name: str) -> str:
+    rows = [f"| `{column}` | {text} |" for column, text in getattr(columns, name).items()]
+    return "\n".join(["| column | meaning |", "|---|---|", *rows])
 
 
 def _tables(kind: str) -> str:
@@ -177,7 +184,9 @@ def _type(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> str:
         return " or ".join(dict.fromkeys(parts))
     kind = schema.get("type", "any")
     if kind == "array":
-        items = schema.get("items") or next(iter(schema.get("prefixItems", ())), {})
+        items: Mapping[str, Any] = schema.get("items") or next(
+            iter(schema.get("prefixItems", ())), {}
+        )
         many = len(schema.get("prefixItems", ()))
         name = _type(items, defs)
         return f"{many} × {name}" if many else f"list of {name}"

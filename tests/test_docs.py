@@ -1,0 +1,97 @@
+"""The documentation: it builds, its commands run, its reference is that of the models."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from scripts import docs_hooks
+
+ROOT = Path(__file__).resolve().parents[1]
+FILE = re.compile(r'```yaml title="(.+?)"\n(.*?)```', re.S)
+COMMANDS = re.compile(r"```bash\n(.*?)```", re.S)
+
+
+def run_script(text: str, folder: Path) -> None:
+    """Run lines of a shell in ``folder``, with ``tacgen`` of this checkout on the PATH."""
+    script = f'set -e\ntacgen() {{ "{sys.executable}" -m tacgen "$@"; }}\n'
+    script += f'python() {{ "{sys.executable}" "$@"; }}\n{text}'
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        ["bash", "-c", script], cwd=folder, env=environment, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs_as_it_stands(tmp_path):
+    text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    for name, content in FILE.findall(text):
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    run_script("\n".join(COMMANDS.findall(text)), tmp_path)
+    assert (tmp_path / "run" / "eval.json").is_file()
+
+
+@pytest.mark.slow
+def test_every_command_of_the_readme_runs(tmp_path):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = [line.strip() for line in text.splitlines() if line.startswith("    ")]
+    commands = [line for line in lines if line.startswith(("tacgen ", "cd ", "python "))]
+    assert len(commands) > 15
+    run_script("\n".join(commands), tmp_path)
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "reference" / "recipes" / "index.html").read_text(encoding="utf-8")
+    for word in ("randomize", "tactile_pads", "depth", "extends", "learning_rate", "indenters"):
+        assert word in page
+
+
+@pytest.mark.parametrize("kind", docs_hooks.KINDS)
+def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
+    model = docs_hooks.KINDS[kind]
+    valid = {
+        "name": "x",
+        "objects": [{"name": "cup"}],
+        "rows": [{"name": "a"}],
+        "indenters": [{"name": "ball", "radius_mm": 2.0}],
+        "effects": [{"name": "creep", "strength": 1.0}],
+    }
+    for key in docs_hooks.keys_of(kind):
+        assert key.meaning, key.path
+        if not key.example or kind in ("sensor", "object"):
+            continue  # examples of these two are those of the shipped files, which load
+        data = {name: value for name, value in valid.items() if name in model.model_fields}
+        if kind == "train":
+            data.pop("objects")
+        place = data
+        *sections, last = key.path.split(".")
+        for section in sections:
+            place = place.setdefault(section, {})
+            place = place[0] if isinstance(place, list) else place
+        place[last] = yaml.safe_load(key.example)
+        if key.path == "effects.parameters":
+            place.pop("strength", None)
+        model.model_validate(data)
+
+
+def test_units_follow_from_the_names_of_the_keys():
+    units = {key.path: key.unit for key in docs_hooks.keys_of("collect")}
+    assert units["grid.force_n"] == "N"
+    assert units["contact.k_n_mm3_per_n"] == "mm³/N"
+    assert units["physics.lift_acceleration_mm_s2"] == "mm/s²"
+    assert units["frames.mode"] == ""
+
+
+def test_pictures_are_small():
+    for path in (ROOT / "docs" / "figures").glob("*.png"):
+        assert path.stat().st_size <= 100_000, path
