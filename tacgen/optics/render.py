@@ -23,6 +23,7 @@ from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
 from tacgen.optics.shade import (
     feature_factors,
+    packed_contact,
     packed_nodes,
     packed_response,
     quantize,
@@ -30,7 +31,7 @@ from tacgen.optics.shade import (
     shade_window,
 )
 from tacgen.optics.smooth import Window, grown
-from tacgen.optics.table import Leds, LookupTable
+from tacgen.optics.table import ContactLight, Leds, LookupTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,12 @@ class Shader:
         self._nodes = packed_nodes(table)
         self._along = feature_factors(table.shape_px)
         self._response = None if table.response is None else packed_response(table.response)
+        contact = table.contact or _no_contact(table)
+        self._contact = packed_contact(contact.change)
+        self._contact_depth_mm = contact.depth_mm
+        self._rest_mm = contact.rest_mm(table.shape_px, table.mm_per_px)
+        if table.contact is None:
+            self._rest_mm.fill(-np.inf)  # no pixel is deeper than that
         self._interpolate = table.interpolation == "linear" and self._nodes.shape[0] > 1
         self._background = np.ascontiguousarray(table.background, dtype=np.float32)
         n_rows, n_columns = table.shape_px
@@ -121,6 +128,9 @@ class Shader:
                 self.table.max_slope_rad,
                 self._background,
                 image,
+                self._rest_mm,
+                self._contact,
+                self._contact_depth_mm,
             )
             return
         shade_window(
@@ -171,6 +181,12 @@ class Shader:
             cut, self._patch(height_map_mm, around), **active.values
         )
         return changed
+
+
+def _no_contact(table: LookupTable) -> ContactLight:
+    """A contact that adds nothing."""
+    nodes = (2, 2) if table.response is None else table.response.shape[2:4]
+    return ContactLight(np.zeros((*nodes, 3, 3), dtype=np.float32), depth_mm=1.0)
 
 
 def render_rgb(

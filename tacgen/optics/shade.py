@@ -28,15 +28,23 @@ def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
 
 
 def packed_response(response: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A table's response (n_slope, n_direction + 1, n_rows, n_columns, 4).
+    """A table's response (n_rows, n_columns, n_slope, n_direction + 1, 4).
 
-    The first direction is repeated at the end, and a node holds R, G, B and a zero.
+    The first direction is repeated at the end, and a node holds R, G, B and a zero. All slopes at
+    one place lie together: what neighbouring pixels of a rough gel look up stays in the cache.
     """
     n_slope, n_direction, n_rows, n_columns, _ = response.shape
-    packed = np.zeros((n_slope, n_direction + 1, n_rows, n_columns, _LANES), dtype=np.float32)
-    packed[:, :-1, ..., :3] = response
-    packed[:, -1] = packed[:, 0]
+    packed = np.zeros((n_rows, n_columns, n_slope, n_direction + 1, _LANES), dtype=np.float32)
+    packed[..., :-1, :3] = response.transpose(2, 3, 0, 1, 4)
+    packed[..., -1, :] = packed[..., 0, :]
     return packed
+
+
+def packed_contact(change: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What a contact adds (n_rows, n_columns · 12): R, G, B, a zero, for 1, nx and ny in turn."""
+    packed = np.zeros((*change.shape[:3], _LANES), dtype=np.float32)
+    packed[..., :3] = change
+    return packed.reshape(len(change), -1)
 
 
 def feature_factors(shape_px: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -78,18 +86,10 @@ def _atan_of_quotient(numerator, denominator):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _slope_coordinates(
-    height_mm: NDArray,
-    r: int,
-    left: int,
-    right: int,
-    mm_per_px: float,
-    per_slope: float,
-    per_direction: float,
-    slope: NDArray,
-    direction: NDArray,
+def _gradients(
+    height_mm: NDArray, r: int, left: int, right: int, mm_per_px: float, gx: NDArray, gy: NDArray
 ) -> None:
-    """Coordinates in the table of the pixels [left, right) of row r, by central differences."""
+    """Slopes along x and y of the pixels [left, right) of row r, by central differences."""
     n_rows, n_columns = height_mm.shape
     above, below = max(r - 1, 0), min(r + 1, n_rows - 1)
     per_row = np.float32(1.0 / (mm_per_px * (below - above))) if below > above else np.float32(0)
@@ -97,29 +97,76 @@ def _slope_coordinates(
     up, here, down = height_mm[above], height_mm[r], height_mm[below]
     width = right - left
     for k in range(width):
-        slope[k] = (down[left + k] - up[left + k]) * per_row
+        gy[k] = (down[left + k] - up[left + k]) * per_row
     first, last = max(left, 1), min(right, n_columns - 1)
-    before, after, across = here[first - 1 :], here[first + 1 :], direction[first - left :]
+    before, after, across = here[first - 1 :], here[first + 1 :], gx[first - left :]
     for k in range(last - first):
         across[k] = (after[k] - before[k]) * per_column
     if n_columns > 1:
         if left == 0:
-            direction[0] = (here[1] - here[0]) * (per_column + per_column)
+            gx[0] = (here[1] - here[0]) * (per_column + per_column)
         if right == n_columns:
-            direction[width - 1] = (here[n_columns - 1] - here[n_columns - 2]) * (
-                per_column + per_column
-            )
+            gx[width - 1] = (here[n_columns - 1] - here[n_columns - 2]) * (per_column + per_column)
     else:
-        direction[0] = 0
+        gx[0] = 0
+
+
+@njit(cache=True, nogil=True)
+def _contact_row(
+    height_mm: NDArray,
+    rest_mm: NDArray,
+    gx: NDArray,
+    gy: NDArray,
+    nodes: NDArray,
+    column: NDArray,
+    across: NDArray,
+    depth_mm: float,
+    target: NDArray,
+) -> None:
+    """Grey levels (3 · width,) that the contact itself adds to a row of pixels.
+
+    ``nodes`` (n_columns · 12,) are the contact's nodes at this row.
+    """
+    one, full, zero = np.float32(1), np.float32(depth_mm), np.float32(0)
+    for k in range(gx.shape[0]):
+        depth = rest_mm[k] - height_mm[k]
+        red, green, blue = zero, zero, zero
+        if depth > zero:
+            x, y = gx[k], gy[k]
+            cosine = one / np.sqrt(one + x * x + y * y)
+            share = depth / (depth + full)
+            x, y = x * cosine, y * cosine
+            right = across[k]
+            left = one - right
+            i = 3 * _LANES * column[k]
+            j = i + 3 * _LANES
+            red = share * (
+                left * (nodes[i] + x * nodes[i + 4] + y * nodes[i + 8])
+                + right * (nodes[j] + x * nodes[j + 4] + y * nodes[j + 8])
+            )
+            green = share * (
+                left * (nodes[i + 1] + x * nodes[i + 5] + y * nodes[i + 9])
+                + right * (nodes[j + 1] + x * nodes[j + 5] + y * nodes[j + 9])
+            )
+            blue = share * (
+                left * (nodes[i + 2] + x * nodes[i + 6] + y * nodes[i + 10])
+                + right * (nodes[j + 2] + x * nodes[j + 6] + y * nodes[j + 10])
+            )
+        target[3 * k], target[3 * k + 1], target[3 * k + 2] = red, green, blue
+
+
+@njit(cache=True, nogil=True)
+def _to_coordinates(gx: NDArray, gy: NDArray, per_slope: float, per_direction: float) -> None:
+    """Turn slopes into coordinates in the table: gx into the direction's, gy into the slope's."""
     half_turn = np.float32(math.pi)
-    for k in range(width):
-        gx, gy = direction[k], slope[k]
+    for k in range(gx.shape[0]):
+        x, y = gx[k], gy[k]
         one = np.float32(1)
-        slope[k] = _atan_of_quotient(np.sqrt(gx * gx + gy * gy), one) * np.float32(per_slope)
-        angle = _atan_of_quotient(abs(gy), abs(gx))
-        angle = half_turn - angle if gx < 0 else angle
-        angle = -angle if gy < 0 else angle
-        direction[k] = (angle + half_turn) * np.float32(per_direction)
+        gy[k] = _atan_of_quotient(np.sqrt(x * x + y * y), one) * np.float32(per_slope)
+        angle = _atan_of_quotient(abs(y), abs(x))
+        angle = half_turn - angle if x < 0 else angle
+        angle = -angle if y < 0 else angle
+        gx[k] = (angle + half_turn) * np.float32(per_direction)
 
 
 @njit(cache=True, nogil=True)
@@ -176,19 +223,11 @@ def shade_window(
     change = np.empty(3 * width + 1, np.float32)
     to_slope = (n_direction + 1) * NODE_FLOATS if interpolate else 0
     to_direction = NODE_FLOATS if interpolate else 0
+    per_slope, per_direction = (n_slope - 1) / max_slope_rad, n_direction / (2 * math.pi)
     one = np.float32(1)
     for r in range(top, bottom):
-        _slope_coordinates(
-            height_mm,
-            r,
-            left,
-            right,
-            mm_per_px,
-            (n_slope - 1) / max_slope_rad,
-            n_direction / (2 * math.pi),
-            slope,
-            direction,
-        )
+        _gradients(height_mm, r, left, right, mm_per_px, direction, slope)
+        _to_coordinates(direction, slope, per_slope, per_direction)
         _place_in_table(slope, direction, n_slope, n_direction, interpolate, NODE_FLOATS, offset)
         for k in range(width):
             p, q, here = slope[k], direction[k], np.int64(offset[k])
@@ -224,56 +263,71 @@ def shade_response(
     max_slope_rad: float,
     background: NDArray,
     image: NDArray,
+    rest_mm: NDArray,
+    contact: NDArray,
+    contact_depth_mm: float,
 ) -> None:
-    """Write background + response into ``image`` (H, W, 3) float32, within ``window``.
+    """Write background + response + contact into ``image`` (H, W, 3) float32, within ``window``.
 
     Parameters
     ----------
     height_mm : (H, W) float32
         The deformed gel surface, gel frame.
-    response : (n_slope, n_direction + 1, n_rows, n_columns, 4) float32
+    response : (n_rows, n_columns, n_slope, n_direction + 1, 4) float32
         See ``packed_response``.
+    rest_mm : (H, W) float32
+        The gel at rest.
+    contact : (n_rows, n_columns · 12) float32
+        See ``packed_contact``.
     """
     top, bottom, left, right = window
-    n_slope, n_direction = response.shape[0], response.shape[1] - 1
-    n_rows, n_columns = response.shape[2], response.shape[3]
-    node_floats = n_rows * n_columns * _LANES
+    n_rows, n_columns = response.shape[0], response.shape[1]
+    n_slope, n_direction = response.shape[2], response.shape[3] - 1
+    to_slope = (n_direction + 1) * _LANES
+    to_column = n_slope * to_slope
+    to_row = n_columns * to_column
     width = right - left
     table = response.reshape(-1)
     slope, direction = np.empty(width, np.float32), np.empty(width, np.float32)
     offset, column = np.empty(width, np.int32), np.empty(width, np.int32)
     across = np.empty(width, np.float32)
     change = np.empty(3 * width + 1, np.float32)
-    to_row, to_direction = n_columns * _LANES, node_floats
-    to_slope = (n_direction + 1) * node_floats
+    in_contact = np.empty(3 * width, np.float32)
+    here_in_contact = np.empty(contact.shape[1], np.float32)
+    per_slope, per_direction = (n_slope - 1) / max_slope_rad, n_direction / (2 * math.pi)
     one = np.float32(1)
     for k in range(width):
         at = (left + k + 0.5) / image.shape[1] * (n_columns - 1)
-        column[k] = min(int(at), n_columns - 2) * _LANES
-        across[k] = at - column[k] // _LANES
+        column[k] = min(int(at), n_columns - 2)
+        across[k] = at - column[k]
     for r in range(top, bottom):
-        _slope_coordinates(
-            height_mm,
-            r,
-            left,
-            right,
-            mm_per_px,
-            (n_slope - 1) / max_slope_rad,
-            n_direction / (2 * math.pi),
-            slope,
-            direction,
-        )
-        _place_in_table(slope, direction, n_slope, n_direction, True, node_floats, offset)
         at = (r + 0.5) / image.shape[0] * (n_rows - 1)
         row = min(int(at), n_rows - 2)
         down = np.float32(at - row)
+        for k in range(here_in_contact.shape[0]):
+            above, below = contact[row, k], contact[row + 1, k]
+            here_in_contact[k] = above + down * (below - above)
+        _gradients(height_mm, r, left, right, mm_per_px, direction, slope)
+        _contact_row(
+            height_mm[r, left:right],
+            rest_mm[r, left:right],
+            direction,
+            slope,
+            here_in_contact,
+            column,
+            across,
+            contact_depth_mm,
+            in_contact,
+        )
+        _to_coordinates(direction, slope, per_slope, per_direction)
+        _place_in_table(slope, direction, n_slope, n_direction, True, _LANES, offset)
         for k in range(width):
-            p, q = slope[k], direction[k]
-            here = np.int64(offset[k]) + row * to_row + column[k]
+            p, q = slope[k], across[k]
+            here = np.int64(offset[k]) + row * to_row + column[k] * to_column
             w11 = p * q
             w10, w01 = p - w11, q - w11
             w00 = one - p - w01
-            beside, above = here + to_direction, here + to_slope
+            above, beside = here + to_slope, here + to_column
             both = beside + to_slope
             d00, d01, d10, d11 = down * w00, down * w01, down * w10, down * w11
             blend_places(  # type: ignore[call-arg]  # numba passes the typing context itself
@@ -289,7 +343,7 @@ def shade_response(
                     both + to_row,
                 ),
                 (w00 - d00, w01 - d01, w10 - d10, w11 - d11, d00, d01, d10, d11),
-                across[k],
+                direction[k],
                 change,
                 3 * k,
             )
@@ -298,7 +352,7 @@ def shade_response(
             background[r, left:right].reshape(-1),
         )
         for k in range(3 * width):
-            image_row[k] = background_row[k] + change[k]
+            image_row[k] = background_row[k] + change[k] + in_contact[k]
 
 
 @njit(cache=True, nogil=True)

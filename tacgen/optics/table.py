@@ -29,6 +29,40 @@ N_FEATURES = 6
 
 
 @dataclass(frozen=True, slots=True)
+class ContactLight:
+    """What gel pressed in answers otherwise than gel of the same slope at rest.
+
+    At depth d below the gel at rest a pixel with unit normal (nx, ny, ·) gains
+    d / (d + ``depth_mm``) · (c₀ + c₁ nx + c₂ ny), the c linear between nodes of position.
+
+    Attributes
+    ----------
+    change : (n_rows, n_columns, 3, 3) float32
+        c₀, c₁, c₂ at each node, RGB grey levels last; node (r, c) stands where it does in a
+        table's ``response``.
+    depth_mm : float
+        The depth at which half of it shows.
+    dome_radius_mm : float
+        Radius of curvature of the gel at rest, which is 0 mm high at its centre; 0: flat.
+    """
+
+    change: NDArray[np.float32]
+    depth_mm: float
+    dome_radius_mm: float = 0.0
+
+    def rest_mm(self, shape_px: tuple[int, int], mm_per_px: float) -> NDArray[np.float32]:
+        """Height (H, W) of the gel at rest."""
+        height, width = shape_px
+        if self.dome_radius_mm <= 0:
+            return np.zeros(shape_px, dtype=np.float32)
+        x = (np.arange(width) - (width - 1) / 2) * mm_per_px
+        y = (np.arange(height) - (height - 1) / 2) * mm_per_px
+        square = np.minimum(x[None, :] ** 2 + y[:, None] ** 2, (0.95 * self.dome_radius_mm) ** 2)
+        sag = np.sqrt(self.dome_radius_mm**2 - square) - self.dome_radius_mm
+        return np.asarray(sag, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
 class LookupTable:
     """Taxim's polynomial lookup table of one sensor.
 
@@ -52,6 +86,8 @@ class LookupTable:
         directions; its nodes of slope and direction are spaced as those of the coefficients, but
         are as many as its shape has, and node (r, c) stands at v = r/(n_rows − 1) − ½,
         u = c/(n_columns − 1) − ½. The coefficients are then the quadratic nearest to it.
+    contact : ContactLight, optional
+        What a contact adds to the response, at the response's nodes of position.
     mm_per_px : float
     max_slope_rad : float
         At most π/2.
@@ -78,6 +114,7 @@ class LookupTable:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     response: NDArray[np.float32] | None = None
+    contact: ContactLight | None = None
 
     def __post_init__(self) -> None:
         if self.coefficients.ndim != 4 or self.coefficients.shape[2:] != (3, N_FEATURES):
@@ -95,6 +132,17 @@ class LookupTable:
             msg = (
                 f"response has shape {self.response.shape}, not (n_slope, n_direction, n_rows, "
                 "n_columns, 3) with at least two nodes each way"
+            )
+            raise TableError(msg)
+        if self.contact is not None and (
+            self.response is None
+            or self.contact.change.shape != (*self.response.shape[2:4], 3, 3)
+            or not self.contact.depth_mm > 0
+        ):
+            msg = (
+                f"contact has shape {self.contact.change.shape} and depth "
+                f"{self.contact.depth_mm:g} mm, not (n_rows, n_columns, 3, 3) with the response's "
+                "nodes of position and a depth above 0"
             )
             raise TableError(msg)
         if self.interpolation not in ("linear", "floor"):
@@ -137,6 +185,32 @@ def response_at(
     return change
 
 
+def contact_at(
+    table: LookupTable,
+    gx: FloatArray,
+    gy: FloatArray,
+    depth_mm: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+) -> FloatArray:
+    """Grey levels (n, 3) that a contact of slopes and depths (n,) adds, in float64."""
+    if table.contact is None:
+        return np.zeros((len(gx), 3))
+    change = table.contact.change
+    n_rows, n_columns = change.shape[:2]
+    down, across = (v + 0.5) * (n_rows - 1), (u + 0.5) * (n_columns - 1)
+    row = np.clip(down.astype(int), 0, n_rows - 2)
+    column = np.clip(across.astype(int), 0, n_columns - 2)
+    down, across = (down - row)[:, None, None], (across - column)[:, None, None]
+    here = (1 - down) * ((1 - across) * change[row, column] + across * change[row, column + 1])
+    here += down * ((1 - across) * change[row + 1, column] + across * change[row + 1, column + 1])
+    depth = np.maximum(depth_mm, 0.0)
+    share = depth / (depth + table.contact.depth_mm)
+    length = np.sqrt(1.0 + gx * gx + gy * gy)
+    terms = np.stack([share, share * gx / length, share * gy / length], axis=-1)
+    return np.asarray((terms[:, :, None] * here).sum(axis=1))
+
+
 _SCALARS = ("mm_per_px", "max_slope_rad", "interpolation", "sensor", "noise_grey")
 
 
@@ -148,6 +222,11 @@ def save_table(table: LookupTable, path: Path) -> None:
     arrays: dict[str, Any] = {"coefficients": table.coefficients, "background": table.background}
     if table.response is not None:
         arrays["response"] = table.response.astype(np.float16)
+    if table.contact is not None:
+        arrays["contact"] = table.contact.change.astype(np.float32)
+        meta["contact"] = {
+            "depth_mm": table.contact.depth_mm, "dome_radius_mm": table.contact.dome_radius_mm
+        }  # fmt: skip
     with atomic_path(Path(path)) as partial, partial.open("wb") as file:
         np.savez_compressed(
             file,
@@ -169,7 +248,7 @@ def load_table(path: Path | str) -> LookupTable:
         check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("coefficients", "background", "meta")}
-            arrays |= {name: archive[name] for name in ("response",) if name in archive}
+            arrays |= {name: archive[name] for name in ("response", "contact") if name in archive}
     except FileNotFoundError:
         msg = f"{path}: no such table; `tacgen calibrate lookup` makes one"
         raise TableError(msg) from None
@@ -184,12 +263,16 @@ def load_table(path: Path | str) -> LookupTable:
         raise TableError(msg) from None
     meta = json.loads(arrays["meta"].tobytes())
     scalars = {name: meta[name] for name in _SCALARS}
+    contact = None
+    if "contact" in arrays:
+        contact = ContactLight(arrays["contact"].astype(np.float32), **meta["contact"])
     return LookupTable(
         coefficients=arrays["coefficients"].astype(np.float32),
         background=arrays["background"].astype(np.float32),
         effects=meta["effects"],
         provenance=meta["provenance"],
         response=arrays["response"].astype(np.float32) if "response" in arrays else None,
+        contact=contact,
         **scalars,
     )
 

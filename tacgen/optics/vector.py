@@ -113,7 +113,7 @@ def blend_places(
     target: Any,
     target_offset: Any,
 ) -> Any:
-    """Blend eight pairs of neighbouring nodes of a table's response.
+    """Blend eight pairs of neighbouring directions of a table's response.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from tacgen.core.errors import TableError
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
 from tacgen.optics.render import Renderer
 from tacgen.optics.sampled_table import with_reference
-from tacgen.optics.table import response_at
+from tacgen.optics.table import ContactLight, contact_at, response_at
 
 SHAPE = (90, 120)
 MM_PER_PX = 0.1
@@ -84,6 +84,50 @@ def with_response(made, seed=5):
     rng = np.random.default_rng(seed)
     response = rng.normal(0, 12, (7, 9, 5, 4, 3)).astype(np.float16).astype(np.float32)
     return replace(made, response=response)
+
+
+def with_contact(made, dome_radius_mm=30.0):
+    change = np.random.default_rng(6).normal(0, 40, (5, 4, 3, 3)).astype(np.float32)
+    return replace(made, contact=ContactLight(change, 0.7, dome_radius_mm))
+
+
+def plain_contact(height_mm, made):
+    """What a contact adds, by scipy, from the docstring of ``ContactLight`` alone."""
+    gy, gx = np.gradient(np.float32(height_mm).astype(float), made.mm_per_px)
+    length = np.sqrt(1 + gx**2 + gy**2)
+    x, y = grid_mm()
+    depth = np.maximum(np.sqrt(30**2 - x**2 - y**2) - 30 - height_mm, 0)
+    rows, columns = made.contact.change.shape[:2]
+    nodes = np.linspace(-0.5, 0.5, rows), np.linspace(-0.5, 0.5, columns)
+    u = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1] - 0.5
+    v = ((np.arange(SHAPE[0]) + 0.5) / SHAPE[0] - 0.5)[:, None]
+    at = np.stack(np.broadcast_arrays(v, u), axis=-1)
+    terms = RegularGridInterpolator(nodes, made.contact.change.astype(float))(at)
+    normal = np.stack([np.ones_like(gx), gx / length, gy / length], axis=-1)
+    return (depth / (depth + 0.7))[..., None] * (terms * normal[..., None]).sum(axis=2)
+
+
+def test_a_contact_adds_by_depth_slope_and_place(tmp_path):
+    made = with_contact(with_response(table()))
+    rendered = render_rgb(bumps(), made).astype(float)
+    added = plain_contact(bumps(), made)
+    expected = np.clip(plain_response(bumps(), made) + added, 0, 255)
+    assert abs(added).max() > 10
+    assert abs(rendered - expected).max() <= 0.5 + 2e-3
+    gy, gx = np.gradient(np.float32(bumps()).astype(float), MM_PER_PX)
+    u, v = (part.ravel() for part in np.meshgrid(*(np.arange(n) / n for n in SHAPE[::-1])))
+    half = 0.5 - 0.5 / np.array(SHAPE[::-1])
+    surface = (part.ravel() for part in (gx, gy, dome() - bumps()))
+    looked_up = contact_at(made, *surface, u - half[0], v - half[1])
+    np.testing.assert_allclose(looked_up.reshape(added.shape), added, atol=1e-4)
+    save_table(made, tmp_path / "table.npz")
+    np.testing.assert_array_equal(
+        render_rgb(bumps(), load_table(tmp_path / "table.npz")), render_rgb(bumps(), made)
+    )
+    at_rest = replace(made, contact=None)
+    np.testing.assert_array_equal(render_rgb(dome(), made), render_rgb(dome(), at_rest))
+    with pytest.raises(TableError, match="contact has shape"):
+        replace(made, response=None)
 
 
 def plain_response(height_mm, made):

@@ -12,9 +12,10 @@ from tacgen.calibrate.lookup.prepared import PreparedPresses, Sample
 from tacgen.calibrate.lookup.press_fit import JointFit, sample_design
 from tacgen.calibrate.lookup.settings import BackgroundRecipe, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
+    N_CONTACT,
     feature_index,
+    n_light_terms,
     n_position_features,
-    n_terms,
     solve_ridge,
 )
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
@@ -113,7 +114,8 @@ def _best(squares: dict[FitSettings, FloatArray], n_backgrounds: int) -> tuple[F
 
 def _columns_of(settings: FitSettings, highest: FitSettings) -> IntArray:
     """Which columns of the design of the highest degrees lower ones have."""
-    terms = np.append(np.arange(n_terms(settings.degree) - 1), n_terms(highest.degree) - 1)
+    n_here, n_all = n_light_terms(settings.degree), n_light_terms(highest.degree)
+    terms = np.append(np.arange(n_here - N_CONTACT), np.arange(n_all - N_CONTACT, n_all))
     n_features = n_position_features(highest.position_degree)
     features = feature_index(n_features, settings.position_degree)
     return np.asarray((terms[:, None] * n_features + features).ravel())

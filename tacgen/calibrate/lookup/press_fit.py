@@ -14,11 +14,9 @@ from tacgen.calibrate.lookup.smooth_model import (
     SmoothModel,
     design,
     first_features,
-    monomial_derivatives,
-    monomials,
+    light_terms,
+    n_light_terms,
     n_position_features,
-    n_terms,
-    normal_parts,
     solve_ridge,
     weighed,
 )
@@ -26,6 +24,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.presses.geometry import (
     MAX_RADIUS_SHARE,
     Membrane,
+    press_depth,
     press_height,
     press_slope,
     rest_height,
@@ -43,6 +42,9 @@ moves contacts to explain light, a softer one bends to explain contacts out of p
 
 LARGEST_STEP_RADII = 0.06
 """Of one Gauss–Newton step of a press's place: the model is linear over no more."""
+
+_NUDGE_RADII = 1e-3
+"""By which a press's place is moved for derivatives."""
 
 _TEN_MM = 10.0
 
@@ -104,20 +106,19 @@ class PressModel:
     membrane: Membrane
     dome_radius_mm: float = 0.0
 
-    def slopes(
+    def surface(
         self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels
-    ) -> tuple[FloatArray, FloatArray]:
-        """Slope of the gel at ``pixels`` around a ball at ``geometry`` (centre and radius, mm)."""
-        added = press_slope(
-            pixels.x_mm - geometry[0],
-            pixels.y_mm - geometry[1],
-            float(geometry[2]),
-            ball_radius_mm,
-            self.membrane,
-            self.dome_radius_mm,
-        )
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The gel at ``pixels`` around a ball at ``geometry`` (centre and radius, mm).
+
+        Slopes along x and y, and depth below the gel at rest, mm; each (n,).
+        """
+        dx, dy = pixels.x_mm - geometry[0], pixels.y_mm - geometry[1]
+        shape = (float(geometry[2]), ball_radius_mm, self.membrane, self.dome_radius_mm)
+        added = press_slope(dx, dy, *shape)
         rest = rest_slope(pixels.x_mm, pixels.y_mm, self.dome_radius_mm)
-        return added[0] + rest[0], added[1] + rest[1]
+        depth = press_depth(np.hypot(dx, dy), *shape)
+        return added[0] + rest[0], added[1] + rest[1], depth
 
     def height(
         self, geometry: FloatArray, ball_radius_mm: float, x_mm: FloatArray, y_mm: FloatArray
@@ -197,12 +198,17 @@ def predicted(
 def _added_terms(
     sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int
 ) -> FloatArray:
-    gx, gy = press_model.slopes(geometry, sample.ball_radius_mm, sample.pixels)
-    terms = monomials(*normal_parts(gx, gy), degree)
+    surface = press_model.surface(geometry, sample.ball_radius_mm, sample.pixels)
+    terms = light_terms(*surface, degree)
     if press_model.dome_radius_mm > 0:
-        at_rest = rest_slope(sample.pixels.x_mm, sample.pixels.y_mm, press_model.dome_radius_mm)
-        terms = terms - monomials(*normal_parts(*at_rest), degree)
+        terms = terms - _rest_terms(sample, press_model, degree)
     return terms
+
+
+def _rest_terms(sample: Sample, press_model: PressModel, degree: int) -> FloatArray:
+    """The terms of the gel at rest."""
+    x, y = sample.pixels.x_mm, sample.pixels.y_mm
+    return light_terms(*rest_slope(x, y, press_model.dome_radius_mm), np.zeros_like(x), degree)
 
 
 def fit_jointly(
@@ -262,7 +268,7 @@ def _fit_model(
     samples: list[Sample], geometry: FloatArray, press_model: PressModel, settings: FitSettings
 ) -> SmoothModel:
     """The smooth model by ridge regression, for a given geometry of the presses."""
-    size = n_terms(settings.degree) * n_position_features(settings.position_degree)
+    size = n_light_terms(settings.degree) * n_position_features(settings.position_degree)
     gram, moment, weight = np.zeros((size, size)), np.zeros((size, 3)), 0.0
     for sample, place in zip(samples, geometry, strict=True):
         features = sample_design(sample, place, press_model, settings)
@@ -378,28 +384,21 @@ def _place_sample(
 
     ``scatter`` (3,) are the prior's standard deviations in label radii.
     """
-    pixels, radius = sample.pixels, float(sample.label[2])
+    radius = float(sample.label[2])
     at_places = model.at_places(sample.position)
-    at_rest: FloatArray = np.zeros((len(pixels), 3))
+    target = sample.change
     if press_model.dome_radius_mm > 0:
-        slope = rest_slope(pixels.x_mm, pixels.y_mm, press_model.dome_radius_mm)
-        at_rest = weighed(monomials(*normal_parts(*slope), model.degree), at_places)
-    nudge = 1e-4 * radius
+        target = target + weighed(_rest_terms(sample, press_model, model.degree), at_places)
+    nudge = _NUDGE_RADII * radius
+
+    def grey(place: FloatArray) -> FloatArray:
+        surface = press_model.surface(place, sample.ball_radius_mm, sample.pixels)
+        return weighed(light_terms(*surface, model.degree), at_places)
 
     def linearised(place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        normal = normal_parts(*press_model.slopes(place, sample.ball_radius_mm, pixels))
-        value = weighed(monomials(*normal, model.degree), at_places)
-        along_x, along_y = (
-            weighed(terms, at_places) for terms in monomial_derivatives(*normal, model.degree)
-        )
-        columns = []
-        for k in range(3):
-            moved = place.copy()
-            moved[k] += nudge
-            shifted = normal_parts(*press_model.slopes(moved, sample.ball_radius_mm, pixels))
-            dx, dy = ((after - now) / nudge for after, now in zip(shifted, normal, strict=True))
-            columns.append((along_x * dx[:, None] + along_y * dy[:, None]).ravel())
-        return (sample.change - value + at_rest).ravel(), np.stack(columns, axis=-1)
+        value = grey(place)
+        columns = [((grey(place + step) - value) / nudge).ravel() for step in nudge * np.eye(3)]
+        return (target - value).ravel(), np.stack(columns, axis=-1)
 
     precision = np.repeat(sample.weight, 3) / (rules.noise_grey**2 * rules.correlated_pixels)
     return place_press(

@@ -264,7 +264,7 @@ def coverage(presses: PressImages, calibration: Calibration) -> NDArray[np.float
         fit.geometry,
         strict=True,
     ):
-        gx, gy = fit.press_model.slopes(place, sample.ball_radius_mm, sample.pixels)
+        gx, gy, _ = fit.press_model.surface(place, sample.ball_radius_mm, sample.pixels)
         slope = np.arctan(np.hypot(gx, gy)) / calibration.table.max_slope_rad * SLOPE_BINS
         direction = (np.arctan2(gy, gx) + np.pi) / (2 * np.pi) * DIRECTION_BINS
         places = (

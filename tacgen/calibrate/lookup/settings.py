@@ -116,7 +116,7 @@ class LookupRules:
     seen_scatter_radii: float = 0.07
     degrees: tuple[int, ...] = (3, 5)
     position_degrees: tuple[int, ...] = (1, 2, 4)
-    ridges: tuple[float, ...] = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 1e-2)
+    ridges: tuple[float, ...] = (1e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 1e-3, 1e-2)
     backgrounds: tuple[BackgroundRecipe, ...] = (
         BackgroundRecipe(),
         BackgroundRecipe(drift=True),

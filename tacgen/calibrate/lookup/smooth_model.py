@@ -5,8 +5,9 @@ surface's unit normal, (nx, ny) = (gx, gy)/√(1 + gx² + gy²), each term times
 position: a polynomial plus a share of the light that falls there, for which the bare gel's smoothed
 brightness in each channel stands. It is 0 where the slope is 0. For matt gel under distant light
 only the terms of first order would be left; the higher ones hold what lamps close by, gloss and
-several bounces add. One more term steps from 0 to 1 within a few degrees of slope: gel under a ball
-differs from gel at rest even where it lies level, because its neighbourhood scatters other light.
+several bounces add. Three more terms, d/(d + 1 mm) at depth d times 1, nx and ny, say what gel that
+is pressed in answers otherwise than gel of the same slope beside the contact: it is thinner, lies
+lower in the lamps' light, and its neighbourhood scatters other light.
 """
 
 from __future__ import annotations
@@ -20,20 +21,11 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.core.arrays import FloatArray
-from tacgen.optics.table import N_FEATURES
-
-STEP_SINE = 0.1
-"""Sine of the slope at which the step term is half way up."""
 
 
 def exponents(degree: int) -> list[tuple[int, int]]:
-    """Powers of (nx, ny) in the order of the model's terms, without constant and step."""
+    """Powers of (nx, ny) in the order of the model's terms, without the constant."""
     return [(k - j, j) for k in range(1, degree + 1) for j in range(k + 1)]
-
-
-def n_terms(degree: int) -> int:
-    """How many terms a model of this degree has: the powers of (nx, ny) and the step."""
-    return degree * (degree + 3) // 2 + 1
 
 
 def normal_parts(gx: FloatArray, gy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -43,40 +35,17 @@ def normal_parts(gx: FloatArray, gy: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def monomials(nx: FloatArray, ny: FloatArray, degree: int) -> FloatArray:
-    """The terms (n, n_terms) at normals (n,)."""
+    """The powers (n, degree · (degree + 3) / 2) of normals (n,)."""
     powers_x, powers_y = [np.ones_like(nx)], [np.ones_like(ny)]
     for _ in range(degree):
         powers_x.append(powers_x[-1] * nx)
         powers_y.append(powers_y[-1] * ny)
-    terms = [powers_x[i] * powers_y[j] for i, j in exponents(degree)]
-    square = nx * nx + ny * ny
-    return np.stack([*terms, square / (square + STEP_SINE**2)], axis=-1)
-
-
-def monomial_derivatives(
-    nx: FloatArray, ny: FloatArray, degree: int
-) -> tuple[FloatArray, FloatArray]:
-    """∂terms/∂nx and ∂terms/∂ny, each (n, n_terms)."""
-    powers_x, powers_y = [np.ones_like(nx)], [np.ones_like(ny)]
-    for _ in range(degree):
-        powers_x.append(powers_x[-1] * nx)
-        powers_y.append(powers_y[-1] * ny)
-    terms = exponents(degree)
-    by_x = [i * powers_x[max(i - 1, 0)] * powers_y[j] for i, j in terms]
-    by_y = [j * powers_x[i] * powers_y[max(j - 1, 0)] for i, j in terms]
-    step = 2 * STEP_SINE**2 / (nx * nx + ny * ny + STEP_SINE**2) ** 2
-    return np.stack([*by_x, step * nx], axis=-1), np.stack([*by_y, step * ny], axis=-1)
+    return np.stack([powers_x[i] * powers_y[j] for i, j in exponents(degree)], axis=-1)
 
 
 def position_terms(u: FloatArray, v: FloatArray) -> FloatArray:
     """u², v², uv, u, v, 1 (n, 6): the table's features."""
     return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
-
-
-def roughness(degree: int) -> FloatArray:
-    """Diagonal (n_terms · 6,) of a ridge for a quadratic in position: higher powers cost more."""
-    term_cost = np.array([*(float(i + j) ** 2 for i, j in exponents(degree)), 1.0])
-    return (term_cost[:, None] * np.array([1.0, 1.0, 1.0, 0.25, 0.25, 0.0625])).ravel()
 
 
 N_LIGHT = 3
@@ -138,10 +107,30 @@ to the light at its place is what physics expects."""
 
 
 def ridge_costs(degree: int, position_degree: int) -> FloatArray:
-    """Diagonal (n_terms · n_features,) of the ridge: e times as much for each power of position."""
+    """Diagonal (n_light_terms · n_features,): e times as much for each power of position."""
     orders = [float(k) for k in range(position_degree + 1) for _ in range(k + 1)]
     cost = np.append(np.exp(orders), np.full(N_LIGHT, LIGHT_COST))
-    return np.tile(cost, n_terms(degree))
+    return np.tile(cost, n_light_terms(degree))
+
+
+CONTACT_DEPTH_MM = 1.0
+"""Depth at which half of what a contact adds shows: 0.5 to 1.5 mm fit the measured sets alike."""
+
+N_CONTACT = 3
+"""Terms of the contact itself."""
+
+
+def n_light_terms(degree: int) -> int:
+    """How many terms of slope and depth a model of this degree has."""
+    return len(exponents(degree)) + N_CONTACT
+
+
+def light_terms(gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, degree: int) -> FloatArray:
+    """The terms (n, n_light_terms) of gel with slopes (n,) at depths (n,) below its rest."""
+    nx, ny = normal_parts(gx, gy)
+    depth = np.maximum(depth_mm, 0.0)
+    share = depth / (depth + CONTACT_DEPTH_MM)
+    return np.column_stack([monomials(nx, ny, degree), share, share * nx, share * ny])
 
 
 def weighed(terms: FloatArray, at_places: FloatArray) -> FloatArray:
@@ -155,8 +144,8 @@ class SmoothModel:
 
     Attributes
     ----------
-    weights : (n_terms, n_features, 3) float64
-        Grey levels, RGB, for each term in (nx, ny) and position feature.
+    weights : (n_light_terms, n_features, 3) float64
+        Grey levels, RGB, for each of ``light_terms`` and position feature.
     degree : int
     """
 
@@ -174,26 +163,23 @@ class SmoothModel:
         """Grey levels (n, 3) of the model's terms (n, n_terms) at places (n, n_features)."""
         return weighed(terms, self.at_places(position))
 
-    def change(self, gx: FloatArray, gy: FloatArray, position: FloatArray) -> FloatArray:
-        """Grey levels (n, 3) that a slope (n,) adds, at ``position`` (n, n_features)."""
-        terms = monomials(*normal_parts(gx, gy), self.degree)
-        return self.of_terms(terms, position)
-
     def responses(
         self, slope_rad: FloatArray, direction_rad: FloatArray, position: FloatArray
     ) -> FloatArray:
-        """Grey levels (n_slope, n_direction, p, 3) at nodes of slope, direction, place (p, f)."""
-        sine = np.sin(slope_rad)[:, None]
-        nx, ny = sine * np.cos(direction_rad), sine * np.sin(direction_rad)
-        terms = monomials(nx.ravel(), ny.ravel(), self.degree)
-        at_places = np.einsum("pf,tfc->tpc", position, self.weights)
-        values = terms @ at_places.reshape(len(at_places), -1)
-        return np.asarray(values.reshape(*nx.shape, len(position), -1))
+        """Grey levels (n_slope, n_direction, p, 3) at nodes of slope, direction, place (p, f).
 
-    def coefficients(self, slope_rad: FloatArray, direction_rad: FloatArray) -> NDArray[np.float32]:
-        """Coefficients (n_slope, n_direction, 3, 6) of a model whose features are a table's six."""
-        unit = self.responses(slope_rad, direction_rad, np.eye(N_FEATURES))
-        return unit.swapaxes(-1, -2).astype(np.float32)
+        Of gel at rest: what a contact adds is ``of_contact``.
+        """
+        tangent = np.tan(slope_rad)[:, None]
+        gx, gy = tangent * np.cos(direction_rad), tangent * np.sin(direction_rad)
+        terms = light_terms(gx.ravel(), gy.ravel(), np.zeros(gx.size), self.degree)
+        at_places = self.at_places(position).swapaxes(0, 1)
+        values = terms @ at_places.reshape(len(at_places), -1)
+        return np.asarray(values.reshape(*gx.shape, len(position), -1))
+
+    def of_contact(self, position: FloatArray) -> FloatArray:
+        """What a contact adds at places (p, f): (p, 3, 3), for 1, nx and ny."""
+        return self.at_places(position)[:, -N_CONTACT:]
 
 
 def solve_ridge(gram: FloatArray, moment: FloatArray, settings: FitSettings) -> SmoothModel:
@@ -202,12 +188,12 @@ def solve_ridge(gram: FloatArray, moment: FloatArray, settings: FitSettings) -> 
     Parameters
     ----------
     gram : (k, k) float
-        Designᵀ·design, mean over the pixels; k = n_terms · n_features.
+        Designᵀ·design, mean over the pixels; k = n_light_terms · n_features.
     moment : (k, 3) float
         Designᵀ·grey level change, mean over the pixels.
     """
     degree, position_degree = settings.degree, settings.position_degree
     penalty = np.diag(settings.ridge * ridge_costs(degree, position_degree))
     weights = np.linalg.solve(gram + penalty, moment)
-    shape = (n_terms(degree), n_position_features(position_degree), -1)
+    shape = (n_light_terms(degree), n_position_features(position_degree), -1)
     return SmoothModel(weights.reshape(shape), degree)

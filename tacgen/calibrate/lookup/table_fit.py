@@ -13,12 +13,14 @@ from threadpoolctl import threadpool_limits
 
 from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
-from tacgen.calibrate.lookup.press_fit import JointFit, PressModel, fit_jointly
+from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly
 from tacgen.calibrate.lookup.scale import ScaleEvidence, scale_evidence
 from tacgen.calibrate.lookup.score import PressScore, TableScore, score_table
 from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings, LookupRules
 from tacgen.calibrate.lookup.smooth_model import (
+    CONTACT_DEPTH_MM,
     SmoothModel,
+    light_terms,
     position_degree_of,
     position_features,
     position_terms,
@@ -26,7 +28,7 @@ from tacgen.calibrate.lookup.smooth_model import (
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.version import VERSION
 from tacgen.core.workers import map_in_processes
-from tacgen.optics.table import LookupTable
+from tacgen.optics.table import ContactLight, LookupTable
 from tacgen.presses.geometry import press_slope, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
@@ -162,14 +164,13 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
         },
         "drift_share": fit.drift_share,
     }
-    quadratic, response = _looked_up(prepared, fit.model, steepest)
+    quadratic, response, contact = _looked_up(prepared, fit.model, steepest)
     background = prepared.backgrounds[choice.background]
     return LookupTable(
         coefficients=quadratic,
-        background=without_rest(
-            background, fit.model, fit.press_model, presses.mm_per_px, prepared.light
-        ),
+        background=without_rest(background, fit.model, presses, prepared.light),
         response=response,
+        contact=ContactLight(contact, CONTACT_DEPTH_MM, presses.dome_radius_mm),
         mm_per_px=presses.mm_per_px,
         max_slope_rad=float(steepest),
         sensor=presses.sensor,
@@ -180,8 +181,8 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
 
 def _looked_up(
     prepared: PreparedPresses, model: SmoothModel, steepest_rad: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """A table's response to slopes up to the steepest, and the quadratic in position nearest it."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """The quadratic in position, the response nearest which it is, and what a contact adds."""
     height, width = prepared.presses.shape_px
     per_side = (RESPONSE_PLACES - 1) / max(height, width)
     n_rows, n_columns = (max(2, 1 + round(side * per_side)) for side in (height, width))
@@ -202,6 +203,7 @@ def _looked_up(
     return (
         coefficients.astype(np.float32),
         response.reshape(shape).astype(np.float16).astype(np.float32),
+        model.of_contact(position).reshape(n_rows, n_columns, 3, 3).astype(np.float32),
     )
 
 
@@ -238,25 +240,16 @@ def steepest_slope_rad(presses: PressImages, fit: JointFit) -> float:
 
 
 def without_rest(
-    reference: FloatArray,
-    model: SmoothModel,
-    press_model: PressModel,
-    mm_per_px: float,
-    light: FloatArray | None = None,
+    reference: FloatArray, model: SmoothModel, presses: PressImages, light: FloatArray
 ) -> FloatArray:
-    """The reference image less what the table adds for the gel at rest (0 for a flat gel).
-
-    Without ``light`` (H, W, 3) the model's features of position are a table's six.
-    """
-    if press_model.dome_radius_mm <= 0:
+    """The reference image less what the table adds for the gel at rest (0 for a flat gel)."""
+    if presses.dome_radius_mm <= 0:
         return reference
     height, width = reference.shape[:2]
-    rows, columns = np.mgrid[:height, :width]
-    x_mm, y_mm = place_mm(columns.ravel(), rows.ravel(), (height, width), mm_per_px)
-    u, v = (columns.ravel() + 0.5) / width - 0.5, (rows.ravel() + 0.5) / height - 0.5
-    slope = rest_slope(x_mm, y_mm, press_model.dome_radius_mm)
-    position = position_terms(u, v)
-    if light is not None:
-        position = position_features(u, v, light, position_degree_of(model.weights.shape[1]))
-    at_rest = model.change(*slope, position)
+    rows, columns = (part.ravel() for part in np.mgrid[:height, :width])
+    x_mm, y_mm = place_mm(columns, rows, (height, width), presses.mm_per_px)
+    u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5
+    slope = rest_slope(x_mm, y_mm, presses.dome_radius_mm)
+    position = position_features(u, v, light, position_degree_of(model.weights.shape[1]))
+    at_rest = model.of_terms(light_terms(*slope, np.zeros_like(u), model.degree), position)
     return np.asarray(reference - at_rest.reshape(height, width, 3), dtype=np.float32)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup.prepared import make_background
 from tacgen.calibrate.lookup.press_fit import LabelModel, PressModel
 from tacgen.calibrate.lookup.settings import BackgroundRecipe
-from tacgen.calibrate.lookup.smooth_model import SmoothModel
-from tacgen.calibrate.lookup.table_fit import N_DIRECTION, N_SLOPE, camera_noise_grey, without_rest
+from tacgen.calibrate.lookup.smooth_model import position_terms
+from tacgen.calibrate.lookup.table_fit import N_DIRECTION, N_SLOPE, camera_noise_grey
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.core.version import VERSION
@@ -25,6 +25,7 @@ from tacgen.diagnose.optics.model import (
     PlainTable,
     geometry_of,
     membrane_of,
+    plain_terms,
     surface_slopes,
 )
 from tacgen.diagnose.optics.model_comparison import FittedModel
@@ -32,7 +33,7 @@ from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import Stage, optical_effects
 from tacgen.optics.render import Shader
 from tacgen.optics.table import LookupTable
-from tacgen.presses.geometry import rest_height
+from tacgen.presses.geometry import rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
 
@@ -129,16 +130,19 @@ def extended_table(
     if not isinstance(table, PlainTable):
         msg = "a fitted table has weights"
         raise TypeError(msg)
-    model = SmoothModel(table.position_weights(state.weights), table.degree)
-    gx, gy = surface_slopes(found.problem, state)
+    weights = table.position_weights(state.weights)
+    gx, gy, _ = surface_slopes(found.problem, state)
     steepest = float(np.arctan(np.hypot(gx, gy)).max())
     steepest = min(rules.table_margin * steepest, math.pi / 2)
     slope = np.linspace(0.0, steepest, N_SLOPE)
     direction = -np.pi + 2 * np.pi * np.arange(N_DIRECTION) / N_DIRECTION
     press_model = press_model_of_state(found, presses.dome_radius_mm)
+    rise = np.tan(slope)[:, None]
+    gx, gy = rise * np.cos(direction), rise * np.sin(direction)
+    terms = plain_terms(gx.ravel(), gy.ravel(), table.degree).reshape(*gx.shape, -1)
     return LookupTable(
-        coefficients=model.coefficients(slope, direction),
-        background=without_rest(reference, model, press_model, presses.mm_per_px),
+        coefficients=np.einsum("sdt,tfc->sdcf", terms, weights).astype(np.float32),
+        background=_without_rest(reference, table, weights, presses),
         mm_per_px=presses.mm_per_px,
         max_slope_rad=steepest,
         sensor=presses.sensor,
@@ -146,6 +150,21 @@ def extended_table(
         effects=effects,
         provenance=MappingProxyType(_provenance(presses, found, press_model)),
     )
+
+
+def _without_rest(
+    reference: NDArray[np.float32], table: PlainTable, weights: FloatArray, presses: PressImages
+) -> NDArray[np.float32]:
+    """The reference less what the table adds for the gel at rest (0 for a flat gel)."""
+    if presses.dome_radius_mm <= 0:
+        return reference
+    height, width = presses.shape_px
+    rows, columns = (part.ravel() for part in np.mgrid[:height, :width])
+    x_mm, y_mm = place_mm(columns, rows, presses.shape_px, presses.mm_per_px)
+    terms = plain_terms(*rest_slope(x_mm, y_mm, presses.dome_radius_mm), table.degree)
+    position = position_terms((columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5)
+    at_rest = np.einsum("nt,tfc,nf->nc", terms, weights, position, optimize=True)
+    return np.asarray(reference - at_rest.reshape(reference.shape), dtype=np.float32)
 
 
 def press_model_of_state(found: FittedModel, dome_radius_mm: float) -> PressModel:

@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup.smooth_model import (
     exponents,
     monomials,
-    n_terms,
     normal_parts,
-    roughness,
 )
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.pixels import PressPixels
@@ -40,7 +38,7 @@ from tacgen.optics.effects import (
     optical_effect,
     optical_effects,
 )
-from tacgen.optics.table import LookupTable, leds_of_table, response_at
+from tacgen.optics.table import LookupTable, contact_at, leds_of_table, response_at
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, rest_height, rest_slope
 
 Key = tuple[str, str]
@@ -159,6 +157,22 @@ class ModelState:
         }
 
 
+STEP_SINE = 0.1
+"""Sine of the slope at which the step of a plain table is half way up."""
+
+
+def plain_terms(gx: FloatArray, gy: FloatArray, degree: int) -> FloatArray:
+    """Powers of the normal, and a step that tells gel that is touched from gel that is not."""
+    nx, ny = normal_parts(gx, gy)
+    square = nx * nx + ny * ny
+    return np.column_stack([monomials(nx, ny, degree), square / (square + STEP_SINE**2)])
+
+
+def n_plain_terms(degree: int) -> int:
+    """How many terms ``plain_terms`` gives."""
+    return len(exponents(degree)) + 1
+
+
 @dataclass(frozen=True, slots=True)
 class PlainTable:
     """A polynomial in the surface normal, fitted to the presses.
@@ -177,7 +191,7 @@ class PlainTable:
     @property
     def n_columns(self) -> int:
         """How many weights a channel has."""
-        return n_terms(self.degree) + 5 * len(self.moving)
+        return n_plain_terms(self.degree) + 5 * len(self.moving)
 
     @property
     def moving(self) -> list[int]:
@@ -185,19 +199,20 @@ class PlainTable:
         if self.place_degree < 0:
             return []
         low = [t for t, (i, j) in enumerate(exponents(self.degree)) if i + j <= self.place_degree]
-        return [*low, n_terms(self.degree) - 1]
+        return [*low, n_plain_terms(self.degree) - 1]
 
     def roughness(self) -> NDArray[np.float64]:
         """What the ridge charges for each column: more for steep terms and for wide change."""
-        cost = roughness(self.degree).reshape(-1, 6)
-        return np.concatenate([cost[:, 5], cost[self.moving, :5].ravel()])
+        cost = np.array([*(float(i + j) ** 2 for i, j in exponents(self.degree)), 1.0])
+        wide = cost[self.moving, None] * np.array([1.0, 1.0, 1.0, 0.25, 0.25])
+        return np.concatenate([0.0625 * cost, wide.ravel()])
 
     def columns(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
         """Terms, and those of low degree times every feature of position."""
-        terms = monomials(*normal_parts(gx, gy), self.degree)
+        terms = plain_terms(gx, gy, self.degree)
         if pixels.dome_radius_mm > 0:
             rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
-            terms = terms - monomials(*normal_parts(*rest), self.degree)
+            terms = terms - plain_terms(*rest, self.degree)
         if not self.moving:
             return terms
         moving = terms[:, self.moving, None] * pixels.position[:, None, :5]
@@ -205,7 +220,7 @@ class PlainTable:
 
     def position_weights(self, weights: FloatArray) -> NDArray[np.float64]:
         """The weights as a smooth model has them: (n_terms, 6, 3)."""
-        full = np.zeros((n_terms(self.degree), 6, 3))
+        full = np.zeros((n_plain_terms(self.degree), 6, 3))
         full[:, 5] = weights[: len(full)]
         if self.moving:
             full[self.moving, :5] = weights[len(full) :].reshape(-1, 5, 3)
@@ -219,9 +234,14 @@ class GivenTable:
     table: LookupTable
     n_columns: int = 0
 
-    def change(self, gx: FloatArray, gy: FloatArray, pixels: PressPixels) -> FloatArray:
+    def change(
+        self, gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, pixels: PressPixels
+    ) -> FloatArray:
         """What the renderer looks up, less what it looks up for the gel at rest."""
         change = self._look_up(gx, gy, pixels)
+        if self.table.contact is not None:
+            u, v = pixels.position[:, 3], pixels.position[:, 4]
+            change = change + contact_at(self.table, gx, gy, depth_mm, u, v)
         if pixels.dome_radius_mm > 0:
             rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
             change = change - self._look_up(*rest, pixels)
@@ -283,7 +303,7 @@ def membrane_of(state: ModelState, pixels: PressPixels) -> Membrane:
 def radial_slopes(
     problem: Problem, state: ModelState, r_mm: FloatArray, contact_mm: FloatArray, ball: FloatArray
 ) -> FloatArray:
-    """Slope along the radius (n,), at distances (n,) from balls in contacts (n,)."""
+    """Slope along the radius and depth (2, n), at distances (n,) from balls in contacts (n,)."""
     surface = state.active(Stage.SURFACE, Stage.SURFACE)
     effects = tuple(
         (effect.name, tuple(sorted(state.values_of(effect).items()))) for effect in surface
@@ -292,17 +312,19 @@ def radial_slopes(
     return problem.profiles.slopes(state.form, membrane, r_mm, contact_mm, ball, effects)
 
 
-def surface_slopes(problem: Problem, state: ModelState) -> tuple[FloatArray, FloatArray]:
-    """Slope of the gel (n,) along x and along y."""
+def surface_slopes(
+    problem: Problem, state: ModelState
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Slope of the gel (n,) along x and along y, and its depth below its rest, mm."""
     pixels = problem.pixels
     places, balls = geometry_of(problem, state)
     place = places[pixels.press]
     dx, dy = pixels.x_mm - place[:, 0], pixels.y_mm - place[:, 1]
     r = np.hypot(dx, dy)
-    slope = radial_slopes(problem, state, r, place[:, 2], balls[pixels.press])
+    slope, depth = radial_slopes(problem, state, r, place[:, 2], balls[pixels.press])
     per_mm = slope / np.maximum(r, 1e-9)
     rest = rest_slope(pixels.x_mm, pixels.y_mm, pixels.dome_radius_mm)
-    return per_mm * dx + rest[0], per_mm * dy + rest[1]
+    return per_mm * dx + rest[0], per_mm * dy + rest[1], depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,9 +337,9 @@ class Colors:
 
 def colors_of(problem: Problem, state: ModelState) -> Colors:
     """The table's answer, before shadows and the camera."""
-    gx, gy = surface_slopes(problem, state)
+    gx, gy, depth = surface_slopes(problem, state)
     if isinstance(problem.table, GivenTable):
-        return Colors(problem.table.change(gx, gy, problem.pixels), np.zeros((len(gx), 0)))
+        return Colors(problem.table.change(gx, gy, depth, problem.pixels), np.zeros((len(gx), 0)))
     columns = problem.table.columns(gx, gy, problem.pixels)
     return Colors(columns @ state.weights, columns)
 
@@ -375,9 +397,8 @@ def scene_of(problem: Problem, state: ModelState) -> PressScene:
             side = np.arange(-half, half + 1) * cell_mm
             r = np.linspace(0.0, rules.profile_reach_radii * radius, rules.relief_points)
             one = np.ones(len(r))
-            slope = radial_slopes(problem, expected, r, radius * one, ball * one)
-            rise = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(r))])
-            relief = np.interp(np.hypot(side[None, :], side[:, None]), r, rise - rise[-1])
+            _, depth = radial_slopes(problem, expected, r, radius * one, ball * one)
+            relief = np.interp(np.hypot(side[None, :], side[:, None]), r, -depth)
             across, down = np.meshgrid(x + side, y + side)
             relief = relief + rest_height(across, down, pixels.dome_radius_mm)
             at = [

@@ -53,15 +53,19 @@ class Profiles:
         ball_mm: FloatArray,
         effects: SurfaceEffects = (),
     ) -> NDArray[np.float64]:
-        """Slope along the radius (n,), positive outwards, at ``r_mm`` from each pixel's ball."""
-        slope = np.zeros(len(r_mm))
+        """Slope along the radius, positive outwards, and depth, mm, at ``r_mm`` from each ball.
+
+        Both (2, n).
+        """
+        slope = np.zeros((2, len(r_mm)))
         contacts = tuple(self._contacts.tolist())
         for ball in np.unique(ball_mm):
             here = ball_mm == ball
             table = _profiles(
                 form, membrane, effects, float(ball), contacts, self._dome_radius_mm, self._rules
             )
-            slope[here] = self._read(table, r_mm[here], contact_mm[here])
+            for which in (0, 1):
+                slope[which, here] = self._read(table[which], r_mm[here], contact_mm[here])
         return slope
 
     def _read(self, table: FloatArray, r_mm: FloatArray, contact_mm: FloatArray) -> FloatArray:
@@ -92,7 +96,7 @@ def _profiles(
     dome_radius_mm: float,
     rules: SelectionRules,
 ) -> NDArray[np.float64]:
-    """Slopes (n_contacts, n_radii) on the grid of shares of the contact's radius."""
+    """Slopes and depths (2, n_contacts, n_radii) on the grid of shares of the contact's radius."""
     step = rules.profile_step_radii
     shares = np.arange(0.0, rules.profile_reach_radii + step / 2, step)
     rows = []
@@ -112,7 +116,10 @@ def _profiles(
         for name, values in effects:
             slope = optical_effect(name).on_profile(slope, step * contact_mm, **dict(values))
         rows.append(slope)
-    return np.array(rows)
+    slopes = np.array(rows)
+    rise = np.cumsum(0.5 * (slopes[:, :0:-1] + slopes[:, -2::-1]), axis=1)[:, ::-1]
+    depths = np.pad(rise, ((0, 0), (0, 1))) * step * np.array(contacts_mm)[:, None]
+    return np.stack([slopes, depths])
 
 
 def _elastic(

@@ -9,9 +9,9 @@ from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     design,
     first_features,
-    monomials,
+    light_terms,
+    n_light_terms,
     n_position_features,
-    n_terms,
     position_degree_of,
     position_features,
     solve_ridge,
@@ -27,8 +27,15 @@ def places(seed, n=4000):
     return sine * np.cos(angle), sine * np.sin(angle), u, v
 
 
-def fitted(normal, position, grey, settings):
-    columns = design(monomials(*normal, settings.degree), position)
+def slopes(nx, ny):
+    """The gel at rest with these normals: gx, gy and no depth."""
+    nz = np.sqrt(1 - nx**2 - ny**2)
+    return nx / nz, ny / nz, np.zeros_like(nx)
+
+
+def fitted(normal, position, grey, settings, depth=0.0):
+    gx, gy, none = slopes(*normal)
+    columns = design(light_terms(gx, gy, none + depth, settings.degree), position)
     n = len(grey)
     return solve_ridge(columns.T @ columns / n, columns.T @ grey / n, settings)
 
@@ -59,14 +66,31 @@ def test_known_polynomials_are_recovered():
     settings = FitSettings(degree=3, position_degree=4, ridge=1e-12)
     position = position_features(u, v, LIGHT, 4)
     model = fitted((nx, ny), position, truth(nx, ny, u, v), settings)
-    assert model.weights.shape == (n_terms(3), n_position_features(4), 3)
+    assert model.weights.shape == (n_light_terms(3), n_position_features(4), 3)
     nx, ny, u, v = places(2, 500)
-    gx, gy = (part / np.sqrt(1 - nx**2 - ny**2) for part in (nx, ny))
     position = position_features(u, v, LIGHT, 4)
-    np.testing.assert_allclose(model.change(gx, gy, position), truth(nx, ny, u, v), atol=1e-3)
+    made = model.of_terms(light_terms(*slopes(nx, ny), 3), position)
+    np.testing.assert_allclose(made, truth(nx, ny, u, v), atol=1e-3)
     slope, direction = np.arcsin(np.hypot(nx[:1], ny[:1])), np.arctan2(ny[:1], nx[:1])
     response = model.responses(slope, direction, position[:1])
     np.testing.assert_allclose(response[0, 0, 0], truth(nx, ny, u, v)[0], atol=1e-3)
+
+
+def test_what_a_contact_adds_is_told_from_its_slope():
+    """1 − exp(−d/0.8 mm) is no d/(d + 1 mm), but the model comes within a tenth of it."""
+    nx, ny, u, v = places(5)
+    depth = np.random.default_rng(6).uniform(0, 1.2, len(nx))
+    shade = 1 - np.exp(-depth / 0.8)
+    grey = np.stack([50 * nx - 30 * shade, 20 * shade * nx, 15 * shade * ny * (1 + u)], axis=-1)
+    settings = FitSettings(degree=3, position_degree=2, ridge=1e-9)
+    position = position_features(u, v, LIGHT, 2)
+    model = fitted((nx, ny), position, grey, settings, depth)
+    terms = light_terms(*slopes(nx, ny)[:2], depth, 3)
+    error = np.sqrt(((model.of_terms(terms, position) - grey) ** 2).mean(axis=0))
+    assert (error < 0.1 * grey.std(axis=0)).all()
+    level = model.of_contact(position)[:, 0].mean(axis=0)
+    assert level[0] < -40
+    assert abs(level[1:]).max() < 5
 
 
 def test_near_lamps_need_more_than_a_quadratic_in_position():
@@ -90,6 +114,7 @@ def test_near_lamps_need_more_than_a_quadratic_in_position():
         settings = FitSettings(degree=5, position_degree=degree, ridge=1e-6)
         model = fitted((nx, ny), position, lamps(nx, ny, u, v), settings)
         nx, ny, u, v = places(4, 2000)
-        made = model.of_terms(monomials(nx, ny, 5), position_features(u, v, LIGHT, degree))
+        terms = light_terms(*slopes(nx, ny), 5)
+        made = model.of_terms(terms, position_features(u, v, LIGHT, degree))
         errors[degree] = float(np.sqrt(((made - lamps(nx, ny, u, v)) ** 2).mean()))
     assert errors[4] < 0.6 * errors[2]

@@ -21,7 +21,7 @@ def radial_slope(form, r, effects=(), decay_mm=0.3):
     one = np.ones(len(r))
     membrane = Membrane(decay_mm, sharpness=20.0)
     profiles = Profiles(np.array([CONTACT]), 0.0)
-    return profiles.slopes(form, membrane, r, CONTACT * one, BALL * one, effects)
+    return profiles.slopes(form, membrane, r, CONTACT * one, BALL * one, effects)[0]
 
 
 @pytest.mark.parametrize(
