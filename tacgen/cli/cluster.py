@@ -107,7 +107,7 @@ def _submit_recipe(
     from tacgen.collection.recipe import load_recipe, with_cluster
 
     loaded = with_cluster(load_recipe(recipe), **settings)
-    submitted = cluster.submit(loaded, out, cluster.Request(executor, failed_only=failed))
+    submitted = cluster.submit(loaded, out, executor, failed_only=failed)
     if not submitted.shards:
         text = "tacgen: nothing to submit: every shard is done or in a job"
         typer.echo(text, err=True)

@@ -56,22 +56,23 @@ def collect(
 
     if not (dry_run or _looks_whole(out)):
         start_early("tacgen.collection.run", "trimesh.creation")
-    from tacgen.collection.job_array import parse_share, share_of
+    from tacgen.collection.job_array import parse_share
     from tacgen.collection.recipe import load_recipe
     from tacgen.collection.run import collect as run
-    from tacgen.collection.run import describe, shards_to_repair
+    from tacgen.collection.run import describe
     from tacgen.dataset.summary import none_executed, not_executed_lines, summarize
+    from tacgen.dataset.verify import verify as check
 
     loaded = load_recipe(recipe)
     plan = describe(loaded, out)
     part, parts, origin = parse_share(shard, os.environ)
-    share = share_of(plan.shards, part, parts)
+    share = range(part, plan.shards, parts)
     if dry_run:
         print_record(asdict(plan), json_output)
         return
     if parts > 1:
         typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
-    redo = [number for number in shards_to_repair(out) if number in share] if repair else []
+    redo = [number for number in check(out).bad_shards if number in share] if repair else []
     result = run(
         loaded,
         out,

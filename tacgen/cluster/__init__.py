@@ -3,7 +3,6 @@
 from tacgen.cluster.states import Status, job_states, jobs_text, status, status_text
 from tacgen.cluster.submission import (
     COMMANDS,
-    Request,
     Submitted,
     require_command,
     submit,
@@ -14,7 +13,6 @@ from tacgen.cluster.submission import (
 
 __all__ = [
     "COMMANDS",
-    "Request",
     "Status",
     "Submitted",
     "job_states",

@@ -6,11 +6,14 @@ by the task, so no two processes write one file. Logs and submitit's own files s
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import ClusterError
 from tacgen.core.files import write_text
@@ -54,15 +57,13 @@ class JobsFolder:
     def create(self) -> Path:
         """The folder of a new submission: the next free number."""
         self.root.mkdir(parents=True, exist_ok=True)
-        number = max((int(path.name) for path in self._folders()), default=-1) + 1
-        while True:
+        first = max((int(path.name) for path in self._folders()), default=-1) + 1
+        for number in itertools.count(first):
             folder = self.root / f"{number:03d}"
-            try:
+            with contextlib.suppress(FileExistsError):
                 folder.mkdir()
-            except FileExistsError:
-                number += 1
-            else:
-                return folder
+                break
+        return folder
 
     def submissions(self) -> dict[Path, Submission]:
         """Every submission by its folder, in order; empty where nothing was submitted."""
@@ -81,18 +82,10 @@ def write_submission(folder: Path, submission: Submission) -> None:
 
 
 def read_submission(path: Path) -> Submission:
-    """What ``write_submission`` wrote.
-
-    Raises ``ClusterError`` if the file does not hold that.
-    """
+    """What ``write_submission`` wrote; raises ``ClusterError`` if the file does not hold that."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        tasks = tuple(
-            Task(int(task["number"]), str(task["job_id"]), _whole_numbers(task["shards"]))
-            for task in data["tasks"]
-        )
-        return Submission(str(data["executor"]), str(data["host"]), tasks)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        return TypeAdapter(Submission).validate_json(path.read_bytes())
+    except ValidationError as error:
         msg = f"{path}: not the record of a submission; delete the folder {path.parent}"
         raise ClusterError(msg) from error
 
@@ -110,22 +103,11 @@ def write_note(path: Path, note: Note) -> None:
 def read_note(path: Path) -> Note | None:
     """The last state of a task; None where it has not begun, or the file was cut short."""
     try:
-        data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return Note(
-            str(data["state"]),
-            int(data["attempt"]),
-            str(data["host"]),
-            int(data["pid"]),
-            str(data["reason"]),
-        )
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return TypeAdapter(Note).validate_json(path.read_bytes())
+    except (OSError, ValidationError):
         return None
 
 
 def log_path(folder: Path, job_id: str) -> Path:
     """Where submitit sends what a task writes to standard error."""
     return folder / f"{job_id}_0_log.err"
-
-
-def _whole_numbers(values: Sequence[Any]) -> tuple[int, ...]:
-    return tuple(int(value) for value in values)

@@ -7,7 +7,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.records import JobsFolder, Note, Task, log_path, note_path, read_note
+from tacgen.cluster.records import (
+    JobsFolder,
+    Note,
+    Submission,
+    Task,
+    log_path,
+    note_path,
+    read_note,
+)
 from tacgen.cluster.scheduler import live_jobs
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.manifest import ShardLine
@@ -89,16 +97,12 @@ def status(root: Path) -> Status:
     live = live_jobs(submissions.values())
     running = folder.running()
     lines = {n: line for n, line in folder.manifest().items() if folder.shard_path(n).is_file()}
-    tasks = tuple(
-        _task_state(path, task, live, lines)
-        for path, submission in submissions.items()
-        for task in submission.tasks
-    )
+    tasks = _task_states(submissions, live, lines)
     begun = set(lines) | {shard for shard, _ in running}
     queued = _shards_of(tasks, *ALIVE) - begun
     failed = _shards_of(tasks, "failed") - begun - queued
     left = set(range(plan["n_shards"])) - begun - queued - failed
-    grasps_done = sum(map(_grasps, lines.values()))
+    grasps_done = sum(line.n_grasps for line in lines.values())
     rate = _rate(folder, lines)
     busy = bool(running) or any(task.state == "running" for task in tasks)
     return Status(
@@ -123,12 +127,7 @@ def job_states(root: Path) -> tuple[TaskState, ...]:
     answer.
     """
     submissions = JobsFolder(root).submissions()
-    live = live_jobs(submissions.values())
-    return tuple(
-        _task_state(path, task, live, {})
-        for path, submission in submissions.items()
-        for task in submission.tasks
-    )
+    return _task_states(submissions, live_jobs(submissions.values()), {})
 
 
 def jobs_text(root: Path, tasks: Sequence[TaskState]) -> str:
@@ -163,27 +162,22 @@ def status_text(found: Status) -> str:
     return "\n".join(lines)
 
 
-def _task_state(
-    folder: Path,
-    task: Task,
+def _task_states(
+    submissions: Mapping[Path, Submission],
     live: Mapping[str, tuple[str, str]] | None,
     lines: Mapping[int, ShardLine],
-) -> TaskState:
-    note = read_note(note_path(folder, task.number))
-    done = sum(shard in lines for shard in task.shards)
-    whole = done == len(task.shards) > 0
-    state, reason = _verdict(task, note, live, whole=whole)
-    return TaskState(
-        submission=folder.name,
-        task=task.number,
-        job_id=task.job_id,
-        state=state,
-        reason=reason,
-        log=str(log_path(folder, task.job_id)),
-        attempt=note.attempt if note else 0,
-        shards=task.shards,
-        shards_done=done,
-    )
+) -> tuple[TaskState, ...]:
+    found = []
+    for folder, submission in submissions.items():
+        for task in submission.tasks:
+            note = read_note(note_path(folder, task.number))
+            done = sum(shard in lines for shard in task.shards)
+            whole = done == len(task.shards) > 0
+            state, reason = _verdict(task, note, live, whole=whole)
+            log, attempt = str(log_path(folder, task.job_id)), note.attempt if note else 0
+            facts = (folder.name, task.number, task.job_id, state, reason, log, attempt)
+            found.append(TaskState(*facts, task.shards, done))
+    return tuple(found)
 
 
 def _verdict(
@@ -194,17 +188,19 @@ def _verdict(
         return live[task.job_id]
     if whole:
         return "done", ""
-    if note is not None and note.state == "failed":
-        return "failed", note.reason
     if note is not None and note.state == "done":
         return "done", "left shards to other processes" if task.shards else ""
+    if note is not None and note.state == "failed":
+        return "failed", note.reason
     if live is None:
         return "unknown", "ask on the machine that it was submitted from"
     if note is None:
-        return "failed", "ended before it began: cancelled, or its node could not start it"
-    if note.state == "interrupted":
-        return "failed", note.reason
-    return "failed", f"ended without a message on {note.host}: killed, or out of memory"
+        reason = "ended before it began: cancelled, or its node could not start it"
+    elif note.state == "interrupted":
+        reason = note.reason
+    else:
+        reason = f"ended without a message on {note.host}: killed, or out of memory"
+    return "failed", reason
 
 
 def _shards_of(tasks: tuple[TaskState, ...], *states: str) -> set[int]:
@@ -217,11 +213,7 @@ def _rate(folder: DatasetFolder, lines: Mapping[int, ShardLine]) -> float | None
     recent = [(at_s, n) for at_s, n in finished if at_s >= finished[-1][0] - RATE_WINDOW_S]
     if len(recent) < 2 or recent[-1][0] <= recent[0][0]:
         return None
-    return sum(_grasps(lines[n]) for _, n in recent[1:]) / (recent[-1][0] - recent[0][0])
-
-
-def _grasps(line: ShardLine) -> int:
-    return line.index_range[1] - line.index_range[0]
+    return sum(lines[n].n_grasps for _, n in recent[1:]) / (recent[-1][0] - recent[0][0])
 
 
 def _duration(seconds: float | None) -> str:

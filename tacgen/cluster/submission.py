@@ -15,13 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.records import (
-    JobsFolder,
-    Submission,
-    Task,
-    note_path,
-    write_submission,
-)
+from tacgen.cluster.records import JobsFolder, Submission, Task, note_path, write_submission
 from tacgen.cluster.scheduler import site_array_limit
 from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
 from tacgen.cluster.task import CollectTask, CommandTask
@@ -41,24 +35,6 @@ _POLL_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """How to submit: where to, and whether beside jobs that still run (``failed_only``)."""
-
-    executor: str
-    failed_only: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """Where jobs go and under which name; ``limit`` is the most of one array."""
-
-    executor: str
-    cluster: Cluster
-    name: str
-    limit: int
-
-
-@dataclass(frozen=True, slots=True)
 class Submitted:
     """What was handed over; ``arrays`` is into how many arrays the jobs were split."""
 
@@ -69,31 +45,37 @@ class Submitted:
     arrays: int
 
 
-def submit(recipe: Recipe, out: Path, request: Request) -> Submitted:
+def submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool = False) -> Submitted:
     """Submit jobs for every shard that ``out`` lacks and no running or waiting job will make.
 
     Raises ``ClusterError`` if submitit or the scheduler is missing or refuses, or jobs of this
-    dataset still run (unless ``request.failed_only``). Raises ``DatasetError`` if the folder cannot
+    dataset still run (unless ``failed_only``). Raises ``DatasetError`` if the folder cannot
     be written to or holds another dataset.
     """
-    require_executor(request.executor)
+    require_executor(executor)
     planned = plan_recipe(recipe)
     DatasetFolder(out).prepare(dataset_spec(recipe, len(planned)))
     found = status(out)
-    shards = _shards_to_submit(found, failed_only=request.failed_only)
+    shards = _shards_to_submit(found, failed_only=failed_only)
     if not shards:
-        return Submitted(str(out), request.executor, 0, (), 0)
+        return Submitted(str(out), executor, 0, (), 0)
     cluster = recipe.cluster
-    limit = _array_limit(request.executor, cluster)
+    limit = 1 if executor == "local" else cluster.max_array or site_array_limit()
     folder = JobsFolder(out.resolve()).create()
-    parts = _every_nth(shards, _task_count(len(shards), request.executor, cluster))
+    # Every n-th shard: objects differ in what they cost, neighbours are alike.
+    count = _task_count(len(shards), executor, cluster)
     tasks = [
-        CollectTask(recipe, out.resolve(), part, cluster.cpus_per_task, note_path(folder, number))
-        for number, part in enumerate(parts)
+        CollectTask(
+            recipe,
+            out.resolve(),
+            tuple(shards[number::count]),
+            cluster.cpus_per_task,
+            note_path(folder, number),
+        )
+        for number in range(count)
     ]
-    target = Target(request.executor, cluster, recipe.name, limit)
-    jobs = hand_over(tasks, folder, target)
-    return Submitted(str(folder), request.executor, len(shards), jobs, -(-len(jobs) // limit))
+    jobs = _hand_over(tasks, folder, _engine(folder, executor, cluster, recipe.name), limit)
+    return Submitted(str(folder), executor, len(shards), jobs, -(-len(jobs) // limit))
 
 
 def wait_for(root: Path, show: Callable[[Status], None] = lambda _: None) -> Status:
@@ -129,7 +111,7 @@ def submit_command(
         raise ClusterError(msg)
     folder = JobsFolder(out.resolve()).create()
     task = CommandTask(tuple(command), run, Path.cwd(), note_path(folder, 0))
-    jobs = hand_over([task], folder, Target(executor, cluster, command[0], 1))
+    jobs = _hand_over([task], folder, _engine(folder, executor, cluster, command[0]), 1)
     return Submitted(str(folder), executor, 0, jobs, 1)
 
 
@@ -175,10 +157,9 @@ def require_executor(executor: str) -> None:
 
 def _shards_to_submit(found: Status, *, failed_only: bool) -> list[int]:
     if found.alive and not failed_only:
-        live = [task.job_id for task in found.tasks if task.state in ("queued", "running")]
-        unsure = [task.job_id for task in found.tasks if task.state == "unknown"]
+        alive = [task.job_id for task in found.tasks if task.state in ALIVE]
         msg = (
-            f"{found.root}: jobs {', '.join((live + unsure)[:5])} of this dataset still run or "
+            f"{found.root}: jobs {', '.join(alive[:5])} of this dataset still run or "
             "wait; wait for them (`tacgen status`), or give --failed to submit only what none of "
             "them will make"
         )
@@ -194,62 +175,43 @@ def _task_count(n_shards: int, executor: str, cluster: Cluster) -> int:
     return wanted
 
 
-def _every_nth(shards: Sequence[int], parts: int) -> list[tuple[int, ...]]:
-    """Every parts-th shard: objects differ in what they cost, neighbours are alike."""
-    return [tuple(shards[part::parts]) for part in range(parts)]
-
-
-def _array_limit(executor: str, cluster: Cluster) -> int:
-    if executor == "local":
-        return 1
-    return cluster.max_array or site_array_limit()
-
-
-def hand_over(
-    tasks: Sequence[CollectTask | CommandTask], folder: Path, target: Target
+def _hand_over(
+    tasks: Sequence[CollectTask | CommandTask], folder: Path, engine: Any, limit: int
 ) -> tuple[str, ...]:
     """Submit the tasks, an array at a time, and record each array as soon as it is accepted."""
+    from submitit.core.utils import FailedJobError, FailedSubmissionError
+
+    executor, host = engine.name(), socket.gethostname()
     recorded: list[Task] = []
     with _background():
-        engine = _engine(folder, target)
-        for start in range(0, len(tasks), target.limit):
-            batch = tasks[start : start + target.limit]
-            jobs = _submit_array(engine, batch, target.executor)
+        for start in range(0, len(tasks), limit):
+            batch = tasks[start : start + limit]
+            try:
+                with engine.batch():
+                    jobs = [engine.submit(task) for task in batch]
+            except (FailedJobError, FailedSubmissionError, OSError) as error:
+                msg = (
+                    f"{executor} refused the jobs: {error}; see the section `cluster` of the "
+                    "recipe, or the flags"
+                )
+                raise ClusterError(msg) from error
             recorded += [
                 Task(start + k, job.job_id, task.shards)
                 for k, (job, task) in enumerate(zip(jobs, batch, strict=True))
             ]
-            submission = Submission(target.executor, socket.gethostname(), tuple(recorded))
-            write_submission(folder, submission)
+            write_submission(folder, Submission(executor, host, tuple(recorded)))
     return tuple(task.job_id for task in recorded)
 
 
-def _submit_array(
-    engine: Any, batch: Sequence[CollectTask | CommandTask], executor: str
-) -> list[Any]:
-    from submitit.core.utils import FailedJobError, FailedSubmissionError
-
-    try:
-        with engine.batch():
-            return [engine.submit(task) for task in batch]
-    except (FailedJobError, FailedSubmissionError, OSError) as error:
-        msg = (
-            f"{executor} refused the jobs: {error}; see the section `cluster` of the recipe, "
-            "or the flags"
-        )
-        raise ClusterError(msg) from error
-
-
-def _engine(folder: Path, target: Target) -> Any:
+def _engine(folder: Path, executor: str, cluster: Cluster, name: str) -> Any:
     import submitit
 
-    cluster = target.cluster
-    if target.executor == "local":
+    if executor == "local":
         here = submitit.LocalExecutor(folder)
         here.update_parameters(timeout_min=_A_WEEK_MIN, setup=list(cluster.setup))
         return here
     slurm = submitit.SlurmExecutor(folder, max_num_timeout=cluster.max_timeouts)
-    slurm.update_parameters(**slurm_parameters(cluster, target.name))
+    slurm.update_parameters(**slurm_parameters(cluster, name))
     return slurm
 
 

@@ -16,8 +16,16 @@ from tacgen.collection.run import collect
 from tacgen.core.errors import TacgenError
 
 
-@dataclass(frozen=True, slots=True)
-class CollectTask:
+class _Resumable:
+    def checkpoint(self: Any) -> Any:
+        """What submitit queues instead of this task when it is preempted: the same again."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self)
+
+
+@dataclass(frozen=True)
+class CollectTask(_Resumable):
     """Collects its shards; called again after a preemption, it resumes."""
 
     recipe: Recipe
@@ -33,13 +41,9 @@ class CollectTask:
                 self.recipe, self.out, workers=self.workers, shards=self.shards, progress=False
             ).summary()
 
-    def checkpoint(self) -> Any:
-        """What submitit queues instead of this task when it is preempted: the same again."""
-        return _again(self)
 
-
-@dataclass(frozen=True, slots=True)
-class CommandTask:
+@dataclass(frozen=True)
+class CommandTask(_Resumable):
     """Runs a command of tacgen that resumes, as ``train`` and ``friction`` do.
 
     ``run`` runs a command, given as the arguments after ``tacgen``.
@@ -57,16 +61,6 @@ class CommandTask:
         with _noted(self.note):
             self.run(self.command)
 
-    def checkpoint(self) -> Any:
-        """What submitit queues instead of this task when it is preempted: the same again."""
-        return _again(self)
-
-
-def _again(task: Any) -> Any:
-    from submitit.helpers import DelayedSubmission
-
-    return DelayedSubmission(task)
-
 
 @contextlib.contextmanager
 def _noted(path: Path) -> Iterator[None]:
@@ -80,11 +74,9 @@ def _noted(path: Path) -> Iterator[None]:
     record("running")
     try:
         yield
-    except TacgenError as error:
-        record("failed", str(error))
-        raise
     except Exception as error:
-        record("failed", f"{type(error).__name__}: {error}")
+        kind = "" if isinstance(error, TacgenError) else f"{type(error).__name__}: "
+        record("failed", f"{kind}{error}")
         raise
     except BaseException:
         record("interrupted", "preempted, out of time or cancelled")

@@ -73,7 +73,7 @@ def estimate_s(recipe: Recipe, *, sample: int = 6, workers: int = 1) -> dict[str
 
 def _frame_figures(repeats: int) -> list[Figure]:
     grasped = load_object(FRAME_OBJECT)
-    triangles = len(grasped.surface.faces)
+    surface, pose = grasped.surface, _side_pose(grasped)
     figures = []
     for name, sensor_name, shadows in (
         ("frame_ms_640x480", "gelsight", False),
@@ -82,22 +82,17 @@ def _frame_figures(repeats: int) -> list[Figure]:
     ):
         sensor = load_sensor(sensor_name)
         pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
-        pose = _side_pose(grasped)
-
-        def frame(pad: TactilePad = pad, pose: NDArray[np.float64] = pose) -> None:
-            pad.render(grasped.surface, pose, GelLoad(FRAME_VOLUME_MM3))
-
-        what = f"{sensor_name}, {triangles} triangles{', shadows' if shadows else ''}"
+        frame = partial(pad.render, surface, pose, GelLoad(FRAME_VOLUME_MM3))
+        what = f"{sensor_name}, {len(surface.faces)} triangles{', shadows' if shadows else ''}"
         figures.append(Figure(name, 1e3 * _median_s(frame, repeats), "ms", what))
     sensor = load_sensor("gelsight")
-    surface, pose = grasped.surface, _side_pose(grasped)
-    gap = gap_map(surface.vertices_mm, surface.faces, pose, sensor)
-    gap_s = _median_s(lambda: gap_map(surface.vertices_mm, surface.faces, pose, sensor), repeats)
-    solve_s = _median_s(
-        lambda: solve_indentation(gap, FRAME_VOLUME_MM3, sensor.pixel_area_mm2), repeats
-    )
-    figures.append(Figure("gap_map_ms", 1e3 * gap_s, "ms", "whole 640×480 map, by itself"))
-    figures.append(Figure("solve_ms", 1e3 * solve_s, "ms", "V → δ on the whole map, by itself"))
+    make_gap = partial(gap_map, surface.vertices_mm, surface.faces, pose, sensor)
+    solve = partial(solve_indentation, make_gap(), FRAME_VOLUME_MM3, sensor.pixel_area_mm2)
+    for name, action, what in (
+        ("gap_map_ms", make_gap, "whole 640×480 map, by itself"),
+        ("solve_ms", solve, "V → δ on the whole map, by itself"),
+    ):
+        figures.append(Figure(name, 1e3 * _median_s(action, repeats), "ms", what))
     return figures
 
 
@@ -112,30 +107,21 @@ def _side_pose(grasped: GraspObject) -> NDArray[np.float64]:
 
 def _grasp_figures(repeats: int) -> list[Figure]:
     figures = []
-    share = 0.0
-    for name, frames in (
-        ("grasp_s_single", {"mode": "single"}),
-        ("grasp_s_sequence", {"mode": "sequence", "count": SEQUENCE_FRAMES}),
+    for name, frames, what in (
+        ("grasp_s_single", {"mode": "single"}, "1 image"),
+        ("grasp_s_sequence", {"mode": "sequence", "count": SEQUENCE_FRAMES}, "24 images"),
     ):
-        recipe = Recipe.model_validate(
-            {
-                "name": "bench",
-                "objects": [FRAME_OBJECT],
-                "grid": GRASP,
-                "frames": frames,
-                "dataset": {"scene_pictures": False},
-            }
-        )
+        sections = {"objects": [FRAME_OBJECT], "grid": GRASP, "frames": frames}
+        no_pictures = {"scene_pictures": False}
+        recipe = Recipe.model_validate({"name": "bench", **sections, "dataset": no_pictures})
         planned = plan_recipe(recipe)[0]
         with GraspPipeline(recipe) as pipeline:
             seconds = _median_s(partial(pipeline.sample, planned), repeats)
+            figures.append(Figure(name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"))
             if frames["mode"] == "single":
                 share = _physics_share(pipeline, planned, repeats)
-        what = "1 image" if frames["mode"] == "single" else f"{SEQUENCE_FRAMES} images"
-        figures.append(Figure(name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"))
-    figures.append(
-        Figure("physics_share", share, "1", "time inside stepSimulation / time of a single image")
-    )
+                what = "time inside stepSimulation / time of a single image"
+                figures.append(Figure("physics_share", share, "1", what))
     return figures
 
 
@@ -145,10 +131,8 @@ def _physics_share(pipeline: GraspPipeline, planned: PlannedGrasp, repeats: int)
     step = bullet.stepSimulation
     inside = [0.0]
 
-    def timed_step(client: int) -> None:
-        start = time.perf_counter()
-        step(client)
-        inside[0] += time.perf_counter() - start
+    def timed_step() -> None:
+        inside[0] += _timed_s(step)
 
     shares = []
     bullet.stepSimulation = timed_step
@@ -158,7 +142,7 @@ def _physics_share(pipeline: GraspPipeline, planned: PlannedGrasp, repeats: int)
             whole_s = _timed_s(lambda: pipeline.sample(planned))
             shares.append(inside[0] / whole_s)
     finally:
-        bullet.stepSimulation = step
+        del bullet.stepSimulation
     return statistics.median(shares)
 
 

@@ -80,13 +80,6 @@ def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
     ]
 
 
-def shard_ranges(n_grasps: int, shard_size: int) -> list[range]:
-    """The grasp indices of each shard."""
-    return [
-        range(start, min(start + shard_size, n_grasps)) for start in range(0, n_grasps, shard_size)
-    ]
-
-
 def _points(
     recipe: Recipe, entry: ObjectEntry, number: int, ranges_of: RangesOf
 ) -> Sequence[tuple[float, ...]]:

@@ -160,10 +160,7 @@ def recipe_object(entry: ObjectEntry) -> GraspObject:
 
 def declared_entry(recipe: Recipe, name: str) -> ObjectEntry:
     """The recipe's entry of an object; a plain one where the recipe does not name it."""
-    for entry in recipe.objects:
-        if entry.name == name:
-            return entry
-    return ObjectEntry(name=name)
+    return next((e for e in recipe.objects if e.name == name), ObjectEntry(name=name))
 
 
 def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
@@ -209,16 +206,10 @@ class Outcome:
         margin = trace.margin
         if margin is None:
             return cls(trace.label, trace.failure_mode, NAN, NAN, status=trace.status)
-        return cls(
-            trace.label,
-            trace.failure_mode,
-            margin.translational,
-            margin.rotational,
-            margin.friction_ratio,
-            margin.torsion_ratio,
-            trace.rise_mm,
-            trace.turn_rad,
-        )
+        differences = margin.translational, margin.rotational
+        ratios = margin.friction_ratio, margin.torsion_ratio
+        moved = trace.rise_mm, trace.turn_rad
+        return cls(trace.label, trace.failure_mode, *differences, *ratios, *moved)
 
 
 def declared_sha256(recipe: Recipe, name: str) -> str:
@@ -299,10 +290,8 @@ def simulate_perturbed(
     store = _Store(out / "outcomes.jsonl", recipe, {config.object for config, _ in wanted})
     kept = store.read()
     jobs: dict[Place, tuple[GraspConfig, dict[Perturbation, None]]] = {}
-    keys: dict[Key, None] = {}
     for config, change in wanted:
         place = place_of(config)
-        keys[place, change] = None
         changes = jobs.setdefault(place, (config, {}))[1]
         if (place, change) not in kept:
             changes[change] = None
@@ -312,16 +301,15 @@ def simulate_perturbed(
     show(done, len(listed))
     make_job = partial(_grasp_job, recipe, tuple(listed))
     for event in run_tasks(pending, make_job, workers=workers, item_limit_s=GRASP_LIMIT_S):
-        if event.kind != "done":
-            continue
-        config, simulated = listed[event.task]
-        place = place_of(config)
-        found = {(place, change): one for change, one in zip(simulated, event.value, strict=True)}
-        store.append(found)
-        kept |= found
-        done += 1
-        show(done, len(listed))
-    return {key: kept[key] for key in keys}
+        if event.kind == "done":
+            config, simulated = listed[event.task]
+            keys = [(place_of(config), change) for change in simulated]
+            found = dict(zip(keys, event.value, strict=True))
+            store.append(found)
+            kept |= found
+            done += 1
+            show(done, len(listed))
+    return {(place_of(config), change): kept[place_of(config), change] for config, change in wanted}
 
 
 Task = tuple[GraspConfig, tuple[Perturbation, ...]]
@@ -368,22 +356,20 @@ class _Store:
         self._made_with = {name: declared_sha256(recipe, name) for name in names}
 
     def read(self) -> dict[Key, Outcome]:
-        """What was simulated of these objects as declared; damaged lines are passed over.
+        """What was simulated of these objects as declared.
 
-        So are lines of objects that were declared differently then.
+        Damaged lines are passed over, and those of objects that were declared differently then.
         """
         found: dict[Key, Outcome] = {}
         if not self._path.is_file():
             return found
         for line in self._path.read_text(encoding="utf-8", errors="replace").splitlines():
-            try:
+            with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
                 data = json.loads(line)
                 name, *numbers = data["grasp"]
                 if data["declared"] == self._made_with.get(name):
                     key = ((name, *map(float, numbers)), _perturbation(data["changes"]))
                     found[key] = Outcome(**data["outcome"])
-            except (ValueError, KeyError, TypeError, RecursionError):
-                continue
         return found
 
     def append(self, outcomes: Mapping[Key, Outcome]) -> None:

@@ -27,7 +27,7 @@ from tacgen.core.records import (
 )
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
-from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
+from tacgen.physics import GraspSimulator, run_grasp
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import Imprint, TactilePad
@@ -46,7 +46,6 @@ class GraspPipeline:
 
     def __init__(self, recipe: Recipe) -> None:
         self.recipe = recipe
-        self._frames = frame_request(recipe)
         self._law = contact_law(recipe.contact)
         self._pad = tactile_pad(recipe)
         self.simulator = GraspSimulator(recipe.robot.name)
@@ -66,7 +65,7 @@ class GraspPipeline:
         grasped = perturbed_object(self._object(entry), variation.perturbation)
         config = vary_config(planned.config, variation)
         trace = run_grasp(
-            self.simulator, grasped, config, self.recipe.physics_settings, frames=self._frames
+            self.simulator, grasped, config, self.recipe.physics_settings, frames=self.recipe.frames
         )
         frame = grasp_frame(trace)
         noise = _rng(planned, _STREAM_NOISE)
@@ -117,16 +116,15 @@ class GraspPipeline:
             )
             for frame, load in zip(frames, loads, strict=True)
         ]
-        kept = None
+        grasped_at, depth_mm = rendered[grasp_frame].imprint, None
         if self.recipe.dataset.depth:
-            depth_map = rendered[grasp_frame].imprint.depth_map_mm(self._pad.sensor)
-            kept = depth_map.astype(np.float16)
+            depth_mm = grasped_at.depth_map_mm(self._pad.sensor).astype(np.float16)
         return PadSample(
             rgb=with_gain(np.stack([one.rgb for one in rendered]), variation.gain_factor),
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
             indentation_mm=np.array([one.imprint.indentation_mm for one in rendered]),
-            depth_mm=kept,
+            depth_mm=depth_mm,
         )
 
 
@@ -174,12 +172,6 @@ def tactile_pad(recipe: Recipe) -> TactilePad:
         shadows=recipe.optics.shadows,
         markers=recipe.optics.markers,
     )
-
-
-def frame_request(recipe: Recipe) -> FrameRequest:
-    """The tactile frames that a recipe asks for."""
-    frames = recipe.frames
-    return FrameRequest(frames.mode, frames.count, frames.span_s)
 
 
 def frame_times_s(recipe: Recipe) -> tuple[float, ...]:

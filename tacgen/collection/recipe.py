@@ -35,7 +35,7 @@ from tacgen.core.resources import (
     unknown_object_hint,
 )
 from tacgen.core.yaml_source import YamlSource, problem_text, read_yaml, validate
-from tacgen.physics.settings import PhysicsSettings, force_problem
+from tacgen.physics.settings import FrameRequest, PhysicsSettings, force_problem
 from tacgen.sensor.description import SensorByName, SensorChoice
 
 
@@ -143,17 +143,6 @@ class Optics(Section):
     """Draw the gel's dots, moved by pressure, shear and twist."""
     noise: bool = True
     """Add the camera's noise."""
-
-
-class Frames(Section):
-    """The tactile frames of a grasp: the moment of grasp alone, or a sequence from closing on."""
-
-    mode: Literal["single", "sequence"] = "single"
-    """One image at the moment of grasp, or a sequence from the start of closing."""
-    count: PositiveInt = 24
-    """Number of frames of a sequence."""
-    span_s: PositiveFloat = 3.0
-    """Time from the first to the last frame of a sequence."""
 
 
 class Split(Section):
@@ -270,7 +259,7 @@ class Recipe(Section):
     """The contact law."""
     optics: Optics = Optics()
     """The renderer."""
-    frames: Frames = Frames()
+    frames: FrameRequest = FrameRequest()
     """Tactile images of a grasp."""
     dataset: DatasetOptions = DatasetOptions()
     """Content of the shards."""

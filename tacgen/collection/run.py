@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from tacgen.collection.grid import PlannedGrasp, plan_recipe, shard_ranges
+from tacgen.collection.grid import PlannedGrasp, plan_recipe
 from tacgen.collection.pipeline import GraspPipeline, crashed_sample, dataset_spec
 from tacgen.collection.recipe import Recipe
 from tacgen.core.progress import print_status, progress_counter
@@ -17,7 +18,6 @@ from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.card import write_card
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.gallery import Card, CardMaker, write_gallery
-from tacgen.dataset.verify import verify
 
 CARDS_A_TASK = 5
 CARD_LIMIT_S = 60.0
@@ -36,27 +36,40 @@ class Plan:
     shards_done: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Collected:
-    """What a run of ``collect`` did: shards it made, found done, and left to other processes."""
+    """What a run of ``collect`` did: shards it made, found done, and left to other processes.
 
-    made: tuple[int, ...]
+    ``labels`` are those of the grasps that were simulated, ``crashed`` the reasons of the others,
+    both by the grasp's index.
+    """
+
     found: tuple[int, ...]
-    left_to_others: tuple[int, ...]
-    labels: Mapping[int, int]
-    crashed: Mapping[int, str]
+    made: list[int] = field(default_factory=list)
+    left_to_others: list[int] = field(default_factory=list)
+    labels: dict[int, int] = field(default_factory=dict)
+    crashed: dict[int, str] = field(default_factory=dict)
+
+    def add(self, event: Event) -> None:
+        """Count what happened."""
+        if event.kind == "item":
+            self.labels[event.item] = event.value
+        elif event.kind == "crashed":
+            self.crashed[event.item] = event.value
+        elif event.kind == "done":
+            (self.made if event.value else self.left_to_others).append(event.task)
 
     def summary(self) -> dict[str, int]:
         """Counts to show."""
-        labels = list(self.labels.values())
+        labels = Counter(self.labels.values())
         return {
             "shards_made": len(self.made),
             "shards_found": len(self.found),
             "shards_left_to_others": len(self.left_to_others),
-            "grasps_made": len(labels) + len(self.crashed),
-            "successes": labels.count(1),
-            "failures": labels.count(0),
-            "not_executed": labels.count(-1),
+            "grasps_made": len(self.labels) + len(self.crashed),
+            "successes": labels[1],
+            "failures": labels[0],
+            "not_executed": labels[-1],
             "crashed": len(self.crashed),
         }
 
@@ -98,16 +111,15 @@ def collect(
     pending = [shard for shard in share if shard not in found]
     n_items = sum(len(spec.shard_range(shard)) for shard in pending)
     make_job = partial(_shard_job, recipe, tuple(planned), folder.root, spec, frozenset(redo))
-    tally = _Tally()
+    result = Collected(found)
     with progress_counter("grasp", enabled=progress and n_items > 0) as show:
         for event in run_tasks(pending, make_job, workers=workers, item_limit_s=item_limit_s):
-            tally.take(event)
-            done = len(tally.labels) + len(tally.crashed)
-            show(min(done, n_items), n_items, f"{tally.successes} succeeded")
+            result.add(event)
+            counts = result.summary()
+            show(min(counts["grasps_made"], n_items), n_items, f"{counts['successes']} succeeded")
             if progress and event.kind in ("crashed", "retried"):
                 what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
                 print_status(f"{what} {event.kind}: {event.value}")
-    result = tally.collected(found)
     is_whole = len(folder.merge()) == spec.n_shards
     if is_whole and (result.made or not folder.gallery_path.is_file()):
         with disk_errors(folder.root):
@@ -119,7 +131,7 @@ def collect(
 def describe(recipe: Recipe, out: Path) -> Plan:
     """What ``collect`` would do, without doing it."""
     planned = plan_recipe(recipe)
-    n_shards = len(shard_ranges(len(planned), recipe.dataset.shard_size))
+    n_shards = -(-len(planned) // recipe.dataset.shard_size)
     folder = DatasetFolder(out)
     done = sum(folder.is_done(shard) for shard in range(n_shards))
     return Plan(
@@ -131,11 +143,6 @@ def describe(recipe: Recipe, out: Path) -> Plan:
         shards=n_shards,
         shards_done=done,
     )
-
-
-def shards_to_repair(out: Path) -> list[int]:
-    """The finished shards of a dataset that do not pass ``verify``."""
-    return list(verify(out).bad_shards)
 
 
 @contextlib.contextmanager
@@ -191,29 +198,3 @@ def _card_job(
 ) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Card]]]:
     maker = CardMaker(root)
     yield lambda batch, _crashed, _report: [maker.card(row) for row in batches[batch]]
-
-
-class _Tally:
-    """What happened so far."""
-
-    def __init__(self) -> None:
-        self.labels: dict[int, int] = {}
-        self.crashed: dict[int, str] = {}
-        self._made: list[int] = []
-        self._left: list[int] = []
-
-    def take(self, event: Event) -> None:
-        if event.kind == "item":
-            self.labels[event.item] = event.value
-        elif event.kind == "crashed":
-            self.crashed[event.item] = event.value
-        elif event.kind == "done":
-            (self._made if event.value else self._left).append(event.task)
-
-    @property
-    def successes(self) -> int:
-        return sum(label == 1 for label in self.labels.values())
-
-    def collected(self, found: tuple[int, ...]) -> Collected:
-        made, left = tuple(sorted(self._made)), tuple(sorted(self._left))
-        return Collected(made, found, left, dict(self.labels), dict(self.crashed))

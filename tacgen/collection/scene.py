@@ -30,7 +30,6 @@ _PAD_MM = (PAD_DEPTH_MM, PAD_WIDTH_MM, PAD_HEIGHT_MM)
 _FINGER_MM = (FINGER_THICKNESS_MM, PAD_WIDTH_MM, 75.0)
 _TABLE_RADIUS_MM = 78.0
 
-Triple = tuple[float, float, float]
 Part = tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int, int]]
 
 
@@ -89,20 +88,19 @@ def _table() -> Part:
 
 def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part]:
     """Two fingers with their pads; the left one is on the −x side."""
-    boxes: list[tuple[Triple, Triple, tuple[int, int, int]]] = []
+    turn, (corners, faces) = rotation_about_z(config.yaw_rad), _unit_box()
+    center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
     finger_z = (_FINGER_MM[2] - PAD_HEIGHT_MM) / 2
+    parts = []
     for side, opening_mm in zip((-1.0, 1.0), openings_mm, strict=True):
         pad_x = side * (opening_mm + PAD_DEPTH_MM / 2)
         finger_x = side * (opening_mm + PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2)
-        boxes.append((_PAD_MM, (pad_x, 0.0, 0.0), _PAD_COLOR))
-        boxes.append((_FINGER_MM, (finger_x, 0.0, finger_z), _FINGER_COLOR))
-    turn = rotation_about_z(config.yaw_rad)
-    corners, faces = _unit_box()
-    center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
-    return [
-        ((corners * extents + place) @ turn.T + center_mm, faces, color)
-        for extents, place, color in boxes
-    ]
+        for extents, place, color in (
+            (_PAD_MM, (pad_x, 0.0, 0.0), _PAD_COLOR),
+            (_FINGER_MM, (finger_x, 0.0, finger_z), _FINGER_COLOR),
+        ):
+            parts.append(((corners * extents + place) @ turn.T + center_mm, faces, color))
+    return parts
 
 
 @lru_cache(maxsize=1)

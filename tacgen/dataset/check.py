@@ -17,13 +17,7 @@ from tacgen.core.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 from tacgen.dataset.manifest import ShardLine
 from tacgen.dataset.samples import DatasetSpec, GraspSample, PadSample
 from tacgen.dataset.schema import CONTACT_NAMES, FAILURE_MODES, MAX_OBJECT_BYTES, SPLITS, STATUSES
-from tacgen.dataset.shard import (
-    Shard,
-    broken_as_error,
-    is_image_sound,
-    open_shard,
-    read_image,
-)
+from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_shard, read_image
 
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
 
@@ -83,15 +77,15 @@ def content_problems(path: Path, line: ShardLine, *, decode: Decode) -> list[str
 def _content_problems(shard: Shard, line: ShardLine, decode: Decode) -> Iterator[str]:
     layout = shard.layout
     said = {
-        "sensor": (layout.sensor, line.sensor),
-        "pads": (layout.pads, line.pads),
-        "recipe_sha256": (shard.recipe_sha256, line.recipe_sha256),
-        "index_range": (shard.index_range, line.index_range),
-        "frames": (shard.arrays["/time_s"].id.shape[0], line.frames),
+        "sensor": layout.sensor,
+        "pads": layout.pads,
+        "recipe_sha256": shard.recipe_sha256,
+        "index_range": shard.index_range,
+        "frames": shard.arrays["/time_s"].id.shape[0],
     }
-    for name, (here, there) in said.items():
-        if here != there:
-            yield f"{name} is {here}, but {there} in the manifest"
+    for name, here in said.items():
+        if here != getattr(line, name):
+            yield f"{name} is {here}, but {getattr(line, name)} in the manifest"
     columns = {a.path: shard.read(a.path) for a in layout.arrays() if not a.image}
     for array in layout.arrays():
         values = columns.get(array.path)

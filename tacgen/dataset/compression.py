@@ -39,7 +39,6 @@ _SHUFFLE, _BYTEDELTA, _ZSTD = 1, 35, 5
 _FRAME_BYTES, _CHUNK_BYTES = 97, 32
 _INDEX = struct.pack("<4B3i", 5, 1, 7, 8, 8, 8, 40) + bytes([0, 0, 0, 0, 0, 1]) + bytes(18)
 _TRAILER = bytes.fromhex("9401 93cd0006de0000dc0000 ce00000023 d800") + bytes(16)
-_ZSTD_MAGIC = bytes.fromhex("28b52ffd")
 
 _NO_MATCHES = zstandard.ZstdCompressionParameters(
     strategy=zstandard.STRATEGY_FAST,
@@ -128,11 +127,9 @@ def ends_of(dataset: h5py.Dataset, place: tuple[int, ...]) -> ChunkEnds | None:
 
 def is_sound(dataset: h5py.Dataset, ends: ChunkEnds) -> bool:
     """Whether a chunk starts as that of one image of this array does, by the array's filter."""
-    if ends.size < 0:
-        return False
     filters = dataset.id.get_create_plist()
-    if filters.get_nfilters() == 0:
-        return True
+    if ends.size < 0 or filters.get_nfilters() == 0:
+        return ends.size >= 0
     check = _CHECKS.get(filters.get_filter(0)[0])
     return check is not None and check(ends, dataset.chunks, dataset.id.get_type().get_size())
 
@@ -142,13 +139,11 @@ def _is_zstd(ends: ChunkEnds, shape: tuple[int, ...], n_bytes: int) -> bool:
 
     Source: RFC 8878, section 3.1.1.1.
     """
-    if not ends.head.startswith(_ZSTD_MAGIC):
-        return False
     try:
         size = zstandard.get_frame_parameters(ends.head).content_size
     except zstandard.ZstdError:
         return False
-    return size == n_bytes * int(np.prod(shape, dtype=np.int64))
+    return bool(size == n_bytes * int(np.prod(shape, dtype=np.int64)))
 
 
 def is_blosc2_image(ends: ChunkEnds, shape: tuple[int, ...], n_bytes: int) -> bool:

@@ -120,7 +120,8 @@ class DatasetFolder:
             # Whoever held the lock before may have finished the shard.
             mine = held is not False and (redo or not self.is_done(shard))
             if mine and held:
-                self._remove_partial_files(shard)
+                for path in self.root.glob(f"shards/.{self.shard_path(shard).stem}.*.part"):
+                    path.unlink(missing_ok=True)
             yield mine
 
     def write_shard(
@@ -134,13 +135,12 @@ class DatasetFolder:
         self.plan()
         with disk_errors(self.root):
             self.line_path(shard).unlink(missing_ok=True)
-            with atomic_path(self.shard_path(shard)) as partial:
+            path = self.shard_path(shard)
+            with atomic_path(path) as partial:
                 line = write_shard_file(partial, samples, spec, shard)
                 problems = content_problems(partial, line, decode="first")
                 if problems:
-                    raise DatasetError.from_problems(
-                        [f"{self.shard_path(shard)}: {text}" for text in problems]
-                    )
+                    raise DatasetError.from_problems([f"{path}: {text}" for text in problems])
             write_text(self.line_path(shard), f"{line.to_json()}\n")
         return line
 
@@ -154,17 +154,11 @@ class DatasetFolder:
             return merge_manifest(self.root)
 
     def plan(self) -> dict[str, Any]:
-        """What ``dataset.json`` says: ``n_grasps``, ``shard_size``, ``n_shards``, hashes, version.
-
-        Raises ``DatasetError`` if the folder is not a dataset's.
-        """
+        """What ``dataset.json`` says; raises ``DatasetError`` if the folder is not a dataset's."""
         return read_plan(self.plan_path)
 
     def recipe(self) -> dict[str, Any]:
-        """What ``recipe.yaml`` says.
-
-        Raises ``RecipeError`` if it is missing or broken.
-        """
+        """What ``recipe.yaml`` says; raises ``RecipeError`` if it is missing or broken."""
         return read_mapping(self.recipe_path)
 
     def running(self) -> list[tuple[int, str]]:
@@ -182,10 +176,6 @@ class DatasetFolder:
         if self._merged_seen[0] != key:
             self._merged_seen = (key, read_lines(self.manifest_path))
         return self._merged_seen[1]
-
-    def _remove_partial_files(self, shard: int) -> None:
-        for path in self.root.glob(f"shards/.{self.shard_path(shard).stem}.*.part"):
-            path.unlink(missing_ok=True)
 
     def _plan_there(self) -> dict[str, Any] | None:
         try:

@@ -37,11 +37,7 @@ class ImportedGrasp:
 def import_grasps(format_name: str, source: Path, out: Path) -> tuple[int, tuple[str, ...]]:
     """Write the grasps of ``source`` as a folder of real grasps ``out``, whole or not at all.
 
-    Returns
-    -------
-    count, notes
-        Grasps written, and a line for each that was not, with its reason.
-
+    The result is how many were written, and a line for each that was not, with its reason.
     Raises ``DatasetError`` if there is none that can be written.
     """
     notes: list[str] = []
@@ -74,16 +70,13 @@ def read_poseit(source: Path, notes: list[str]) -> Iterator[ImportedGrasp]:
             continue
         try:
             stages = _two_columns(folder / "stages.csv")
-            results = {
-                str(result).strip().lower() for _, result in _two_columns(folder / "label.csv")
-            }
+            results = {result.lower() for _, result in _two_columns(folder / "label.csv")}
         except (OSError, ValueError) as error:
             notes.append(f"{folder}: left out: {error}")
             continue
         if not results or not results <= {"pass", "slip", "drop"}:
-            notes.append(
-                f"{folder}: left out: label.csv says {', '.join(sorted(results)) or 'nothing'}"
-            )
+            said = ", ".join(sorted(results)) or "nothing"
+            notes.append(f"{folder}: left out: label.csv says {said}")
             continue
         images = tuple(_poseit_frames(folder / "gelsight", stages))
         if not images:
@@ -160,19 +153,14 @@ def _both_fingers(grasp_id: str, group: h5py.Group, notes: list[str]) -> Iterato
     text = name.decode() if isinstance(name, bytes) else str(name)
     for finger in "AB":
         moments = [f"gelsight{finger}_{moment}" for moment in FEELING_OF_SUCCESS_MOMENTS]
-        images = tuple(
-            np.ascontiguousarray(np.asarray(group[m], np.uint8)[..., ::-1])
-            for m in moments
-            if m in group
-        )
+        found = [np.asarray(group[m], np.uint8) for m in moments if m in group]
+        images = tuple(np.ascontiguousarray(rgb[..., ::-1]) for rgb in found)
         if not images:
             notes.append(f"{grasp_id}_{finger}: left out: no tactile picture")
             continue
-        yield ImportedGrasp(
-            f"{grasp_id}_{finger}",
-            {"object": text, "label": int(bool(held)), "finger": finger},
-            images,
-        )
+        columns: dict[str, float | int | str]
+        columns = {"object": text, "label": int(bool(held)), "finger": finger}
+        yield ImportedGrasp(f"{grasp_id}_{finger}", columns, images)
 
 
 def _deepdish_value(group: h5py.Group, name: str) -> object:

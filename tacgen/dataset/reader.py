@@ -39,8 +39,6 @@ class Dataset:
     root : Path
     partial : bool
         Take what is finished; otherwise a dataset with missing shards is an error.
-    check_hashes : bool
-        Compare each shard with the hash in the manifest when it is first opened.
 
     Raises
     ------
@@ -49,11 +47,8 @@ class Dataset:
         or sensors are mixed.
     """
 
-    def __init__(
-        self, root: Path | str, *, partial: bool = False, check_hashes: bool = True
-    ) -> None:
+    def __init__(self, root: Path | str, *, partial: bool = False) -> None:
         self.root = Path(root)
-        self._check_hashes = check_hashes
         self._lines = list(read_manifest(self.root).values())
         problems = manifest_problems(self._lines, None if partial else planned_grasps(self.root))
         if not self._lines:
@@ -108,12 +103,8 @@ class Dataset:
     ) -> TorchGrasps:
         """The executed grasps for ``torch.utils.data.DataLoader``: (images, label) pairs.
 
-        Parameters
-        ----------
-        split : {"train", "test"}, optional
-            One side of the recipe's split; both by default.
-        frames : {"grasp", "sequence"}
-            The frame of the moment of grasp, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1].
+        ``split`` is one side of the recipe's split, both by default. ``frames`` is the frame of the
+        moment of ``grasp``, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1].
         """
         from tacgen.dataset.torch_dataset import TorchGrasps
 
@@ -285,7 +276,7 @@ class Dataset:
             return self._open[place]
         line = self._lines[place]
         path = self.root / line.file
-        if self._check_hashes and place not in self._checked and path.is_file():
+        if place not in self._checked and path.is_file():
             if sha256_of(path) != line.sha256:
                 msg = f"{path}: is not what was written; `tacgen collect --repair` remakes it"
                 raise DatasetError(msg)

@@ -69,14 +69,9 @@ def read_real_grasps(
     Exact repeats of a configuration are kept (they are evidence); repeats whose labels contradict
     each other are kept too, with a warning that no model can fit both.
 
-    Parameters
-    ----------
-    known_objects : sequence of str
-        Names an object may have; any name if empty.
-    needs : sequence of str
-        Columns beside ``grasp_id``, ``object`` and ``label`` that every grasp must fill; what is
-        neither needed nor given is NaN.
-
+    ``known_objects`` are the names an object may have, any if empty; ``needs`` the columns beside
+    ``grasp_id``, ``object`` and ``label`` that every grasp must fill: what is neither needed nor
+    given is NaN.
     Raises ``DatasetError``, listing every row that cannot be used, with its line and the fix.
     """
     folder = Path(folder)
@@ -196,23 +191,12 @@ def _number(text: str) -> float:
 
 
 def _grasp(folder: Path, number: int, record: Mapping[str, str]) -> RealGrasp:
-    config = GraspConfig(
-        index=number,
-        object=record["object"],
-        force_n=_number(record.get("force_n", "")),
-        x_mm=_number(record.get("x_mm", "")),
-        y_mm=_number(record.get("y_mm", "")),
-        z_mm=_number(record.get("z_mm", "")),
-        yaw_rad=float(record.get("yaw_rad") or 0.0),
-    )
+    axes = {name: _number(record.get(name, "")) for name in CONFIGURATION}
+    yaw_rad = float(record.get("yaw_rad") or 0.0)
+    config = GraspConfig(index=number, object=record["object"], yaw_rad=yaw_rad, **axes)
     mode = next(mode for mode in FAILURE_MODES if mode == record.get("failure_mode", ""))
-    return RealGrasp(
-        record["grasp_id"],
-        config,
-        int(float(record["label"])),
-        mode,
-        _images(folder, record["grasp_id"]),
-    )
+    name, label = record["grasp_id"], int(float(record["label"]))
+    return RealGrasp(name, config, label, mode, _images(folder, name))
 
 
 def _images(folder: Path, grasp_id: str) -> tuple[Path, ...]:

@@ -16,18 +16,10 @@ from tacgen.core.records import FailureMode, GraspConfig, Sensor, SlipMargin, St
 class PadSample:
     """The images and forces of one tactile pad during one grasp.
 
-    Attributes
-    ----------
-    rgb : (T, H, W, 3) uint8
-        The sensor's images, RGB.
-    force_normal_n : (T,) float
-        Force pressing into the gel.
-    force_shear_n : (T, 2) float
-        Force of the object on the gel along the gel's x and y.
-    indentation_mm : (T,) float
-        δ of the contact law: how far the object stands in the gel at its deepest point.
-    depth_mm : (H, W) float16, or None
-        Indentation of each pixel at the moment of grasp.
+    ``rgb`` (T, H, W, 3) uint8; ``force_normal_n`` (T,) presses into the gel, ``force_shear_n``
+    (T, 2) is the force of the object on the gel along the gel's x and y; ``indentation_mm`` (T,) is
+    δ of the contact law, how far the object stands in the gel at its deepest point; ``depth_mm``
+    (H, W) float16 is the indentation of each pixel at the moment of grasp.
     """
 
     rgb: NDArray[np.uint8]
@@ -67,27 +59,12 @@ class GraspSample:
 class DatasetSpec:
     """What all shards of a dataset have in common; their bytes follow from it and the grasps.
 
-    Attributes
-    ----------
-    recipe : mapping
-        The resolved recipe as plain data (``Recipe.resolved()``), written to ``recipe.yaml``.
-    recipe_sha256 : str
-        ``Recipe.sha256()``.
-    calibration : mapping
-        SHA-256 of each file the images depend on, by role: ``table``, ``contact_law`` …
-    sensor : Sensor
-    pads : tuple of str
-        The tactile pads, ``("left",)``, ``("right",)`` or ``("left", "right")``.
-    time_s : tuple of float
-        Times of the T frames, from the start of closing on (0 for a single image).
-    n_grasps, shard_size : int
-        Grasps in all, and how many a shard holds (the last may hold fewer).
-    reference_rgb : (H, W, 3) uint8
-        The image of the undeformed gel, so that a reader can take the difference.
-    depth : bool
-        Whether ``depth_mm`` is kept.
-    picture_px : (height, width), or None
-        Size of the scene pictures, if there are any.
+    ``recipe`` is the resolved one as plain data, ``recipe_sha256`` its hash; ``calibration`` holds
+    the SHA-256 of each file that the images depend on, by role (``table``, ``contact_law``).
+    ``pads`` are ``left``, ``right`` or both; ``time_s`` the times of the T frames, from
+    closing on (0 for a single image). The last shard may hold fewer than ``shard_size`` grasps.
+    ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept,
+    ``picture_px`` (height, width) the size of the scene pictures, if there are any.
     """
 
     recipe: Mapping[str, Any]

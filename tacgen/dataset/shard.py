@@ -11,6 +11,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -47,7 +48,7 @@ class Shard:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def read(self, path: str) -> NDArray:
+    def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""
         dataset = self.arrays[path]
         stored = dataset.id.get_type()
@@ -93,16 +94,15 @@ def open_shard(path: Path) -> Shard:
     return shard
 
 
-def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray:
+def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray[Any]:
     """One image of an image array: the one at ``place``, its leading indices; zeros if unwritten.
 
     What is compressed has a header of its own, with a size of its own: one that lies would have
-    the codec take any amount of memory, so it is read first.
-
-    Raises ``ValueError`` if the header is not that of an image of this size.
+    the codec take any amount of memory, so it is read first. Raises ``ValueError`` if it is not
+    that of an image of this size.
     """
     is_image_sound(dataset, place)
-    return dataset[place]
+    return np.asarray(dataset[place])
 
 
 def is_image_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
@@ -111,12 +111,10 @@ def is_image_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
     Raises ``ValueError`` if its header is not that of an image of this size.
     """
     ends = ends_of(dataset, place)
-    if ends is None:
-        return False
-    if not is_sound(dataset, ends):
+    if ends is not None and not is_sound(dataset, ends):
         msg = f"the image {place} of {dataset.name} is damaged"
         raise ValueError(msg)
-    return True
+    return ends is not None
 
 
 def _checked(path: Path, file: h5py.File) -> tuple[Shard, list[str]]:
@@ -135,7 +133,7 @@ def _checked(path: Path, file: h5py.File) -> tuple[Shard, list[str]]:
         for text in _array_problems(found[array.path], array, array.resolve(sizes))
     ]
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items() if ident is not None}
-    span = _whole_numbers(file, "index_range", (2,))
+    span = _attribute(file, "index_range", "i", (2,))
     index_range = (0, 0) if span is None else (int(span[0]), int(span[1]))
     return Shard(path, file, layout, arrays, index_range, _text(file, "recipe_sha256")), problems
 
@@ -151,11 +149,6 @@ class _Finder:
         found = self._open(path)
         return found if isinstance(found, h5d.DatasetID) else None
 
-    def shape(self, path: str) -> tuple[int, ...]:
-        """The shape of the array at ``path``; empty where there is none."""
-        found = self.dataset(path)
-        return () if found is None else found.shape
-
     def _open(self, path: str) -> h5g.GroupID | h5d.DatasetID | None:
         above, name = path.rsplit("/", 1)
         if above not in self._groups:
@@ -170,16 +163,17 @@ class _Finder:
 
 def _layout_of(file: h5py.File, finder: _Finder) -> tuple[Layout, list[str]]:
     kind, sensor, pads = (_text(file, name) for name in ("format", "sensor", "pads"))
-    version = _whole_numbers(file, "format_version", ())
+    version, names = _attribute(file, "format_version", "i", ()), tuple(pads.split(","))
+    problem = ""
     if kind != "tacgen" or version is None:
-        return Layout("", (), False, False), ["not a shard of tacgen"]
-    if version != FORMAT_VERSION:
-        text = f"format {version} is not {FORMAT_VERSION}, which this version of tacgen reads"
-        return Layout("", (), False, False), [text]
-    names = tuple(pads.split(","))
-    if not sensor or "/" in sensor or not set(names) <= set(PADS):
-        return Layout("", (), False, False), [f"sensor {sensor!r} with pads {pads!r} is not known"]
+        problem = "not a shard of tacgen"
+    elif version != FORMAT_VERSION:
+        problem = f"format {version} is not {FORMAT_VERSION}, which this version of tacgen reads"
+    elif not sensor or "/" in sensor or not set(names) <= set(PADS):
+        problem = f"sensor {sensor!r} with pads {pads!r} is not known"
     plain = Layout(sensor, names, depth=False, picture=False)
+    if problem:
+        return plain, [problem]
     depth = finder.dataset(plain.tactile(names[0], "depth_mm")) is not None
     return Layout(sensor, names, depth, finder.dataset("/scene/picture") is not None), []
 
@@ -190,12 +184,9 @@ def _text(file: h5py.File, name: str) -> str:
     return "" if values is None else bytes(values[()]).decode("utf-8", "replace")
 
 
-def _whole_numbers(file: h5py.File, name: str, shape: tuple[int, ...]) -> NDArray | None:
-    """An attribute of whole numbers of that shape; None where it is missing or anything else."""
-    return _attribute(file, name, "i", shape)
-
-
-def _attribute(file: h5py.File, name: str, kind: str, shape: tuple[int, ...]) -> NDArray | None:
+def _attribute(
+    file: h5py.File, name: str, kind: str, shape: tuple[int, ...]
+) -> NDArray[Any] | None:
     """An attribute of that kind of type and shape, its type looked at before it is read."""
     if not h5a.exists(file.id, name.encode()):
         return None
@@ -211,7 +202,8 @@ def _attribute(file: h5py.File, name: str, kind: str, shape: tuple[int, ...]) ->
 def _sizes_of(file: h5py.File, layout: Layout, finder: _Finder) -> tuple[dict[str, int], list[str]]:
     """What the letters of the layout stand for here, within the limits."""
     path = layout.tactile(layout.pads[0], "rgb")
-    shape, picture = finder.shape(path), finder.shape("/scene/picture")
+    rgb, scene = finder.dataset(path), finder.dataset("/scene/picture")
+    shape, picture = () if rgb is None else rgb.shape, () if scene is None else scene.shape
     if len(shape) != 5:
         return {}, [f"{path} is missing, or a link, or not of five axes"]
     sizes = dict(zip("NTHW", shape, strict=False)) | {"h": 0, "w": 0}
@@ -223,7 +215,7 @@ def _sizes_of(file: h5py.File, layout: Layout, finder: _Finder) -> tuple[dict[st
         for name, limit in limits.items()
         if sizes[name] > limit
     ]
-    span = _whole_numbers(file, "index_range", (2,))
+    span = _attribute(file, "index_range", "i", (2,))
     start, stop = (0, -1) if span is None else (int(span[0]), int(span[1]))
     if stop - start != sizes["N"]:
         problems.append(f"index range {start} to {stop} does not go with {sizes['N']} grasps")

@@ -147,14 +147,14 @@ def _plan_problems(
     for line in lines:
         due = (line.shard * size, min(n_grasps, (line.shard + 1) * size))
         said = {
-            "index_range": (due, line.index_range),
-            "recipe_sha256": (plan.get("recipe_sha256"), line.recipe_sha256),
-            "calibration": (plan.get("calibration"), line.calibration),
-            "sensor": (plan.get("sensor"), line.sensor),
-            "pads": (plan.get("pads"), list(line.pads)),
-            "tacgen_version": (plan.get("tacgen_version"), line.versions.get("tacgen")),
+            "recipe_sha256": line.recipe_sha256,
+            "calibration": line.calibration,
+            "sensor": line.sensor,
+            "pads": list(line.pads),
+            "tacgen_version": line.versions.get("tacgen"),
         }
-        differing = [name for name, (here, there) in said.items() if here != there]
+        differing = ["index_range"] if due != line.index_range else []
+        differing += [name for name, there in said.items() if plan.get(name) != there]
         if differing:
             wrong.append(f"says otherwise than {line.file} about {', '.join(differing)}")
             break

@@ -7,15 +7,11 @@ in them is run.
 
 from __future__ import annotations
 
-import pickle
 import re
-import struct
 from collections.abc import Mapping
 from pathlib import Path
-from zipfile import BadZipFile
 
 import torch
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from transformers import ResNetConfig, ResNetModel
@@ -41,22 +37,6 @@ _BLOCK = re.compile(r"layer(\d)\.(\d)\.(conv\d|bn\d|downsample\.\d)\.(\w+)")
 # What files put before a backbone's names, and the layers of a classifier, which are left out.
 _PREFIXES = ("module.", "resnet.", "backbone.", "model.")
 _CLASSIFIER = ("fc.", "classifier.")
-UNREADABLE = (
-    OSError,
-    RuntimeError,
-    ValueError,
-    KeyError,
-    EOFError,
-    IndexError,
-    TypeError,
-    AttributeError,
-    AssertionError,
-    OverflowError,
-    struct.error,
-    pickle.UnpicklingError,
-    BadZipFile,
-    SafetensorError,
-)
 
 
 class Backbone(nn.Module):
@@ -116,12 +96,8 @@ def own_name(name: str) -> str:
 def make_backbone(weights: str) -> Backbone:
     """A ResNet-18 with the pre-trained weights that ``weights`` names.
 
-    Parameters
-    ----------
-    weights : str
-        ``none``; ``imagenet``; ``auto`` (``imagenet`` where the weights are at hand, else none);
-        or the path of a weight file (``.safetensors``, or torch's ``.pth``, ``.pt``, ``.bin``).
-
+    That is ``none``; ``imagenet``; ``auto`` (``imagenet`` where the weights are at hand, else
+    none); or the path of a weight file (``.safetensors``, or torch's ``.pth``, ``.pt``, ``.bin``).
     Raises ``LearningError`` if the named weights are not at hand or not a ResNet-18's.
     """
     backbone = Backbone()
@@ -173,8 +149,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         if path.suffix == ".safetensors":
             return load_file(path)
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except UNREADABLE as error:
-        reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else "empty"
+    except Exception as error:  # torch's readers raise whatever a damaged file leads them to
+        reason = (str(error).strip() or "empty").splitlines()[0][:200]
         msg = f"{path}: cannot be read as weights ({reason}); give a .safetensors file"
         raise LearningError(msg) from error
     content = content.get("state_dict", content) if isinstance(content, dict) else content

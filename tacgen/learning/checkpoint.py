@@ -18,12 +18,12 @@ from safetensors.torch import save_file
 from tacgen.core.errors import LearningError
 from tacgen.core.files import atomic_path
 from tacgen.core.version import VERSION
-from tacgen.learning.backbone import UNREADABLE
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network
 
 _CARD_KEY = "tacgen_model"
 _REFERENCE_KEY = "input.reference"
+FROM_THE_START = "remove it to train from the start"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,8 @@ def save_model(
     path: Path, network: StabilityNet, card: ModelCard, reference: NDArray[np.uint8] | None
 ) -> None:
     """Write a model, its card and the image of the undeformed gel, whole or not at all."""
-    tensors = {
-        name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()
-    }
+    state = network.state_dict()
+    tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     if reference is not None:
         tensors[_REFERENCE_KEY] = torch.from_numpy(np.ascontiguousarray(reference))
     with atomic_path(path) as partial:
@@ -77,7 +76,7 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
         with safe_open(path, framework="pt") as file:
             text = (file.metadata() or {}).get(_CARD_KEY, "")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except UNREADABLE as error:
+    except Exception as error:  # the readers raise whatever a damaged file leads them to
         msg = f"{path}: cannot be read as a model ({error}); train it again"
         raise LearningError(msg) from error
     try:
@@ -106,15 +105,11 @@ def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
     """
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except UNREADABLE as error:
+    except Exception as error:  # the readers raise whatever a damaged file leads them to
         reason = f"{type(error).__name__} {str(error).strip()}".splitlines()[0][:200]
-        msg = (
-            f"{path}: cannot be read as a checkpoint ({reason}); remove it to train from the start"
-        )
+        msg = f"{path}: cannot be read as a checkpoint ({reason}); {FROM_THE_START}"
         raise LearningError(msg) from error
     if not isinstance(state, dict) or set(state) != set(keys):
-        msg = (
-            f"{path}: not a checkpoint of this version of tacgen; remove it to train from the start"
-        )
+        msg = f"{path}: not a checkpoint of this version of tacgen; {FROM_THE_START}"
         raise LearningError(msg)
     return state

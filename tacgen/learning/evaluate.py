@@ -44,28 +44,24 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     Raises ``TacgenError`` if the run, the dataset or the folder of real grasps cannot be used, or a
     grasp to be tested was trained on.
     """
-    if data is not None and real is None:
-        source_name, where = "sim", data
-    elif real is not None and data is None:
-        source_name, where = "real", real
-    else:
+    if (data is None) == (real is None):
         msg = "give either --data DIR (simulated test grasps) or --real DIR (real grasps)"
         raise LearningError(msg)
     folder = RunFolder(run)
     plan, recipe = folder.plan(), folder.recipe()
     source: GraspSource
-    if source_name == "sim":
-        source, notes = SimulatedGrasps(where, recipe.input.pad), []
-    else:
-        source = RealGraspImages(where)
+    source_name, where, notes = "sim", str(data or real), []
+    if data is not None:
+        source = SimulatedGrasps(data, recipe.input.pad)
+    elif real is not None:
+        source_name, source = "real", RealGraspImages(real)
         notes = list(source.warnings)
-    unseen, about_unseen = unseen_tests(plan, source, str(where))
+    unseen, about_unseen = unseen_tests(plan, source, where)
     notes += about_unseen
-    device = choose_device(recipe.training)
-    test = _Test(folder, plan, recipe, source, str(where), device, notes)
+    test = _Test(folder, plan, recipe, source, where, choose_device(recipe.training), notes)
     with exact_torch(recipe.training.threads):
         predictions, cards = test.predict_all(unseen)
-    result = _summary(predictions, cards, source_name, str(where), notes)
+    result = _summary(predictions, cards, source_name, where, notes)
     result["real_is_simulated"] = source_name == "real" and source.made_with is not None
     _add_gap(folder, result)
     text = json.dumps(result, indent=1)
@@ -88,16 +84,13 @@ def scores_by_value(
     known = np.isfinite(values)
     values, labels, probabilities = values[known], labels[known], probabilities[known]
     distinct = np.unique(values)
-    if len(distinct) <= MAX_GROUPS:
-        groups = [(f"{value:g}", values == value) for value in distinct]
-    else:
+    places, names = np.searchsorted(distinct, values), [f"{value:g}" for value in distinct]
+    if len(distinct) > MAX_GROUPS:
         edges = np.unique(np.quantile(values, np.linspace(0, 1, MAX_GROUPS // 2 + 1)))
         places = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-        groups = [
-            (f"{low} to {high}", places == k)
-            for k, (low, high) in enumerate(itertools.pairwise(_distinct_texts(edges)))
-        ]
-    return {name: score(labels[g], probabilities[g]) for name, g in groups if g.any()}
+        names = [f"{low} to {high}" for low, high in itertools.pairwise(_distinct_texts(edges))]
+    found = ((name, places == k) for k, name in enumerate(names))
+    return {name: score(labels[g], probabilities[g]) for name, g in found if g.any()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,14 +112,13 @@ class _Test:
         for name, model in self.plan["models"].items():
             mine = np.isin(self.source.table.objects, model["objects"])
             rows = np.flatnonzero(mine & unseen)
-            if len(rows):
-                predicted, card = self._predict(name, rows)
-                predictions.append(predicted)
-                cards.append(card)
-            else:
-                self._note(
-                    f"the model {name} was NOT tested: {self.where} has no test grasps for it"
-                )
+            if not len(rows):
+                where = self.where
+                self._note(f"the model {name} was NOT tested: {where} has no test grasps for it")
+                continue
+            predicted, card = self._predict(name, rows)
+            predictions.append(predicted)
+            cards.append(card)
         if not predictions:
             msg = f"{self.where}: has no test grasps; collect it with split.test_fraction above 0"
             raise LearningError(msg)
@@ -172,7 +164,8 @@ class _Test:
                 f"OUTSIDE of the training images of the model {name}; its probabilities are "
                 "uncertain there: check the background, or train with stronger augmentation"
             )
-        frames = partial(_frames, self.source, rows, card)
+        read = partial(read_input, self.source, spec=card.input)
+        frames = [partial(read, int(row)) for row in rows]
         return Predictions(self.source.table.take(rows), probabilities, frames), card
 
     def _batches(
@@ -188,15 +181,11 @@ class _Test:
             )
         sequences = any(source.frame_count(int(row)) > 1 for row in rows)
         if isinstance(source, RealGraspImages) and spec.kind == "single" and sequences:
-            which = (
-                "first image with 95 % of the largest change from the gel at rest"
-                if spec.grasp_fraction is None
-                else f"image {spec.grasp_fraction:.0%} through, as in the training data,"
-            )
-            self._note(
-                f"{self.where}: of grasps with several images the {which} is taken as the "
-                "moment of grasp"
-            )
+            which = "first image with 95 % of the largest change from the gel at rest"
+            if spec.grasp_fraction is not None:
+                which = f"image {spec.grasp_fraction:.0%} through, as in the training data,"
+            what = "of grasps with several images"
+            self._note(f"{self.where}: {what} the {which} is taken as the moment of grasp")
         inputs = DecodedInputs(source, rows, spec, options.cache_mb)
         batch_size = self.recipe.training.batch_size
         return Batches(inputs, spec, reference, batch_size, options.loader_workers)
@@ -204,12 +193,6 @@ class _Test:
     def _note(self, text: str) -> None:
         if text not in self.notes:
             self.notes.append(text)
-
-
-def _frames(
-    source: GraspSource, rows: NDArray[np.int64], card: ModelCard, i: int
-) -> NDArray[np.uint8]:
-    return read_input(source, int(rows[i]), card.input)
 
 
 def _summary(
@@ -265,14 +248,12 @@ def _add_gap(folder: RunFolder, result: dict[str, Any]) -> None:
     path = folder.source_eval_path("sim")
     if result["source"] != "real" or not path.is_file():
         return
-    simulated = read_json(path, "run `tacgen eval RUN --data DIR` again")
-    shared = sorted(set(simulated.get("by_object", {})) & set(result["by_object"]))
-    if not shared:
-        return
-    sim_accuracy = _pooled_accuracy(simulated["by_object"], shared)
-    result["sim_accuracy"] = sim_accuracy
-    result["sim_to_real_gap"] = sim_accuracy - _pooled_accuracy(result["by_object"], shared)
-    result["gap_objects"] = shared
+    simulated = read_json(path, "run `tacgen eval RUN --data DIR` again").get("by_object", {})
+    shared = sorted(set(simulated) & set(result["by_object"]))
+    if shared:
+        accuracy = _pooled_accuracy(simulated, shared)
+        gap = accuracy - _pooled_accuracy(result["by_object"], shared)
+        result |= {"sim_accuracy": accuracy, "sim_to_real_gap": gap, "gap_objects": shared}
 
 
 def _pooled_accuracy(by_object: Mapping[str, Any], names: Sequence[str]) -> float:

@@ -13,7 +13,6 @@ import multiprocessing
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -21,19 +20,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
+from torch.utils.tensorboard import SummaryWriter
 
 from tacgen.core.errors import LearningError
 from tacgen.core.progress import progress_counter
-from tacgen.learning.checkpoint import ModelCard, load_state, save_model, save_state
+from tacgen.learning.checkpoint import FROM_THE_START, ModelCard, load_state, save_model, save_state
 from tacgen.learning.device import Device
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.loader import Batches
-from tacgen.learning.networks import (
-    StabilityNet,
-    build_network,
-    build_optimizer,
-    build_scheduler,
-)
+from tacgen.learning.networks import StabilityNet, build_network, build_optimizer, build_scheduler
 from tacgen.learning.predictions import (
     MIN_PROBABILITY,
     calibrated_temperature,
@@ -51,17 +46,12 @@ CHOOSING_EPOCHS = 5
 """Epochs whose validation scores are summed to choose the best model: with some twenty validation
 grasps a single epoch is good or bad by chance."""
 _BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
-_STATE_KEYS = (
-    *("epoch", "pretrained", "best"),
-    *("network", "average", "optimizer", "scheduler", "scaler"),
-)
+_WITH_STATE = ("optimizer", "scheduler", "scaler")
+_STATE_KEYS = ("epoch", "pretrained", "best", "network", "average", *_WITH_STATE)
 CALIBRATION_PASSES = 5
 """Views of each validation grasp that the temperature is fitted to: some twenty grasps are few."""
-_STREAM_START, _STREAM_EPOCH, _STREAM_CALIBRATION = (
-    20,
-    21,
-    22,
-)  # keep the random numbers of one seed apart
+# Streams that keep the random numbers of one seed apart.
+_STREAM_START, _STREAM_EPOCH, _STREAM_CALIBRATION = 20, 21, 22
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,14 +108,17 @@ class Fit:
         Raises ``LearningError`` if the loss diverges; the last good checkpoint stays.
         """
         epochs = self.job.recipe.training.epochs
-        progress = progress_counter("epoch", name=self.job.name)
-        with progress as show, _Board(self.folder.board_path, self.epoch) as board:
+        # Epochs of a run that was stopped are cut off the log.
+        board = SummaryWriter(str(self.folder.board_path), purge_step=self.epoch + 1)
+        with progress_counter("epoch", name=self.job.name) as show, board:
             while self.epoch < epochs:
                 _stop_if_orphaned(self.job.name)
                 line = self._run_epoch(self.epoch + 1)
                 self.metrics.append(line)
                 self._keep(line)
-                board.add(line)
+                for name, value in line.items():
+                    if isinstance(value, float):
+                        board.add_scalar(name.replace("_", "/", 1), value, self.epoch)
                 accuracy = line["validation_accuracy"]
                 show(
                     self.epoch,
@@ -195,12 +188,8 @@ class Fit:
         self.epoch = line["epoch"]
         recent = sum(m["validation_balanced_accuracy"] for m in self.metrics[-CHOOSING_EPOCHS:])
         if recent >= self.best["recent"]:
-            self.best = {
-                "epoch": self.epoch,
-                "recent": recent,
-                "balanced_accuracy": line["validation_balanced_accuracy"],
-                "loss": line["validation_loss"],
-            }
+            scores = (line["validation_balanced_accuracy"], line["validation_loss"])
+            self.best = dict(zip(_BEST_KEYS, (self.epoch, recent, *scores), strict=True))
             save_model(self.folder.model_path, self._kept, self._card(), self.job.reference)
         self.folder.write_metrics(self.metrics)
         state = {
@@ -208,11 +197,8 @@ class Fit:
             "pretrained": self.network.backbone.origin,
             "network": self.network.state_dict(),
             "average": self._kept.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "scheduler": self.scheduler.state_dict(),
-            "scaler": self.scaler.state_dict(),
             "best": self.best,
-        }
+        } | {name: getattr(self, name).state_dict() for name in _WITH_STATE}
         save_state(self.folder.checkpoint_path, state)
 
     @property
@@ -265,14 +251,13 @@ class Fit:
             self.network.load(state["network"], str(path))
             self._kept.load(state["average"], str(path))
             self._check_moments(state["optimizer"])
-            self.optimizer.load_state_dict(state["optimizer"])
-            self.scheduler.load_state_dict(state["scheduler"])
-            self.scaler.load_state_dict(state["scaler"])
+            for name in _WITH_STATE:
+                getattr(self, name).load_state_dict(state[name])
             self.epoch = int(state["epoch"])
             self.average.n_averaged.fill_(self.epoch)
             self.best = {name: state["best"][name] for name in _BEST_KEYS}
         except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-            msg = f"{path}: does not fit this network ({error}); remove it to train from the start"
+            msg = f"{path}: does not fit this network ({error}); {FROM_THE_START}"
             raise LearningError(msg) from error
 
     def _check_moments(self, state: Mapping[str, Any]) -> None:
@@ -306,36 +291,12 @@ def _weighted_loss(
     return float(np.sum(-each * np.log(np.maximum(right, MIN_PROBABILITY))) / each.sum())
 
 
-class _Board:
-    """A TensorBoard log; epochs after ``done``, of a run that was stopped, are cut off."""
-
-    def __init__(self, folder: Path, done: int) -> None:
-        from torch.utils.tensorboard import SummaryWriter
-
-        self._writer = SummaryWriter(str(folder), purge_step=done + 1)
-
-    def __enter__(self) -> _Board:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._writer.close()
-
-    def add(self, line: dict[str, Any]) -> None:
-        """Write the numbers of one epoch."""
-        for name, value in line.items():
-            group, _, rest = name.partition("_")
-            if isinstance(value, float):
-                self._writer.add_scalar(f"{group}/{rest}", value, line["epoch"])
-
-
 def _stop_if_orphaned(name: str) -> None:
     """Stop where the process that started this training has been killed."""
     parent = multiprocessing.parent_process()
     if parent is not None and not parent.is_alive():
-        msg = (
-            f"{name}: the process that started this training was killed; run the same command "
-            "again to resume"
-        )
+        problem = "the process that started this training was killed"
+        msg = f"{name}: {problem}; run the same command again to resume"
         raise LearningError(msg)
 
 

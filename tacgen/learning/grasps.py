@@ -19,6 +19,9 @@ from tacgen.dataset.real_grasps import BACKGROUND, RealGrasp, read_real_grasps
 CONFIGURATION_DIGITS = 6
 """Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
 FRAME_UNKNOWN = -1
+AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
+_DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
+_DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXES, np.float64)
 MAX_IMAGE_BYTES = 64 << 20
 """More than any tactile camera gives; a larger file is not an image of one."""
 MAX_NAMED = 5
@@ -55,12 +58,17 @@ class GraspTable:
     yaw_rad: NDArray[np.float64]
     grasp_frame: NDArray[np.int64]
 
+    @classmethod
+    def of(cls, **columns: Any) -> GraspTable:
+        """The table with these columns, each in its type."""
+        return cls(**{n: np.asarray(values, _DTYPES[n]) for n, values in columns.items()})
+
     def __len__(self) -> int:
         return len(self.ids)
 
     def configurations(self) -> list[str]:
         """A text for each grasp, equal for grasps of the same configuration."""
-        numbers = np.stack([self.force_n, self.x_mm, self.y_mm, self.z_mm, self.yaw_rad], axis=1)
+        numbers = np.stack([getattr(self, axis) for axis in AXES], axis=1)
         rounded = np.round(numbers, CONFIGURATION_DIGITS) + 0.0  # no "-0"
         return [
             f"{name} " + " ".join(f"{value:g}" for value in row)
@@ -92,15 +100,12 @@ class GraspSource(Protocol):
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some tactile images of one grasp, (len(frames), H, W, 3) RGB."""
-        ...
 
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""
-        ...
 
     def reference(self) -> NDArray[np.uint8] | None:
         """The image of the undeformed gel, (H, W, 3), where there is one."""
-        ...
 
 
 class SimulatedGrasps:
@@ -116,8 +121,10 @@ class SimulatedGrasps:
         self.pad = pad
         self.made_with: str | None = self.dataset.lines[0].recipe_sha256
         columns = self.dataset.columns()
-        self._indices = columns["index"][columns["label"] != LABEL_NOT_EXECUTED]
-        self.table = _table_of_simulated(columns)
+        rows = columns["label"] != LABEL_NOT_EXECUTED
+        self._indices = columns["index"][rows]
+        names = {"ids": "index", "objects": "object"}
+        self.table = GraspTable.of(**{n: columns[names.get(n, n)][rows] for n in _DTYPES})
         if not len(self.table):
             msg = f"{self.root}: no grasp in it was executed; collect one with reachable grasps"
             raise LearningError(msg)
@@ -208,41 +215,15 @@ class RealGraspImages:
             raise LearningError(msg)
 
 
-def _table_of_simulated(columns: dict[str, NDArray[Any]]) -> GraspTable:
-    executed = columns["label"] != LABEL_NOT_EXECUTED
-
-    def column(name: str, dtype: type) -> NDArray[Any]:
-        return np.asarray(columns[name][executed], dtype)
-
-    return GraspTable(
-        ids=column("index", np.str_),
-        objects=column("object", np.str_),
-        label=column("label", np.int64),
-        split=column("split", np.str_),
-        force_n=column("force_n", np.float64),
-        x_mm=column("x_mm", np.float64),
-        y_mm=column("y_mm", np.float64),
-        z_mm=column("z_mm", np.float64),
-        yaw_rad=column("yaw_rad", np.float64),
-        grasp_frame=column("grasp_frame", np.int64),
-    )
-
-
 def _table_of_real(grasps: Sequence[RealGrasp]) -> GraspTable:
-    def numbers(name: str) -> NDArray[np.float64]:
-        return np.array([getattr(grasp.config, name) for grasp in grasps], np.float64)
-
-    return GraspTable(
-        ids=np.array([grasp.grasp_id for grasp in grasps]),
-        objects=np.array([grasp.config.object for grasp in grasps]),
-        label=np.array([grasp.label for grasp in grasps], np.int64),
-        split=np.full(len(grasps), "test"),
-        force_n=numbers("force_n"),
-        x_mm=numbers("x_mm"),
-        y_mm=numbers("y_mm"),
-        z_mm=numbers("z_mm"),
-        yaw_rad=numbers("yaw_rad"),
-        grasp_frame=np.full(len(grasps), FRAME_UNKNOWN, np.int64),
+    axes = {name: [getattr(grasp.config, name) for grasp in grasps] for name in AXES}
+    return GraspTable.of(
+        ids=[grasp.grasp_id for grasp in grasps],
+        objects=[grasp.config.object for grasp in grasps],
+        label=[grasp.label for grasp in grasps],
+        split=["test"] * len(grasps),
+        grasp_frame=[FRAME_UNKNOWN] * len(grasps),
+        **axes,
     )
 
 

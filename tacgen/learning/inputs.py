@@ -25,23 +25,13 @@ PRESSED_FRACTION = 0.95
 class InputSpec:
     """How images become input; kept with the model, so that evaluation does the same.
 
-    Attributes
-    ----------
-    kind : ``single`` or ``sequence``
-    size_px : (height, width)
-        What images are resized to.
-    n_frames : int
-        Frames of a sequence, spread evenly over those there are; 1 for a single image.
-    image : ``difference``, ``change`` or ``raw``
-        What is subtracted: the image of the undeformed gel, the frame before (from the first frame:
-        the undeformed gel), or nothing.
-    source_shape_px : (height, width)
-        Size of the sensor's images; others are refused.
-    grasp_fraction : float or None
-        Moment of grasp as a fraction of the sequence, for grasps that do not state it; None where
-        the training data has single images.
-    mean, std : (3,) floats, grey levels
-        Of the training images, by channel; the input is (image − mean) / std.
+    ``size_px`` (height, width) is what images are resized to, ``n_frames`` how many of a sequence
+    are taken, spread evenly (1 for a single image). ``image`` says what is subtracted: the image of
+    the undeformed gel (``difference``), the frame before (``change``; of the first frame: the
+    undeformed gel), or nothing (``raw``). Images of another size than ``source_shape_px`` are
+    refused. ``grasp_fraction`` is the moment of grasp as a fraction of the sequence, for grasps
+    that do not state it; None where the training data has single images. ``mean`` and ``std`` are
+    those of the training images in grey levels, by channel: the input is (image − mean) / std.
     """
 
     kind: Literal["single", "sequence"]
@@ -101,18 +91,14 @@ def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.u
 def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
     """The frames of one grasp at the network's size, (T, h, w, 3)."""
     count, grasp_frame = source.frame_count(row), int(source.table.grasp_frame[row])
-    if _must_find_moment(spec, count, grasp_frame):
+    unknown = grasp_frame == FRAME_UNKNOWN and spec.grasp_fraction is None
+    if spec.kind == "single" and count > 1 and unknown:
+        # The moment of grasp has to be found in the images themselves.
         frames = resized(source.frames(row, range(count)), spec.size_px)
         reference = source.reference()
         rest = frames[0] if reference is None else resized(reference[None], spec.size_px)[0]
         return frames[[pressed_frame(frames, rest)]]
     return resized(source.frames(row, chosen_frames(spec, count, grasp_frame)), spec.size_px)
-
-
-def _must_find_moment(spec: InputSpec, n_available: int, grasp_frame: int) -> bool:
-    """Whether the moment of grasp has to be found in the images themselves."""
-    unknown = grasp_frame == FRAME_UNKNOWN and spec.grasp_fraction is None
-    return spec.kind == "single" and n_available > 1 and unknown
 
 
 def pressed_frame(frames: NDArray[np.uint8], rest: NDArray[np.uint8]) -> int:
@@ -126,10 +112,7 @@ def to_network(
 ) -> NDArray[np.float32]:
     """Frames (B, T, h, w, 3) as the network's input, float32 of the same shape.
 
-    Parameters
-    ----------
-    reference : (h, w, 3) uint8, or None
-        The undeformed gel at the same size; not needed for ``raw``.
+    ``reference`` (h, w, 3) is the undeformed gel at the same size; not needed for ``raw``.
     """
     images = frames.astype(np.float32)
     if spec.image != "raw":
@@ -170,11 +153,7 @@ def augmented(
 
     All frames change alike. The imprint moves and changes its contrast and sharpness, the
     illumination of the gel at rest does not; what a shift brings in from outside repeats the edge.
-
-    Parameters
-    ----------
-    reference : (h, w, 3) uint8, or None
-        The undeformed gel; where it is not known the whole image moves.
+    Where the undeformed gel, ``reference`` (h, w, 3), is not known, the whole image moves.
     """
     height, width = frames.shape[1:3]
     shift = rng.uniform(-1, 1, 2) * options.shift_fraction * (height, width)

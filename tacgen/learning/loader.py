@@ -55,12 +55,8 @@ class DecodedInputs(torch.utils.data.Dataset[NDArray[np.uint8]]):
 class Batches:
     """Batches of (input (B, T, 3, h, w), labels (B,), items) over decoded grasps.
 
-    Parameters
-    ----------
-    reference : (H, W, 3) uint8, or None
-        The undeformed gel, at any size.
-    workers : int
-        Processes that read ahead where the inputs are not held in memory.
+    ``reference`` (H, W, 3) uint8 is the undeformed gel, at any size; ``workers`` are processes that
+    read ahead where the inputs are not held in memory.
     """
 
     def __init__(
@@ -86,8 +82,7 @@ class Batches:
         self, seed: int, epoch: int, augmentation: Augmentation
     ) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in an order and with changes that depend on seed and epoch alone."""
-        key = (epoch, _STREAM_ORDER)
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        rng = _rng(seed, epoch, _STREAM_ORDER)
         order = self._divide(rng.permutation(len(self._inputs)))
         # Batch normalisation cannot learn from one image: it goes with the batch before.
         if len(order) > 1 and len(order[-1]) == 1:
@@ -95,10 +90,7 @@ class Batches:
         yield from self._batches(order, augmentation if augmentation.on else None, (seed, epoch))
 
     def _divide(self, order: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        return [
-            order[start : start + self._batch_size]
-            for start in range(0, len(order), self._batch_size)
-        ]
+        return np.split(order, range(self._batch_size, len(order), self._batch_size))
 
     def _batches(
         self,
@@ -117,7 +109,9 @@ class Batches:
         for items, frames in zip(order, loader, strict=True):
             if augmentation is not None and key is not None:
                 frames = [
-                    augmented(f, self._reference, augmentation, _grasp_rng(*key, int(item)))
+                    augmented(
+                        f, self._reference, augmentation, _rng(*key, _STREAM_AUGMENT, int(item))
+                    )
                     for item, f in zip(items, frames, strict=True)
                 ]
             images = _as_batch(frames, self._reference, self._spec)
@@ -141,6 +135,5 @@ def _as_batch(
     return torch.from_numpy(np.ascontiguousarray(np.moveaxis(images, -1, 2)))
 
 
-def _grasp_rng(seed: int, epoch: int, item: int) -> np.random.Generator:
-    key = (epoch, _STREAM_AUGMENT, item)
+def _rng(seed: int, *key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -104,12 +104,10 @@ def build_network(kind: str, weights: str = "none") -> StabilityNet:
 def build_optimizer(network: StabilityNet, options: TrainingOptions) -> torch.optim.Adam:
     """Adam, with the backbone at its own fraction of the learning rate."""
     rate = options.learning_rate
+    backbone = list(network.backbone.parameters())
     return torch.optim.Adam(
         [
-            {
-                "params": list(network.backbone.parameters()),
-                "lr": rate * options.backbone_rate_factor,
-            },
+            {"params": backbone, "lr": rate * options.backbone_rate_factor},
             {"params": network.head_parameters(), "lr": rate},
         ],
         lr=rate,

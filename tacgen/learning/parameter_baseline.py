@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.errors import LearningError
-from tacgen.learning.grasps import GraspTable, SimulatedGrasps
+from tacgen.learning.grasps import AXES, GraspTable, SimulatedGrasps
 
 NAME = "parameters"
-AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 FOLDS = 5
 """The usual number; four fifths of 150 grasps are 120, about what a network learns from."""
 N_TREES = 300
@@ -44,19 +43,10 @@ def evaluate_baseline(
 def baseline_scores(table: GraspTable, seed: int = 0) -> dict[str, Any]:
     """Accuracy of decision trees that see all axes which vary, and all but each one.
 
-    Parameters
-    ----------
-    table : GraspTable
-        Only its training grasps are used, by cross-validation over five folds.
-    seed : int
-        Of the folds and of the trees.
-
-    Returns
-    -------
-    dict
-        For each object ``n``, ``successes``, ``majority_accuracy`` (of always predicting the more
-        common outcome) and ``tree_accuracy`` by the names of the axes that the trees see (empty
-        where an outcome has fewer grasps than there are folds).
+    Only training grasps are used, by cross-validation over five folds; ``seed`` is that of the
+    folds and of the trees. For each object ``n``, ``successes``, ``majority_accuracy`` (of always
+    predicting the more common outcome) and ``tree_accuracy`` by the names of the axes that the
+    trees see (empty where an outcome has fewer grasps than there are folds).
     """
     return {
         name: _of_object(table.take(table.rows(objects=(name,), split="train")), seed)

@@ -26,13 +26,13 @@ TEMPERATURE_RANGE = (0.25, 16.0)
 class Predictions:
     """One model's predictions for N grasps.
 
-    ``probabilities`` (N,) are of success; ``frames(i)`` gives grasp i's images as the network saw
-    them, (T, h, w, 3) uint8.
+    ``probabilities`` (N,) are of success; each of ``frames`` reads the images of a grasp as the
+    network saw them, (T, h, w, 3) uint8.
     """
 
     table: GraspTable
     probabilities: NDArray[np.float64]
-    frames: Callable[[int], NDArray[np.uint8]]
+    frames: Sequence[Callable[[], NDArray[np.uint8]]]
 
     def wrong(self) -> list[int]:
         """Positions of the misclassified grasps."""
@@ -40,9 +40,7 @@ class Predictions:
         return [int(i) for i in np.flatnonzero(predicted != (self.table.label == 1))]
 
     @staticmethod
-    def joined(
-        parts: Sequence[Predictions],
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def joined(parts: Sequence[Predictions]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Labels and probabilities of all parts, in their order."""
         labels = np.concatenate([part.table.label for part in parts])
         return labels, np.concatenate([part.probabilities for part in parts])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -96,9 +97,9 @@ def write_evaluation_report(
         figure_section(
             "Calibration",
             plots.reliability_diagram(
-                [one.predicted for one in bins],
-                [one.succeeded for one in bins],
-                {(one.lo + one.hi) / 2: one.n for one in bins},
+                bins["predicted"].tolist(),
+                bins["succeeded"].tolist(),
+                dict(zip((bins["lo"] + bins["hi"]) / 2, bins["n"], strict=True)),
             ),
             f"Expected calibration error {result['ece']:.3f}.",
         ),
@@ -146,43 +147,33 @@ def _confusion(title: str, confusion: Sequence[Sequence[int]]) -> Section:
 
 
 def _overview(result: Mapping[str, Any]) -> Section:
-    note = f"Pre-trained weights: {started_from(result['weights'])}."
-    gap = result.get("sim_to_real_gap")
-    if gap is not None:
-        note += (
-            f" On simulated test grasps the accuracy was {result['sim_accuracy']:.3f}: "
-            f"a gap of {gap:+.3f}."
+    notes = [f"Pre-trained weights: {started_from(result['weights'])}."]
+    if "sim_to_real_gap" in result:
+        accuracy, gap = result["sim_accuracy"], result["sim_to_real_gap"]
+        notes.append(
+            f"On simulated test grasps the accuracy was {accuracy:.3f}: a gap of {gap:+.3f}."
         )
-    row = (tested_on(result), *score_row(result))
-    return table_section(
-        "Overall", ("tested on", *SCORE_HEADER), [row], " ".join([note, *result["notes"]])
-    )
+    row, notes = (tested_on(result), *score_row(result)), [*notes, *result["notes"]]
+    return table_section("Overall", ("tested on", *SCORE_HEADER), [row], " ".join(notes))
 
 
 def _misclassified(predictions: Sequence[Predictions]) -> Section:
-    wrong = sorted(
-        ((part, i) for part in predictions for i in part.wrong()),
-        key=lambda found: -abs(found[0].probabilities[found[1]] - 0.5),
-    )
-    if not wrong:
-        return text_section("Misclassified grasps", "None.")
-    return pictures_section(
-        "Misclassified grasps",
-        _strips(wrong[:MAX_SHOWN]),
-        f"{len(wrong)} in all; shown: the {min(len(wrong), MAX_SHOWN)} with the most confident "
-        "wrong prediction.",
-    )
+    title, every = "Misclassified grasps", [(part, i) for part in predictions for i in part.wrong()]
+    if not every:
+        return text_section(title, "None.")
+    wrong = sorted(every, key=lambda one: -abs(one[0].probabilities[one[1]] - 0.5))[:MAX_SHOWN]
+    note = f"{len(every)} in all; shown: the {len(wrong)} with the most confident wrong prediction."
+    return pictures_section(title, itertools.starmap(_strip, wrong), note)
 
 
-def _strips(wrong: Sequence[tuple[Predictions, int]]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Captions and images of misclassified grasps."""
-    for part, i in wrong:
-        table, frames = part.table, part.frames(i)
-        truth = CLASS_NAMES[int(table.label[i] == 1)]
-        caption = (
-            f"{table.objects[i]}, grasp {table.ids[i]}: a {truth}, predicted "
-            f"{part.probabilities[i]:.3f} likely to succeed; {table.force_n[i]:g} N at height "
-            f"{table.z_mm[i]:g} mm"
-        )
-        chosen = [frames[k] for k in evenly(len(frames), MAX_FRAMES)]
-        yield caption, side_by_side(chosen, FRAME_WIDTH_PX)
+def _strip(part: Predictions, i: int) -> tuple[str, NDArray[np.uint8]]:
+    """Caption and images of a misclassified grasp."""
+    table, frames = part.table, part.frames[i]()
+    caption = (
+        f"{table.objects[i]}, grasp {table.ids[i]}: a {CLASS_NAMES[table.label[i]]}, predicted "
+        f"{part.probabilities[i]:.3f} likely to succeed; {table.force_n[i]:g} N at height "
+        f"{table.z_mm[i]:g} mm"
+    )
+    return caption, side_by_side(
+        [frames[k] for k in evenly(len(frames), MAX_FRAMES)], FRAME_WIDTH_PX
+    )

@@ -39,12 +39,12 @@ class ModelFolder:
 
     def read_metrics(self, *, up_to_epoch: int) -> list[dict[str, Any]]:
         """The lines of the first epochs; later ones belong to an epoch that was not finished."""
-        if not self.metrics_path.is_file():
-            return []
         try:
             lines = self.metrics_path.read_text(encoding="utf-8").splitlines()
             metrics = [json.loads(line) for line in lines if line.strip()]
             return [line for line in metrics if line["epoch"] <= up_to_epoch]
+        except FileNotFoundError:
+            return []
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             msg = f"{self.metrics_path}: broken ({error}); remove {self.root} to start again"
             raise LearningError(msg) from error
@@ -63,10 +63,8 @@ class ModelFolder:
         path = self.root / ".lock"
         with locked(path) as held:
             if held is False:
-                msg = (
-                    f"{self.root}: {holder_of(path) or 'another process'} is training this "
-                    "model; wait for it, or end it"
-                )
+                holder = holder_of(path) or "another process"
+                msg = f"{self.root}: {holder} is training this model; wait for it, or end it"
                 raise LearningError(msg)
             if held:
                 for partial in self.root.glob(".*.part"):
@@ -112,20 +110,14 @@ class RunFolder:
         return False
 
     def plan(self) -> dict[str, Any]:
-        """The content of ``run.json``.
-
-        Raises ``LearningError`` if the folder is not a run's.
-        """
+        """The content of ``run.json``; raises ``LearningError`` if the folder is not a run's."""
         plan = read_json(self.plan_path, "give the folder that `tacgen train --out` made")
         if plan.get("schema") != SCHEMA or not _is_plan(plan):
             raise LearningError(self._not_of_this_version())
         return plan
 
     def recipe(self) -> TrainRecipe:
-        """The training recipe of the run.
-
-        Raises ``LearningError`` if it is not one of this version.
-        """
+        """The run's recipe; raises ``LearningError`` if it is not one of this version."""
         try:
             return TrainRecipe.model_validate(self.plan().get("recipe"))
         except ValidationError as error:
@@ -165,13 +157,13 @@ def read_json(path: Path, fix: str) -> dict[str, Any]:
 
 
 def _is_plan(plan: Mapping[str, Any]) -> bool:
-    models, dataset = plan.get("models"), plan.get("dataset")
+    models = plan.get("models")
     return (
-        isinstance(dataset, dict)
+        isinstance(plan.get("dataset"), dict)
         and isinstance(models, dict)
         and all(
-            isinstance(model, dict)
-            and all(isinstance(model.get(key), list) for key in ("objects", "configurations"))
+            isinstance(model, dict) and isinstance(model.get(key), list)
             for model in models.values()
+            for key in ("objects", "configurations")
         )
     )

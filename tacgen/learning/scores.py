@@ -2,64 +2,41 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import binomtest
 
 CALIBRATION_BINS = 10
 """As usual for the expected calibration error; twelve grasps a bin of 120."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReliabilityBin:
-    """Grasps whose predicted probability of success lies in [lo, hi)."""
-
-    lo: float
-    hi: float
-    n: int
-    predicted: float
-    succeeded: float
-
-
-def wilson_interval(n_right: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Confidence interval of a proportion of which ``n_right`` of ``n`` were observed.
+def wilson_interval(n_right: int, n: int) -> tuple[float, float]:
+    """95 % confidence interval of a proportion of which ``n_right`` of ``n`` were observed.
 
     Source: E. B. Wilson, *Probable inference, the law of succession, and statistical inference*,
     1927.
     """
     if n == 0:
         return 0.0, 1.0
-    z = float(norm.ppf(0.5 + confidence / 2))
-    share = n_right / n
-    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-    # Rounding must not put the share itself outside of its interval.
-    return max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half))
+    found = binomtest(n_right, n).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)
 
 
-def reliability(
-    labels: NDArray[np.int64], probabilities: NDArray[np.float64], bins: int = CALIBRATION_BINS
-) -> list[ReliabilityBin]:
-    """Predicted probability against the true rate, in bins of equal width that hold grasps."""
-    places = np.minimum((probabilities * bins).astype(np.int64), bins - 1)
-    found = []
-    for place in np.unique(places):
-        inside = places == place
-        found.append(
-            ReliabilityBin(
-                lo=float(place / bins),
-                hi=float((place + 1) / bins),
-                n=int(inside.sum()),
-                predicted=float(probabilities[inside].mean()),
-                succeeded=float(labels[inside].mean()),
-            )
-        )
-    return found
+def reliability(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> pd.DataFrame:
+    """Predicted probability against the true rate, in ten bins of equal width that hold grasps.
+
+    A row is the ``n`` grasps whose probability lies in [``lo``, ``hi``), with the means of what was
+    ``predicted`` and of what ``succeeded``.
+    """
+    places = np.minimum((probabilities * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
+    table = pd.DataFrame({"n": 1, "predicted": probabilities, "succeeded": labels})
+    found = table.groupby(places).agg({"n": "size", "predicted": "mean", "succeeded": "mean"})
+    bins = found.index.to_numpy()
+    return found.assign(lo=bins / CALIBRATION_BINS, hi=(bins + 1) / CALIBRATION_BINS)
 
 
 def expected_calibration_error(
@@ -71,7 +48,8 @@ def expected_calibration_error(
     probability of success.
     """
     found = reliability(labels, probabilities)
-    return sum(b.n * abs(b.predicted - b.succeeded) for b in found) / max(len(labels), 1)
+    off = (found["predicted"] - found["succeeded"]).abs()
+    return float((found["n"] * off).sum() / max(len(labels), 1))
 
 
 def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict[str, Any]:

@@ -33,13 +33,8 @@ class ModelPlan:
 def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[ModelPlan]:
     """The models of a recipe, each with its grasps for fitting and validation.
 
-    Parameters
-    ----------
-    where : str
-        The dataset, for messages.
-
-    Raises ``LearningError``, which lists every object that is unknown, or has too few grasps of one
-    class, and a configuration that is in both splits.
+    ``where`` is the dataset, for messages. Raises ``LearningError``, which lists every object that
+    is unknown, or has too few grasps of one class, and a configuration that is in both splits.
     """
     objects = _chosen_objects(recipe, table, where)
     leaks = shared_configurations(
@@ -76,15 +71,8 @@ def unseen_tests(
 
     Of another dataset, grasps with the configuration of one that was trained on are left out. Real
     grasps, or simulated ones written as real, are kept: there the same configuration has another
-    image and may have another outcome.
-
-    Parameters
-    ----------
-    plan : mapping
-        The run's ``run.json``.
-
-    Raises ``LearningError`` if grasps made with the very recipe of the training data were trained
-    on.
+    image and may have another outcome. ``plan`` is the run's ``run.json``. Raises ``LearningError``
+    if grasps made with the very recipe of the training data were trained on.
     """
     table = source.table
     tests = table.split == "test"
@@ -133,9 +121,8 @@ def _plan_model(
     fit, validation = [], []
     for member in objects:
         rows = table.rows(objects=(member,), split="train")
-        wanted = recipe.training.grasps
-        if wanted is not None:
-            rows = _subset(rows, wanted, recipe.seed, member)
+        if recipe.training.grasps is not None:
+            rows = _subset(rows, recipe.training.grasps, recipe.seed, member)
         chosen = _validation_rows(table, rows, recipe, member)
         validation.append(chosen)
         fit.append(np.setdiff1d(rows, chosen))

@@ -37,18 +37,9 @@ NO_WEIGHTS_WARNING = (
 def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> dict[str, Any]:
     """Train every model of ``recipe`` on the training grasps of ``data`` into the folder ``out``.
 
-    A run that was stopped resumes after its last complete epoch; finished models stay.
-
-    Parameters
-    ----------
-    workers : int
-        Models trained at a time, each in a process of its own; it changes no bit of them.
-
-    Returns
-    -------
-    dict
-        ``models``: for each, its validation figures, best epoch, class counts and timings.
-
+    A run that was stopped resumes after its last complete epoch; finished models stay. ``workers``
+    models are trained at a time, each in a process of its own; it changes no bit of them. The
+    result's ``models`` holds for each its validation figures, best epoch, class counts and timings.
     Raises ``TacgenError`` if the dataset, the recipe or the folder cannot be used, or the loss
     diverges.
     """
@@ -128,6 +119,7 @@ def _train_one(
     device: Device,
     plan: ModelPlan,
 ) -> dict[str, Any]:
+    """Train one model, or finish it; its entry in ``train.json``."""
     folder = run.model(plan.name)
     with folder.locked(), exact_torch(recipe.training.threads):
         return _fitted(recipe, source, spec, folder, device, plan)
@@ -141,7 +133,6 @@ def _fitted(
     device: Device,
     plan: ModelPlan,
 ) -> dict[str, Any]:
-    """Train one model, or finish it; its entry in ``train.json``."""
     options, batch_size = recipe.input, recipe.training.batch_size
     fit_inputs = DecodedInputs(source, plan.fit_rows, spec, options.cache_mb)
     validation_inputs = DecodedInputs(source, plan.validation_rows, spec, options.cache_mb)
@@ -149,14 +140,17 @@ def _fitted(
     every = (fit_inputs[item] for item in range(len(fit_inputs)))
     spec = with_normalisation(spec, every, reference)
     weights = class_weights(fit_inputs.labels)
-    validation = Batches(validation_inputs, spec, reference, batch_size, options.loader_workers)
+    fit_batches, validation = (
+        Batches(inputs, spec, reference, batch_size, options.loader_workers)
+        for inputs in (fit_inputs, validation_inputs)
+    )
     job = FitJob(
         name=plan.name,
         objects=plan.objects,
         recipe=recipe,
         spec=spec,
         sensor=source.dataset.sensor,
-        fit=Batches(fit_inputs, spec, reference, batch_size, options.loader_workers),
+        fit=fit_batches,
         validation=validation,
         class_weights=weights,
         reference=reference,
@@ -169,7 +163,7 @@ def _fitted(
     network.to(device.name)
     probabilities, labels = predict(network, validation.in_order(), device)
     epochs = metrics[-1]["epoch"]
-    result = {
+    result: dict[str, Any] = {
         "objects": list(plan.objects),
         "grasps_fit": len(plan.fit_rows),
         "grasps_validation": len(plan.validation_rows),
@@ -181,11 +175,9 @@ def _fitted(
         "validation": score(labels, probabilities),
         "decode_s": fit_inputs.decode_s + validation_inputs.decode_s,
         "cached": fit_inputs.cached,
-        **{
-            name: float(np.median([line[name] for line in metrics]))
-            for name in ("epoch_s", "fit_s", "loader_share")
-        },
     }
+    for name in ("epoch_s", "fit_s", "loader_share"):
+        result[name] = float(np.median([line[name] for line in metrics]))
     write_training_report(folder.report_path, recipe, plan.name, metrics, result)
     print_status(
         f"{plan.name}: best epoch {card.epoch} of {epochs}, validation accuracy "

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,6 +16,7 @@ from pydantic import (
 
 from tacgen.core.config import Section, finite
 from tacgen.core.errors import LearningError
+from tacgen.core.files import sha256_of_content
 from tacgen.core.resources import find_recipe
 from tacgen.core.yaml_source import read_yaml, validate
 
@@ -139,7 +138,7 @@ class TrainRecipe(Section):
 
     def sha256(self) -> str:
         """A hash of every setting, the same for recipes that mean the same."""
-        return hashlib.sha256(json.dumps(self.resolved(), sort_keys=True).encode()).hexdigest()
+        return sha256_of_content(self.resolved())
 
 
 def load_train_recipe(name: str | Path) -> TrainRecipe:

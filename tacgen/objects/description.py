@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Generic, TypeVar, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -27,53 +27,20 @@ from tacgen.objects.shapes import BUILDERS
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 
 Source = Annotated[str, Field(min_length=3)]
-Vector = tuple[Finite, Finite, Finite]
-
-
+Positive = Annotated[PositiveFloat, AfterValidator(finite)]
+NotNegative = Annotated[NonNegativeFloat, AfterValidator(finite)]
+Byte = Annotated[int, Field(ge=0, le=255)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
 
 
-class Mass(Section):
-    """The weighed mass."""
-
-    value: Annotated[PositiveFloat, AfterValidator(finite)]
-    """Mass, kg."""
-    source: Source
-    """Where the value comes from."""
+Value = TypeVar("Value")
 
 
-class Friction(Section):
-    """Coulomb coefficient between the object and the gel."""
+class Stated(Section, Generic[Value]):
+    """A figure, and where it comes from."""
 
-    value: Annotated[NonNegativeFloat, Field(le=2.0), AfterValidator(finite)]
-    """Coulomb coefficient."""
-    source: Source
-    """Where the value comes from."""
-
-
-class SpinningFriction(Section):
-    """Moment about the contact normal that the gel holds, per newton of normal force."""
-
-    value: Annotated[NonNegativeFloat, AfterValidator(finite)]
-    """Largest moment over normal force, mm."""
-    source: Source
-    """Where the value comes from."""
-
-
-class Place(Section):
-    """A point in the object's frame."""
-
-    value: Vector
-    """x, y and z, mm."""
-    source: Source
-    """Where the value comes from."""
-
-
-class Dimensions(Section):
-    """Extent along the object's x, y and z in its rest pose."""
-
-    value: tuple[PositiveFloat, PositiveFloat, PositiveFloat]
-    """Extents along x, y and z, mm."""
+    value: Value
+    """The figure, in the unit that the key names."""
     source: Source
     """Where the value comes from."""
 
@@ -108,7 +75,7 @@ class ShapeSource(Section):
     """Surface, a file in the object's folder."""
     collision: FileName | None = None
     """Convex parts, a file in the object's folder."""
-    scale: Annotated[PositiveFloat, AfterValidator(finite)] = 1.0
+    scale: Positive = 1.0
     """mm per unit of the mesh files."""
     source: Source
     """Where the shape comes from."""
@@ -165,23 +132,19 @@ class ObjectDescription(Section):
     """One sentence on it."""
     shape: ShapeSource
     """The surface and the convex parts."""
-    mass_kg: Mass
+    mass_kg: Stated[Positive]
     """The weighed mass."""
-    center_of_mass_mm: Place
-    """Centre of mass in the object's frame."""
-    dimensions_mm: Dimensions
-    """Extents of the object in its rest pose."""
-    friction: Friction
-    """Friction against the gel."""
-    spinning_friction_mm: SpinningFriction
-    """Friction about the contact normal."""
+    center_of_mass_mm: Stated[tuple[Finite, Finite, Finite]]
+    """Centre of mass in the object's frame: x, y and z."""
+    dimensions_mm: Stated[tuple[PositiveFloat, PositiveFloat, PositiveFloat]]
+    """Extents along x, y and z of the object in its rest pose."""
+    friction: Stated[Annotated[NotNegative, Field(le=2.0)]]
+    """Coulomb coefficient against the gel."""
+    spinning_friction_mm: Stated[NotNegative]
+    """Largest moment about the contact normal over normal force."""
     grasp_ranges: GraspRanges
     """Grasps of recipes that do not give an axis."""
-    color_rgb: tuple[
-        Annotated[int, Field(ge=0, le=255)],
-        Annotated[int, Field(ge=0, le=255)],
-        Annotated[int, Field(ge=0, le=255)],
-    ] = (190, 190, 190)
+    color_rgb: tuple[Byte, Byte, Byte] = (190, 190, 190)
     """Colour in pictures, 0 to 255."""
 
     def build_arguments(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from tacgen.objects.description import ObjectDescription, read_description
 from tacgen.objects.shapes.mass_properties import volume_mm3
 
 COLUMNS = ("name", "mass_g", "size_mm", "friction", "force_n", "from", "description")
+FIGURES = ("mass_kg", "center_of_mass_mm", "dimensions_mm", "friction", "spinning_friction_mm")
 
 
 def object_rows() -> list[dict[str, Any]]:
@@ -21,51 +22,39 @@ def object_rows() -> list[dict[str, Any]]:
     rows = []
     shipped = packaged("objects").resolve()
     for name, folder in object_folders().items():
-        row: dict[str, Any] = {
-            "name": name,
-            "from": "tacgen" if folder.resolve().parent == shipped else str(folder),
-        }
+        origin = "tacgen" if folder.resolve().parent == shipped else str(folder)
+        row: dict[str, Any] = {"name": name, "from": origin}
         try:
-            row |= _figures(read_description(folder))
+            found = read_description(folder)
         except ObjectError as error:
-            row["problem"] = str(error)
+            rows.append(row | {"problem": str(error)})
+            continue
+        forces_n = found.grasp_ranges.force_n
+        row |= {
+            "mass_kg": found.mass_kg.value,
+            "dimensions_mm": list(found.dimensions_mm.value),
+            "friction": found.friction.value,
+            "force_n": [min(forces_n), max(forces_n)],
+            "description": found.description,
+        }
         rows.append(row)
     return rows
 
 
-def _figures(description: ObjectDescription) -> dict[str, Any]:
-    forces = description.grasp_ranges.force_n
-    return {
-        "mass_kg": description.mass_kg.value,
-        "dimensions_mm": list(description.dimensions_mm.value),
-        "friction": description.friction.value,
-        "force_n": [min(forces), max(forces)],
-        "description": description.description,
-    }
-
-
 def rows_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """The rows as a table for a terminal."""
-    table = [dict(zip(COLUMNS, COLUMNS, strict=True))]
+    table = [COLUMNS]
     for row in rows:
-        if "problem" in row:
-            shown = {"name": row["name"], "from": row["from"], "description": row["problem"]}
-        else:
-            low, high = row["force_n"]
-            shown = {
-                "name": row["name"],
-                "mass_g": f"{1000 * row['mass_kg']:g}",
-                "size_mm": " × ".join(f"{extent:.3g}" for extent in row["dimensions_mm"]),
-                "friction": f"{row['friction']:g}",
-                "force_n": f"{low:g}…{high:g}",
-                "from": row["from"],
-                "description": row["description"],
-            }
-        table.append({column: shown.get(column, "–") for column in COLUMNS})
-    widths = {column: max(len(line[column]) for line in table) for column in COLUMNS[:-1]}
-    lines = [
-        "  ".join(line[column].ljust(widths.get(column, 0)) for column in COLUMNS) for line in table
-    ]
+        figures = ["–"] * 4
+        if "problem" not in row:
+            size = " × ".join(f"{extent:.3g}" for extent in row["dimensions_mm"])
+            forces_n = "{:g}…{:g}".format(*row["force_n"])
+            figures = [f"{1000 * row['mass_kg']:g}", size, f"{row['friction']:g}", forces_n]
+        text = row.get("problem") or row["description"]
+        table.append((row["name"], *figures, row["from"], text))
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    widths[-1] = 0
+    lines = ["  ".join(map(str.ljust, line, widths)) for line in table]
     return "\n".join(line.rstrip() for line in lines)
 
 
@@ -76,13 +65,7 @@ def object_facts(obj: GraspObject, description: ObjectDescription) -> dict[str, 
         "description": description.description,
         "folder": str(obj.folder),
     }
-    for key in (
-        "mass_kg",
-        "center_of_mass_mm",
-        "dimensions_mm",
-        "friction",
-        "spinning_friction_mm",
-    ):
+    for key in FIGURES:
         stated = getattr(description, key)
         value = list(stated.value) if isinstance(stated.value, tuple) else stated.value
         facts[key] = {"value": value, "source": stated.source}

@@ -114,9 +114,7 @@ def _distances(
     world: World, robot: Robot, body: ObjectBody, limit_m: float
 ) -> list[tuple[int, float]]:
     """Links of the robot and how near they are to the object, within ``limit_m``."""
-    points = world.bullet.getClosestPoints(
-        robot.body, body.body, limit_m, linkIndexB=-1, physicsClientId=world.client
-    )
+    points = world.bullet.getClosestPoints(robot.body, body.body, limit_m, linkIndexB=-1)
     return [(point[3], point[8]) for point in points]
 
 

@@ -7,16 +7,14 @@ import numpy as np
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspObject
 from tacgen.core.units import M_PER_MM
-from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation, rotation_of
-from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
+from tacgen.physics.frames import pose, quaternion_from_rotation
+from tacgen.physics.world import HULL_MARGIN_MM, Collides, Link, World, link_arguments
 
 OBJECT_FRICTION = 1.0
 """Bullet multiplies the coefficients of two bodies: the pads and the table carry the real ones."""
 
 
-def principal_axes(
-    inertia: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+def principal_axes(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Principal moments (3,) and the right-handed (3, 3) rotation whose columns are the axes."""
     moments, axes = np.linalg.eigh(inertia)
     if np.linalg.det(axes) < 0:
@@ -58,24 +56,23 @@ class ObjectBody:
         moments, axes = principal_axes(obj.inertia_kg_mm2)
         self.principal_moments_kg_m2 = moments * M_PER_MM**2
         self.inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
-        self._object_from_inertial = inverse(self.inertial)
-        bullet, client = world.bullet, world.client
-        standing = _standing_link(world, obj) if len(obj.collision) > 1 else {}
-        self.body = bullet.createMultiBody(
+        parts, standing = obj.collision, []
+        if len(parts) > 1:
+            # Massless, and raised by the margin that Bullet keeps around the hulls of links, so
+            # that the object stands where it should.
+            hull, raised_m = world.hull_shape(parts, enclosing=True), HULL_MARGIN_MM * M_PER_MM
+            fixed = world.bullet.JOINT_FIXED
+            standing = [Link(-1, fixed, shape=hull, position_m=(0.0, 0.0, raised_m))]
+        self.body = world.bullet.createMultiBody(
             obj.mass_kg,
-            world.hull_shape(obj.collision),
+            world.hull_shape(parts),
             baseInertialFramePosition=self.inertial[:3, 3].tolist(),
             baseInertialFrameOrientation=quaternion_from_rotation(axes).tolist(),
-            physicsClientId=client,
-            **standing,
+            **link_arguments(standing),
         )
         world.set_surface(self.body, -1, friction=OBJECT_FRICTION)
-        bullet.changeDynamics(
-            self.body,
-            -1,
-            localInertiaDiagonal=self.principal_moments_kg_m2.tolist(),
-            physicsClientId=client,
-        )
+        inertia = self.principal_moments_kg_m2.tolist()
+        world.bullet.changeDynamics(self.body, -1, localInertiaDiagonal=inertia)
         if standing:
             world.set_surface(self.body, 0, friction=OBJECT_FRICTION)
             world.collide(self.body, -1, Collides.GRIPPER)
@@ -85,38 +82,10 @@ class ObjectBody:
 
     def inertial_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Position (m) of the centre of mass and quaternion of the principal axes."""
-        position, quaternion = self._world.bullet.getBasePositionAndOrientation(
-            self.body, physicsClientId=self._world.client
-        )
+        position, quaternion = self._world.bullet.getBasePositionAndOrientation(self.body)
         return position, quaternion
 
     def velocity(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Linear velocity (m/s) of the centre of mass and angular velocity (rad/s), world axes."""
-        linear, angular = self._world.bullet.getBaseVelocity(
-            self.body, physicsClientId=self._world.client
-        )
+        linear, angular = self._world.bullet.getBaseVelocity(self.body)
         return linear, angular
-
-    def pose_from(self, position: tuple[float, ...], quaternion: tuple[float, ...]) -> Pose:
-        """The object's own frame in the world, from what ``inertial_position`` gave."""
-        return pose(rotation_of(quaternion), position) @ self._object_from_inertial
-
-
-def _standing_link(world: World, obj: GraspObject) -> dict[str, list]:
-    """Arguments of ``createMultiBody`` for a massless hull of the whole object.
-
-    It is raised by the margin that Bullet keeps around the hulls of links, so that the object
-    stands where it should.
-    """
-    return {
-        "linkMasses": [0.0],
-        "linkCollisionShapeIndices": [world.enclosing_shape(obj.collision)],
-        "linkVisualShapeIndices": [-1],
-        "linkPositions": [(0.0, 0.0, HULL_MARGIN_MM * M_PER_MM)],
-        "linkOrientations": [NO_TURN],
-        "linkInertialFramePositions": [(0.0, 0.0, 0.0)],
-        "linkInertialFrameOrientations": [NO_TURN],
-        "linkParentIndices": [0],
-        "linkJointTypes": [world.bullet.JOINT_FIXED],
-        "linkJointAxis": [(0.0, 0.0, 1.0)],
-    }

@@ -24,9 +24,7 @@ PAD_SIDE = {"left": -1.0, "right": 1.0}
 """On which side of the gripper's centre a pad is, along the gripper's x."""
 
 
-def rotation_of(
-    quaternion_xyzw: Sequence[float] | FloatArray,
-) -> FloatArray:
+def rotation_of(quaternion_xyzw: Sequence[float] | FloatArray) -> FloatArray:
     """The (..., 3, 3) rotation of each unit quaternion of (..., 4)."""
     x, y, z, w = np.moveaxis(np.asarray(quaternion_xyzw, dtype=np.float64), -1, 0)
     rows = [

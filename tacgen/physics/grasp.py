@@ -96,10 +96,9 @@ def run_grasp(
     Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the object
     cannot be a body.
     """
-    problems = [*settings.problems(), *frames.problems()]
+    problems = object_problems(obj)
     force = force_problem(config.force_n, settings.max_force_n)
     problems += [f"grasp {config.index} of {config.object!r}: force_n {force}"] if force else []
-    problems += object_problems(obj)
     if problems:
         raise PhysicsError.from_problems(problems)
     return _Grasp(simulator, obj, config, settings, frames).run()

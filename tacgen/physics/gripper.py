@@ -7,7 +7,6 @@ opening towards the middle. Bullet's lengths are metres.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.frames import PAD_SIDE
 from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
-from tacgen.physics.world import HULL_MARGIN_MM, NO_TURN, Collides, World
+from tacgen.physics.world import HULL_MARGIN_MM, Collides, Link, World, link_arguments
 
 STROKE_MM = 110.0
 """Largest opening. Source: Weiss Robotics, WSG 50 data sheet."""
@@ -60,37 +59,9 @@ def _symmetric_range(half: float) -> np.ndarray:
     return np.linspace(-half, half, 2 * int(np.ceil(half / PAD_PITCH_MM)) + 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
-    """One link for ``createMultiBody``; ``parent`` is the index of a link, −1 for the base."""
-
-    parent: int
-    joint_type: int
-    mass_kg: float = 0.0
-    shape: int = -1
-    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, float, float, float] = NO_TURN
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    center_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
 def create_body(world: World, links: Sequence[Link], base_position_m: Sequence[float]) -> int:
     """A body of ``links`` on a base that is fixed to the world."""
-    body = world.bullet.createMultiBody(
-        baseMass=0.0,
-        basePosition=base_position_m,
-        linkMasses=[link.mass_kg for link in links],
-        linkCollisionShapeIndices=[link.shape for link in links],
-        linkVisualShapeIndices=[-1] * len(links),
-        linkPositions=[link.position_m for link in links],
-        linkOrientations=[link.quaternion for link in links],
-        linkInertialFramePositions=[link.center_of_mass_m for link in links],
-        linkInertialFrameOrientations=[NO_TURN] * len(links),
-        linkParentIndices=[link.parent + 1 for link in links],
-        linkJointTypes=[link.joint_type for link in links],
-        linkJointAxis=[link.axis for link in links],
-        physicsClientId=world.client,
-    )
+    body = world.bullet.createMultiBody(0.0, basePosition=base_position_m, **link_arguments(links))
     for link in range(-1, len(links)):
         world.set_surface(body, link, friction=0.0)
         world.collide(body, link, Collides.GRIPPER)
@@ -105,15 +76,16 @@ def finger_links(world: World, settings: PhysicsSettings, hand: int) -> list[Lin
     stem_height_mm = FINGER_LENGTH_MM + PAD_HEIGHT_MM / 2
     stem_half_extents_mm = (FINGER_THICKNESS_MM / 2, PAD_WIDTH_MM / 2 - 1.0, stem_height_mm / 2)
     links: list[Link] = []
-    for pad in PAD_NAMES:
-        side = PAD_SIDE[pad]
+    create_shape = world.bullet.createCollisionShape
+    for side in (PAD_SIDE[pad] for pad in PAD_NAMES):
         finger = hand + 1 + len(links)
+        vertices_m = pad_vertices_m(side, settings.pad_dome_radius_mm)
         links.append(
             Link(
                 parent=hand,
                 joint_type=world.bullet.JOINT_PRISMATIC,
                 mass_kg=FINGER_MASS_KG,
-                shape=_pad(world, side, settings.pad_dome_radius_mm),
+                shape=create_shape(world.bullet.GEOM_MESH, vertices=vertices_m),
                 position_m=(side * STROKE_MM / 2 * M_PER_MM, 0.0, 0.0),
                 axis=(-side, 0.0, 0.0),
             )
@@ -143,24 +115,9 @@ def palm_link(world: World, hand: int) -> Link:
     )
 
 
-def _pad(world: World, side: float, dome_radius_mm: float) -> int:
-    return int(
-        world.bullet.createCollisionShape(
-            world.bullet.GEOM_MESH,
-            vertices=pad_vertices_m(side, dome_radius_mm),
-            physicsClientId=world.client,
-        )
-    )
-
-
 def _box(world: World, half_extents_mm: Sequence[float]) -> int:
-    return int(
-        world.bullet.createCollisionShape(
-            world.bullet.GEOM_BOX,
-            halfExtents=[half * M_PER_MM for half in half_extents_mm],
-            physicsClientId=world.client,
-        )
-    )
+    half_extents_m = [half * M_PER_MM for half in half_extents_mm]
+    return int(world.bullet.createCollisionShape(world.bullet.GEOM_BOX, halfExtents=half_extents_m))
 
 
 class Fingers:
@@ -196,25 +153,19 @@ class Fingers:
                     link,
                     contactStiffness=settings.pad_stiffness_n_mm / M_PER_MM,
                     contactDamping=settings.pad_damping_n_s_mm / M_PER_MM,
-                    physicsClientId=self._world.client,
                 )
 
     def set_spinning_friction(self, spinning_friction_m: float) -> None:
         """Moment about the contact normal that a pad resists, for each newton of force."""
         for link in self.links.values():
             self._world.bullet.changeDynamics(
-                self._body,
-                link,
-                spinningFriction=spinning_friction_m,
-                physicsClientId=self._world.client,
+                self._body, link, spinningFriction=spinning_friction_m
             )
 
     def place(self, travel_m: float) -> None:
         """Put both fingers ``travel_m`` in from the full opening, at rest."""
         for link in self.links.values():
-            self._world.bullet.resetJointState(
-                self._body, link, travel_m, 0.0, physicsClientId=self._world.client
-            )
+            self._world.bullet.resetJointState(self._body, link, travel_m, 0.0)
 
     def drive(self, speed_m_s: float, force_n: float) -> None:
         """Close at ``speed_m_s``, pressing with ``force_n`` at most."""
@@ -225,12 +176,11 @@ class Fingers:
                 self._world.bullet.VELOCITY_CONTROL,
                 targetVelocity=speed_m_s,
                 force=force_n,
-                physicsClientId=self._world.client,
             )
 
     def couple(self) -> None:
         """From now on the fingers move by equal amounts, about where they are."""
-        bullet, client = self._world.bullet, self._world.client
+        bullet = self._world.bullet
         left_m, right_m = self.travel_m()
         gear = bullet.createConstraint(
             self._body,
@@ -241,7 +191,6 @@ class Fingers:
             (1.0, 0.0, 0.0),
             (0.0, 0.0, 0.0),
             (0.0, 0.0, 0.0),
-            physicsClientId=client,
         )
         bullet.changeConstraint(
             gear,
@@ -249,14 +198,10 @@ class Fingers:
             maxForce=self.COUPLING_FORCE_N,
             relativePositionTarget=left_m - right_m,
             erp=0.2,
-            physicsClientId=client,
         )
 
     def travel_m(self) -> tuple[float, float]:
         """How far the left and the right finger are in from the full opening."""
         state = self._world.bullet.getJointState
-        left, right = (
-            state(self._body, link, physicsClientId=self._world.client)[0]
-            for link in self.links.values()
-        )
+        left, right = (state(self._body, link)[0] for link in self.links.values())
         return left, right

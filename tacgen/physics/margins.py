@@ -50,17 +50,6 @@ def torsion_factor(friction_share: float) -> float:
     return float(np.sqrt(max(0.0, 1.0 - friction_share**2)))
 
 
-def spinning_friction_of_disc_mm(friction: float, radius_mm: float, pressure: str) -> float:
-    """Moment about the normal per newton, of a round patch of ``radius_mm`` that is all sliding.
-
-    ``pressure``: ``uniform`` (2/3 μ a), ``hertz`` (a hemisphere of pressure, 3π/16 μ a) or
-    ``paraboloid`` (8/15 μ a: an elastic foundation pressed by a dome, which is what V = k F
-    amounts to).
-    """
-    factors = {"uniform": 2 / 3, "hertz": 3 * np.pi / 16, "paraboloid": 8 / 15}
-    return float(factors[pressure] * friction * radius_mm)
-
-
 def grasp_capacity(
     pads: tuple[PadLoad, ...],
     *,
@@ -111,10 +100,7 @@ def grasp_capacity(
 
 
 def slip_margin(
-    capacity: Capacity,
-    mass_kg: float,
-    first_slip_time_s: float,
-    first_slip_direction: FloatArray,
+    capacity: Capacity, mass_kg: float, first_slip_time_s: float, first_slip_direction: FloatArray
 ) -> SlipMargin:
     """The record of a grasp's margins, see ``records.SlipMargin``."""
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2

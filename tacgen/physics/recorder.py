@@ -61,7 +61,6 @@ class Recorder:
     def snapshot(self) -> Snapshot:
         """The world now."""
         if self.step not in self.snapshots:
-            world = self._world
             object_position, object_quaternion = self._body.inertial_position()
             _, angular_velocity = self._body.velocity()
             gripper_position, gripper_quaternion = self._robot.gripper_position()
@@ -69,7 +68,7 @@ class Recorder:
             half_m = STROKE_MM / 2 * M_PER_MM
             self.snapshots[self.step] = Snapshot(
                 step=self.step,
-                contacts=world.bullet.getContactPoints(physicsClientId=world.client),
+                contacts=self._world.bullet.getContactPoints(),
                 object_position_m=object_position,
                 object_quaternion=object_quaternion,
                 object_angular_velocity=angular_velocity,

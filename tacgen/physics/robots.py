@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -18,13 +18,12 @@ from tacgen.physics.gripper import (
     HAND_MASS_KG,
     PALM_HALF_EXTENTS_MM,
     Fingers,
-    Link,
     create_body,
     finger_links,
     palm_link,
 )
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.physics.world import World
+from tacgen.physics.world import Link, World
 
 AXIS_FORCE_N = 2000.0
 """Of the floating gripper's vertical axis: far more than any grasp, so that it follows."""
@@ -85,9 +84,6 @@ class Robot(Protocol):
 class FloatingGripper:
     """The fast robot; see ``Robot``."""
 
-    def __init__(self) -> None:
-        self.body = -1
-
     def build(self, world: World, settings: PhysicsSettings) -> None:
         """Make the gripper in an empty world."""
         self._world = world
@@ -103,13 +99,11 @@ class FloatingGripper:
 
     def place(self, target: GripperTarget) -> str:
         """Put the gripper at ``target``; every place can be reached."""
-        bullet, client = self._world.bullet, self._world.client
+        bullet = self._world.bullet
         self._base = (target.x_m, target.y_m, 0.0)
         self._quaternion = (0.0, 0.0, math.sin(target.yaw_rad / 2), math.cos(target.yaw_rad / 2))
-        bullet.resetBasePositionAndOrientation(
-            self.body, self._base, self._quaternion, physicsClientId=client
-        )
-        bullet.resetJointState(self.body, FLOATING_HAND, target.z_m, 0.0, physicsClientId=client)
+        bullet.resetBasePositionAndOrientation(self.body, self._base, self._quaternion)
+        bullet.resetJointState(self.body, FLOATING_HAND, target.z_m, 0.0)
         return ""
 
     def prepare_lift(self, lift_m: float) -> str:
@@ -129,22 +123,16 @@ class FloatingGripper:
             self._world.bullet.VELOCITY_CONTROL,
             targetVelocity=speed_m_s,
             force=AXIS_FORCE_N,
-            physicsClientId=self._world.client,
         )
 
     def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Position (m) and quaternion of the gripper frame in the world."""
-        height_m = self._world.bullet.getJointState(
-            self.body, FLOATING_HAND, physicsClientId=self._world.client
-        )[0]
+        height_m = self._world.bullet.getJointState(self.body, FLOATING_HAND)[0]
         return (self._base[0], self._base[1], height_m), self._quaternion
 
 
 class ArmWithGripper:
     """The robot with an arm; see ``Robot``. The arm's own links collide with nothing."""
-
-    def __init__(self) -> None:
-        self.body = -1
 
     def build(self, world: World, settings: PhysicsSettings) -> None:
         """Make the arm and its gripper in an empty world."""
@@ -168,9 +156,7 @@ class ArmWithGripper:
         self.palm = len(links) - 1
         self.fingers = Fingers(world, self.body, ARM_HAND)
         for link, inertia in enumerate([*_arm_inertias(), _hand_inertia()]):
-            world.bullet.changeDynamics(
-                self.body, link, localInertiaDiagonal=inertia, physicsClientId=world.client
-            )
+            world.bullet.changeDynamics(self.body, link, localInertiaDiagonal=inertia)
         self._step_s = settings.time_step_s
         self._joints_rad = ELBOW_UP_RAD
 
@@ -203,9 +189,7 @@ class ArmWithGripper:
             )
         self._joints_rad, self._target = joints, target
         for joint, angle in zip(ARM_JOINTS, joints.tolist(), strict=True):
-            self._world.bullet.resetJointState(
-                self.body, joint, angle, 0.0, physicsClientId=self._world.client
-            )
+            self._world.bullet.resetJointState(self.body, joint, angle, 0.0)
         return ""
 
     def _inverse(self, target: GripperTarget, seed_rad: FloatArray) -> FloatArray | None:
@@ -221,13 +205,8 @@ class ArmWithGripper:
         heights_m = np.linspace(0.0, lift_m, max(count, 4))
         joints = [self._joints_rad]
         for height_m in heights_m[1:].tolist():
-            target = GripperTarget(
-                self._target.x_m,
-                self._target.y_m,
-                self._target.z_m + height_m,
-                self._target.yaw_rad,
-            )
-            following = self._inverse(target, joints[-1])
+            higher = replace(self._target, z_m=self._target.z_m + height_m)
+            following = self._inverse(higher, joints[-1])
             if following is None:
                 return f"the arm cannot lift the object further than {height_m * MM_PER_M:.0f} mm"
             joints.append(following)
@@ -248,14 +227,11 @@ class ArmWithGripper:
             positionGains=[POSITION_GAIN] * 6,
             velocityGains=[1.0] * 6,
             forces=ur5e.JOINT_TORQUE_LIMIT_N_M,
-            physicsClientId=self._world.client,
         )
 
     def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Position (m) and quaternion of the gripper frame in the world."""
-        state = self._world.bullet.getLinkState(
-            self.body, ARM_HAND, computeForwardKinematics=1, physicsClientId=self._world.client
-        )
+        state = self._world.bullet.getLinkState(self.body, ARM_HAND, computeForwardKinematics=1)
         return state[4], state[5]
 
 

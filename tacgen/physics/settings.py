@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, Literal
 
-from pydantic import ConfigDict
+from pydantic import (
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    model_validator,
+)
+from pydantic.dataclasses import dataclass
 
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
@@ -20,31 +27,8 @@ ITERATIONS_PER_FORCE_RATIO = 0.5
 MOST_ITERATIONS = 500
 """What that block needs; a bound on the time of a grasp."""
 
-_ABOVE_ZERO = (
-    "time_step_s",
-    "solver_iterations",
-    "closing_speed_mm_s",
-    "settle_limit_s",
-    "lift_mm",
-    "lift_speed_mm_s",
-    "lift_acceleration_mm_s2",
-    "success_rise_mm",
-    "success_turn_rad",
-    "slip_mm",
-    "slip_turn_rad",
-    "slip_sample_s",
-    "contact_average_steps",
-    "max_force_n",
-)
-_NOT_NEGATIVE = (
-    "clearance_mm",
-    "hold_s",
-    "pad_friction",
-    "table_friction",
-    "pad_stiffness_n_mm",
-    "pad_damping_n_s_mm",
-    "delivered_force_scale",
-)
+
+_CONFIG = ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
 def force_problem(force_n: float, limit_n: float) -> str:
@@ -57,96 +41,79 @@ def force_problem(force_n: float, limit_n: float) -> str:
     return ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class PhysicsSettings:
-    """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure."""
+    """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure.
 
-    time_step_s: float = 1 / 480
+    Raises pydantic's ``ValidationError``, which lists every figure that cannot be.
+    """
+
+    time_step_s: PositiveFloat = 1 / 480
     """PyBullet's time step."""
-    solver_iterations: int = 50
+    solver_iterations: PositiveInt = 50
     """Least iterations of PyBullet's solver; large forces on light objects need more."""
-    clearance_mm: float = 8.0
+    clearance_mm: NonNegativeFloat = 8.0
     """Gap between the nearer pad and the object before closing."""
-    closing_speed_mm_s: float = 40.0
+    closing_speed_mm_s: PositiveFloat = 40.0
     """Speed of each finger."""
-    settle_limit_s: float = 1.0
+    settle_limit_s: PositiveFloat = 1.0
     """Longest wait for a steady force after the fingers could have met."""
-    hold_s: float = 0.3
+    hold_s: NonNegativeFloat = 0.3
     """Time between the moment of grasp and the lift."""
-    lift_mm: float = 180.0
+    lift_mm: PositiveFloat = 180.0
     """Height of the lift."""
-    lift_speed_mm_s: float = 120.0
+    lift_speed_mm_s: PositiveFloat = 120.0
     """Largest speed of the lift."""
-    lift_acceleration_mm_s2: float = 120.0
+    lift_acceleration_mm_s2: PositiveFloat = 120.0
     """Acceleration of the lift; about 1 % of gravity's, to shift no threshold by more."""
-    success_rise_mm: float = 150.0
+    success_rise_mm: PositiveFloat = 150.0
     """Least rise of an object that is grasped successfully."""
-    success_turn_rad: float = 0.1
+    success_turn_rad: PositiveFloat = 0.1
     """Largest turn relative to the gripper of an object that is grasped successfully."""
-    slip_mm: float = 0.5
+    slip_mm: PositiveFloat = 0.5
     """Motion at the pad from which the object slips."""
-    slip_turn_rad: float = 0.01
+    slip_turn_rad: PositiveFloat = 0.01
     """Turn at the pad from which the object slips."""
-    slip_sample_s: float = 0.0125
+    slip_sample_s: PositiveFloat = 0.0125
     """Interval at which the lift is checked for slip."""
-    contact_average_steps: int = 5
+    contact_average_steps: PositiveInt = 5
     """Steps over which a frame's contact forces are averaged."""
-    pad_dome_radius_mm: float = 30.0
+    pad_dome_radius_mm: Annotated[float, Field(ge=SMALLEST_DOME_RADIUS_MM)] = 30.0
     """Radius of curvature of the colliding pads; makes the contact with a flat face a point."""
-    pad_friction: float = 1.0
+    pad_friction: NonNegativeFloat = 1.0
     """Factor on the object's friction coefficient."""
-    table_friction: float = 0.4
+    table_friction: NonNegativeFloat = 0.4
     """Coefficient of friction between object and table."""
-    pad_stiffness_n_mm: float = 0.0
+    pad_stiffness_n_mm: NonNegativeFloat = 0.0
     """Normal stiffness of the pads; 0: rigid."""
-    pad_damping_n_s_mm: float = 0.5
+    pad_damping_n_s_mm: NonNegativeFloat = 0.5
     """Normal damping of the pads."""
-    delivered_force_scale: float = 1.0
+    delivered_force_scale: NonNegativeFloat = 1.0
     """Force of a finger over the commanded one."""
     delivered_force_offset_n: float = 0.0
     """Added to the force of a finger."""
     height_offset_mm: float = 0.0
     """Added to the height of the pads."""
-    max_force_n: float = 40.0
+    max_force_n: PositiveFloat = 40.0
     """Largest force of a finger; set it as ``robot.max_force_n``. The WSG-50's grasping
     force of 80 N is twice a finger's (Weiss Robotics, WSG 50 data sheet)."""
     tactile_pads: Pads = "left"
     """Fingers with a sensor; set it as ``robot.tactile_pads``."""
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", use_attribute_docstrings=True
-    )
+    @model_validator(mode="after")
+    def _lifts_far_enough(self) -> PhysicsSettings:
+        if self.success_rise_mm >= self.lift_mm:
+            msg = (
+                f"success_rise_mm = {self.success_rise_mm:g} is not reached by "
+                f"lift_mm = {self.lift_mm:g}; lift further"
+            )
+            raise ValueError(msg)
+        return self
 
     @property
     def sensing_pads(self) -> tuple[str, ...]:
         """Names of the pads that carry a sensor."""
         return PAD_NAMES if self.tactile_pads == "both" else (self.tactile_pads,)
-
-    def problems(self) -> list[str]:
-        """What is wrong with these figures, each with its fix; empty where nothing is."""
-        found = [
-            f"physics.{name} = {getattr(self, name):g} is not above 0; raise it"
-            for name in _ABOVE_ZERO
-            if not getattr(self, name) > 0
-        ]
-        found += [
-            f"physics.{name} = {getattr(self, name):g} is below 0; give 0 or more"
-            for name in _NOT_NEGATIVE
-            if not getattr(self, name) >= 0
-        ]
-        if self.pad_dome_radius_mm < SMALLEST_DOME_RADIUS_MM:
-            found.append(
-                f"physics.pad_dome_radius_mm = {self.pad_dome_radius_mm:g} cannot span the pad; "
-                f"give at least {SMALLEST_DOME_RADIUS_MM:g}"
-            )
-        if self.success_rise_mm >= self.lift_mm:
-            found.append(
-                f"physics.success_rise_mm = {self.success_rise_mm:g} is not reached by "
-                f"lift_mm = {self.lift_mm:g}; lift further"
-            )
-        if self.tactile_pads not in (*PAD_NAMES, "both"):
-            found.append(f"physics.tactile_pads = {self.tactile_pads!r} is not left, right or both")
-        return found
 
     def iterations_for(self, force_n: float, mass_kg: float) -> int:
         """Solver iterations for ``force_n`` on an object of ``mass_kg``.
@@ -163,9 +130,9 @@ class PhysicsSettings:
         return max(0.0, self.delivered_force_scale * commanded_n + self.delivered_force_offset_n)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class FrameRequest:
-    """Which tactile frames a grasp records.
+    """The tactile frames of a grasp.
 
     ``single``: one frame at the moment of grasp, when the force has reached the command and is
     steady. ``sequence``: ``count`` frames over ``span_s`` from the moment the fingers start to
@@ -173,16 +140,8 @@ class FrameRequest:
     """
 
     mode: Literal["single", "sequence"] = "single"
-    count: int = 24
-    span_s: float = 3.0
-
-    def problems(self) -> list[str]:
-        """What is wrong with these figures, each with its fix; empty where nothing is."""
-        found = []
-        if self.mode not in ("single", "sequence"):
-            found.append(f"frames.mode = {self.mode!r} is not single or sequence")
-        if self.count < 1:
-            found.append(f"frames.count = {self.count} is below 1; ask for a frame at least")
-        if not self.span_s > 0:
-            found.append(f"frames.span_s = {self.span_s:g} is not above 0; raise it")
-        return found
+    """One image at the moment of grasp, or a sequence from the start of closing."""
+    count: PositiveInt = 24
+    """Number of frames of a sequence."""
+    span_s: PositiveFloat = 3.0
+    """Time from the first to the last frame of a sequence."""

@@ -7,9 +7,11 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -35,6 +37,36 @@ class Collides(IntFlag):
     NOTHING = 0
     GRIPPER = 1
     TABLE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One link for ``createMultiBody``; ``parent`` is the index of a link, −1 for the base."""
+
+    parent: int
+    joint_type: int
+    mass_kg: float = 0.0
+    shape: int = -1
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = NO_TURN
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    center_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def link_arguments(links: Sequence[Link]) -> dict[str, Any]:
+    """The links as arguments of ``createMultiBody``."""
+    return {
+        "linkMasses": [link.mass_kg for link in links],
+        "linkCollisionShapeIndices": [link.shape for link in links],
+        "linkVisualShapeIndices": [-1] * len(links),
+        "linkPositions": [link.position_m for link in links],
+        "linkOrientations": [link.quaternion for link in links],
+        "linkInertialFramePositions": [link.center_of_mass_m for link in links],
+        "linkInertialFrameOrientations": [NO_TURN] * len(links),
+        "linkParentIndices": [link.parent + 1 for link in links],
+        "linkJointTypes": [link.joint_type for link in links],
+        "linkJointAxis": [link.axis for link in links],
+    }
 
 
 def load_bullet() -> ModuleType:
@@ -69,10 +101,7 @@ def _quiet_standard_error() -> Iterator[None]:
 
 
 def require_numpy(bullet: ModuleType) -> ModuleType:
-    """``bullet`` itself, if it was built with numpy.
-
-    Raises ``PhysicsError`` if it was not.
-    """
+    """``bullet`` itself; raises ``PhysicsError`` if it was built without numpy."""
     if not bullet.isNumpyEnabled():
         msg = (
             "PyBullet was built without numpy (pybullet.isNumpyEnabled() is 0); with numpy "
@@ -84,34 +113,34 @@ def require_numpy(bullet: ModuleType) -> ModuleType:
 
 
 class World:
-    """A DIRECT client with a table at z = 0; a context manager.
-
-    ``bullet`` is the module and ``client`` the client's number, for the calls that robots and
-    bodies make. Lengths are in metres.
-    """
+    """A DIRECT client with a table at z = 0; a context manager. Lengths are in metres."""
 
     def __init__(self) -> None:
-        self.bullet = load_bullet()
-        self.client = -1
+        self._module = load_bullet()
+        self._client: Any = None
         self.table = -1
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._mesh_files: dict[str, str] = {}
+
+    @property
+    def bullet(self) -> Any:
+        """PyBullet's functions, bound to this client, and its constants."""
+        if self._client is None:
+            raise PhysicsError(NOT_OPEN)
+        return self._client
 
     def __enter__(self) -> World:
-        self.client = self.bullet.connect(self.bullet.DIRECT)
-        if self.client < 0:
+        from pybullet_utils.bullet_client import BulletClient
+
+        self._client = BulletClient(self._module.DIRECT)
+        if not self._client.isConnected():
             msg = "PyBullet accepts no further client in this process; close other simulators first"
             raise PhysicsError(msg)
         self._folder = tempfile.TemporaryDirectory(prefix="tacgen-physics-")
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self.bullet.disconnect(physicsClientId=self.client)
-        self.client = -1
-        if self._folder is not None:
-            self._folder.cleanup()
-        self._folder = None
-        self._mesh_files.clear()
+        self._client.disconnect()
+        self._client = None
+        self._folder.cleanup()
 
     def rebuild(self, settings: PhysicsSettings, solver_iterations: int) -> None:
         """Empty the world and lay the table: the state that every grasp starts from.
@@ -119,10 +148,8 @@ class World:
         A rebuild rather than ``restoreState``: that leaves out the motors, and does not repeat
         bit for bit once an object of many parts is in contact (``docs/physics.md``).
         """
-        bullet, client = self.bullet, self.client
-        if client < 0:
-            raise PhysicsError(NOT_OPEN)
-        bullet.resetSimulation(physicsClientId=client)
+        bullet = self.bullet
+        bullet.resetSimulation()
         bullet.setPhysicsEngineParameter(
             fixedTimeStep=settings.time_step_s,
             numSubSteps=0,
@@ -130,41 +157,39 @@ class World:
             solverResidualThreshold=0.0,
             enableConeFriction=1,
             deterministicOverlappingPairs=1,
-            physicsClientId=client,
         )
-        bullet.setGravity(0.0, 0.0, -STANDARD_GRAVITY_M_S2, physicsClientId=client)
-        shape = bullet.createCollisionShape(
-            bullet.GEOM_BOX, halfExtents=TABLE_HALF_EXTENTS_M, physicsClientId=client
-        )
+        bullet.setGravity(0.0, 0.0, -STANDARD_GRAVITY_M_S2)
+        shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=TABLE_HALF_EXTENTS_M)
         self.table = bullet.createMultiBody(
-            0.0, shape, basePosition=(0.0, 0.0, -TABLE_HALF_EXTENTS_M[2]), physicsClientId=client
+            0.0, shape, basePosition=(0.0, 0.0, -TABLE_HALF_EXTENTS_M[2])
         )
         self.set_surface(self.table, -1, friction=settings.table_friction)
         self.collide(self.table, -1, Collides.TABLE)
 
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
-        step, client = self.bullet.stepSimulation, self.client
+        step = self.bullet.stepSimulation
         for _ in range(count):
-            step(client)
+            step()
 
-    def hull_shape(self, parts: Sequence[Mesh]) -> int:
-        """A collision shape of convex ``parts`` (mm).
+    def hull_shape(self, parts: Sequence[Mesh], *, enclosing: bool = False) -> int:
+        """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.
 
-        It goes through a file because ``createCollisionShape(vertices=…)`` takes one hull only.
-        The margin around such hulls can be taken off a body's base, not off its links.
+        It goes through a file, written once, because ``createCollisionShape(vertices=…)`` takes one
+        hull only. The margin around such hulls can be taken off a body's base, not off its links.
         """
-        return self._shape_from(self._mesh_file("parts", parts))
-
-    def enclosing_shape(self, parts: Sequence[Mesh]) -> int:
-        """A collision shape of one convex hull around all ``parts`` (mm)."""
-        return self._shape_from(self._mesh_file("hull", parts))
+        digest = hashlib.sha256(bytes([enclosing]))
+        for part in parts:
+            digest.update(part.vertices_mm.tobytes() + part.faces.tobytes())
+        path = Path(self._folder.name) / f"{digest.hexdigest()[:32]}.obj"
+        if not path.exists():
+            text = _wavefront([_hull_around(parts)] if enclosing else parts)
+            path.write_text(text, encoding="ascii")
+        return int(self.bullet.createCollisionShape(self.bullet.GEOM_MESH, fileName=str(path)))
 
     def collide(self, body: int, link: int, what: Collides) -> None:
         """Let a link touch only what shares a flag with it."""
-        self.bullet.setCollisionFilterGroupMask(
-            body, link, int(what), int(what), physicsClientId=self.client
-        )
+        self.bullet.setCollisionFilterGroupMask(body, link, int(what), int(what))
 
     def set_surface(
         self, body: int, link: int, *, friction: float, spinning_friction_m: float = 0.0
@@ -184,33 +209,9 @@ class World:
             linearDamping=0.0,
             angularDamping=0.0,
             jointDamping=0.0,
-            physicsClientId=self.client,
         )
         if link == -1:
-            self.bullet.changeDynamics(body, link, collisionMargin=0.0, physicsClientId=self.client)
-
-    def _shape_from(self, path: str) -> int:
-        return int(
-            self.bullet.createCollisionShape(
-                self.bullet.GEOM_MESH, fileName=path, physicsClientId=self.client
-            )
-        )
-
-    def _mesh_file(self, kind: str, parts: Sequence[Mesh]) -> str:
-        """The file of ``parts``, or of the ``hull`` around them, written once."""
-        digest = hashlib.sha256(kind.encode())
-        for part in parts:
-            digest.update(part.vertices_mm.tobytes())
-            digest.update(part.faces.tobytes())
-        key = digest.hexdigest()
-        if key not in self._mesh_files:
-            if self._folder is None:
-                raise PhysicsError(NOT_OPEN)
-            path = Path(self._folder.name) / f"{key[:32]}.obj"
-            meshes = parts if kind == "parts" else [_hull_around(parts)]
-            path.write_text(_wavefront(meshes), encoding="ascii")
-            self._mesh_files[key] = str(path)
-        return self._mesh_files[key]
+            self.bullet.changeDynamics(body, link, collisionMargin=0.0)
 
 
 def _hull_around(parts: Sequence[Mesh]) -> Mesh:

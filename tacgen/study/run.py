@@ -22,7 +22,6 @@ from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.run_folder import read_json
 from tacgen.learning.train import train
-from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.study.real_data import RealData, calibration_grasps, check_real_data
 from tacgen.study.study_recipe import Row, Study, reductions, run_folder_name, with_rows
 from tacgen.study.table import write_study
@@ -44,18 +43,10 @@ def run_study(
 ) -> dict[str, Any]:
     """Run the rows of a study; what is finished in ``out`` is not repeated.
 
-    The table is written anew after each row; rows that earlier runs finished stay in it.
-
-    Parameters
-    ----------
-    rows : sequence of str
-        Names of the rows to run; all of them if empty.
-
-    Returns
-    -------
-    dict
-        ``rows`` with the scores on simulated and, where given, real grasps, and ``problems`` of
-        this run; also written as ``table.json``, ``table.md`` and ``table.html``.
+    The table is written anew after each row; rows that earlier runs finished stay in it. ``rows``
+    names those to run, all of them if empty. The result holds ``rows`` with the scores on simulated
+    and, where given, real grasps, and ``problems`` of this run; it is also written as
+    ``table.json``, ``table.md`` and ``table.html``.
 
     Raises ``TacgenError`` if what is given cannot be used, the folder holds another study or
     version, or a row cannot be collected. A row that cannot be trained or tested keeps its
@@ -186,7 +177,12 @@ class _StudyRun:
             "real_problem": "",
         }
         try:
-            result |= self._train(training, data, run)
+            models = train(training, data, run, workers=self.workers)["models"]
+            result["weights"] = sorted({model["weights"] for model in models.values()})
+            result["training_grasps"] = {
+                name: model["grasps_fit"] + model["grasps_validation"]
+                for name, model in models.items()
+            }
             result["sim"] = evaluate(run, data=data)
         except LearningError as error:
             # Such as grasps that all succeed: the other rows are still of use.
@@ -199,17 +195,6 @@ class _StudyRun:
                 print_status(f"{row.name}: {error}")
                 result["real_problem"] = str(error)
         return result
-
-    def _train(self, recipe: TrainRecipe, data: Path, run: Path) -> dict[str, Any]:
-        """Train a row's networks; their pre-trained weights and numbers of grasps."""
-        models = train(recipe, data, run, workers=self.workers)["models"]
-        return {
-            "weights": sorted({model["weights"] for model in models.values()}),
-            "training_grasps": {
-                name: model["grasps_fit"] + model["grasps_validation"]
-                for name, model in models.items()
-            },
-        }
 
     def _fitted_friction(self, recipe: Recipe, real: Path) -> Mapping[str, Any]:
         """μ of each object of the recipe, as ``tacgen friction`` finds it."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -74,20 +76,18 @@ class Study(Section):
 
     def data_recipe(self, row: Row, *, quick: bool) -> Recipe:
         """The recipe of the row's dataset."""
-        merged: dict[str, Any] = {}
-        for part in (self.data, row.data, self.quick.data if quick else {}):
-            merged = merged_mapping(merged, part)
+        parts = (self.data, row.data, self.quick.data if quick else {})
         objects = list(row.objects or self.objects)
         if quick and self.quick.objects is not None and row.objects is None:
             chosen = object_names(self.quick.objects)
             objects = [entry for entry in objects if object_names([entry])[0] in chosen]
+        merged: dict[str, Any] = reduce(merged_mapping, parts, {})
         return Recipe.model_validate({"name": self.name, **merged, "objects": objects})
 
     def train_recipe(self, row: Row, *, quick: bool) -> TrainRecipe:
         """The training recipe of the row."""
-        merged: dict[str, Any] = {}
-        for part in (self.train, row.train, self.quick.train if quick else {}):
-            merged = merged_mapping(merged, part)
+        parts = (self.train, row.train, self.quick.train if quick else {})
+        merged: dict[str, Any] = reduce(merged_mapping, parts, {})
         return TrainRecipe.model_validate({"name": self.name, **merged})
 
 
@@ -163,11 +163,8 @@ def merged_mapping(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[s
     merged = dict(below)
     for key, value in above.items():
         old = merged.get(key)
-        merged[key] = (
-            merged_mapping(old, value)
-            if isinstance(old, Mapping) and isinstance(value, Mapping)
-            else value
-        )
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = merged_mapping(old, value) if both else value
     return merged
 
 
@@ -205,17 +202,15 @@ def _name_problems(study: Study, source: YamlSource) -> Iterator[str]:
 
 def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
     """Rows whose recipes cannot be used."""
-    for i, row in enumerate(study.rows):
-        for make in (study.data_recipe, study.train_recipe):
-            for quick in (False, True):
-                try:
-                    make(row, quick=quick)
-                except ValidationError as error:
-                    for found in error.errors():
-                        where = ".".join(map(str, found["loc"])) or "the recipe"
-                        yield source.problem(
-                            ("rows", i), f"cannot be used: {where}: {problem_text(found)}"
-                        )
+    makers = (study.data_recipe, study.train_recipe)
+    for (i, row), make, quick in product(enumerate(study.rows), makers, (False, True)):
+        try:
+            make(row, quick=quick)
+        except ValidationError as error:
+            for found in error.errors():
+                where = ".".join(map(str, found["loc"])) or "the recipe"
+                problem = f"cannot be used: {where}: {problem_text(found)}"
+                yield source.problem(("rows", i), problem)
 
 
 def object_names(objects: Sequence[Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,42 +40,43 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
 
 def study_remarks(result: Mapping[str, Any]) -> list[str]:
     """What a reader must know before comparing the figures with others."""
-    rows = result["rows"]
-    averaged = sorted({row["average_epochs"] for row in rows})
+    rows, remarks = result["rows"], []
+    if result["quick"]:
+        less = "; ".join(result["reduced"]) or "no other objects, frames, grasps, input or epochs"
+        remarks.append(f"REDUCED VERSION (--quick): {less}.")
+    weights = sorted({name for row in rows for name in row["weights"]})
+    if weights:
+        names = ", ".join(started_from(name) for name in weights)
+        remarks.append(f"Pre-trained weights: {names} (the paper: ImageNet).")
     sizes = sorted({tuple(row["input_px"]) for row in rows})
-    epochs = sorted({row["epochs"] for row in rows})
-    counts = sorted({n for row in rows for n in row["training_grasps"].values()})
-    remarks = [
-        *_reduced(result),
-        *_pretrained_weights(rows),
-        f"Input {', '.join(f'{w}×{h} px' for h, w in sizes)}; "
-        f"epochs: {', '.join(map(str, epochs))}; training grasps a model (of which some choose "
-        f"the epoch): {', '.join(map(str, counts)) or 'none'}.",
-        f"Weights averaged over about {', '.join(map(str, averaged))} epochs (the paper: 1).",
+    counts = _listed(n for row in rows for n in row["training_grasps"].values())
+    remarks += [
+        f"Input {', '.join(f'{w}×{h} px' for h, w in sizes)}; epochs: "
+        f"{_listed(row['epochs'] for row in rows)}; training grasps a model (of which some choose "
+        f"the epoch): {counts or 'none'}.",
+        f"Weights averaged over about {_listed(row['average_epochs'] for row in rows)} epochs "
+        "(the paper: 1).",
         f"Running time {result['took_s'] / 60:.1f} minutes, without rows of earlier runs.",
         *_where_tested(result),
     ]
-    remarks += [
-        f"{row['name']}: friction fitted, "
-        + ", ".join(f"{name} μ = {mu:g}" for name, mu in row["friction"].items())
-        for row in rows
-        if row["friction"]
-    ]
+    for row in rows:
+        if row["friction"]:
+            fitted = ", ".join(f"{name} μ = {mu:g}" for name, mu in row["friction"].items())
+            remarks.append(f"{row['name']}: friction fitted, {fitted}")
     for row in rows:
         if row["problem"]:
             what = "tested" if row["weights"] else "trained"
             remarks.append(f"{row['name']}: NOT {what}. {row['problem']}")
         if row["real_problem"]:
-            remarks.append(
-                f"{row['name']}: NOT tested for the column {_tested_on(result)}. "
-                f"{row['real_problem']}"
-            )
-    remarks += [
-        f"{row['name']}: contact law from {row['contact_file']}."
-        for row in rows
-        if row["contact_file"]
-    ]
+            column = _tested_on(result)
+            problem = row["real_problem"]
+            remarks.append(f"{row['name']}: NOT tested for the column {column}. {problem}")
+    remarks += [f"{r['name']}: contact law from {f}." for r in rows if (f := r["contact_file"])]
     return [*remarks, *result["notes"]]
+
+
+def _listed(values: Iterable[int]) -> str:
+    return ", ".join(map(str, sorted(set(values))))
 
 
 def markdown_table(header: tuple[str, ...], rows: list[tuple[object, ...]]) -> str:
@@ -84,19 +85,6 @@ def markdown_table(header: tuple[str, ...], rows: list[tuple[object, ...]]) -> s
     return "\n".join(
         "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
     )
-
-
-def _reduced(result: Mapping[str, Any]) -> list[str]:
-    if not result["quick"]:
-        return []
-    less = "; ".join(result["reduced"]) or "no other objects, frames, grasps, input or epochs"
-    return [f"REDUCED VERSION (--quick): {less}."]
-
-
-def _pretrained_weights(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    names = sorted({name for row in rows for name in row["weights"]})
-    weights = ", ".join(started_from(name) for name in names)
-    return [f"Pre-trained weights: {weights} (the paper: ImageNet)."] if names else []
 
 
 def _where_tested(result: Mapping[str, Any]) -> list[str]:
@@ -132,15 +120,9 @@ def _header(result: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _row(row: Mapping[str, Any]) -> tuple[object, ...]:
-    published = row["published"]
-    return (
-        row["name"],
-        row["kind"],
-        *_scores(row.get("sim")),
-        *_scores(row.get("real")),
-        _accuracy(published["sim"]),
-        _accuracy(published["real"]),
-    )
+    scores = (*_scores(row.get("sim")), *_scores(row.get("real")))
+    published = (_accuracy(row["published"][source]) for source in ("sim", "real"))
+    return (row["name"], row["kind"], *scores, *published)
 
 
 def _scores(scores: Mapping[str, Any] | None) -> tuple[str, str, str]:

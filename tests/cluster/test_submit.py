@@ -24,7 +24,7 @@ from tacgen.core.errors import ClusterError, DatasetError, RecipeError
 from tacgen.dataset import DatasetFolder
 from tests.small_world import write_world
 
-LOCAL = cluster.Request("local")
+LOCAL = "local"
 PATIENCE_S = 90
 
 
@@ -85,7 +85,7 @@ def test_jobs_make_the_bytes_that_collect_makes_and_lost_ones_are_made_up(world,
     assert "killed, or out of memory" in lost[0].reason
     assert set(found.failed) == set(lost[0].shards)
     assert "--failed" in cluster.status_text(found)
-    again = cluster.submit(recipe, out, cluster.Request("local", failed_only=True))
+    again = cluster.submit(recipe, out, "local", failed_only=True)
     assert again.shards == len(found.failed)
     found = cluster.wait_for(out)
     assert (found.done, found.not_begun) == (3, ())
@@ -212,9 +212,9 @@ def test_what_is_missing_is_said_with_its_mend(prepared, monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
     monkeypatch.setattr("tacgen.cluster.submission.find_spec", lambda _: None)
     with pytest.raises(ClusterError, match=r"pip install 'tacgen\[cluster\]'.*\n.*sbatch"):
-        cluster.submit(recipe, out, cluster.Request("slurm"))
+        cluster.submit(recipe, out, "slurm")
     with pytest.raises(ClusterError, match="--executor pbs: give local or slurm"):
-        cluster.submit(recipe, out, cluster.Request("pbs"))
+        cluster.submit(recipe, out, "pbs")
 
 
 def test_the_section_cluster_changes_no_byte(world, tmp_path):

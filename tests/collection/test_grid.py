@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacgen.collection.grid import plan_grasps, shard_ranges
+from tacgen.collection.grid import plan_grasps
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import RecipeError
 
@@ -81,13 +81,6 @@ def test_no_configuration_is_on_both_sides_of_the_split(fraction, seed, forces):
     for name in RANGES:
         own = [g for g in planned if g.config.object == name]
         assert sum(g.split == "test" for g in own) == round(fraction * len(own))
-
-
-@given(n=st.integers(0, 500), size=st.integers(1, 60))
-def test_shards_cover_every_grasp_once_in_order(n, size):
-    ranges = shard_ranges(n, size)
-    assert [i for part in ranges for i in part] == list(range(n))
-    assert all(len(part) == size for part in ranges[:-1])
 
 
 def test_shard_seed_and_index_agree_with_the_position():

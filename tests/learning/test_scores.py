@@ -80,6 +80,6 @@ def test_predictions_drawn_from_their_own_probabilities_are_calibrated():
 def test_reliability_bins_hold_every_grasp_once():
     probabilities = np.array([0.0, 0.1, 0.95, 1.0])
     bins = reliability(np.array([0, 0, 1, 1]), probabilities)
-    assert sum(b.n for b in bins) == 4
-    assert bins[-1].n == 2
-    assert bins[-1].hi == 1.0
+    assert bins["n"].sum() == 4
+    assert bins["n"].iloc[-1] == 2
+    assert bins["hi"].iloc[-1] == 1.0

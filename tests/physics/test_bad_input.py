@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import GraspConfig
@@ -52,33 +53,29 @@ class TestBadInput:
         ):
             assert words in str(caught.value)
 
-    def test_every_fault_of_the_settings_is_named(self, simulator: GraspSimulator) -> None:
-        settings = PhysicsSettings(
-            time_step_s=0.0,
-            hold_s=-1.0,
-            success_rise_mm=200.0,
-            pad_dome_radius_mm=5.0,
-            contact_average_steps=0,
-        )
-        with pytest.raises(PhysicsError) as caught:
-            grasp(
-                simulator,
-                block(),
-                force_n=99.0,
-                settings=settings,
-                frames=FrameRequest("sequence", 0, -1.0),
+    def test_every_fault_of_the_settings_is_named(self) -> None:
+        with pytest.raises(ValidationError) as caught:
+            PhysicsSettings(
+                time_step_s=0.0, hold_s=-1.0, pad_dome_radius_mm=5.0, contact_average_steps=0
             )
-        for words in (
-            "physics.time_step_s = 0 is not above 0; raise it",
-            "physics.contact_average_steps = 0 is not above 0",
-            "physics.hold_s = -1 is below 0; give 0 or more",
-            "physics.success_rise_mm = 200 is not reached by lift_mm = 180; lift further",
-            "physics.pad_dome_radius_mm = 5 cannot span the pad; give at least 20",
-            "frames.count = 0 is below 1",
-            "frames.span_s = -1 is not above 0",
-            "force_n = 99 exceeds robot.max_force_n = 40",
-        ):
-            assert words in str(caught.value)
+        found = {error["loc"][0]: error["msg"] for error in caught.value.errors()}
+        assert set(found) == {
+            "time_step_s",
+            "hold_s",
+            "pad_dome_radius_mm",
+            "contact_average_steps",
+        }
+        assert found["pad_dome_radius_mm"].endswith("greater than or equal to 20")
+        with pytest.raises(ValidationError, match="= 200 is not reached by lift_mm = 180; lift"):
+            PhysicsSettings(success_rise_mm=200.0)
+
+    def test_every_fault_of_the_frames_is_named(self) -> None:
+        with pytest.raises(ValidationError, match="2 validation errors"):
+            FrameRequest("sequence", 0, -1.0)
+
+    def test_a_force_beyond_the_gripper(self, simulator: GraspSimulator) -> None:
+        with pytest.raises(PhysicsError, match=r"force_n = 99 exceeds robot\.max_force_n = 40"):
+            grasp(simulator, block(), force_n=99.0)
 
     def test_a_force_that_never_arrives(self, simulator: GraspSimulator) -> None:
         settings = PhysicsSettings(delivered_force_offset_n=-20.0)

@@ -130,7 +130,6 @@ def test_friction_is_a_cone_and_not_a_pyramid(
                 force,
                 (0.0, 0.0, -obj.center_of_mass_mm[2] / MM_PER_M),
                 world.bullet.LINK_FRAME,
-                physicsClientId=world.client,
             )
             world.step(1)
         return bool(np.linalg.norm(body.inertial_position()[0] - start) < 1e-3)
@@ -232,9 +231,7 @@ def test_energy_does_not_grow(simulator: GraspSimulator) -> None:
     world = simulator.world
     world.rebuild(SETTINGS, 50)
     body = ObjectBody(world, obj)
-    world.bullet.resetBasePositionAndOrientation(
-        body.body, (0.0, 0.0, 0.09), (0.3, 0.1, 0.0, 0.95), physicsClientId=world.client
-    )
+    world.bullet.resetBasePositionAndOrientation(body.body, (0.0, 0.0, 0.09), (0.3, 0.1, 0.0, 0.95))
     moments = np.diag(obj.inertia_kg_mm2) / MM_PER_M**2
 
     def energy_j() -> float:

@@ -78,19 +78,16 @@ def test_the_body_in_pybullet_is_the_published_arm() -> None:
         assert position == pytest.approx([0.03, -0.05, 0.12], abs=1e-6)
         expected = frames.rotation_about_z(0.4)
         assert frames.rotation_of(quaternion) == pytest.approx(expected, abs=1e-6)
-        joints = [
-            world.bullet.getJointState(arm.body, joint, physicsClientId=world.client)[0]
-            for joint in range(6)
-        ]
+        joints = [world.bullet.getJointState(arm.body, joint)[0] for joint in range(6)]
         for joint in range(6):
-            state = world.bullet.getLinkState(arm.body, joint, physicsClientId=world.client)
+            state = world.bullet.getLinkState(arm.body, joint)
             frame = np.eye(4)
             for before in range(joint + 1):
                 turn = frames.pose(frames.rotation_about_z(joints[before]), (0, 0, 0))
                 frame = frame @ turn @ ur5e.link_transform(before)
             center = frame @ [*ur5e.LINK_CENTER_OF_MASS_M[joint], 1.0]
             assert state[0] == pytest.approx(center[:3] + BASE_POSITION_M, abs=1e-5)
-            mass = world.bullet.getDynamicsInfo(arm.body, joint, physicsClientId=world.client)[0]
+            mass = world.bullet.getDynamicsInfo(arm.body, joint)[0]
             assert mass == pytest.approx(ur5e.LINK_MASS_KG[joint])
 
 

@@ -112,7 +112,7 @@ def test_killed_drained_and_requeued_the_dataset_is_the_local_one(world, tmp_pat
     set_node("resume")
 
     recipe = with_cluster(load_recipe(world), mem_gb=0.5)
-    again = cluster.submit(recipe, out, cluster.Request("slurm", failed_only=True))
+    again = cluster.submit(recipe, out, "slurm", failed_only=True)
     assert again.shards == 1
     found = cluster.wait_for(out)
     assert found.not_begun == (), cluster.status_text(found)
@@ -126,7 +126,7 @@ def test_a_job_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path):
     """The signal that submitit asks Slurm for before a time limit or a preemption."""
     out = tmp_path / "out"
     recipe = with_cluster(load_recipe(world), mem_gb=0.5)
-    (job,) = cluster.submit(recipe, out, cluster.Request("slurm")).jobs
+    (job,) = cluster.submit(recipe, out, "slurm").jobs
     wait_until(lambda: cluster.status(out).done >= 1, "the job made no shard")
     said("scancel", "--signal=USR2", job)
     wait_until(lambda: (out / "jobs/000/task-00000.json").read_text().count("interrupted"), "?")
@@ -195,4 +195,4 @@ def test_a_training_told_to_make_way_goes_on_to_the_same_weights(world, tmp_path
 def test_what_slurm_refuses_is_said_in_its_words(world, tmp_path):
     recipe = with_cluster(load_recipe(world), partition="nowhere")
     with pytest.raises(ClusterError, match=r"nvalid partition.*section `cluster`"):
-        cluster.submit(recipe, tmp_path / "out", cluster.Request("slurm"))
+        cluster.submit(recipe, tmp_path / "out", "slurm")

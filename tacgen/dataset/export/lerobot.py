@@ -241,13 +241,13 @@ class _Export:
         }
         stats: dict[str, dict[str, Any]] = {}
         for key, array in values.items():
-            is_image = array.dtype == np.uint8
-            part = (
-                _histogram(array)
-                if is_image
-                else np.asarray(array, np.float64).reshape(n_frames, -1)
-            )
-            stats[key] = image_stats(part, n_frames) if is_image else vector_stats(part)
+            part: NDArray[Any]
+            if array.dtype == np.uint8:
+                part = _histogram(array)
+                stats[key] = image_stats(part, n_frames)
+            else:
+                part = np.asarray(array, np.float64).reshape(n_frames, -1)
+                stats[key] = vector_stats(part)
             self.parts.setdefault(key, []).append(part)
         chunk, number = data.write(episode_table(values, features, data.schema))
         self.episodes.append(

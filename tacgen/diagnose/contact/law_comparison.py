@@ -9,7 +9,7 @@ import numpy as np
 
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import recipe_object
-from tacgen.collection.pipeline import frame_request, tactile_pad
+from tacgen.collection.pipeline import tactile_pad
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import ContactLaw
 from tacgen.core.errors import RecipeError
@@ -59,7 +59,7 @@ def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, .
             grasped,
             planned.config,
             recipe.physics_settings,
-            frames=frame_request(recipe),
+            frames=recipe.frames,
         )
     frames = next(iter(trace.frames.values()), ())
     if not frames:

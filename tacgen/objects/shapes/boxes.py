@@ -36,19 +36,15 @@ def carton(
 
     on_wall = between(profile[:, 1], 0.5, height_mm - 0.5, 0.8)
     up = 1 - (2 * profile[:, 1] / height_mm - 1) ** 2
-    across = np.where(
-        np.abs(normals[:, 0]) > np.abs(normals[:, 1]),
-        outline[:, 1] / half_y,
-        outline[:, 0] / half_x,
-    )
-    swell = (bulge_mm - board_mm) * np.clip(up, 0, 1)[:, None] * (1 - across**2)
+    bow = _bow(outline, normals, half_x, half_y)[:, 0]
+    swell = (bulge_mm - board_mm) * np.clip(up, 0, 1)[:, None] * bow
     flap = board_mm * on_wall[:, None] * _flap(outline, normals, flap_edge_mm)
     rings[:, :, :2] += (swell + flap)[:, :, None] * normals
 
     corners, corner_normals = rounded_rectangle(half_x, half_y, edge_mm, 11.0, corner_steps=1)
-    bulged = [np.insert(corners + 0.0, 2, height, axis=1) for height in (0.0, height_mm)]
     middle = corners + corner_normals * (bulge_mm * _bow(corners, corner_normals, half_x, half_y))
-    bulged += [np.insert(middle, 2, height_mm * part, axis=1) for part in (0.35, 0.65)]
+    heights = ((corners, 0.0), (corners, 1.0), (middle, 0.35), (middle, 0.65))
+    bulged = [np.insert(ring, 2, height_mm * part, axis=1) for ring, part in heights]
     return Shape(loft(rings), (hull(np.concatenate(bulged)),))
 
 
@@ -97,6 +93,6 @@ def wood_block(
     ridge = smooth_step(late / 0.7) * smooth_step((1 - late) / 0.3)
     rings[:, :, :2] -= (grain_mm * on_wall * (1 - ridge))[:, :, None] * normals
 
-    corners, _ = rounded_rectangle(half, half, edge_mm, 1e3, corner_steps=1)
-    ends = [np.insert(corners, 2, end, axis=1) for end in (0.0, height_mm)]
-    return Shape(loft(rings), (hull(np.concatenate(ends)),))
+    corners, away = rounded_rectangle(half, half, edge_mm, 1e3, corner_steps=1)
+    ends = offset_rings(corners, away, np.array([[0.0, 0.0], [0.0, height_mm]]))
+    return Shape(loft(rings), (hull(ends),))

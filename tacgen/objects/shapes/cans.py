@@ -6,15 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import Mesh
-from tacgen.objects.shapes.profiles import (
-    Curve,
-    angles_rad,
-    arc,
-    between,
-    joined,
-    rounded_rectangle,
-)
-from tacgen.objects.shapes.shape import Shape, hull, loft, revolve
+from tacgen.objects.shapes.profiles import Curve, arc, between, joined, polar, rounded_rectangle
+from tacgen.objects.shapes.shape import Shape, angles_rad, hull, loft, revolve
 
 
 def round_can(
@@ -59,7 +52,7 @@ def round_can(
 def prism(radius_mm: float, from_mm: float, to_mm: float, sides: int = 32) -> Mesh:
     """A regular prism about z whose flat sides, one of them facing +x, touch the cylinder."""
     angle = angles_rad(sides) + np.pi / sides
-    ring = radius_mm / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    ring = polar(radius_mm / np.cos(np.pi / sides), angle)
     return hull(np.concatenate([np.insert(ring, 2, height, axis=1) for height in (from_mm, to_mm)]))
 
 

@@ -7,16 +7,18 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from tacgen.objects.shapes.cans import prism
-from tacgen.objects.shapes.profiles import (
-    Curve,
+from tacgen.objects.shapes.profiles import Curve, arc, between, joined, polar, superellipse_radius
+from tacgen.objects.shapes.shape import (
+    Shape,
     angles_rad,
-    arc,
-    between,
-    circle,
-    joined,
-    superellipse_radius,
+    loft,
+    path_hulls,
+    polar_rings,
+    revolve,
+    slab_hulls,
+    sweep,
+    union,
 )
-from tacgen.objects.shapes.shape import Shape, loft, path_hulls, revolve, slab_hulls, sweep, union
 
 
 def squeeze_bottle(
@@ -54,7 +56,7 @@ def squeeze_bottle(
     ribs = 0.5 * rib_depth_mm * (np.cos(cap_ribs * angle) - 1)
     cap_radius = cap[:, :1] + ribbed[:, None] * ribs
     heights = np.concatenate([body * height_mm, cap[:, 1]])
-    rings = _polar_rings(np.concatenate([radius, cap_radius]), angle, heights)
+    rings = polar_rings(np.concatenate([radius, cap_radius]), angle, heights)
 
     rows = np.array([0, 0.023, 0.115, 0.485, 0.52, 0.56, 0.60, 0.64, 0.68, 0.72, 0.77])
     breaks = np.searchsorted(heights[: len(body)], rows * height_mm).tolist()
@@ -110,14 +112,6 @@ def _cap_profile(diameter_mm: float, height_mm: float) -> Curve:
     )
 
 
-def _polar_rings(
-    radius_mm: NDArray[np.float64], angle_rad: NDArray[np.float64], height_mm: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Rings (k, n, 3) from polar radii (k, n) at heights (k,)."""
-    x, y = radius_mm * np.cos(angle_rad), radius_mm * np.sin(angle_rad)
-    return np.stack([x, y, np.broadcast_to(height_mm[:, None], x.shape)], axis=-1)
-
-
 def mug(
     *,
     diameter_mm: float,
@@ -146,7 +140,7 @@ def mug(
         ],
         axis=-1,
     )
-    oval = circle(1.0, 56) * [handle_width_mm / 2, handle_thickness_mm / 2]
+    oval = polar(1.0, angles_rad(56)) * [handle_width_mm / 2, handle_thickness_mm / 2]
     rings = sweep(path, np.array([1.0, 0.0, 0.0]), oval)
     surface = union([body, loft(rings)])
     collision = (prism(radius, 0.0, height_mm), *path_hulls(rings, 8))

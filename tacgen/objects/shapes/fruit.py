@@ -8,10 +8,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from tacgen.objects.shapes.mass_properties import settled
-from tacgen.objects.shapes.profiles import Curve, angles_rad, arc, between, joined
-from tacgen.objects.shapes.shape import Shape, hull, loft, moved, revolve
+from tacgen.objects.shapes.profiles import Curve, arc, between, joined
+from tacgen.objects.shapes.shape import Shape, angles_rad, hull, loft, moved, polar_rings
 
 GOLDEN_ANGLE_RAD = np.pi * (3 - np.sqrt(5))
+FLESH_ROWS = 160
 
 _FLESH = np.array(
     [
@@ -47,13 +48,13 @@ def strawberry(
     angle = angles_rad(segments)
     # Rings start at the flank that faces +x; points gather there and at the opposite one.
     angle = angle - 0.38 * np.sin(2 * angle)
-    rings = _turned(profile, angle)
+    rings = polar_rings(profile[:, :1], angle, profile[:, 1])
     rings += _relief(profile, angle, radius, flesh, (seeds, pit_mm, seed_mm, leaves, leaf_mm))
 
     heights = flesh * np.array([0.03, 0.14, 0.28, 0.42, 0.54, 0.64, 0.72, 0.80, 0.88])
-    thin = np.searchsorted(profile[: _rows_of_flesh(), 1], heights)
-    body = rings[[*thin.tolist(), _rows_of_flesh() - 12]][:, :: segments // 18]
-    stem = rings[[_rows_of_flesh() + 6, len(rings) - 1]][:, :: segments // 10]
+    thin = np.searchsorted(profile[:FLESH_ROWS, 1], heights)
+    body = rings[[*thin.tolist(), FLESH_ROWS - 12]][:, :: segments // 18]
+    stem = rings[[FLESH_ROWS + 6, len(rings) - 1]][:, :: segments // 10]
     lying = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     return settled(
         Shape(
@@ -63,17 +64,13 @@ def strawberry(
     )
 
 
-def _rows_of_flesh() -> int:
-    return 160
-
-
 def _profile(radius_mm: float, flesh_mm: float, stem_mm: float) -> Curve:
     """Radius and height from the tip, evenly spaced along the flesh, then the stem."""
     points = _FLESH * [radius_mm / 0.985, flesh_mm]
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     start, end = np.array([1.0, 0.0]), np.array([-0.8, -0.6])
     spline = CubicSpline(along, points, bc_type=((1, start), (1, end)))
-    flesh = spline(along[-1] * np.linspace(0.004, 1, _rows_of_flesh()))
+    flesh = spline(along[-1] * np.linspace(0.004, 1, FLESH_ROWS))
     top = flesh_mm + stem_mm
     return joined(
         flesh,
@@ -81,14 +78,6 @@ def _profile(radius_mm: float, flesh_mm: float, stem_mm: float) -> Curve:
         [(2.0, flesh_mm + 2.5), (1.8, top - 1.2)],
         arc((1.0, top - 0.8), 0.8, 0, 80, 5),
     )
-
-
-def _turned(profile: Curve, angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rings of a profile at uneven angles about z."""
-    rings = revolve(profile, len(angle))
-    rings[:, :, 0] = profile[:, :1] * np.cos(angle)
-    rings[:, :, 1] = profile[:, :1] * np.sin(angle)
-    return rings
 
 
 def _relief(
@@ -102,7 +91,7 @@ def _relief(
     seeds, pit_mm, seed_mm, leaves, leaf_mm = detail
     travel = np.gradient(profile, axis=0)
     travel /= np.linalg.norm(travel, axis=1, keepdims=True)
-    rows = np.arange(len(profile)) < _rows_of_flesh()
+    rows = np.arange(len(profile)) < FLESH_ROWS
     across, along = _to_nearest_seed(profile, angle, flesh, seeds)
     q = (across / 1.5) ** 2 + (along / 2.1) ** 2
     pit = -pit_mm * np.clip(1 - q, 0, None) ** 2
@@ -130,7 +119,7 @@ def _to_nearest_seed(
     profile: Curve, angle: NDArray[np.float64], flesh: float, seeds: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distance across and along the flank from each point to its nearest seed, mm."""
-    side = profile[: _rows_of_flesh()]
+    side = profile[:FLESH_ROWS]
     side = side[(side[:, 1] > 0.05 * flesh) & (np.gradient(side[:, 1]) > 0)]
     step = np.linalg.norm(np.diff(side, axis=0), axis=1)
     area = np.concatenate([[0], np.cumsum(step * (side[1:, 0] + side[:-1, 0]))])
@@ -138,7 +127,7 @@ def _to_nearest_seed(
     ring = np.stack([np.interp(share, area, side[:, i]) for i in range(2)], axis=-1)
     turn = GOLDEN_ANGLE_RAD * np.arange(seeds) + 0.3
     places = np.column_stack([ring[:, 0] * np.cos(turn), ring[:, 0] * np.sin(turn), ring[:, 1]])
-    points = _turned(profile, angle)
+    points = polar_rings(profile[:, :1], angle, profile[:, 1])
     _, nearest = cKDTree(places).query(points.reshape(-1, 3))
     off = points - places[nearest].reshape(points.shape)
     turn = turn[nearest].reshape(points.shape[:2])

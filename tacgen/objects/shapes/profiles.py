@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.objects.shapes.shape import angles_rad
-
 Curve = NDArray[np.float64]
 
 
@@ -14,11 +12,7 @@ def arc(
     center_mm: tuple[float, float], radius_mm: float, from_deg: float, to_deg: float, count: int
 ) -> Curve:
     """``count`` points (count, 2) along an arc, both ends included."""
-    angle = np.radians(np.linspace(from_deg, to_deg, count))
-    return np.stack(
-        [center_mm[0] + radius_mm * np.cos(angle), center_mm[1] + radius_mm * np.sin(angle)],
-        axis=-1,
-    )
+    return center_mm + polar(radius_mm, np.radians(np.linspace(from_deg, to_deg, count)))
 
 
 def joined(*pieces: Curve | list[tuple[float, float]]) -> Curve:
@@ -79,10 +73,9 @@ def rounded_rectangle(
     return full[:, :2], full[:, 2:]
 
 
-def circle(radius_mm: float, count: int) -> Curve:
-    """``count`` points (count, 2) around a circle."""
-    angle = angles_rad(count)
-    return radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+def polar(radius_mm: NDArray[np.float64] | float, angle_rad: NDArray[np.float64]) -> Curve:
+    """Points (…, n, 2) at polar radii (…, n) and angles (n,)."""
+    return np.stack([radius_mm * np.cos(angle_rad), radius_mm * np.sin(angle_rad)], axis=-1)
 
 
 def rounded_polygon(
@@ -101,8 +94,8 @@ def rounded_polygon(
         # Angles of the outward normals of the two sides; the arc runs from one to the other.
         start = np.arctan2(-before[0], before[1])
         turn = np.mod(np.arctan2(-after[0], after[1]) - start, 2 * np.pi)
-        center = corner - radius_mm / np.cos(turn / 2) * _direction(start + turn / 2)[0]
-        outward = _direction(start + turn * np.linspace(0, 1, steps + 1))
+        center = corner - radius_mm / np.cos(turn / 2) * polar(1.0, start + turn / 2)
+        outward = polar(1.0, start + turn * np.linspace(0, 1, steps + 1))
         points.append(center + radius_mm * outward)
         normals.append(outward)
     filled = [
@@ -110,11 +103,6 @@ def rounded_polygon(
         for i in range(len(points))
     ]
     return np.concatenate([p for p, _ in filled]), np.concatenate([n for _, n in filled])
-
-
-def _direction(angle_rad: NDArray[np.float64] | float) -> Curve:
-    angle_rad = np.atleast_1d(angle_rad)
-    return np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
 
 
 def _with_side(

@@ -7,17 +7,19 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from tacgen.core.records import Mesh
+from tacgen.objects.shapes.cans import offset_rings
 from tacgen.objects.shapes.mass_properties import settled
 from tacgen.objects.shapes.profiles import (
-    angles_rad,
     arc,
     joined,
+    polar,
     rounded_rectangle,
     superellipse_radius,
 )
 from tacgen.objects.shapes.shape import (
     Body,
     Shape,
+    angles_rad,
     from_manifold,
     loft,
     mesh,
@@ -114,12 +116,8 @@ def _blade(
             [(spine[i] + 0.1, 0.0)],
             [(spine[i], -0.1)],
         )
-        rings.append(section[::-1])
-    section = np.array(rings)
-    return np.stack(
-        [section[:, :, 0], np.broadcast_to(y[:, None], section.shape[:2]), section[:, :, 1]],
-        axis=-1,
-    )
+        rings.append(np.insert(section[::-1], 1, y[i], axis=1))
+    return np.array(rings)
 
 
 def _bow(
@@ -135,17 +133,10 @@ def _bow(
     )
     turn = angles_rad(184)
     loop = superellipse_radius(turn, wide, long, 2.3)
-    path = np.stack(
-        [
-            center[0] + loop * np.cos(turn),
-            center[1] + loop * np.sin(turn),
-            np.full_like(turn, thickness_mm / 2),
-        ],
-        axis=-1,
-    )
+    path = np.insert(center + polar(loop, turn), 2, thickness_mm / 2, axis=1)
     angle = angles_rad(77)
     radius = superellipse_radius(angle, thickness_mm / 2, half_bow, 2.6)
-    section = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    section = polar(radius, angle)
     # Two more points at each end make the direction of travel periodic.
     wrapped = np.concatenate([path[-2:], path, path[:2]])
     return sweep(wrapped, np.array([0.0, 0.0, 1.0]), section)[2:-2]
@@ -166,8 +157,7 @@ def _shank(
     half_z = 4.6 - 1.4 * t
     half_x = 6.5 + 1.0 * t
     radius = superellipse_radius(angle, half_z, half_x, 3.0)
-    sections = radius[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return sweep(path, np.array([0.0, 0.0, 1.0]), sections)
+    return sweep(path, np.array([0.0, 0.0, 1.0]), polar(radius, angle))
 
 
 def _ring_solid(rings: NDArray[np.float64]) -> Mesh:
@@ -188,7 +178,7 @@ def _screw(diameter_mm: float, pivot_mm: float, middle_mm: float, blade_mm: floa
     )
     profile = joined((upper * [1, -1])[::-1], upper)
     head = to_manifold(loft(revolve(profile, 180)))
-    slot, _ = rounded_rectangle(0.5, r + 1.0, 0.2, 2.0)
-    rings = np.stack([np.insert(slot, 2, z, axis=1) for z in (top - 0.9, top + 1.0)])
-    head = head - to_manifold(loft(rings))
+    slot, away = rounded_rectangle(0.5, r + 1.0, 0.2, 2.0)
+    ends = np.array([[0.0, top - 0.9], [0.0, top + 1.0]])
+    head = head - to_manifold(loft(offset_rings(slot, away, ends)))
     return moved(from_manifold(head), shift_mm=np.array([0.0, pivot_mm, middle_mm]))

@@ -7,8 +7,17 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from tacgen.objects.shapes.mass_properties import settled
-from tacgen.objects.shapes.profiles import angles_rad, between, superellipse_radius
-from tacgen.objects.shapes.shape import Body, Mesh, Shape, loft, moved, slab_hulls
+from tacgen.objects.shapes.profiles import between, superellipse_radius
+from tacgen.objects.shapes.shape import (
+    Body,
+    Mesh,
+    Shape,
+    angles_rad,
+    loft,
+    moved,
+    polar_rings,
+    slab_hulls,
+)
 
 ACETATE_KG_M3 = 1280.0
 STEEL_KG_M3 = 7850.0
@@ -86,11 +95,7 @@ def _lying(solid: Mesh) -> Mesh:
 
 
 def _handle_rings(
-    radius_mm: float,
-    length_mm: float,
-    flutes: int,
-    depth_mm: float,
-    angle: NDArray[np.float64],
+    radius_mm: float, length_mm: float, flutes: int, depth_mm: float, angle: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Rings of the handle along z; a lobe between two flutes points along +x."""
     share = np.concatenate(
@@ -106,7 +111,7 @@ def _handle_rings(
     off = np.abs(np.mod(angle * flutes / (2 * np.pi), 1.0) - 0.5) * 2
     groove = np.exp(-((off / 0.42) ** 2) * 1.5)
     ring = profile[:, None] - depth_mm * fluted[:, None] * groove
-    return _along_z(ring, angle, share * length_mm)
+    return polar_rings(ring, angle, share * length_mm)
 
 
 def _shaft_rings(
@@ -128,11 +133,4 @@ def _shaft_rings(
     )
     height = np.concatenate([[start + 0.5, (start + end - blade) / 2], flat_height])
     round_part = np.full((2, len(angle)), radius_mm)
-    return _along_z(np.vstack([round_part, flat]), angle, height), height
-
-
-def _along_z(
-    radius_mm: NDArray[np.float64], angle: NDArray[np.float64], height_mm: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    x, y = radius_mm * np.cos(angle), radius_mm * np.sin(angle)
-    return np.stack([x, y, np.broadcast_to(height_mm[:, None], x.shape)], axis=-1)
+    return polar_rings(np.vstack([round_part, flat]), angle, height), height

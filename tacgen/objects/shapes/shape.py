@@ -76,12 +76,15 @@ def loft(rings_mm: Points) -> Mesh:
     return mesh(vertices, np.concatenate([walls.reshape(-1, 3), first, last]))
 
 
+def polar_rings(radius_mm: Points, angle_rad: Points, height_mm: Points) -> Points:
+    """Rings (k, n, 3) about z from polar radii (k, n) or (k, 1) at heights (k,)."""
+    x, y = radius_mm * np.cos(angle_rad), radius_mm * np.sin(angle_rad)
+    return np.stack([x, y, np.broadcast_to(height_mm[:, None], x.shape)], axis=-1)
+
+
 def revolve(profile_rz_mm: Points, segments: int) -> Points:
     """Rings (k, segments, 3) of a profile (k, 2) of radius and height, turned about z."""
-    angles = angles_rad(segments)
-    radius, height = np.asarray(profile_rz_mm, dtype=np.float64).T[:, :, None]
-    x, y = radius * np.cos(angles), radius * np.sin(angles)
-    return np.stack([x, y, np.broadcast_to(height, x.shape)], axis=-1)
+    return polar_rings(profile_rz_mm[:, :1], angles_rad(segments), profile_rz_mm[:, 1])
 
 
 def angles_rad(count: int) -> NDArray[np.float64]:
@@ -115,8 +118,7 @@ def to_manifold(solid: Mesh) -> manifold3d.Manifold:
     """``solid`` for boolean operations, in double precision."""
     return manifold3d.Manifold(
         manifold3d.Mesh64(
-            np.array(solid.vertices_mm, dtype=np.float64),
-            np.array(solid.faces, dtype=np.uint64),
+            np.array(solid.vertices_mm, dtype=np.float64), np.array(solid.faces, dtype=np.uint64)
         )
     )
 

@@ -10,14 +10,15 @@ from tacgen.core.records import Mesh
 from tacgen.objects.shapes.cans import offset_rings
 from tacgen.objects.shapes.mass_properties import settled
 from tacgen.objects.shapes.profiles import (
-    angles_rad,
     arc,
+    polar,
     rounded_polygon,
     rounded_rectangle,
     superellipse_radius,
 )
 from tacgen.objects.shapes.shape import (
     Shape,
+    angles_rad,
     from_manifold,
     hull,
     loft,
@@ -97,8 +98,7 @@ def _handle_rings(
     radius = superellipse_radius(
         angle, (rounding * width / 2)[:, None], (rounding * thickness / 2)[:, None], 2.6
     )
-    sections = radius[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return sweep(path, np.array([1.0, 0.0, 0.0]), sections)
+    return sweep(path, np.array([1.0, 0.0, 0.0]), polar(radius, angle))
 
 
 def _head(

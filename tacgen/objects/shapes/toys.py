@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tacgen.core.records import Mesh
+from tacgen.objects.shapes.cans import offset_rings
 from tacgen.objects.shapes.profiles import rounded_rectangle
 from tacgen.objects.shapes.shape import Shape, hull, loft, mesh, moved, union
 
@@ -75,10 +76,7 @@ def _stickers(half_mm: float, margin_mm: float, thickness_mm: float, pitch_mm: f
     outline, normals = rounded_rectangle(side, side, 1.6, 4.0, corner_steps=8)
     soft = 0.4 * thickness_mm
     rows = np.array([[0.0, -0.4], [0.0, thickness_mm - soft], [-soft, thickness_mm]])
-    rings = np.stack(
-        [np.insert(outline + push * normals, 2, half_mm + height, axis=1) for push, height in rows]
-    )
-    slab = loft(rings)
+    slab = loft(offset_rings(outline, normals, rows + np.array([0.0, half_mm])))
     result = []
     for axis, sign in itertools.product(range(3), (1.0, -1.0)):
         turn = np.roll(np.diag([sign, 1.0, sign]), axis, axis=0)

@@ -16,13 +16,12 @@ from tacgen.objects.shapes.mass_properties import (
     volume_mm3,
 )
 from tacgen.objects.shapes.profiles import (
-    angles_rad,
-    circle,
+    polar,
     rounded_polygon,
     rounded_rectangle,
     superellipse_radius,
 )
-from tacgen.objects.shapes.shape import Shape, hull, loft, moved, revolve, sweep, union
+from tacgen.objects.shapes.shape import Shape, angles_rad, hull, loft, moved, revolve, sweep, union
 
 
 def as_trimesh(mesh):
@@ -51,7 +50,7 @@ def test_turned_cylinder_is_closed_outward_and_has_the_volume_of_its_polygon():
 def test_swept_arc_has_the_volume_of_pappus():
     turn = np.linspace(0, np.pi, 400)
     path = 50 * np.stack([np.zeros_like(turn), np.cos(turn), np.sin(turn)], axis=-1)
-    solid = loft(sweep(path, np.array([1.0, 0.0, 0.0]), circle(4.0, 200)))
+    solid = loft(sweep(path, np.array([1.0, 0.0, 0.0]), polar(4.0, angles_rad(200))))
     assert as_trimesh(solid).is_watertight
     assert volume_mm3(solid) == pytest.approx(np.pi * 4**2 * np.pi * 50, rel=2e-3)
 
