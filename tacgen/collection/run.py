@@ -45,8 +45,8 @@ class Collected:
     """
 
     found: tuple[int, ...]
-    made: list[int] = field(default_factory=list)
-    left_to_others: list[int] = field(default_factory=list)
+    made: tuple[int, ...] = ()
+    left_to_others: tuple[int, ...] = ()
     labels: dict[int, int] = field(default_factory=dict)
     crashed: dict[int, str] = field(default_factory=dict)
 
@@ -57,7 +57,8 @@ class Collected:
         elif event.kind == "crashed":
             self.crashed[event.item] = event.value
         elif event.kind == "done":
-            (self.made if event.value else self.left_to_others).append(event.task)
+            name = "made" if event.value else "left_to_others"
+            setattr(self, name, tuple(sorted((*getattr(self, name), event.task))))
 
     def summary(self) -> dict[str, int]:
         """Counts to show."""

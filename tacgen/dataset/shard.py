@@ -203,7 +203,8 @@ def _sizes_of(file: h5py.File, layout: Layout, finder: _Finder) -> tuple[dict[st
     """What the letters of the layout stand for here, within the limits."""
     path = layout.tactile(layout.pads[0], "rgb")
     rgb, scene = finder.dataset(path), finder.dataset("/scene/picture")
-    shape, picture = () if rgb is None else rgb.shape, () if scene is None else scene.shape
+    shape: tuple[int, ...] = () if rgb is None else rgb.shape
+    picture: tuple[int, ...] = () if scene is None else scene.shape
     if len(shape) != 5:
         return {}, [f"{path} is missing, or a link, or not of five axes"]
     sizes = dict(zip("NTHW", shape, strict=False)) | {"h": 0, "w": 0}

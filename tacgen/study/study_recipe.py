@@ -163,8 +163,9 @@ def merged_mapping(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[s
     merged = dict(below)
     for key, value in above.items():
         old = merged.get(key)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        merged[key] = merged_mapping(old, value) if both else value
+        if isinstance(old, Mapping) and isinstance(value, Mapping):
+            value = merged_mapping(old, value)
+        merged[key] = value
     return merged
 
 
