@@ -121,7 +121,7 @@ def _tables(kind: str) -> str:
                 key.path.rpartition(".")[2],
                 key.type,
                 key.unit,
-                f"`{key.default}`" if key.default else "",
+                key.default if key.default in ("", "required") else f"`{key.default}`",
                 key.meaning,
                 f"`{key.example}`" if key.example else "",
             )

@@ -61,6 +61,10 @@ def objects_add(
     up: Annotated[
         str, typer.Option("--up", help="Axis of the mesh that points up: x, y or z.")
     ] = "z",
+    yaw_rad: Annotated[
+        float,
+        typer.Option("--yaw", help="Angle about z along which the fingers shall close, rad."),
+    ] = 0.0,
     force: Annotated[
         bool, typer.Option("--force", help="Replace an existing object with this name.")
     ] = False,
@@ -71,16 +75,26 @@ def objects_add(
     from tacgen.objects.add import add_object
     from tacgen.objects.description import read_description
     from tacgen.objects.listing import facts_text, object_facts
+    from tacgen.objects.picture import write_picture
 
     print_status(f"importing {mesh}; convex decomposition takes up to a minute")
     added = add_object(
-        mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, force=force
+        mesh,
+        mass_kg=mass_kg,
+        scale=scale,
+        name=name,
+        friction=friction,
+        up=up,
+        yaw_rad=yaw_rad,
+        force=force,
     )
     note(added.notes)
-    facts = object_facts(added.object, read_description(Path("objects") / added.object.name))
+    folder = Path("objects") / added.object.name
+    facts = object_facts(added.object, read_description(folder))
+    write_picture(added.object, folder / "picture.png")
     print_result(facts, facts_text(facts), json_output)
     hand_over(
-        f"tacgen objects show {added.object.name} --out {added.object.name}.png",
+        f"look at {folder / 'picture.png'}",
         "in a recipe in this folder:",
         f"objects: [{added.object.name}]",
     )

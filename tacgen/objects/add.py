@@ -19,7 +19,7 @@ from tacgen.core.files import sha256_of, sync_directory, sync_file
 from tacgen.core.records import GraspObject, Mesh
 from tacgen.objects.decompose import convex_parts
 from tacgen.objects.description import NAME_PATTERN
-from tacgen.objects.grasp_ranges import collision_error_mm, suggest_ranges
+from tacgen.objects.grasp_ranges import collision_error_mm, facet_note, suggest_ranges, suggest_yaw
 from tacgen.objects.load import load_object, write_parts
 from tacgen.objects.mesh_import import UP_AXES, import_surface
 from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
@@ -49,21 +49,25 @@ def add_object(
     name: str | None = None,
     friction: float = DEFAULT_FRICTION,
     up: str = "z",
+    yaw_rad: float = 0.0,
     into: Path = Path("objects"),
     force: bool = False,
 ) -> AddedObject:
     """Import a mesh into ``into/<name>``; the folder appears whole or not at all.
+
+    ``yaw_rad`` is the angle about z, in the mesh's own axes, along which the fingers shall close:
+    the mesh is turned by its negative.
 
     Raises ``ObjectError`` if the arguments or the mesh cannot be used, or the object exists and not
     ``force``.
     """
     mesh_path, into = Path(mesh_path), Path(into)
     name = object_name(mesh_path) if name is None else name
-    _check_arguments(name, mass_kg, scale, friction, up)
+    _check_arguments(name, mass_kg, scale, friction, up, yaw_rad)
     folder = into / name
     _check_target(folder, force)
 
-    surface = import_surface(mesh_path, scale=scale, up=up)
+    surface = import_surface(mesh_path, scale=scale, up=up, yaw_rad=yaw_rad)
     notes = [*surface.notes, *_check_density(mesh_path, surface.mesh, mass_kg)]
     parts = convex_parts(surface.mesh)
     ranges, range_notes = suggest_ranges(surface.mesh, mass_kg=mass_kg, friction=friction)
@@ -72,6 +76,14 @@ def add_object(
     )
     _write(folder, surface.mesh, parts, description, force)
     notes += range_notes
+    better_rad = yaw_rad + suggest_yaw(surface.mesh, ranges["z_mm"])
+    if better_rad != yaw_rad:
+        notes.append(
+            "the pads would meet larger opposite faces at another angle about z: add it with "
+            f"--yaw {better_rad:.3f} --force"
+        )
+    if note := facet_note(surface.mesh):
+        notes.append(note)
     off_mm = collision_error_mm(surface.mesh, parts, ranges)
     if off_mm > NOTED_ERROR_MM:
         notes.append(
@@ -135,7 +147,9 @@ def describe(
     }
 
 
-def _check_arguments(name: str, mass_kg: float, scale: float, friction: float, up: str) -> None:
+def _check_arguments(
+    name: str, mass_kg: float, scale: float, friction: float, up: str, yaw_rad: float
+) -> None:
     problems = []
     if not re.fullmatch(NAME_PATTERN, name):
         problems.append(
@@ -147,6 +161,8 @@ def _check_arguments(name: str, mass_kg: float, scale: float, friction: float, u
         problems.append(f"--scale {scale:g} is not above 0; give mm per unit of the mesh")
     if not (np.isfinite(friction) and 0 <= friction <= 2):
         problems.append(f"--friction {friction:g} is not in 0 to 2; give a Coulomb coefficient")
+    if not abs(yaw_rad) <= 2 * np.pi:
+        problems.append(f"--yaw {yaw_rad:g} is more than a turn; give radians: 90° is 1.571")
     if up not in UP_AXES:
         problems.append(f"--up {up!r} is no axis; give one of {', '.join(UP_AXES)}")
     if problems:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import trimesh
 
 from tacgen.core.records import Mesh
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
@@ -16,6 +17,17 @@ PAD_MM = (20.0, 16.0)
 LOWEST_PAD_MM = 10.5
 """Height of the pad's centre at which its lower edge clears the table."""
 MIN_FORCE_N, MAX_FORCE_N = 1.0, 40.0
+GEL_REACH_MM = 0.5
+"""Indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick."""
+COARSE_STEP_DEG = 5.0
+CLEARLY_LARGER = 1.3
+"""Areas vary by some 10 % with the raster of 0.5 mm."""
+FACET_ANGLES_DEG = (3.0, 40.0)
+"""Smaller angles are hardly seen; larger ones are edges of the object, as of an octagon (45°)."""
+FACET_WIDTH_MM = 0.5
+"""The shipped objects' facets where pads touch."""
+FACET_AREA_SHARE = 0.1
+"""A tenth of the surface: less is a rounded edge."""
 THRESHOLD_SHARES = (0.4, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0)
 
 
@@ -42,6 +54,60 @@ def suggest_ranges(
         z_mm = heights
     y_mm = tuple(y for y in sides if all(graspable(surface, y, z) for z in z_mm)) or (0.0,)
     return {"force_n": forces, "x_mm": (0.0,), "y_mm": y_mm, "z_mm": z_mm}, notes
+
+
+def suggest_yaw(surface: Mesh, heights_mm: Sequence[float]) -> float:
+    """The yaw at which the pads meet the largest opposite areas, rad in (−π/2, π/2].
+
+    The area is that within ``GEL_REACH_MM`` of the first touch, on the worse of both sides, at the
+    best height. 0 unless another yaw has an area ``CLEARLY_LARGER`` times as large.
+    """
+
+    def area_mm2(yaw_deg: float) -> float:
+        sides = (yaw_deg, yaw_deg + 180.0)
+        return max(
+            min(_patch_mm2(surface, azimuth_deg, z_mm) for azimuth_deg in sides)
+            for z_mm in heights_mm
+        )
+
+    coarse = max(np.arange(-85.0, 95.0, COARSE_STEP_DEG), key=area_mm2)
+    near = np.arange(coarse - COARSE_STEP_DEG, coarse + COARSE_STEP_DEG + 0.5)
+    areas = np.array([area_mm2(float(yaw_deg)) for yaw_deg in near])
+    best = float(near[areas >= 0.99 * areas.max()].mean())
+    if areas.max() <= CLEARLY_LARGER * area_mm2(0.0):
+        return 0.0
+    return float(np.radians(best))
+
+
+def _patch_mm2(surface: Mesh, azimuth_deg: float, z_mm: float) -> float:
+    """Area within the gel's reach of a pad at that height; 0 if the object is too wide."""
+    px = 0.5
+    size = (int(PAD_MM[1] / px), int(PAD_MM[0] / px))
+    center = np.array([0.0, 0.0, z_mm])
+    depth = depth_view(surface, view_axes(azimuth_deg, 0.0), center, size, px)[0]
+    nearest = float(depth.max())
+    if not np.isfinite(nearest) or nearest > (STROKE_MM - MARGIN_MM) / 2:
+        return 0.0
+    return float((depth >= nearest - GEL_REACH_MM).sum() * px**2)
+
+
+def facet_note(surface: Mesh) -> str:
+    """A note on facets of a round surface that an image of the gel would show; empty if none."""
+    mesh = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
+    ends = mesh.vertices[mesh.face_adjacency_edges]
+    length_mm = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    width_mm = 2 * mesh.area_faces[mesh.face_adjacency].min(axis=1) / np.maximum(length_mm, 1e-9)
+    angle_deg = np.degrees(mesh.face_adjacency_angles)
+    low_deg, high_deg = FACET_ANGLES_DEG
+    coarse = (angle_deg > low_deg) & (angle_deg < high_deg) & (width_mm > FACET_WIDTH_MM)
+    faces = np.unique(mesh.face_adjacency[coarse])
+    if mesh.area_faces[faces].sum() < FACET_AREA_SHARE * mesh.area:
+        return ""
+    return (
+        f"facets of {np.median(width_mm[coarse]):.1f} mm meet at {np.median(angle_deg[coarse]):.0f}"
+        "°, which images of the gel show as edges; if the object is round there, export the mesh "
+        f"finer (about {FACET_WIDTH_MM:g} mm)"
+    )
 
 
 def graspable(surface: Mesh, y_mm: float, z_mm: float) -> bool:

@@ -36,7 +36,9 @@ class ImportedSurface:
     notes: tuple[str, ...]
 
 
-def import_surface(path: Path, *, scale: float = 1.0, up: str = "z") -> ImportedSurface:
+def import_surface(
+    path: Path, *, scale: float = 1.0, up: str = "z", yaw_rad: float = 0.0
+) -> ImportedSurface:
     """Read, check, repair and place a mesh.
 
     Parameters
@@ -45,6 +47,8 @@ def import_surface(path: Path, *, scale: float = 1.0, up: str = "z") -> Imported
         mm that one unit of the file stands for: 1000 for a mesh in metres.
     up : one of UP_AXES
         The file's axis that points up; glTF's is y.
+    yaw_rad : float
+        Direction about z, in the file's axes, that becomes x.
 
     Raises ``ObjectError`` if it is not a closed surface of a size that a gripper can hold, after
     what can safely be repaired; the message says how to fix it.
@@ -56,6 +60,9 @@ def import_surface(path: Path, *, scale: float = 1.0, up: str = "z") -> Imported
     # What no triangle uses may lie anywhere, beyond any number that can be worked with too.
     used, corners = np.unique(faces, return_inverse=True)
     vertices, faces = _standing(vertices[used], up) * scale, corners.reshape(faces.shape)
+    if yaw_rad:
+        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+        vertices = vertices @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     _check_size(path, vertices, scale)
     mesh, notes = _closed(path, vertices, faces)
     low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -267,3 +268,52 @@ def test_the_assumed_moment_is_the_integral_of_a_hertzian_pressure():
     r = (np.arange(200_000) + 0.5) / 200_000
     p = np.sqrt(1 - r**2)
     assert pytest.approx(5.0 * (p * r * r).sum() / (p * r).sum(), rel=1e-4) == HERTZ_MM
+
+
+def nut(turned_rad=0.0):
+    """A hexagonal prism, 20 mm from corner to corner and 12 mm high; its corners point to x."""
+    solid = trimesh.creation.cylinder(radius=10.0, height=12.0, sections=6)
+    return solid.apply_transform(trimesh.transformations.rotation_matrix(turned_rad, [0, 0, 1]))
+
+
+def suggested_yaw(notes):
+    found = [re.search(r"--yaw (-?[0-9.]+)", note) for note in notes]
+    return next((float(match[1]) for match in found if match), None)
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 12.0, 47.0])
+def test_a_nut_is_to_be_grasped_by_its_flats(turned_deg):
+    added = add_object(exported(nut(np.radians(turned_deg)), "nut.stl"), mass_kg=0.02)
+    yaw_rad = suggested_yaw(added.notes)
+    # Flats face 30° from the corners, and every 60°.
+    off_deg = (np.degrees(yaw_rad) - turned_deg - 30.0) % 60.0
+    assert min(off_deg, 60.0 - off_deg) <= 1.5
+    again = add_object("nut.stl", mass_kg=0.02, yaw_rad=yaw_rad, force=True)
+    assert suggested_yaw(again.notes) is None
+    width_mm = np.ptp(again.object.surface.vertices_mm[:, 0])
+    assert width_mm == pytest.approx(20.0 * np.cos(np.pi / 6), abs=0.3)
+
+
+def test_a_box_along_the_axes_and_a_round_object_are_not_turned():
+    assert suggested_yaw(add_object(exported(box(), "box.stl"), mass_kg=0.1).notes) is None
+    round_one = trimesh.creation.cylinder(radius=15.0, height=60.0, sections=360)
+    assert suggested_yaw(add_object(exported(round_one, "can.stl"), mass_kg=0.1).notes) is None
+
+
+@pytest.mark.parametrize(("sections", "seen"), [(6, False), (24, True), (64, True), (360, False)])
+def test_facets_that_the_gel_would_show_are_noted(sections, seen):
+    solid = trimesh.creation.cylinder(radius=15.0, height=60.0, sections=sections)
+    notes = add_object(exported(solid, "can.stl"), mass_kg=0.1).notes
+    facets = [note for note in notes if "facets" in note]
+    assert bool(facets) is seen
+    if seen:
+        # The chord of one section and the angle between two, in closed form.
+        chord_mm, angle_deg = 30.0 * np.sin(np.pi / sections), 360.0 / sections
+        assert f"facets of {chord_mm:.1f} mm meet at {angle_deg:.0f}°" in facets[0]
+
+
+def test_adding_shows_a_picture(own_folder):
+    exported(box(), "tea_box.stl")
+    done = CliRunner().invoke(app, ["objects", "add", "tea_box.stl", "--mass", "0.2"])
+    assert "look at objects/tea_box/picture.png" in done.stderr
+    assert (own_folder / "objects" / "tea_box" / "picture.png").stat().st_size > 10_000
