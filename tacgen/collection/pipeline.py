@@ -186,7 +186,7 @@ def with_gain(rgb: NDArray[np.uint8], gain: float) -> NDArray[np.uint8]:
     """Images (..., 3) of a camera whose gain is off by that factor."""
     if gain == 1.0:
         return rgb
-    return np.clip(np.rint(rgb * np.float32(gain)), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(rgb * np.float32(gain)), 0, 255), np.uint8)
 
 
 def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:

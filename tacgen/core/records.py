@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,9 @@ FailureMode = Literal["", "translational_slip", "rotational_slip"]
 LABEL_SUCCESS, LABEL_FAILURE, LABEL_NOT_EXECUTED = 1, 0, -1
 
 
-def frozen_array(values: object, dtype: type = np.float64) -> NDArray:
+def frozen_array(values: object, dtype: type = np.float64) -> NDArray[Any]:
     """A read-only copy of ``values``."""
-    array: NDArray = np.array(values, dtype=dtype)
+    array: NDArray[Any] = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import itertools
 import multiprocessing
 import os
 import signal
@@ -36,16 +37,8 @@ from typing import Any, Literal, TypeVar
 
 from tacgen.core.errors import TacgenError
 
-ONE_THREAD = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "NUMBA_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-    ),
-    "1",
-)
+_POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+ONE_THREAD = dict.fromkeys((*_POOLS, "VECLIB_MAXIMUM_THREADS"), "1")
 
 _PR_SET_PDEATHSIG = 1
 _START_TRIES, _START_PAUSE_S = 20, 0.05
@@ -149,13 +142,13 @@ def map_in_processes(
             # Leaving the block waits for results that nobody will look at.
             for child in set(multiprocessing.active_children()) - others:
                 child.terminate()
-            if isinstance(error, BrokenProcessPool):
-                msg = (
-                    "a worker process was killed, perhaps because memory ran out; run the same "
-                    "command again with fewer processes (--workers), it resumes where it can"
-                )
-                raise TacgenError(msg) from error
-            raise
+            if not isinstance(error, BrokenProcessPool):
+                raise
+            msg = (
+                "a worker process was killed, perhaps because memory ran out; run the same "
+                "command again with fewer processes (--workers), it resumes where it can"
+            )
+            raise TacgenError(msg) from error
 
 
 def _set_task(task: Callable[[Any], Any]) -> None:
@@ -167,9 +160,8 @@ def _run_task(item: Any) -> Any:
 
 
 def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def run_tasks(
@@ -192,7 +184,8 @@ def run_tasks(
             for worker in crew:
                 if worker.task is None and progress.queue:
                     _assign(worker, progress)
-            _wait_for_messages(crew)
+            signals = [(worker.connection, worker.process.sentinel) for worker in crew]
+            wait(list(itertools.chain.from_iterable(signals)), timeout=_POLL_S)
             progress.clock.look()
             for k, worker in enumerate(crew):
                 # Looked at once: a worker may die at any line below, and is then found dead next
@@ -229,13 +222,6 @@ def _assign(worker: _Worker, progress: _Progress) -> None:
     worker.item, worker.last_message_s = None, progress.clock.now_s
     with contextlib.suppress(BrokenPipeError):  # it died idle; its death is accounted for
         worker.connection.send((worker.task, progress.crashed.get(worker.task, {})))
-
-
-def _wait_for_messages(crew: Sequence[_Worker]) -> None:
-    wait(
-        [worker.connection for worker in crew] + [worker.process.sentinel for worker in crew],
-        timeout=_POLL_S,
-    )
 
 
 def _read_messages(worker: _Worker, clock: _AwakeClock) -> Iterator[Event]:
@@ -308,12 +294,9 @@ def _skip_item(worker: _Worker, progress: _Progress, reason: str) -> Event:
 def _crashed_around(item: int, progress: _Progress) -> int:
     """How many items in a row crashed, this one among them, whatever their tasks."""
     every = {crashed for items in progress.crashed.values() for crashed in items}
-    first = last = item
-    while first - 1 in every:
-        first -= 1
-    while last + 1 in every:
-        last += 1
-    return last - first + 1
+    before = itertools.takewhile(every.__contains__, itertools.count(item - 1, -1))
+    after = itertools.takewhile(every.__contains__, itertools.count(item + 1))
+    return len(list(before)) + 1 + len(list(after))
 
 
 def _stop(worker: _Worker) -> None:
@@ -410,8 +393,7 @@ def _start_process(
 
 
 def _run(target: Callable[..., None], environment: Mapping[str, str], *arguments: object) -> None:
-    for name in set(os.environ) - set(environment):
-        del os.environ[name]
+    os.environ.clear()
     os.environ.update(environment)
     if "cv2" in sys.modules:
         sys.modules["cv2"].setNumThreads(1)
@@ -436,8 +418,6 @@ def _threads_pinned() -> Iterator[None]:
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in ONE_THREAD:
+            del os.environ[name]
+        os.environ.update({name: value for name, value in before.items() if value is not None})

@@ -61,7 +61,7 @@ def storage_of(array: ArraySpec) -> dict[str, Any]:
     """The arguments of ``create_dataset`` that say how an image array is compressed."""
     if array.noisy:
         options = (0, 0, 0, 0, 1, _BYTEDELTA, _ZSTD)
-        return {"compression": hdf5plugin.BLOSC2_ID, "compression_opts": options}
+        return {"compression": hdf5plugin.Blosc2.filter_id, "compression_opts": options}
     return dict(hdf5plugin.Zstd(clevel=ZSTD_LEVEL))
 
 
@@ -157,7 +157,7 @@ def is_blosc2_image(ends: ChunkEnds, shape: tuple[int, ...], n_bytes: int) -> bo
 
 
 _CHECKS: dict[int, Callable[[ChunkEnds, tuple[int, ...], int], bool]] = {
-    hdf5plugin.BLOSC2_ID: is_blosc2_image,
-    hdf5plugin.ZSTD_ID: _is_zstd,
+    hdf5plugin.Blosc2.filter_id: is_blosc2_image,
+    hdf5plugin.Zstd.filter_id: _is_zstd,
 }
 ALLOWED_FILTERS = frozenset(_CHECKS)

@@ -41,7 +41,7 @@ def read_plan(path: Path) -> dict[str, Any]:
     Raises ``DatasetError`` if it is missing or broken.
     """
     try:
-        plan = json.loads(read_small_text(path, MAX_PLAN_BYTES))
+        plan: dict[str, Any] = json.loads(read_small_text(path, MAX_PLAN_BYTES))
         numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
         if all(isinstance(number, int) and number > 0 for number in numbers):
             return plan

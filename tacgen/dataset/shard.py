@@ -251,4 +251,4 @@ def _is_type(stored: h5t.TypeID, dtype: str) -> bool:
     if wanted.kind == "S":
         is_fixed_text = isinstance(stored, h5t.TypeStringID) and not stored.is_variable_str()
         return is_fixed_text and stored.get_size() == wanted.itemsize
-    return stored.dtype == wanted
+    return bool(stored.dtype == wanted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import manifold3d
 import numpy as np
@@ -108,7 +109,7 @@ def _read(path: Path) -> trimesh.Trimesh:
     return loaded
 
 
-def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray) -> None:
+def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
         msg = f"{path}: its corners are not points in space; export it as a triangle mesh"
         raise ObjectError(msg)
@@ -152,7 +153,9 @@ def _standing(vertices: NDArray[np.float64], up: str) -> NDArray[np.float64]:
     return np.roll(vertices, {"x": -1, "y": 1, "z": 0}[up], axis=1)
 
 
-def _closed(path: Path, vertices_mm: NDArray[np.float64], faces: NDArray) -> tuple[Mesh, list[str]]:
+def _closed(
+    path: Path, vertices_mm: NDArray[np.float64], faces: NDArray[Any]
+) -> tuple[Mesh, list[str]]:
     """The surface with doubles merged, small holes filled and faces outward."""
     notes = []
     surface = trimesh.Trimesh(vertices_mm, faces, process=False)

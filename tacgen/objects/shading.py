@@ -113,11 +113,11 @@ def shaded_view(
     shade = colors * light[:, None] + 255 * gloss[:, None]
     picture = np.vstack([shade, [255.0, 255.0, 255.0]])[place[face]]
     picture = picture.reshape(size_px[0], 2, size_px[1], 2, 3).mean(axis=(1, 3))
-    return np.clip(picture, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
 
 
 def _normals(mesh: Mesh, faces: NDArray[np.integer]) -> NDArray[np.float64]:
     """Unit normals (n, 3) of some faces."""
     corners = mesh.vertices_mm[mesh.faces[faces]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))

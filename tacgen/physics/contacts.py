@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class Snapshot:
     """
 
     step: int
-    contacts: tuple[tuple, ...]
+    contacts: tuple[tuple[Any, ...], ...]
     object_position_m: tuple[float, ...]
     object_quaternion: tuple[float, ...]
     object_angular_velocity: tuple[float, ...]
@@ -62,7 +63,7 @@ class Contacts:
         )
 
 
-def object_contacts(raw: Sequence[tuple], object_body: int) -> Contacts:
+def object_contacts(raw: Sequence[tuple[Any, ...]], object_body: int) -> Contacts:
     """Contact points of ``object_body``, from unfiltered ``getContactPoints``.
 
     Unfiltered matters: with a filter PyBullet may swap the two bodies and turn the normal, but
@@ -111,7 +112,7 @@ def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
 
 
 def closing_force_n(
-    raw: Sequence[tuple], robot_body: int, link: int, axis: Sequence[float]
+    raw: Sequence[tuple[Any, ...]], robot_body: int, link: int, axis: Sequence[float]
 ) -> float:
     """The force along ``axis`` between one link of the robot and what it touches."""
     total = 0.0

@@ -53,7 +53,7 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
         ]
     )[k]
     quaternion = products / np.linalg.norm(products)
-    return quaternion if quaternion[3] >= 0 else -quaternion
+    return np.asarray(quaternion if quaternion[3] >= 0 else -quaternion)
 
 
 def pose(rotation: FloatArray, position: Sequence[float] | FloatArray) -> Pose:
@@ -93,4 +93,4 @@ def turn_rad(rotation: FloatArray) -> FloatArray:
         axis=-1,
     )
     cosine = np.trace(rotation, axis1=-2, axis2=-1) - 1.0
-    return np.arctan2(np.linalg.norm(sine, axis=-1), cosine)
+    return np.asarray(np.arctan2(np.linalg.norm(sine, axis=-1), cosine))

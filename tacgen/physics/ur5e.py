@@ -103,4 +103,4 @@ def _rotation_vector(rotation: FloatArray) -> FloatArray:
     if length < 1e-9:
         # Half a turn has no axis in its antisymmetric part: any step away from it will do.
         return np.array([angle, 0.0, 0.0]) if angle > 1.0 else sine
-    return sine * (angle / length)
+    return np.asarray(sine * (angle / length))

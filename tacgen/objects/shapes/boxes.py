@@ -59,7 +59,7 @@ def _flap(outline: np.ndarray, normals: np.ndarray, edge_mm: float) -> np.ndarra
     """Where the second layer of board lies: from the step to the wall's edge, faded there."""
     y = outline[:, 1] * np.sign(normals[:, 0])
     layer = between(y, edge_mm, np.abs(outline[:, 1]).max() - 1.5, 0.7)
-    return layer * (np.abs(normals[:, 0]) > 0.999)
+    return np.asarray(layer * (np.abs(normals[:, 0]) > 0.999))
 
 
 def wood_block(

@@ -112,7 +112,7 @@ def _relief(
         ],
         axis=-1,
     )
-    return height[:, :, None] * normal
+    return np.asarray(height[:, :, None] * normal)
 
 
 def _to_nearest_seed(

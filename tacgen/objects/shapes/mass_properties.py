@@ -95,4 +95,4 @@ def mass_properties(bodies: Sequence[tuple[Mesh, float]], mass_kg: float) -> Mas
 def _six_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Six times the signed volume of each tetrahedron (n, 3, 3) with a corner at the origin."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    return (a * np.cross(b, c)).sum(axis=1)
+    return np.asarray((a * np.cross(b, c)).sum(axis=1))

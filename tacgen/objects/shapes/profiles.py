@@ -19,13 +19,13 @@ def joined(*pieces: Curve | list[tuple[float, float]]) -> Curve:
     """Pieces of a profile (k, 2) end to end, without repeated points."""
     points = np.concatenate([np.asarray(piece, dtype=np.float64) for piece in pieces])
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return points[np.concatenate([[True], step > 1e-9])]
+    return np.asarray(points[np.concatenate([[True], step > 1e-9])])
 
 
 def smooth_step(x: NDArray[np.float64] | float) -> NDArray[np.float64]:
     """0 below 0, 1 above 1, and a cubic without kinks in between."""
     t = np.clip(x, 0.0, 1.0)
-    return t * t * (3 - 2 * t)
+    return np.asarray(t * t * (3 - 2 * t))
 
 
 def between(x: NDArray[np.float64], low: float, high: float, edge: float) -> NDArray[np.float64]:
@@ -34,8 +34,8 @@ def between(x: NDArray[np.float64], low: float, high: float, edge: float) -> NDA
 
 
 def superellipse_radius(
-    angle_rad: NDArray[np.float64], a: NDArray | float, b: NDArray | float, power: NDArray | float
-) -> NDArray[np.float64]:
+    angle_rad: Curve, a: Curve | float, b: Curve | float, power: Curve | float
+) -> Curve:
     """Polar radius of ``|x/a|^p + |y/b|^p = 1``; 2 is an ellipse, larger is boxier."""
     x, y = np.abs(np.cos(angle_rad)) / a, np.abs(np.sin(angle_rad)) / b
     return (x**power + y**power) ** (-1 / np.asarray(power, dtype=np.float64))

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from tacgen.core.records import Mesh
 from tacgen.objects.shapes.mass_properties import settled
 from tacgen.objects.shapes.profiles import between, superellipse_radius
 from tacgen.objects.shapes.shape import (
     Body,
-    Mesh,
     Shape,
     angles_rad,
     loft,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import manifold3d
 import numpy as np
@@ -46,7 +47,7 @@ class Shape:
     bodies: tuple[Body, ...] = ()
 
 
-def mesh(vertices_mm: Points, faces: NDArray) -> Mesh:
+def mesh(vertices_mm: Points, faces: NDArray[Any]) -> Mesh:
     """A read-only mesh with its vertices on the grid of ``VERTEX_DECIMALS``."""
     rounded = np.round(np.asarray(vertices_mm, dtype=np.float64), VERTEX_DECIMALS) + 0.0
     return Mesh(frozen_array(rounded), frozen_array(faces, np.int32))
