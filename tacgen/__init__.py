@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from tacgen.contact.law import load_law
     from tacgen.dataset.reader import Dataset
     from tacgen.optics.table import load_table
+    from tacgen.presses.read_image import read_image
     from tacgen.sensor.simulated import Sensor
 
 __version__: str
@@ -24,9 +25,10 @@ _HOMES = {
     "load_law": "tacgen.contact.law",
     "load_recipe": "tacgen.collection.recipe",
     "load_table": "tacgen.optics.table",
+    "read_image": "tacgen.presses.read_image",
 }
 
-__all__ = ["Dataset", "Sensor", "collect", "load_law", "load_recipe", "load_table"]
+__all__ = ["Dataset", "Sensor", "collect", "load_law", "load_recipe", "load_table", "read_image"]
 
 
 def __getattr__(name: str) -> object:

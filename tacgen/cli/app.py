@@ -23,7 +23,7 @@ MACHINE = "This machine"
 ORDER_OF_WORK = (
     *("collect", "init", "grid", "inspect", "verify", "merge", "export"),
     *("recipe", "objects"),
-    *("import", "calibrate", "diagnose", "friction", "rig"),
+    *("import", "calibrate", "read", "diagnose", "friction", "rig"),
     *("train", "eval", "study"),
     *("submit", "status"),
     *("doctor", "bench"),

@@ -255,6 +255,32 @@ def friction(
 
 
 @app.command(rich_help_panel=CALIBRATION)
+def read(
+    images: Annotated[list[Path], typer.Argument(help="Images of the sensor (PNG or JPEG).")],
+    sensor: Annotated[str, typer.Option(help="Name of the sensor, or the path of its YAML.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for readings.csv and depth maps.")],
+    table: Annotated[
+        Path | None, typer.Option(help="Table of `tacgen calibrate lookup`, for your own sensor.")
+    ] = None,
+    contact: Annotated[
+        Path | None, typer.Option(help="contact.yaml of `tacgen calibrate contact`.")
+    ] = None,
+    background: Annotated[
+        Path | None,
+        typer.Option(help="Image of the gel at rest, of the same session; else the table's own."),
+    ] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Read depth, contact, volume and force from images of a calibrated sensor."""
+    from tacgen.presses.read_image import ImageReader, read_files, read_rgb, reading_line
+    from tacgen.sensor.simulated import Sensor
+
+    at_rest = None if background is None else read_rgb(background)
+    rows = read_files(ImageReader(Sensor(sensor, table, contact), at_rest), images, out)
+    print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
+
+
+@app.command(rich_help_panel=CALIBRATION)
 def rig(
     recipe: RecipeArgument,
     out: Annotated[Path, typer.Option("--out", help="Folder for the press log and the images.")],

@@ -115,9 +115,10 @@ class Sensor:
             self.law = contact
         else:
             self.law = ContactLaw.default() if contact is None else load_law(Path(contact))
+        self.table = load_table(self.description.table)
         self._pad = TactilePad(
             self.description,
-            load_table(self.description.table),
+            self.table,
             shadows=shadows,
             markers=markers,
         )
@@ -160,6 +161,11 @@ class Sensor:
         """
         frame = _contact_frame(0.0, force_n, shear_n, torsion_n_mm, pose_gel_object)
         return self._frame(as_mesh(mesh), frame, gel_loads(self.law, [frame])[0])
+
+    def at_rest_rgb(self) -> NDArray[np.uint8]:
+        """The image (H, W, 3) of the gel with nothing on it, without noise."""
+        nothing = Imprint(0.0, 0.0, False, (0, 0, 0, 0), np.zeros((0, 0), np.float32))
+        return self._pad.image(nothing)
 
     def attach_pybullet(
         self,

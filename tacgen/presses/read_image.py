@@ -1,0 +1,345 @@
+"""From a sensor's picture to depth, contact, volume and force: the renderer's inverse."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from tacgen.contact.law import ContactLaw
+from tacgen.core.errors import SensorError
+from tacgen.core.files import atomic_path
+from tacgen.core.records import ContactFrame
+from tacgen.core.safe_io import read_bgr
+from tacgen.optics.reconstruct import Reconstructor, Shape
+from tacgen.presses.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, follow
+from tacgen.report.images import encode_png
+from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.simulated import Frame, Sensor
+
+LEAST_DEPTH_MM = 0.03
+"""Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""
+MOST_CHANGE_GREY = 12.0
+"""Of half of all pixels: lamps that drift change a real sensor's pictures by up to 7 grey levels,
+pictures of another sensor by tens."""
+MARKER_STDERR_PX = 0.1
+"""How well the centre of one dot is found, with what its motion loses where it is interpolated."""
+LARGEST_FORCE_N = 1000.0
+"""No gel survives this; a law that needs more for a volume is saturated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading(Frame):
+    """What a picture says of the contact: a frame, with standard errors.
+
+    Attributes
+    ----------
+    force_stderr_n : (3,) float64
+        Of ``force_n``; shear forces and their errors are NaN without printed dots.
+    volume_stderr_mm3 : float
+    shear_sum_mm : (2,) float64
+        Sum of the printed dots' motion; NaN without them.
+    message : str
+        What the user should know (no contact, picture cut off); empty where all is well.
+    """
+
+    force_stderr_n: NDArray[np.float64]
+    volume_stderr_mm3: float
+    shear_sum_mm: NDArray[np.float64]
+    message: str
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers alone, ready for JSON: None for what is not known."""
+        names = ("shear_x", "shear_y", "normal")
+        forces = {f"force_{n}_n": v for n, v in zip(names, self.force_n, strict=True)}
+        errors = {f"force_{n}_stderr_n": v for n, v in zip(names, self.force_stderr_n, strict=True)}
+        numbers = {
+            **forces,
+            **errors,
+            "volume_mm3": self.volume_mm3,
+            "volume_stderr_mm3": self.volume_stderr_mm3,
+            "indentation_mm": self.indentation_mm,
+            "shear_sum_x_mm": self.shear_sum_mm[0],
+            "shear_sum_y_mm": self.shear_sum_mm[1],
+        }
+        known = {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
+        return {"contact": bool(self.contact_mask.any()), **known, "message": self.message}
+
+
+class ImageReader:
+    """Reads pictures of one sensor; prepared once for all of them.
+
+    Parameters
+    ----------
+    sensor : Sensor or str
+        With the table and the contact law of the sensor that took the pictures.
+    background_rgb : (H, W, 3) uint8, optional
+        Picture of the gel at rest, of the same session; the table's own where None.
+
+    Raises
+    ------
+    SensorError
+        If the background is not of the table's size.
+    """
+
+    def __init__(
+        self, sensor: Sensor | str, background_rgb: NDArray[np.uint8] | None = None
+    ) -> None:
+        self.sensor = Sensor(sensor) if isinstance(sensor, str) else sensor
+        at_rest = self.sensor.at_rest_rgb() if background_rgb is None else background_rgb
+        self._background = self._checked(at_rest, "the background")
+        dome_mm = self.sensor.description.dome_radius_mm
+        self._reconstructor = Reconstructor(self.sensor.table, self._background, dome_mm)
+        spots = find_spots(self._background)
+        self._dots = spots.mask(spots.usable) if spots.usable.sum() >= MIN_TRACKED else None
+        self._own_background = background_rgb is not None
+
+    def read(self, image_rgb: NDArray[np.uint8]) -> Reading:
+        """Depth, contact, volume and force of one picture (H, W, 3), RGB uint8.
+
+        Raises
+        ------
+        SensorError
+            If the picture is of another size, or differs from the background everywhere.
+        """
+        rgb = self._checked(image_rgb, "the image")
+        self._check_background(rgb)
+        hidden = None if self._dots is None else dots_in(rgb, self._dots)
+        shape = self._reconstructor.shape_of(rgb, hidden)
+        small = np.asarray(shape.indentation_mm(LEAST_DEPTH_MM), np.float64)
+        height, width = rgb.shape[:2]
+        # The depth keeps its volume: enlarged, it is scaled to the sum that it had.
+        enlarged = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+        depth: NDArray[np.float64] = np.asarray(enlarged, np.float64)
+        volume = float(small.sum()) * shape.mm_per_px**2
+        pixel_mm2 = self.sensor.table.mm_per_px**2
+        depth = depth * (volume / max(float(depth.sum()) * pixel_mm2, 1e-12))
+        touched = depth > 0
+        shear, places = self._shear(rgb)
+        reading = Reading(
+            rgb=rgb,
+            depth_mm=depth.astype(np.float32),
+            contact_mask=touched,
+            force_n=np.zeros(3),
+            indentation_mm=float(depth.max()),
+            volume_mm3=volume,
+            markers_px=places,
+            force_stderr_n=np.zeros(3),
+            volume_stderr_mm3=_volume_stderr(shape, small, volume),
+            shear_sum_mm=shear,
+            message="",
+        )
+        if not touched.any():
+            none = f"no contact: the gel is nowhere deeper than {LEAST_DEPTH_MM} mm"
+            return replace(reading, message=none)
+        return _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px)
+
+    def _shear(
+        self, rgb: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Sum of the dots' motion (2,), mm, and where they are (n, 2), px."""
+        if self._dots is None:
+            return np.full(2, math.nan), None
+        dots = dots_at_rest(self._background)
+        motion, _ = follow(dots, [rgb])
+        sum_mm = motion[0].sum(axis=0) * self.sensor.table.mm_per_px
+        return sum_mm, np.asarray(dots.places_px + motion[0], np.float64)
+
+    def _checked(self, image: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:
+        height, width = self.sensor.table.shape_px
+        if image.dtype != np.uint8 or image.shape != (height, width, 3):
+            msg = (
+                f"{what} is {image.dtype} of shape {image.shape}; {self.sensor.description.name}'s "
+                f"table is for uint8 RGB of shape {(height, width, 3)}: choose the sensor that "
+                "took it, or give a table that was calibrated at this size"
+            )
+            raise SensorError(msg)
+        return image
+
+    def _check_background(self, rgb: NDArray[np.uint8]) -> None:
+        change = np.abs(rgb.astype(np.int16) - self._background).max(axis=2)
+        half = float(np.median(change))
+        if half > MOST_CHANGE_GREY:
+            fix = (
+                "take the background in the same session as the image"
+                if self._own_background
+                else "give a picture of this gel at rest as the background"
+            )
+            msg = (
+                f"half of the image differs from the background by more than {half:.0f} grey "
+                f"levels: it is of another sensor, or the background does not match; {fix}"
+            )
+            raise SensorError(msg)
+
+
+def read_image(
+    image_rgb: NDArray[np.uint8],
+    sensor: Sensor | str,
+    background_rgb: NDArray[np.uint8] | None = None,
+) -> Reading:
+    """The contact that a picture shows: depth, mask, volume, force with its standard error.
+
+    For many pictures prepare an :class:`ImageReader` once.
+
+    Parameters
+    ----------
+    image_rgb, background_rgb : (H, W, 3) uint8
+        RGB; the background is the gel at rest, by default as the table has it.
+    sensor : Sensor or str
+        The sensor that took the picture, with its table and contact law.
+
+    Raises
+    ------
+    SensorError
+        If the picture is of another size, or its background does not match.
+
+    Source
+    ------
+    Yuan, Dong & Adelson 2017 (GelSight, §4): slopes by the inverted table, then Poisson's
+    equation; force by Si et al. 2022, Eq. 1: F = V / k_n.
+
+    Examples
+    --------
+    >>> import numpy as np, tacgen, trimesh
+    >>> ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    >>> sensor = tacgen.Sensor("gelsight_mini")
+    >>> picture = sensor.render(ball, np.eye(4), force_n=3.0).rgb
+    >>> reading = tacgen.read_image(picture, sensor)
+    >>> abs(reading.force_n[2] - 3.0) < 0.2
+    True
+    """
+    return ImageReader(sensor, background_rgb).read(image_rgb)
+
+
+def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[dict[str, Any]]:
+    """Read image files and write what they show into the folder ``out``; returns the rows.
+
+    ``readings.csv`` has one row an image; ``<name>.npz`` holds ``depth_mm`` and ``contact_mask``,
+    ``<name>_depth.png`` shows the depth, white at the deepest.
+
+    Raises
+    ------
+    SensorError
+        If a file is no image, two have one name, or one does not fit the sensor; nothing is then
+        written.
+    """
+    names = [path.stem for path in paths]
+    if len(set(names)) < len(names):
+        msg = "two images have the same name; read them into separate folders"
+        raise SensorError(msg)
+    readings = []
+    for path in paths:
+        try:
+            readings.append(reader.read(read_rgb(path)))
+        except SensorError as error:
+            msg = f"{path}: {error}"
+            raise SensorError(msg) from None
+    rows = []
+    out.mkdir(parents=True, exist_ok=True)
+    for path, reading in zip(paths, readings, strict=True):
+        rows.append({"file": path.name, **reading.summary()})
+        with atomic_path(out / f"{path.stem}.npz") as partial, partial.open("wb") as file:
+            np.savez_compressed(file, depth_mm=reading.depth_mm, contact_mask=reading.contact_mask)
+        brightness = 255.0 * reading.depth_mm / max(reading.indentation_mm, LEAST_DEPTH_MM)
+        grey = np.repeat(np.rint(brightness).astype(np.uint8)[..., None], 3, axis=2)
+        with atomic_path(out / f"{path.stem}_depth.png") as partial:
+            partial.write_bytes(encode_png(grey))
+    with atomic_path(out / "readings.csv") as partial:
+        pd.DataFrame(rows).to_csv(partial, index=False)
+    return rows
+
+
+def reading_line(row: dict[str, Any]) -> str:
+    """One row of ``read_files`` as a line of text."""
+    if not row["contact"]:
+        return f"{row['file']}: {row['message']}"
+    text = (
+        f"{row['file']}: volume {row['volume_mm3']:.2f} ± {row['volume_stderr_mm3']:.2f} mm³, "
+        f"depth {row['indentation_mm']:.3f} mm, "
+    )
+    if row["force_normal_n"] is None:
+        return text + row["message"]
+    text += f"force {row['force_normal_n']:.2f} ± {row['force_normal_stderr_n']:.2f} N"
+    if row["force_shear_x_n"] is not None:
+        text += f", shear {row['force_shear_x_n']:.2f}, {row['force_shear_y_n']:.2f} N"
+    return text
+
+
+def read_rgb(path: Path) -> NDArray[np.uint8]:
+    """An image file as RGB (H, W, 3) uint8.
+
+    Raises
+    ------
+    SensorError
+        If it is missing or no image.
+    """
+    bgr = read_bgr(path) if path.is_file() else None
+    if bgr is None:
+        msg = f"{path}: {'not an image' if path.is_file() else 'no such file'}; give PNG or JPEG"
+        raise SensorError(msg)
+    return np.ascontiguousarray(bgr[..., ::-1]).astype(np.uint8)
+
+
+def _volume_stderr(shape: Shape, depth: NDArray[np.float64], volume_mm3: float) -> float:
+    """Standard error of the volume.
+
+    What the table does not explain is alike over a contact: slopes, and with them the volume, are
+    off by the same share everywhere.
+    """
+    touched = depth > 0
+    if not touched.any():
+        return 0.0
+    gy, gx = np.gradient(shape.depth_mm, shape.mm_per_px)
+    steepness = math.sqrt(float(np.square([gx, gy])[:, touched].sum(axis=0).mean()))
+    return volume_mm3 * shape.slope_stderr / max(steepness, shape.slope_stderr)
+
+
+def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float) -> Reading:
+    """Forces of a volume and of a sum of the dots' motion, by the inverse of a contact law."""
+    normal_n = _normal_force_n(law, reading)
+    message = ""
+    if normal_n > LARGEST_FORCE_N:
+        normal_n, message = math.nan, "no force of the contact law makes this volume: saturated"
+    k_n, k_s = law.k_n_mm3_per_n, law.k_s_mm_per_n.value
+    relative = math.hypot(
+        reading.volume_stderr_mm3 / reading.volume_mm3, _known(k_n.stderr) / k_n.value
+    )
+    n_dots = 0 if reading.markers_px is None else len(reading.markers_px)
+    shear_stderr = math.sqrt(n_dots) * MARKER_STDERR_PX * mm_per_px / k_s if n_dots else math.nan
+    return replace(
+        reading,
+        force_n=np.array([*(reading.shear_sum_mm / k_s), normal_n]),
+        force_stderr_n=np.array([shear_stderr, shear_stderr, normal_n * relative]),
+        message=message,
+    )
+
+
+def _normal_force_n(law: ContactLaw, reading: Reading) -> float:
+    """The force whose volume, or whose depth under TACTO's law, is the reading's.
+
+    Effects with memory are taken at the beginning of the load: one picture has no history.
+    """
+
+    def excess(force_n: float) -> float:
+        frame = ContactFrame(0.0, force_n, np.zeros(2), 0.0, np.eye(4))
+        load = gel_loads(law, [frame])[0]
+        if load.volume_mm3 is None:
+            return (load.indentation_mm or 0.0) - reading.indentation_mm
+        return load.volume_mm3 - reading.volume_mm3
+
+    if excess(LARGEST_FORCE_N) < 0:
+        return math.inf
+    root: Any = brentq(excess, 0.0, LARGEST_FORCE_N, xtol=1e-6)
+    return float(root)
+
+
+def _known(stderr: float) -> float:
+    return 0.0 if math.isnan(stderr) else stderr
