@@ -20,8 +20,9 @@ DARK_GREY = 25.0
 """Change is measured against the light at its place, plus this much: in dark corners too, a grey
 level of noise is no contact."""
 
-CLEAR_SIGMAS = 8.0
-"""A contact stands out of the bare gel's scatter by at least this many standard deviations."""
+CLEAR_SIGMAS = 5.5
+"""A contact stands out of the picture's scatter by at least this many standard deviations: noise
+alone reaches 3.5, a contact whose surroundings fill half of the picture 6.5."""
 
 MIN_CHANGE_GREY = 6.0
 """And by at least this many grey levels, so that a still camera does not make a press of dust."""
@@ -37,6 +38,13 @@ RIM_SHARE = 0.9
 """The contact ends where the mean of all directions, each on its own scale, is last this near to
 its largest: the gel is steepest at the rim and falls off beyond it."""
 
+DRIFT_DEGREE = 3
+"""Of the polynomial in position that lamps drift by: 2 leaves corners bright on a real sensor, 4
+follows wide contacts."""
+
+DRIFT_STEPS = 6
+"""Of reweighting: after these a contact of a third of the image no longer moves the drift."""
+
 N_DIRECTIONS = 96
 PROFILE_STEP_PX = 0.25
 MIN_EDGE_DIRECTIONS = 0.4
@@ -46,7 +54,10 @@ MAX_OUT_OF_ROUND = 0.15
 """Largest median distance of the edge from the circle, in radii."""
 
 SECOND_CONTACT = 0.4
-"""A second patch with this share of the largest one's area is a second contact."""
+"""A second patch with this share of the largest one's area is a second contact, if it is also"""
+
+SECOND_STRENGTH = 0.5
+"""as much changed as this, relative to the largest: lamps that drift brighten a corner faintly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +87,7 @@ def find_circle(image: NDArray, background: NDArray, hidden: BoolArray | None = 
     scale = min(1.0, WORK_WIDTH_PX / width)
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
     seen, rest = coarse(image, size, hidden), coarse(background, size, hidden)
-    change = np.asarray(cv2.GaussianBlur(seen - rest, (0, 0), 1.0))
-    change = change - np.median(change, axis=(0, 1))
+    change = _without_drift(np.asarray(cv2.GaussianBlur(seen - rest, (0, 0), 1.0)))
     nothing = Circle(np.full(2, np.nan), float("nan"))
     if _scatter_and_top(np.linalg.norm(change, axis=2))[2] < MIN_CHANGE_GREY:
         return _with(nothing, "shows no contact")
@@ -89,8 +99,30 @@ def find_circle(image: NDArray, background: NDArray, hidden: BoolArray | None = 
     strength = np.maximum(strength - middle, 0.0)
     patch, others = _largest_patch(strength > max(PATCH_SHARE * top, 4.0 * scatter))
     center, radius, edge, problem = _circle_around(patch, strength, 4.0 * scatter)
+    if others.any() and np.percentile(strength[others], 95) < SECOND_STRENGTH * top:
+        others = np.zeros_like(others)
     problem = problem or _problem(patch, others, center, radius)
     return Circle((center + 0.5) / scale - 0.5, radius / scale, problem, edge / scale)
+
+
+def _without_drift(change: FloatArray) -> FloatArray:
+    """The change (h, w, 3) less what lamps have drifted by, a polynomial in position.
+
+    It is fitted to the bare gel, by weights that a contact's large changes lose.
+    """
+    height, width = change.shape[:2]
+    v, u = (part.ravel() for part in np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j])
+    powers = range(DRIFT_DEGREE + 1)
+    basis = np.column_stack([u**i * v**j for i in powers for j in powers if i + j <= DRIFT_DEGREE])
+    values = change.reshape(-1, 3).astype(np.float64)
+    rest: FloatArray = values - np.median(values, axis=0)
+    for _ in range(DRIFT_STEPS):
+        size = np.linalg.norm(rest, axis=1)
+        scale = float(np.median(size)) + 1.0
+        weight = 1.0 / (1.0 + (size / scale) ** 2) ** 2
+        weighted = basis * weight[:, None]
+        rest = values - basis @ np.linalg.solve(weighted.T @ basis, weighted.T @ values)
+    return rest.reshape(change.shape)
 
 
 def _with(circle: Circle, problem: str) -> Circle:

@@ -8,10 +8,10 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import PressError
 from tacgen.presses.circles import Circle, find_circle, outside_share
-from tacgen.presses.dots import dots_in, printed_dots
+from tacgen.presses.dots import coarse, dots_in, printed_dots
 from tacgen.presses.press_images import DroppedPress, PressImages
 
 MIN_PRESSES = 3
@@ -28,9 +28,26 @@ MAX_LABEL_SHARE = 1.5
 MAX_LABEL_OFF = 0.75
 """A label farther than this from the circle that is seen, in radii, is of something else."""
 
-MISMATCH_GREY = 40.0
-"""A background this far from the median of the presses, over most of the picture, is not of the
-same gel and light."""
+OWN_CHANGE_SHARE = 0.9
+"""A labelled circle whose own change is this share of the seen one's is a contact all the same."""
+
+COMPARED_WIDTH_PX = 80
+"""Width of the pictures that a background is compared on: light and crop show at any size."""
+
+OTHER_PICTURE = 2.0, 1.5
+"""A picture is of another sensor where its bare gel differs from the background, in grey levels, by
+more than this many times the lower quartile of all pictures, and so many more. Within five measured
+sets the factor is below 1.5, between any two of them above 2.5."""
+
+OTHER_BACKGROUND = 1.6, 1.0
+"""The same for the median of the presses against what single presses differ from it by: below 1.4
+on the measured sets, above 1.6 for backgrounds cropped by a tenth to a fifth."""
+
+BACKGROUND_MIN_PRESSES = 5
+"""A median of fewer pictures shows the contacts themselves."""
+
+MOVED_SHARE = 0.4
+"""A background with a contact is a press where this share of the presses lies elsewhere."""
 
 
 def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressImages:
@@ -52,9 +69,9 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
     dropped: list[DroppedPress] = []
     for k in range(len(presses)):
         seen = find_circle(presses.images[k], presses.background, presses.hidden_in(k))
-        if not seen.problem:
-            seen_px[k] = [*seen.center_px, seen.radius_px]
         circle = Circle(center[k], float(radius[k]))
+        if not seen.problem and (found[k] or not _is_elsewhere(circle, seen)):
+            seen_px[k] = [*seen.center_px, seen.radius_px]
         if found[k]:
             circle = seen
             center[k], radius[k] = circle.center_px, circle.radius_px
@@ -65,7 +82,7 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
         if not reason:
             reason, fix = _press_problem(presses, k, circle, labelled=not found[k])
         if not reason and not found[k]:
-            reason, fix = _label_problem(circle, seen)
+            reason, fix = _label_problem(presses, k, circle, seen)
         if reason:
             dropped.append(DroppedPress(presses.names[k], k + 2, reason, fix))
     bad = {press.row - 2 for press in dropped}
@@ -102,15 +119,89 @@ def _with_dots_masked(presses: PressImages) -> PressImages:
 
 
 def _check_background(presses: PressImages) -> None:
-    median = np.median(presses.images[:: max(1, len(presses) // 15)], axis=0)
-    # A quarter of the picture may be under a contact in every press.
-    apart = float(np.quantile(np.abs(median - presses.background), 0.75))
-    if apart > MISMATCH_GREY:
+    """Refuse pictures of two sensors, and a background that is not of these presses' gel at rest.
+
+    Raises
+    ------
+    PressError
+        With what is wrong and the fix.
+    """
+    height, width = presses.shape_px
+    size = (COMPARED_WIDTH_PX, max(8, round(COMPARED_WIDTH_PX * height / width)))
+    rest = coarse(presses.background, size, None)
+    small = [coarse(image, size, None) for image in presses.images]
+    apart = np.array([_apart_grey(image, rest) for image in small])
+    factor, more = OTHER_PICTURE
+    other = np.nonzero(apart > factor * np.quantile(apart, 0.25) + more)[0]
+    if MIN_PRESSES <= len(other) < len(presses):
+        names = ", ".join(presses.names[k] for k in other[:3])
         msg = (
-            f"the background is {apart:.0f} grey levels away from the median of the presses: it "
-            "is not of the same gel and light; take it anew, just before the presses"
+            f"{len(other)} of {len(presses)} pictures do not match the background ({names}, …): "
+            "they are of another sensor, crop or light; keep the presses of one sensor in a folder"
         )
         raise PressError(msg)
+    if len(presses) < BACKGROUND_MIN_PRESSES:
+        return
+    median = np.median(small, axis=0).astype(np.float32)
+    mismatch, (factor, more) = _apart_grey(median, rest), OTHER_BACKGROUND
+    scatter = float(np.median([_apart_grey(image, median) for image in small]))
+    if mismatch > factor * scatter + more:
+        if _apart_grey(median, rest[..., ::-1]) < 0.5 * mismatch:
+            msg = (
+                "the background does not match the presses, but does with red and blue swapped: "
+                "save all pictures in one colour order"
+            )
+            raise PressError(msg)
+        msg = (
+            f"the background does not match the presses: the bare gel differs by {mismatch:.0f} "
+            f"grey levels after gain and offset, the presses among themselves by {scatter:.0f}; "
+            "take it anew with the same gel, light and crop"
+        )
+        raise PressError(msg)
+    seen = find_circle(presses.background, _median_image(presses))
+    if not seen.problem and _share_elsewhere(presses, seen) >= MOVED_SHARE:
+        x, y = seen.center_px
+        msg = (
+            f"the background shows a contact at ({x:.0f}, {y:.0f}): it is a press itself; take it "
+            "anew with nothing on the gel"
+        )
+        raise PressError(msg)
+
+
+def _apart_grey(image: FloatArray, rest: FloatArray) -> float:
+    """Median difference, grey levels, of two pictures (h, w, 3) after gain and offset.
+
+    Gain and offset are of each channel and fitted to most of the picture: a contact is not.
+    """
+    differences = []
+    for channel in range(3):
+        x, y = rest[..., channel].ravel().astype(float), image[..., channel].ravel().astype(float)
+        columns, weight = np.column_stack([x, np.ones_like(x)]), np.ones_like(x)
+        for _ in range(3):
+            weighted = columns * weight[:, None]
+            ridge = 1e-6 * np.eye(2)
+            gain = np.linalg.solve(weighted.T @ columns + ridge, weighted.T @ y)
+            size = np.abs(y - columns @ gain)
+            weight = 1.0 / (1.0 + (size / (np.median(size) + 1.0)) ** 2)
+        differences.append(size)
+    return float(np.median(differences))
+
+
+def _median_image(presses: PressImages) -> NDArray[np.uint8]:
+    chosen = presses.images[:: max(1, len(presses) // 15)]
+    return np.asarray(np.median(chosen, axis=0), dtype=np.uint8)
+
+
+def _share_elsewhere(presses: PressImages, place: Circle) -> float:
+    """The share of some presses whose contact, against their median, is seen away from a place."""
+    median = _median_image(presses)
+    found = [find_circle(image, median) for image in presses.images[:: max(1, len(presses) // 15)]]
+    seen = [circle for circle in found if not circle.problem]
+    elsewhere = [
+        np.hypot(*(circle.center_px - place.center_px)) > max(circle.radius_px, place.radius_px)
+        for circle in seen
+    ]
+    return float(np.mean(elsewhere)) if elsewhere else 0.0
 
 
 def _press_problem(
@@ -138,11 +229,18 @@ def _press_problem(
     return "", ""
 
 
-def _label_problem(label: Circle, seen: Circle) -> tuple[str, str]:
-    """What speaks against a labelled circle where another is clearly seen; empty if nothing."""
+def _is_elsewhere(label: Circle, seen: Circle) -> bool:
     apart = float(np.hypot(*(label.center_px - seen.center_px)))
-    if seen.problem or apart <= MAX_LABEL_OFF * max(seen.radius_px, label.radius_px):
+    return apart > MAX_LABEL_OFF * max(seen.radius_px, label.radius_px)
+
+
+def _label_problem(presses: PressImages, k: int, label: Circle, seen: Circle) -> tuple[str, str]:
+    """What speaks against a labelled circle where another is clearly seen; empty if nothing."""
+    if seen.problem or not _is_elsewhere(label, seen):
         return "", ""
+    if _change_in(presses, k, label) > OWN_CHANGE_SHARE * _change_in(presses, k, seen):
+        return "", ""
+    apart = float(np.hypot(*(label.center_px - seen.center_px)))
     x, y = seen.center_px
     return (
         f"its labelled centre is {apart:.0f} px from the contact seen at ({x:.0f}, {y:.0f})",

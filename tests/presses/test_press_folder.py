@@ -166,12 +166,54 @@ def test_grey_pictures_are_said(presses):
     assert "the pictures are grey" in "\n".join(used.warnings)
 
 
-def test_another_gels_background(presses):
+def shifted(image, columns):
+    """The picture of another crop."""
+    return np.roll(image, columns, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("background", "message"),
+    [
+        (lambda made: shifted(made.background, 40), "does not match the presses: the bare gel"),
+        (lambda made: made.background[..., ::-1], "does with red and blue swapped"),
+        (lambda made: made.images[0], r"shows a contact at \(.*\): it is a press itself"),
+    ],
+)
+def test_a_background_that_is_not_of_these_presses(background, message):
     from dataclasses import replace
 
-    other = replace(presses, background=np.full_like(presses.background, 255))
-    with pytest.raises(PressError, match="background is .* grey levels away"):
-        usable_presses(other)
+    made = virtual_presses(21, count=12)
+    usable_presses(made)
+    with pytest.raises(PressError, match=message):
+        usable_presses(replace(made, background=np.ascontiguousarray(background(made))))
+
+
+def test_pictures_of_two_sensors_in_one_folder():
+    from dataclasses import replace
+
+    made = virtual_presses(22, count=12)
+    images = made.images.copy()
+    images[:4] = np.rot90(images[:4], 2, axes=(1, 2))
+    with pytest.raises(PressError, match="4 of 12 pictures do not match the background"):
+        usable_presses(replace(made, images=images))
+
+
+def test_lamps_that_drift_over_the_picture_hide_no_contact():
+    """As much as the contact itself changes, from picture to picture and over each picture."""
+    from dataclasses import replace
+
+    made = virtual_presses(23, count=8, labelled=False)
+    truth = virtual_presses(23, count=8)
+    rng = np.random.default_rng(24)
+    height, width = made.shape_px
+    v, u = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    images = [
+        np.clip(image + 12 * (a * u * v + b * u * u + c * v)[..., None], 0, 255).astype(np.uint8)
+        for image, (a, b, c) in zip(made.images, rng.uniform(-1, 1, (8, 3)), strict=True)
+    ]
+    used = usable_presses(replace(made, images=np.stack(images)))
+    apart = np.hypot(*(used.center_px - truth.center_px).T)
+    assert (apart < 0.25 * truth.radius_px).all()
 
 
 def test_fewer_than_three_presses(presses):
