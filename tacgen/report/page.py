@@ -16,7 +16,17 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from tacgen.core.files import write_text
-from tacgen.report.formatting import fixed, number, typeset
+from tacgen.report.formatting import (
+    estimate,
+    fixed,
+    interval,
+    number,
+    p_value,
+    percent,
+    typeset,
+    unit_text,
+    with_error,
+)
 from tacgen.report.images import Image, encode_png, jpeg_uri, png_uri
 
 if TYPE_CHECKING:
@@ -34,6 +44,9 @@ class Section:
 
     title: str
     body: Markup
+
+    def __html__(self) -> str:
+        return Markup("<section>\n<h2>{}</h2>\n{}\n</section>").format(self.title, self.body)
 
 
 def text_section(title: str, *paragraphs: str) -> Section:
@@ -83,24 +96,41 @@ def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str =
 
 
 def write_page(
-    path: Path, title: str, sections: Sequence[Section], *, summary: str = "", verdict: str = ""
+    path: Path,
+    title: str,
+    sections: Sequence[Section] = (),
+    *,
+    summary: str = "",
+    verdict: str = "",
+    template: str = "page.html",
+    **values: Any,
 ) -> None:
     """Write the page to ``path``, whole or not at all; it needs no network.
 
     ``summary`` is the result in a sentence or two; ``verdict`` colours it: ``sufficient`` and
-    ``unexplained`` stand out.
+    ``unexplained`` stand out. A ``template`` that extends ``page.html`` makes its own sections of
+    ``values``.
     """
-    page = templates().get_template("page.html")
-    summary = typeset(summary)
-    write_text(path, page.render(title=title, summary=summary, verdict=verdict, sections=sections))
+    page = templates().get_template(template)
+    head = {"title": title, "summary": typeset(summary), "verdict": verdict}
+    write_text(path, page.render(**head, sections=sections, **values))
 
 
 @functools.cache
 def templates(package: str = "tacgen.report", *, escaped: bool = True) -> Environment:
     """The templates of a package; HTML ones escape what is put into them."""
-    return Environment(
-        loader=PackageLoader(package), autoescape=escaped, trim_blocks=True, lstrip_blocks=True
+    found = Environment(
+        loader=PackageLoader(package),
+        autoescape=escaped,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        extensions=["jinja2.ext.do"],
     )
+    shown = (estimate, fixed, interval, number, p_value, percent, unit_text, with_error)
+    found.filters |= {function.__name__: function for function in shown}
+    parts = (facts_section, figure_section, table_section, text_section)
+    found.globals |= {function.__name__.removesuffix("_section"): function for function in parts}
+    return found
 
 
 def _section(title: str, macro: str, *arguments: Any) -> Section:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,6 @@ from tacgen.calibrate.contact.depth_curves import (
 )
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact
 from tacgen.calibrate.contact.summary import (
-    depth_dict,
     depth_text,
     depth_warnings,
     summary_dict,
@@ -142,10 +141,9 @@ def _table_of(folder: Path) -> LookupTable | None:
 
 def result_text(result: ContactCalibration, *, json_output: bool) -> str:
     """What the command prints."""
-    if isinstance(result.fit, ContactFit):
-        record, text = summary_dict(result.fit), summary_text
-    else:
-        record, text = depth_dict(result.fit), depth_text
+    is_log = isinstance(result.fit, ContactFit)
+    record = summary_dict(result.fit) if isinstance(result.fit, ContactFit) else asdict(result.fit)
+    text = summary_text if is_log else depth_text
     return json.dumps(record, indent=2) if json_output else text(record)
 
 
@@ -156,17 +154,17 @@ def _explain_depths(
     curves = read_depth_curves(log)
     found = explain_curves(curves, radius_mm)
     warnings = depth_warnings(log, found)
-    values = [np.log(fit.k_n_mm3_per_n) for fit in found.curves]
-    ends = [np.log(fit.k_interval) for fit in found.curves]
+    values = [np.log(fit.k_n) for fit in found.curves.values()]
+    ends = [np.log(fit.k_interval) for fit in found.curves.values()]
     spread = max(np.ptp(values), max(float(np.ptp(end)) for end in ends)) / 2.0
     provenance: dict[str, Any] = {
         "data": {log.name: sha256_of(log)},
         "versions": {"tacgen": VERSION},
         "trials": {"fit": len(found.curves), "left_out": 0},
-        "curves": depth_dict(found)["curves"],
+        "curves": asdict(found)["curves"],
         "warnings": list(warnings),
     }
-    k_n = found.shared_k_n_mm3_per_n
+    k_n = found.shared_k_n
     law = ContactLaw(
         law="volume_linear",
         k_n_mm3_per_n=Estimate(k_n, k_n * spread / 1.96, "mm3/N"),

@@ -7,10 +7,9 @@ are fitted to every curve, and one k_n to all curves together.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -30,6 +29,8 @@ RADII_MM = (0.1, 100.0)
 """Indenters outside this range are no balls that a gel is pressed with."""
 MIN_SAMPLES = 8
 N_STARTS = 13
+MIN_SHARED_P = 0.05
+"""p of the F test below which one k_n for all curves is given up; the usual 5 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,42 +48,33 @@ class BallFit:
 
     ``radius_interval_mm`` and ``k_interval`` (95 %) come from the profile of the misfit: at its
     ends the other quantities are refitted. An interval that ends at a bound of ``RADII_MM`` is
-    open there: the curve cannot tell. ``exponent`` is the slope of log F against log depth.
-    ``waviness`` is the correlation of neighbouring residuals: near 1, the residual is not
+    open there: the curve cannot tell. ``log_log_exponent`` is the slope of log F against log
+    depth. Near 1, ``residual_correlation`` of neighbouring residuals says that the residual is not
     noise but shape that a ball on a linear gel does not have, and the intervals are too narrow.
+    ``with_shared_k_n`` are radius and error with the k_n that all curves share.
     """
 
-    name: str
     radius_mm: float
     radius_interval_mm: tuple[float, float]
-    k_n_mm3_per_n: float
+    k_n: float
     k_interval: tuple[float, float]
     contact_point_mm: float
     r_squared: float
     rmse_n: float
-    exponent: float
-    waviness: float
-    n_samples: int
+    log_log_exponent: float
+    residual_correlation: float
+    samples: int
+    with_shared_k_n: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class DepthReport:
-    """Every curve's best ball, and what one k_n for all curves costs.
+    """Every curve's best ball by name, and the p of the F test that one k_n does for all."""
 
-    ``shared_rmse_n`` are each curve's errors with the shared k_n and its own best radius;
-    ``p_value`` is of the F test that one k_n does for all.
-    """
-
-    curves: tuple[BallFit, ...]
-    shared_k_n_mm3_per_n: float
-    shared_radius_mm: Mapping[str, float]
-    shared_rmse_n: Mapping[str, float]
+    curves: dict[str, BallFit]
+    shared_k_n: float
+    one_k_n_will_do: bool
     p_value: float
-
-    @property
-    def one_k_n_will_do(self) -> bool:
-        """Whether the data leaves one k_n standing."""
-        return self.p_value >= 0.05
 
 
 def is_depth_table(path: Path) -> bool:
@@ -133,7 +125,7 @@ def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = Non
     ``radius_mm`` is the ball's radius where it is known; only k_n and the contact point are then
     free.
     """
-    own = tuple(_explain(curve, radius_mm) for curve in curves)
+    own = [_explain(curve, radius_mm) for curve in curves]
     shared_log_k, shared = _share_k(curves, own, radius_mm)
     n_samples = sum(len(curve.depth_mm) for curve in curves)
     free = 2 if radius_mm else 3
@@ -142,18 +134,16 @@ def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = Non
     if len(curves) > 1:
         # Each curve at its own noise: a stiff curve's newtons must not drown a soft one's.
         excess = sum(
-            (shared[c.name][1] ** 2 / fit.rmse_n**2 - 1.0) * len(c.depth_mm)
-            for c, fit in zip(curves, own, strict=True)
+            (one["rmse_n"] ** 2 / fit.rmse_n**2 - 1.0) * fit.samples
+            for one, fit in zip(shared, own, strict=True)
         )
         statistic = excess / (len(curves) - 1) / (n_samples / dof)
         p_value = float(fdtrc(len(curves) - 1, dof, max(statistic, 0.0)))
-    return DepthReport(
-        own,
-        float(np.exp(shared_log_k)),
-        MappingProxyType({name: radius for name, (radius, _) in shared.items()}),
-        MappingProxyType({name: rmse for name, (_, rmse) in shared.items()}),
-        p_value,
-    )
+    fits = {
+        curve.name: replace(fit, with_shared_k_n=one)
+        for curve, fit, one in zip(curves, own, shared, strict=True)
+    }
+    return DepthReport(fits, float(np.exp(shared_log_k)), p_value >= MIN_SHARED_P, p_value)
 
 
 def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
@@ -172,23 +162,23 @@ def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
     inside = [(log_r, k) for log_r, cost, k, _ in profile if cost <= limit]
     inside.append((float(parameters[0]), float(parameters[1])))
     in_contact = (curve.depth_mm > 0) & (curve.force_n > 0)
-    exponent = np.polyfit(np.log(curve.depth_mm[in_contact]), np.log(curve.force_n[in_contact]), 1)[
-        0
-    ]
+    logs = np.log(curve.depth_mm[in_contact]), np.log(curve.force_n[in_contact])
+    exponent, _ = np.polyfit(*logs, 1)
     spread = ((curve.force_n - curve.force_n.mean()) ** 2).sum()
     left = curve.force_n - _predict(curve, np.exp(parameters[0]), parameters[1], parameters[2])
     return BallFit(
-        name=curve.name,
         radius_mm=float(np.exp(parameters[0])),
         radius_interval_mm=_span([r for r, _ in inside]),
-        k_n_mm3_per_n=float(np.exp(parameters[1])),
+        k_n=float(np.exp(parameters[1])),
         k_interval=_span([k for _, k in inside]),
         contact_point_mm=float(parameters[2]),
         r_squared=float(1.0 - best / spread),
         rmse_n=float(np.sqrt(best / len(curve.depth_mm))),
-        exponent=float(exponent),
-        waviness=float((left[1:] * left[:-1]).mean() / max(float((left**2).mean()), 1e-300)),
-        n_samples=len(curve.depth_mm),
+        log_log_exponent=float(exponent),
+        residual_correlation=float(
+            (left[1:] * left[:-1]).mean() / max(float((left**2).mean()), 1e-300)
+        ),
+        samples=len(curve.depth_mm),
     )
 
 
@@ -249,26 +239,27 @@ def _polish(curve: DepthCurve, parameters: FloatArray) -> FloatArray:
 
 
 def _share_k(
-    curves: tuple[DepthCurve, ...], own: tuple[BallFit, ...], radius_mm: float | None
-) -> tuple[float, dict[str, tuple[float, float]]]:
+    curves: Sequence[DepthCurve], own: Sequence[BallFit], radius_mm: float | None
+) -> tuple[float, list[dict[str, float]]]:
     """The log k that explains all curves best, each at its own noise; radius and RMSE there."""
 
-    def at(k_log: float) -> tuple[float, dict[str, tuple[float, float]]]:
-        total, found = 0.0, {}
-        for curve, fit in zip(curves, own, strict=True):
-            cost, radius = _best_radius(curve, k_log, radius_mm)
-            found[curve.name] = radius, float(np.sqrt(cost / fit.n_samples))
-            total += cost / fit.rmse_n**2
-        return total, found
+    def at(k_log: float) -> list[tuple[float, float]]:
+        return [_best_radius(curve, k_log, radius_mm) for curve in curves]
 
-    logs = np.log([fit.k_n_mm3_per_n for fit in own])
+    def total(k_log: float) -> float:
+        costs = [cost for cost, _ in at(k_log)]
+        return sum(cost / fit.rmse_n**2 for cost, fit in zip(costs, own, strict=True))
+
+    logs = np.log([fit.k_n for fit in own])
     candidates = np.linspace(logs.min() - 0.2, logs.max() + 0.2, 25)
     for _ in range(2):
-        totals = [at(float(k))[0] for k in candidates]
-        best, step = int(np.argmin(totals)), candidates[1] - candidates[0]
-        chosen = float(candidates[best])
+        step = candidates[1] - candidates[0]
+        chosen = min(map(float, candidates), key=total)
         candidates = np.linspace(chosen - step, chosen + step, 9)
-    return chosen, at(chosen)[1]
+    return chosen, [
+        {"radius_mm": radius, "rmse_n": float(np.sqrt(cost / len(curve.depth_mm)))}
+        for curve, (cost, radius) in zip(curves, at(chosen), strict=True)
+    ]
 
 
 def _best_radius(curve: DepthCurve, k_log: float, radius_mm: float | None) -> tuple[float, float]:

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.presses.press_log import PressLog
 
 FEW_TRIALS = 10
 """With fewer presses the t quantile makes intervals clearly wider."""
-
 SMALL_SPREAD_MM = 1.0
 """Positions closer together than a contact is wide are one place."""
-
 HOLD_S = 1.0
 """A hold long enough to tell creep from the speed of loading."""
 
@@ -33,8 +30,42 @@ class Limit:
 
 def limits_of(log: PressLog) -> tuple[Limit, ...]:
     """What the schedule of this log leaves open, the most important first."""
-    checks = (_geometry, _shear, _trials, _unloading, _hold, _position)
-    return tuple(limit for check in checks if (limit := check(log)) is not None)
+    known = {
+        "geometry": n_balls(log) > 1,
+        "shear": log.has_shear,
+        "trials": len(log.trials) >= FEW_TRIALS,
+        "unloading": any(_is_unloaded(log, trial) for trial in log.trials),
+        "hold": any(_is_held(log, trial) for trial in log.trials),
+        "position": _has_places(log),
+    }
+    texts = {
+        "geometry": (
+            "one ball only: whether k_n depends on the indenter's size or shape is unknown",
+            "press a second ball of at least twice the radius",
+        ),
+        "shear": (
+            "no trial holds both shear force and marker motion: k_s is unknown",
+            "push sideways while pressing and track the markers",
+        ),
+        "trials": (
+            f"{len(log.trials)} presses only: the interval rests on few repeats and is wide",
+            f"press at least {FEW_TRIALS} times, and repeat a press now and then",
+        ),
+        "unloading": (
+            "no press is unloaded: hysteresis and stiffening look the same",
+            "log the way back as well",
+        ),
+        "hold": (
+            f"no press is held for {HOLD_S:g} s near its peak: creep is unknown",
+            "hold some presses for several seconds",
+        ),
+        "position": (
+            "positions on the gel are not known or all alike: whether k_n depends on them is "
+            "unknown",
+            "press on a grid over the gel and log x_mm and y_mm",
+        ),
+    }
+    return tuple(Limit(name, *texts[name]) for name, is_known in known.items() if not is_known)
 
 
 def n_balls(log: PressLog) -> int:
@@ -45,72 +76,19 @@ def n_balls(log: PressLog) -> int:
     return max(len(known), len(names), 1)
 
 
-def _geometry(log: PressLog) -> Limit | None:
-    if n_balls(log) > 1:
-        return None
-    return Limit(
-        "geometry",
-        "one ball only: whether k_n depends on the indenter's size or shape is unknown",
-        "press a second ball of at least twice the radius",
-    )
+def _is_unloaded(log: PressLog, trial: int) -> bool:
+    force = log["force_normal_n"][log["trial"] == trial]
+    return len(force) > 2 and bool(force[np.argmax(force) :].min() < 0.5 * force.max())
 
 
-def _shear(log: PressLog) -> Limit | None:
-    if log.has_shear:
-        return None
-    return Limit(
-        "shear",
-        "no trial holds both shear force and marker motion: k_s is unknown",
-        "push sideways while pressing and track the markers",
-    )
+def _is_held(log: PressLog, trial: int) -> bool:
+    rows = log["trial"] == trial
+    force, time_s = log["force_normal_n"][rows], log["time_s"][rows]
+    held = force > 0.9 * force.max()
+    return bool(held.any() and np.ptp(time_s[held]) >= HOLD_S)
 
 
-def _trials(log: PressLog) -> Limit | None:
-    if len(log.trials) >= FEW_TRIALS:
-        return None
-    return Limit(
-        "trials",
-        f"{len(log.trials)} presses only: the interval rests on few repeats and is wide",
-        f"press at least {FEW_TRIALS} times, and repeat a press now and then",
-    )
-
-
-def _unloading(log: PressLog) -> Limit | None:
-    for force in _forces(log):
-        if len(force) > 2 and force[np.argmax(force) :].min() < 0.5 * force.max():
-            return None
-    return Limit(
-        "unloading",
-        "no press is unloaded: hysteresis and stiffening look the same",
-        "log the way back as well",
-    )
-
-
-def _hold(log: PressLog) -> Limit | None:
-    for trial in log.trials:
-        rows = log["trial"] == trial
-        force, time_s = log["force_normal_n"][rows], log["time_s"][rows]
-        held = force > 0.9 * force.max()
-        if held.any() and np.ptp(time_s[held]) >= HOLD_S:
-            return None
-    return Limit(
-        "hold",
-        f"no press is held for {HOLD_S:g} s near its peak: creep is unknown",
-        "hold some presses for several seconds",
-    )
-
-
-def _position(log: PressLog) -> Limit | None:
+def _has_places(log: PressLog) -> bool:
     known = [log[name] for name in ("x_mm", "y_mm") if name in log]
     spreads = [np.nanmax(mm) - np.nanmin(mm) for mm in known if np.isfinite(mm).any()]
-    if spreads and max(spreads) >= SMALL_SPREAD_MM:
-        return None
-    return Limit(
-        "position",
-        "positions on the gel are not known or all alike: whether k_n depends on them is unknown",
-        "press on a grid over the gel and log x_mm and y_mm",
-    )
-
-
-def _forces(log: PressLog) -> list[FloatArray]:
-    return [log["force_normal_n"][log["trial"] == trial] for trial in log.trials]
+    return bool(spreads and max(spreads) >= SMALL_SPREAD_MM)

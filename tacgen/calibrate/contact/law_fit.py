@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,13 +54,13 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Error on held-out trials; ``nrmse`` is per RMS of what was measured."""
+    """Error on held-out trials, by number too; ``nrmse`` is per RMS of what was measured."""
 
     rmse: float
     nrmse: float
     unit: str
-    by_trial: Mapping[int, float]
     folds: int
+    by_trial: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,21 +87,27 @@ class ContactFit:
     shear: ChannelFit | None
     contact_points: tuple[ContactPoint, ...]
     marker_pitch_mm: float
-    warnings: tuple[str, ...] = field(default_factory=tuple)
+    warnings: tuple[str, ...] = ()
 
     @property
     def law(self) -> ContactLaw:
         """The linear law of the pooled fits."""
-        k_s = self.shear.pooled if self.shear else None
+        estimates = {"normal": Estimate(1.0), "shear": Estimate(np.nan, np.nan, "mm/N")}
+        for one in self.channels:
+            unit = PLAIN_UNITS[one.channel][1]
+            estimates[one.channel] = Estimate(one.pooled.value, one.pooled.stderr, unit)
         return ContactLaw(
-            law="volume_linear",
-            k_n_mm3_per_n=Estimate(self.normal.pooled.value, self.normal.pooled.stderr, "mm3/N"),
-            k_s_mm_per_n=Estimate(
-                k_s.value if k_s else np.nan, k_s.stderr if k_s else np.nan, "mm/N"
-            ),
-            marker_pitch_mm=self.marker_pitch_mm,
-            provenance=MappingProxyType(_provenance(self)),
+            "volume_linear",
+            estimates["normal"],
+            estimates["shear"],
+            self.marker_pitch_mm,
+            provenance=_provenance(self),
         )
+
+    @property
+    def channels(self) -> tuple[ChannelFit, ...]:
+        """The channels that were fitted."""
+        return (self.normal,) if self.shear is None else (self.normal, self.shear)
 
 
 def fit_contact(
@@ -153,7 +158,11 @@ def fit_contact(
     normal = fit_channel(log, "normal", by)
     sheared = log.with_shear() if log.has_shear else None
     shear = None
-    if sheared is not None and len(sheared.trials) >= MIN_TRIALS and _is_sheared(sheared):
+    if (
+        sheared is not None
+        and len(sheared.trials) >= MIN_TRIALS
+        and all(np.abs(values).max() > 0 for values in channel_arrays(sheared, "shear"))
+    ):
         shear = fit_channel(sheared, "shear", by)
     fit = ContactFit(log, normal, shear, points, marker_pitch_mm)
     return replace(fit, warnings=_warnings(fit))
@@ -172,16 +181,20 @@ def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
             f"{'volume' if channel == 'normal' else 'marker motion'}"
         )
         raise PressError(msg)
-    groups = {
-        str(name): _fit_group(load[rows], response[rows], trial[rows])
-        for name in np.unique(log[by])
-        if _loaded(load[rows := log[by] == name])
-    }
+    groups = {}
+    for name in np.unique(log[by]):
+        rows = log[by] == name
+        if rows.sum() > 1 and np.abs(load[rows]).max() > 0:
+            groups[str(name)] = _fit_group(load[rows], response[rows], trial[rows])
     return ChannelFit(
-        channel, pooled, by, MappingProxyType(groups), agreement_of(groups, pooled.value),
+        channel,
+        pooled,
+        by,
+        groups,
+        agreement_of(groups, pooled.value),
         _held_out(load, response, trial, PLAIN_UNITS[channel][0]),
         _own_noise(response - pooled.value * load, trial),
-    )  # fmt: skip
+    )
 
 
 def channel_arrays(log: PressLog, channel: str) -> tuple[FloatArray, FloatArray]:
@@ -226,10 +239,6 @@ def _fit_group(load: FloatArray, response: FloatArray, trial: IntArray) -> Slope
     return replace(fit_slope(load, response, blocks), n_trials=1, outlying_trials=())
 
 
-def _loaded(load: FloatArray) -> bool:
-    return len(load) > 1 and bool(np.abs(load).max() > 0)
-
-
 def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str) -> HeldOut:
     """Every trial predicted by a fit to the other folds' trials."""
     numbers = np.unique(trial)
@@ -241,10 +250,10 @@ def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str
         k = fit_slope(load[~out], response[~out], trial[~out]).value
         error[out] = response[out] - k * load[out]
     squared = (error**2).sum(axis=1)
-    by_trial = {int(n): float(np.sqrt(squared[trial == n].mean())) for n in numbers}
+    by_trial = {str(n): float(np.sqrt(squared[trial == n].mean())) for n in numbers}
     rmse = float(np.sqrt(squared.mean()))
     size = float(np.sqrt((response**2).sum(axis=1).mean()))
-    return HeldOut(rmse, rmse / size, unit, MappingProxyType(by_trial), folds)
+    return HeldOut(rmse, rmse / size, unit, folds, by_trial)
 
 
 def _own_noise(residual: FloatArray, trial: IntArray) -> float:
@@ -257,11 +266,6 @@ def _own_noise(residual: FloatArray, trial: IntArray) -> float:
         return float("nan")
     by_component = 1.4826 * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
     return float(np.sqrt((by_component**2).sum()))
-
-
-def _is_sheared(log: PressLog) -> bool:
-    load, response = channel_arrays(log, "shear")
-    return bool(np.abs(load).max() > 0 and np.abs(response).max() > 0)
 
 
 def _grouping(log: PressLog, by: str | None) -> str:
@@ -282,9 +286,7 @@ def _grouping(log: PressLog, by: str | None) -> str:
 
 def _warnings(fit: ContactFit) -> tuple[str, ...]:
     texts = [*fit.log.warnings, *(str(trial) for trial in fit.log.dropped)]
-    for channel in (fit.normal, fit.shear):
-        if channel is None:
-            continue
+    for channel in fit.channels:
         agreement = channel.agreement
         if agreement is not None and agreement.p_value < DISAGREEMENT_P:
             texts.append(
@@ -310,7 +312,16 @@ def _warnings(fit: ContactFit) -> tuple[str, ...]:
 
 
 def _provenance(fit: ContactFit) -> dict[str, Any]:
-    channels = {c.channel: c for c in (fit.normal, fit.shear) if c is not None}
+    held_out, groups = {}, {}
+    for one in fit.channels:
+        held_out[one.channel] = asdict(one.held_out)
+        del held_out[one.channel]["by_trial"]
+        values = {
+            name: {key: group.summary()[key] for key in ("value", "stderr", "trials", "r_squared")}
+            for name, group in one.groups.items()
+        }
+        p_value = one.agreement.p_value if one.agreement else None
+        groups[one.channel] = {"by": one.by, "agree_p_value": p_value, "values": values}
     return {
         "data": {fit.log.path.name: fit.log.sha256},
         "versions": {
@@ -323,24 +334,7 @@ def _provenance(fit: ContactFit) -> dict[str, Any]:
         "left_out": [str(trial) for trial in fit.log.dropped],
         "samples": len(fit.log),
         "contact_point": "free" if fit.contact_points else "fixed",
-        "held_out_error": {
-            name: {"rmse": c.held_out.rmse, "nrmse": c.held_out.nrmse, "unit": c.held_out.unit,
-                   "folds": c.held_out.folds}
-            for name, c in channels.items()
-        },
-        "groups": {name: _group_summary(c) for name, c in channels.items()},
+        "held_out_error": held_out,
+        "groups": groups,
         "warnings": list(fit.warnings),
-    }  # fmt: skip
-
-
-def _group_summary(channel: ChannelFit) -> dict[str, Any]:
-    agreement = channel.agreement
-    return {
-        "by": channel.by,
-        "agree_p_value": agreement.p_value if agreement else None,
-        "values": {
-            name: {"value": fit.value, "stderr": fit.stderr, "trials": fit.n_trials,
-                   "r_squared": fit.r_squared}
-            for name, fit in channel.groups.items()
-        },
-    }  # fmt: skip
+    }

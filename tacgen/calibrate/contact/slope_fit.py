@@ -13,6 +13,7 @@ are correlated. Three things make the interval honest:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import sqrtm
@@ -79,6 +80,19 @@ class SlopeFit:
         half = NORMAL_975 * self.stderr
         return self.value - half, self.value + half
 
+    def summary(self) -> dict[str, Any]:
+        """What ``--json`` prints of it; None where there is no error."""
+        known = np.isfinite(self.stderr)
+        return {
+            "value": self.value,
+            "stderr": self.stderr if known else None,
+            "interval": list(self.interval) if known else None,
+            "r_squared": self.r_squared,
+            "trials": self.n_trials,
+            "samples": self.n_samples,
+            "outliers": self.outliers,
+        }
+
 
 def fit_slope(
     load: FloatArray, response: FloatArray, trial: IntArray, *, free_offset: bool = False
@@ -102,7 +116,7 @@ def fit_slope(
     ------
     CR2 and its degrees of freedom: Bell & McCaffrey 2002; Pustejovsky & Tipton 2018.
     """
-    load, response = _columns(load), _columns(response)
+    load, response = (np.asarray(v, np.float64).reshape(len(trial), -1) for v in (load, response))
     _, cluster = np.unique(trial, return_inverse=True)
     n_trials = int(cluster.max()) + 1
     design = _design(load, free_offset)
@@ -137,11 +151,6 @@ def fit_slope(
     )
 
 
-def _columns(values: FloatArray) -> FloatArray:
-    values = np.asarray(values, dtype=np.float64)
-    return values[:, None] if values.ndim == 1 else values
-
-
 def _design(load: FloatArray, free_offset: bool) -> FloatArray:
     """(N·c, p): the load, then one indicator a component where the offset is free."""
     n_samples, n_components = load.shape
@@ -156,15 +165,12 @@ def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
     Where there are no neighbours, or they say little (a force that jumps at random), the load
     itself: its noise then cannot be told from the load.
     """
-    edges = np.flatnonzero(np.diff(trial)) + 1
-    start = np.repeat(np.r_[0, edges], np.diff(np.r_[0, edges, len(trial)]))
-    stop = np.repeat(np.r_[edges, len(trial)], np.diff(np.r_[0, edges, len(trial)]))
-    index = np.arange(len(trial))
-    lag = np.where(stop - start >= 20, 2, 1)
+    bounds = np.r_[0, np.flatnonzero(np.diff(trial)) + 1, len(trial)]
+    length = np.repeat(np.diff(bounds), np.diff(bounds))
+    start, index = np.repeat(bounds[:-1], np.diff(bounds)), np.arange(len(trial))
+    lag = np.select([length >= 20, length >= 3], [2, 1], 0)
     before = np.where(index - lag >= start, index - lag, index + lag)
-    after = np.where(index + lag < stop, index + lag, index - lag)
-    usable = (stop - start) >= 3
-    before, after = np.where(usable, before, index), np.where(usable, after, index)
+    after = np.where(index + lag < start + length, index + lag, index - lag)
     neighbours = 0.5 * (load[before] + load[after])
     relevant = (neighbours * load).sum() > MIN_RELEVANCE * (load**2).sum()
     return neighbours if relevant else load
@@ -186,7 +192,7 @@ def _solve_robustly(
     for iteration in range(MAX_ITERATIONS):
         residual = y - _predicted(design, beta)
         if iteration < SCALE_ITERATIONS:
-            scale = _robust_scale(residual[loaded])
+            scale = float(1.4826 * np.median(np.abs(residual[loaded])))
         weighted = instruments * _tukey(residual, scale * widening)[0][:, None]
         updated = np.linalg.solve(_gram(weighted, design), _gram(weighted, y[:, None])[:, 0])
         done = np.abs(updated - beta).max() <= TOLERANCE * np.abs(updated).max()
@@ -222,10 +228,6 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     return float(values[order][np.searchsorted(cumulated, 0.5 * cumulated[-1])])
 
 
-def _robust_scale(residual: FloatArray) -> float:
-    return float(1.4826 * np.median(np.abs(residual)))
-
-
 def _tukey(residual: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
     """Bisquare weights, and the derivative of the weighted residual."""
     if scale <= 0.0:
@@ -257,14 +259,9 @@ def _clustered_error(
             bread_by_group[:, i, j] = np.bincount(groups, outer[:, i, j], n_groups)
     bread = bread_by_group.sum(axis=0)
     inverse = np.linalg.inv(bread)
-    adjusted = np.stack(
-        [
-            _leverage_root(np.eye(width) - part @ inverse) @ one
-            for part, one in zip(bread_by_group, score, strict=True)
-        ]
-    )
-    effect = adjusted @ inverse.T
-    variance = float((effect[:, 0] ** 2).sum())
+    roots = [_leverage_root(np.eye(width) - part @ inverse) for part in bread_by_group]
+    adjusted = np.stack([root @ one for root, one in zip(roots, score, strict=True)])
+    variance = float(((adjusted @ inverse.T)[:, 0] ** 2).sum())
     dof = _degrees_of_freedom(instruments[:, 0], influence, groups, n_groups, score[:, 0])
     factor = float(stdtrit(dof, 0.975)) / NORMAL_975
     return float(np.sqrt(variance) * factor), dof

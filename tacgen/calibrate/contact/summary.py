@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from tacgen.calibrate.contact.depth_curves import RADII_MM, BallFit, DepthReport
+from tacgen.calibrate.contact.depth_curves import RADII_MM, DepthReport
 from tacgen.calibrate.contact.identifiability import limits_of
 from tacgen.calibrate.contact.law_fit import PLAIN_UNITS, ChannelFit, ContactFit
-from tacgen.calibrate.contact.slope_fit import SlopeFit
 from tacgen.report.formatting import interval, number, p_value, percent, unit_text, with_error
 
 SYMBOLS = {"normal": "k_n", "shear": "k_s"}
@@ -25,18 +23,14 @@ SYSTEMATIC_CORRELATION = 0.5
 
 def summary_dict(fit: ContactFit) -> dict[str, Any]:
     """The result as plain data: what ``--json`` prints and the page shows."""
-    channels = {c.channel: _channel_dict(c) for c in (fit.normal, fit.shear) if c is not None}
     limits = limits_of(fit.log)
     return {
-        "channels": channels,
-        "contact_points": [
-            {"trial": p.trial, "depth_mm": p.depth_mm, "force_n": p.force_n}
-            for p in fit.contact_points
-        ],
+        "channels": {channel.channel: _channel_dict(channel) for channel in fit.channels},
+        "contact_points": [asdict(point) for point in fit.contact_points],
         "trials": {"fit": len(fit.log.trials), "left_out": len(fit.log.dropped)},
         "left_out": [
-            {"trial": t.trial, "rows": list(t.rows), "reason": t.reason, "fix": t.fix}
-            for t in fit.log.dropped
+            {key: getattr(trial, key) for key in ("trial", "rows", "reason", "fix")}
+            for trial in fit.log.dropped
         ],
         "warnings": list(fit.warnings),
         "cannot_tell": [limit.cannot_tell for limit in limits],
@@ -45,34 +39,14 @@ def summary_dict(fit: ContactFit) -> dict[str, Any]:
 
 
 def _channel_dict(channel: ChannelFit) -> dict[str, Any]:
-    agreement, held = channel.agreement, channel.held_out
+    agreement = channel.agreement
     return {
-        SYMBOLS[channel.channel]: _slope_dict(channel.pooled),
+        SYMBOLS[channel.channel]: channel.pooled.summary(),
         "unit": PLAIN_UNITS[channel.channel][1],
         "by": channel.by,
-        "groups": {name: _slope_dict(group) for name, group in channel.groups.items()},
-        "agreement": None
-        if agreement is None
-        else {"p_value": agreement.p_value, "spread": agreement.spread},
-        "held_out": {
-            "rmse": held.rmse,
-            "nrmse": held.nrmse,
-            "unit": held.unit,
-            "folds": held.folds,
-            "by_trial": {str(k): v for k, v in held.by_trial.items()},
-        },
-    }
-
-
-def _slope_dict(fit: SlopeFit) -> dict[str, Any]:
-    return {
-        "value": fit.value,
-        "stderr": fit.stderr if np.isfinite(fit.stderr) else None,
-        "interval": list(fit.interval) if np.isfinite(fit.stderr) else None,
-        "r_squared": fit.r_squared,
-        "trials": fit.n_trials,
-        "samples": fit.n_samples,
-        "outliers": fit.outliers,
+        "groups": {name: group.summary() for name, group in channel.groups.items()},
+        "agreement": agreement and {"p_value": agreement.p_value, "spread": agreement.spread},
+        "held_out": asdict(channel.held_out),
     }
 
 
@@ -120,37 +94,8 @@ def agreement_text(name: str, channel: Mapping[str, Any]) -> str:
     )
 
 
-def depth_dict(report: DepthReport) -> dict[str, Any]:
-    """The result as plain data."""
-    return {
-        "curves": {fit.name: _curve_dict(fit, report) for fit in report.curves},
-        "shared_k_n": report.shared_k_n_mm3_per_n,
-        "one_k_n_will_do": report.one_k_n_will_do,
-        "p_value": report.p_value,
-    }
-
-
-def _curve_dict(fit: BallFit, report: DepthReport) -> dict[str, Any]:
-    return {
-        "radius_mm": fit.radius_mm,
-        "radius_interval_mm": list(fit.radius_interval_mm),
-        "k_n": fit.k_n_mm3_per_n,
-        "k_interval": list(fit.k_interval),
-        "contact_point_mm": fit.contact_point_mm,
-        "r_squared": fit.r_squared,
-        "rmse_n": fit.rmse_n,
-        "log_log_exponent": fit.exponent,
-        "residual_correlation": fit.waviness,
-        "samples": fit.n_samples,
-        "with_shared_k_n": {
-            "radius_mm": report.shared_radius_mm[fit.name],
-            "rmse_n": report.shared_rmse_n[fit.name],
-        },
-    }
-
-
 def depth_text(result: Mapping[str, Any]) -> str:
-    """The result of ``depth_dict`` in a few lines for a terminal; the last is the verdict."""
+    """The content of a ``DepthReport`` in a few lines for a terminal; the last is the verdict."""
     lines = []
     several = len(result["curves"]) > 1
     for name, fit in result["curves"].items():
@@ -184,14 +129,14 @@ def depth_warnings(path: Path, report: DepthReport) -> tuple[str, ...]:
         "k_n, and a radius and k_n that grow together fit almost as well; measure the ball or "
         "log volume_mm3"
     ]
-    for fit in report.curves:
+    for name, fit in report.curves.items():
         if fit.radius_interval_mm[1] >= 0.99 * RADII_MM[1]:
-            texts.append(f"{path}: curve {fit.name}: the radius has no upper bound")
-        if fit.waviness > SYSTEMATIC_CORRELATION:
+            texts.append(f"{path}: curve {name}: the radius has no upper bound")
+        if fit.residual_correlation > SYSTEMATIC_CORRELATION:
             texts.append(
-                f"{path}: curve {fit.name}: neighbouring residuals correlate by "
-                f"{fit.waviness:.2f}, so the residual is not noise: this was not exactly a ball "
-                "on a linear gel, and the intervals are too narrow"
+                f"{path}: curve {name}: neighbouring residuals correlate by "
+                f"{fit.residual_correlation:.2f}, so the residual is not noise: this was not "
+                "exactly a ball on a linear gel, and the intervals are too narrow"
             )
     if not report.one_k_n_will_do:
         texts.append(

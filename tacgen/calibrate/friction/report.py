@@ -13,9 +13,8 @@ from tacgen.calibrate.friction.fit import FrictionFit
 from tacgen.calibrate.friction.sweep import Key, friction_json
 from tacgen.collection.perturbed import Outcome
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
-from tacgen.report import Section, figure_section, table_section, text_section, write_page
 from tacgen.report import figures as plots
-from tacgen.report.formatting import interval
+from tacgen.report import write_page
 
 FEW_GRASPS = 10
 """Below so many labels a bootstrap's interval is short by chance."""
@@ -28,33 +27,21 @@ def write_friction_report(
     fits: Mapping[str, FrictionFit],
     warnings: Sequence[str] = (),
 ) -> None:
-    """Write the HTML page: a section of pictures for each object, then the numbers."""
+    """Write the HTML page: pictures of each object, then the numbers."""
     result = friction_json(fits)
-    sections: list[Section] = [
-        figure_section(
-            name,
-            _object_figure(grasps, outcomes, result[name]),
-            "Left: mislabels over μ; the line is the chosen μ, the band its 95 % interval. Middle "
-            f"and right: real outcomes, and simulated ones at the nearest μ. {plots.OUTCOME_NOTE}",
-        )
-        for name, grasps in real.by_object().items()
-    ]
-    rows = [
-        (name, fit["mu"], interval(fit["interval"]), _fewest_mislabels(fit), fit["n_grasps"])
-        for name, fit in result.items()
-    ]
-    sections.append(
-        table_section(
-            "Friction by object",
-            ("object", "μ", "95 % interval", "mislabels", "real grasps"),
-            rows,
-            "The interval is a bootstrap over grasps; where all labels are equal it is one-sided.",
-        )
+    write_page(
+        path,
+        "Friction from real grasps",
+        summary=" ".join(verdict_of(name, fit) for name, fit in result.items()),
+        template="friction.html",
+        result=result,
+        figures={
+            name: _object_figure(grasps, outcomes, result[name])
+            for name, grasps in real.by_object().items()
+        },
+        outcome_note=plots.OUTCOME_NOTE,
+        warnings=warnings,
     )
-    if warnings:
-        sections.append(text_section("Warnings about the data", *warnings))
-    summary = " ".join(verdict_of(name, fit) for name, fit in result.items())
-    write_page(path, "Friction from real grasps", sections, summary=summary)
 
 
 def verdict_of(name: str, fit: Mapping[str, Any]) -> str:
@@ -64,15 +51,12 @@ def verdict_of(name: str, fit: Mapping[str, Any]) -> str:
         return f"{name}: every real grasp succeeded, so μ is at least about {low:.2f}."
     if fit["bounded"] == "above":
         return f"{name}: every real grasp failed, so μ is at most about {high:.2f}."
+    fewest = min(count for _, count in fit["mislabels"])
     few = " With so few grasps the interval is a rough one." if fit["n_grasps"] < FEW_GRASPS else ""
     return (
         f"{name}: μ = {fit['mu']:.3g} ({low:.3g} to {high:.3g}), "
-        f"{_fewest_mislabels(fit)} of {fit['n_grasps']} grasps mislabelled.{few}"
+        f"{fewest} of {fit['n_grasps']} grasps mislabelled.{few}"
     )
-
-
-def _fewest_mislabels(fit: Mapping[str, Any]) -> int:
-    return min(count for _, count in fit["mislabels"])
 
 
 def _object_figure(

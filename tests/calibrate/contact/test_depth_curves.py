@@ -27,9 +27,9 @@ def curve(name, radius_mm, k_n, deepest_mm, *, late_mm=0.0, seed=0):
 @pytest.mark.slow
 def test_the_ball_and_k_n_are_found_where_the_curve_bends():
     """Deep enough that the cap is no parabola: radius and k_n part."""
-    found = explain_curves((curve("a", 2.0, 4.0, 2.5, late_mm=0.1),)).curves[0]
+    found = explain_curves((curve("a", 2.0, 4.0, 2.5, late_mm=0.1),)).curves["a"]
     assert found.radius_mm == pytest.approx(2.0, rel=0.05)
-    assert found.k_n_mm3_per_n == pytest.approx(4.0, rel=0.05)
+    assert found.k_n == pytest.approx(4.0, rel=0.05)
     assert found.contact_point_mm == pytest.approx(-0.1, abs=0.02)
     assert found.r_squared > 0.999
 
@@ -37,16 +37,16 @@ def test_the_ball_and_k_n_are_found_where_the_curve_bends():
 @pytest.mark.slow
 def test_a_shallow_curve_says_that_it_cannot_tell_the_radius():
     """V ≈ π R d² for d ≪ R: only R / k_n is known, and the interval is open above."""
-    found = explain_curves((curve("a", 5.0, 4.0, 0.3),)).curves[0]
+    found = explain_curves((curve("a", 5.0, 4.0, 0.3),)).curves["a"]
     assert found.radius_interval_mm[1] > 99.0
-    assert found.radius_mm / found.k_n_mm3_per_n == pytest.approx(5.0 / 4.0, rel=0.1)
+    assert found.radius_mm / found.k_n == pytest.approx(5.0 / 4.0, rel=0.1)
 
 
 @pytest.mark.slow
 def test_one_k_n_or_not():
     same = explain_curves((curve("a", 2.0, 4.0, 2.5), curve("b", 4.0, 4.0, 3.0, seed=1)))
     assert same.one_k_n_will_do
-    assert same.shared_k_n_mm3_per_n == pytest.approx(4.0, rel=0.05)
+    assert same.shared_k_n == pytest.approx(4.0, rel=0.05)
     other = explain_curves((curve("a", 2.0, 4.0, 2.5), curve("b", 4.0, 8.0, 3.0, seed=1)))
     assert not other.one_k_n_will_do
 
@@ -57,15 +57,15 @@ def test_what_is_no_ball_is_said():
     made = curve("a", 2.0, 4.0, 2.5)
     cone = DepthCurve("cone", made.depth_mm, made.depth_mm**3)
     found = explain_curves((cone,))
-    assert found.curves[0].waviness > 0.5
+    assert found.curves["cone"].residual_correlation > 0.5
     assert any("the residual is not noise" in text for text in depth_warnings(Path("c.csv"), found))
-    assert abs(explain_curves((made,)).curves[0].waviness) < 0.5
+    assert abs(explain_curves((made,)).curves["a"].residual_correlation) < 0.5
 
 
 def test_a_known_radius_is_kept():
-    found = explain_curves((curve("a", 5.0, 4.0, 0.3),), radius_mm=5.0).curves[0]
+    found = explain_curves((curve("a", 5.0, 4.0, 0.3),), radius_mm=5.0).curves["a"]
     assert found.radius_mm == pytest.approx(5.0)
-    assert found.k_n_mm3_per_n == pytest.approx(4.0, rel=0.03)
+    assert found.k_n == pytest.approx(4.0, rel=0.03)
 
 
 def test_what_is_wrong_with_a_file_is_said(tmp_path):

@@ -127,7 +127,7 @@ def test_held_out_trials_had_no_part(tmp_path):
     frame.loc[odd, "volume_mm3"] *= 2.0
     held = fit_contact(read_press_log(write(frame, tmp_path))).normal.held_out
     force = frame.loc[odd, "force_normal_n"]
-    assert held.by_trial[5] == pytest.approx(K_N * np.sqrt((force**2).mean()), rel=0.03)
+    assert held.by_trial[str(5)] == pytest.approx(K_N * np.sqrt((force**2).mean()), rel=0.03)
 
 
 def test_too_few_presses(tmp_path):

@@ -1,4 +1,7 @@
-"""What may be wrong with a simulated grasp: one module a hypothesis, one registry."""
+"""What may be wrong with a simulated grasp: the hypotheses and their registry."""
+
+from importlib import import_module
+from pkgutil import iter_modules
 
 from tacgen.diagnose.grasps.hypotheses.registry import (
     Candidate,
@@ -7,13 +10,13 @@ from tacgen.diagnose.grasps.hypotheses.registry import (
     Prediction,
     advice,
     candidates_for,
-    load_hypotheses,
     register,
     registered,
     unregister,
 )
 
-load_hypotheses(__name__, __path__)
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")
 
 __all__ = [
     "Candidate",

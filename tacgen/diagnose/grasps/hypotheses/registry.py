@@ -1,13 +1,11 @@
 """The one registry of hypotheses: what may be wrong with a simulated grasp, and how it acts.
 
-Adding a hypothesis is adding a module to this folder that registers it, and its test.
+Every module of this folder is imported, and those of hypotheses register them (``known``).
 """
 
 from __future__ import annotations
 
-import importlib
 import math
-import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
@@ -201,9 +199,3 @@ def advice(name: str, other: str) -> str:
     """What separates two hypotheses for certain."""
     known = _REGISTRY[name].separated_by.get(other) or _REGISTRY[other].separated_by.get(name)
     return f"{name} or {other}: {known or 'grasps in which the two predict different outcomes'}"
-
-
-def load_hypotheses(package: str, path: Sequence[str]) -> None:
-    """Import every module of this folder, so that each registers its hypothesis."""
-    for module in pkgutil.iter_modules(path):
-        importlib.import_module(f"{package}.{module.name}")
