@@ -13,17 +13,6 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     return load @ (stretch @ turn).T
 
 
-def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    return (
-        base.variant("along the axes", [{"along_x": 0.05}]),
-        base.variant("along any direction", [{"along_x": 0.05}, {"diagonal": 0.05}]),
-        base.variant("turned", [{"rotation_rad": 0.02}]),
-        base.variant(
-            "turned, any direction", [{"along_x": 0.05}, {"diagonal": 0.05}, {"rotation_rad": 0.02}]
-        ),
-    )
-
-
 base.register(
     base.Effect(
         name="anisotropy",
@@ -36,7 +25,15 @@ base.register(
             base.amount("rotation_rad", -np.pi, np.pi, "rad"),
         ),
         apply=_apply,
-        variants=_variants,
+        variants=lambda history, references: (
+            base.variant("along the axes", [{"along_x": 0.05}]),
+            base.variant("along any direction", [{"along_x": 0.05}, {"diagonal": 0.05}]),
+            base.variant("turned", [{"rotation_rad": 0.02}]),
+            base.variant(
+                "turned, any direction",
+                [{"along_x": 0.05}, {"diagonal": 0.05}, {"rotation_rad": 0.02}],
+            ),
+        ),
         shown_against="shear_direction",
     )
 )

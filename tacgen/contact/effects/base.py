@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -84,7 +83,7 @@ class Variant:
     label: str
     probes: tuple[Parameters, ...]
     free: tuple[str, ...]
-    shapes: Parameters = field(default_factory=lambda: MappingProxyType({}))
+    shapes: Parameters = field(default_factory=dict)
     scales: bool = True
 
 
@@ -123,16 +122,6 @@ class Tie:
     history: LoadHistory
     max_lead_in_se: float
     forms: Callable[[str], Sequence[FittedForm]]
-
-
-def always(history: LoadHistory) -> bool:
-    """For effects that any log can show."""
-    return True
-
-
-def no_references(history: LoadHistory) -> dict[str, float]:
-    """For effects that have no reference values."""
-    return {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,18 +164,16 @@ class Effect:
     parameters: tuple[Parameter, ...]
     apply: Callable[[FloatArray, LoadHistory, Parameters], FloatArray]
     variants: Callable[[LoadHistory, Parameters], tuple[Variant, ...]]
-    references: Callable[[LoadHistory], dict[str, float]] = no_references
+    references: Callable[[LoadHistory], dict[str, float]] = lambda history: {}
     needs: tuple[str, ...] = ()
     kind: Kind = "load"
     needs_session_clock: bool = False
     in_simulation: bool = True
     per_indenter: bool = False
-    is_identifiable: Callable[[LoadHistory], bool] = always
+    is_identifiable: Callable[[LoadHistory], bool] = lambda history: True
     shown_against: str = "load"
-    separated_by: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    tie_breaks: Mapping[str, Callable[[Tie], FittedForm]] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
+    separated_by: Mapping[str, str] = field(default_factory=dict)
+    tie_breaks: Mapping[str, Callable[[Tie], FittedForm]] = field(default_factory=dict)
 
     def parameter(self, name: str) -> Parameter | None:
         """Its parameter called ``name``, or None."""
@@ -248,8 +235,8 @@ def find_effect(channel: str, name: str) -> Effect:
     ContactError
         If there is none; the message lists those there are.
     """
-    for (registered, known), effect in _REGISTRY.items():
-        if (registered, known) == (channel, name):
+    for effect in _REGISTRY.values():
+        if (effect.channel, effect.name) == (channel, name):
             return effect
     if channel not in CHANNELS:
         msg = f"channel {channel!r} is unknown; there are {', '.join(CHANNELS)}"
@@ -307,14 +294,19 @@ def variant(
     probes: Sequence[Parameters],
     shapes: Parameters | None = None,
     *,
-    fit_shapes: bool = True,
+    fitted: Sequence[str] | None = None,
     scales: bool = True,
 ) -> Variant:
-    """A ``Variant`` that frees every probed amount and, by default, the shapes."""
-    shapes = dict(shapes or {})
+    """A ``Variant`` that frees every probed amount and the ``fitted`` shapes, by default all."""
+    shapes = shapes or {}
     amounts = [name for probe in probes for name in probe]
-    free = tuple(dict.fromkeys([*amounts, *(shapes if fit_shapes else ())]))
+    free = tuple(dict.fromkeys([*amounts, *(shapes if fitted is None else fitted)]))
     return Variant(label, tuple(probes), free, shapes, scales)
+
+
+def share_of(reference: str, low: float, high: float) -> Bounds:
+    """Bounds that are shares of one of the effect's reference values."""
+    return lambda history, p: (low * p[reference], high * p[reference])
 
 
 def lead_in_se(losses: FloatArray, other_losses: FloatArray) -> float:

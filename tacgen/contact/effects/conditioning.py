@@ -23,36 +23,24 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     return base.with_gain(load, p["amount"] * faded)
 
 
-def _references(history: base.LoadHistory) -> dict[str, float]:
-    return {"first_trial": float(history.trial.min()) if history.n_samples else 0.0}
-
-
 def _trials_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
     """What goes on for more than a fifth of the session is a drift."""
     return 0.0, max(5.0, 0.22 * history.session_trials)
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    single = [
-        base.variant(f"over {trials:g} trials", [{"amount": 0.05}], {"trials": trials})
-        for trials in (1.0, 2.5, 5.0)
+    forms: list[tuple[str, dict[str, float], tuple[str, ...]]] = [
+        *((f"over {n:g} trials", {"trials": n}, ("trials",)) for n in (1.0, 2.5, 5.0)),
+        *(
+            (f"over {n:g} trials, with a tail", {"trials": n, "tail": 1.0}, ("trials", "tail"))
+            for n in (0.5, 1.5)
+        ),
+        ("a plateau of 4 trials", {"trials": 4.0, "power": 2.5}, ("trials",)),
     ]
-    tailed = [
-        base.Variant(
-            f"over {trials:g} trials, with a tail",
-            ({"amount": 0.05},),
-            ("amount", "trials", "tail"),
-            {"trials": trials, "tail": 1.0},
-        )
-        for trials in (0.5, 1.5)
-    ]
-    plateau = base.Variant(
-        "a plateau of 4 trials",
-        ({"amount": 0.05},),
-        ("amount", "trials"),
-        {"trials": 4.0, "power": 2.5},
+    return tuple(
+        base.variant(label, [{"amount": 0.05}], shapes, fitted=fitted)
+        for label, shapes, fitted in forms
     )
-    return (*single, *tailed, plateau)
 
 
 base.register(
@@ -69,7 +57,9 @@ base.register(
             base.reference("first_trial", "trial", 0.0),
         ),
         apply=_apply,
-        references=_references,
+        references=lambda history: {
+            "first_trial": float(history.trial.min()) if history.n_samples else 0.0
+        },
         variants=_variants,
         kind="between trials",
         is_identifiable=lambda history: history.n_trials >= MIN_TRIALS,

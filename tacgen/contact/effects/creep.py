@@ -46,31 +46,27 @@ def _tau_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, f
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     duration = max(history.trial_duration_s, 4 * history.sample_period_s)
-    taus = [share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5)]
+    recoveries = (("recovering", 1.0), ("with the load", 0.0))
     single = [
         base.variant(
             f"{kind}, tau {tau:.3g} s",
             [{"amount": 0.05}],
             {"tau_s": tau, "recovery": recovery},
-            fit_shapes=False,
+            fitted=("tau_s",),
         )
-        for tau in taus
-        for kind, recovery in (("recovering", 1.0), ("with the load", 0.0))
+        for tau in (share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5))
+        for kind, recovery in recoveries
     ]
     double = [
         base.variant(
             f"two terms, {kind}",
             [{"amount": 0.05}, {"amount_2": 0.05}],
             {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration, "recovery": recovery},
-            fit_shapes=False,
+            fitted=("tau_s", "tau_2_s"),
         )
-        for kind, recovery in (("recovering", 1.0), ("with the load", 0.0))
+        for kind, recovery in recoveries
     ]
-    fitted = [base.Variant(v.label, v.probes, ("amount", "tau_s"), v.shapes) for v in single]
-    return (
-        *fitted,
-        *(base.Variant(v.label, v.probes, (*v.free, "tau_s", "tau_2_s"), v.shapes) for v in double),
-    )
+    return (*single, *double)
 
 
 for _channel in base.CHANNELS:

@@ -29,13 +29,9 @@ def _references(history: base.LoadHistory) -> dict[str, float]:
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    linear, quadratic, cubic = {"linear": 0.05}, {"quadratic": 0.05}, {"cubic": 0.05}
-    return (
-        base.variant("linear", [linear]),
-        base.variant("quadratic", [linear, quadratic]),
-        base.variant("cubic", [linear, quadratic, cubic]),
-        base.variant("zero, linear", [{"offset_n": 0.01 * history.normal_span_n}]),
-    )
+    powers = [{name: 0.05} for name in ("linear", "quadratic", "cubic")]
+    gains = [base.variant(next(iter(powers[k])), powers[: k + 1]) for k in range(3)]
+    return (*gains, base.variant("zero, linear", [{"offset_n": 0.01 * history.normal_span_n}]))
 
 
 def _or_conditioning(tie: base.Tie) -> base.FittedForm:

@@ -13,18 +13,15 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     radius = _radius(history)
     bend = np.nan_to_num(base.power_shape(radius / p["reference_mm"], p["exponent"]), nan=0.0)
     relative = p["amount"] * bend + p["curvature"] * bend**2
-    gains = {name[5:]: value for name, value in p.items() if name.startswith("gain_")}
-    if gains and history.has("indenter"):
-        indenter = history.text("indenter")
-        for name, value in gains.items():
-            relative = np.where(indenter == name, value, relative)
+    for name, value in p.items():
+        if name.startswith("gain_") and history.has("indenter"):
+            relative = np.where(history.text("indenter") == name[5:], value, relative)
     return base.with_gain(load, relative)
 
 
 def _radius(history: base.LoadHistory) -> base.FloatArray:
-    if history.has("radius_mm"):
-        return history.column("radius_mm")
-    return np.full(history.n_samples, np.nan)
+    known = history.has("radius_mm")
+    return history.column("radius_mm") if known else np.full(history.n_samples, np.nan)
 
 
 def _references(history: base.LoadHistory) -> dict[str, float]:
@@ -35,38 +32,21 @@ def _references(history: base.LoadHistory) -> dict[str, float]:
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     radius = _radius(history)
-    sizes = np.unique(radius[np.isfinite(radius)])
-    variants: list[base.Variant] = []
-    own = [{f"gain_{name}": 0.05} for name in _indenters_without_radius(history, radius)]
-    if own and not sizes.size:
-        own = own[1:]
-    if sizes.size >= 2:
-        variants += [
-            base.variant(
-                f"power {e:g}", [{"amount": 0.05}, *own], {"exponent": e}, fit_shapes=False
-            )
-            for e in (-1.0, 0.0, 1.0)
-        ]
-    if sizes.size >= 3:
-        variants.append(
-            base.variant(
-                "curved",
-                [{"amount": 0.05}, {"curvature": 0.05}, *own],
-                {"exponent": 0.0},
-                fit_shapes=False,
-            )
-        )
-    if own and sizes.size < 2:
-        variants.append(base.variant("by indenter", own))
-    return tuple(variants)
-
-
-def _indenters_without_radius(
-    history: base.LoadHistory, radius: base.FloatArray
-) -> tuple[str, ...]:
-    if not history.has("indenter"):
-        return ()
-    return tuple(np.unique(history.text("indenter")[~np.isfinite(radius)]))
+    sizes = np.unique(radius[np.isfinite(radius)]).size
+    own: list[dict[str, float]] = []
+    if history.has("indenter"):
+        names = np.unique(history.text("indenter")[~np.isfinite(radius)])
+        own = [{f"gain_{name}": 0.05} for name in names]
+    if sizes < 2:
+        own = own if sizes else own[1:]
+        return (base.variant("by indenter", own),) if own else ()
+    amount = {"amount": 0.05}
+    forms = [(f"power {e:g}", [amount, *own], e) for e in (-1.0, 0.0, 1.0)]
+    if sizes >= 3:
+        forms.append(("curved", [amount, {"curvature": 0.05}, *own], 0.0))
+    return tuple(
+        base.variant(name, probes, {"exponent": e}, fitted=()) for name, probes, e in forms
+    )
 
 
 base.register(

@@ -38,13 +38,13 @@ def _apply(
         result = result + p["jump"] * back
     for axis in range(load.shape[1]):
         values = np.ascontiguousarray(load[:, axis])
-        if p["play"] != 0.0:
-            lagging = kernels.play(values, history.starts, p["width_n"])
-            result[:, axis] += p["play"] * (values - lagging)
-        if p["spread"] != 0.0:
-            for share in SPREAD:
+        for share, size in (
+            (1.0, p["play"]),
+            *((one, p["spread"] / len(SPREAD)) for one in SPREAD),
+        ):
+            if size != 0.0:
                 lagging = kernels.play(values, history.starts, share * p["width_n"])
-                result[:, axis] += p["spread"] / len(SPREAD) * (values - lagging)
+                result[:, axis] += size * (values - lagging)
         if p["friction"] != 0.0:
             smooth = kernels.moving_mean(values, history.starts, 2)
             rubbing = kernels.dahl(smooth, history.starts, p["width_n"])
@@ -59,48 +59,23 @@ def _below(load: base.FloatArray, peak: base.FloatArray) -> base.FloatArray:
     return np.clip(gap / 0.05, 0.0, 1.0)
 
 
-def _references(history: base.LoadHistory, channel: base.Channel) -> dict[str, float]:
-    return {"span_n": history.span_n(channel)}
-
-
-def _unloads(history: base.LoadHistory, channel: base.Channel) -> bool:
-    return bool(history.reversal(channel)[1].mean() > MIN_UNLOADING_SHARE)
-
-
-def _width_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
-    return 0.01 * p["span_n"], 1.2 * p["span_n"]
-
-
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    span_n = references["span_n"]
-    plays = [
-        base.variant(
-            f"play of {share:g} of the load", [{"play": 0.05}], {"width_n": share * span_n}
-        )
-        for share in (0.05, 0.2)
-    ]
-    plays += [
-        base.variant(
-            f"plays up to {share:g} of the load", [{"spread": 0.05}], {"width_n": share * span_n}
-        )
-        for share in (0.3, 0.6, 1.0)
-    ]
-    frictions = [
-        base.variant(
-            f"friction over {share:g} of the load",
-            [{"friction": 0.05}],
-            {"width_n": share * span_n},
-        )
-        for share in (0.04, 0.1, 0.25)
-    ]
+    widths = {
+        ("play", "play of {:g} of the load"): (0.05, 0.2),
+        ("spread", "plays up to {:g} of the load"): (0.3, 0.6, 1.0),
+        ("friction", "friction over {:g} of the load"): (0.04, 0.1, 0.25),
+    }
     return (
         base.variant("residual", [{"residual": 0.05}]),
         base.variant("loop", [{"loop": 0.05}]),
         base.variant("jump", [{"jump": 0.05}]),
         base.variant("residual and loop", [{"residual": 0.05}, {"loop": 0.05}]),
         base.variant("loop and jump", [{"loop": 0.05}, {"jump": 0.05}]),
-        *plays,
-        *frictions,
+        *(
+            base.variant(label.format(one), [{name: 0.05}], {"width_n": one * references["span_n"]})
+            for (name, label), shares in widths.items()
+            for one in shares
+        ),
     )
 
 
@@ -118,13 +93,15 @@ for _channel in base.CHANNELS:
                 base.amount("play", -3.0, 3.0),
                 base.amount("spread", -3.0, 3.0),
                 base.amount("friction", -3.0, 3.0),
-                base.shape("width_n", 1e-4, 1e3, 1.0, "N", _width_bounds),
+                base.shape("width_n", 1e-4, 1e3, 1.0, "N", base.share_of("span_n", 0.01, 1.2)),
                 base.reference("span_n", "N"),
             ),
             apply=partial(_apply, channel=_channel),
-            references=partial(_references, channel=_channel),
+            references=lambda history, channel=_channel: {"span_n": history.span_n(channel)},
             variants=_variants,
             kind="memory",
-            is_identifiable=partial(_unloads, channel=_channel),
+            is_identifiable=lambda history, channel=_channel: bool(
+                history.reversal(channel)[1].mean() > MIN_UNLOADING_SHARE
+            ),
         )
     )

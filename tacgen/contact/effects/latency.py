@@ -21,15 +21,6 @@ def _bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float
     return -reach_s, reach_s
 
 
-def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    period = history.sample_period_s
-    return (
-        base.variant("lead or delay", [{"delay_s": period}]),
-        base.variant("first-order lag", [{"lag_s": period}]),
-        base.variant("delay and lag", [{"delay_s": period}, {"lag_s": period}]),
-    )
-
-
 base.register(
     base.Effect(
         name="latency",
@@ -41,7 +32,14 @@ base.register(
             base.amount("lag_s", 0.0, 2.0, "s", bounds=_bounds),
         ),
         apply=_apply,
-        variants=_variants,
+        variants=lambda history, references: (
+            base.variant("lead or delay", [{"delay_s": history.sample_period_s}]),
+            base.variant("first-order lag", [{"lag_s": history.sample_period_s}]),
+            base.variant(
+                "delay and lag",
+                [{"delay_s": history.sample_period_s}, {"lag_s": history.sample_period_s}],
+            ),
+        ),
         kind="memory",
         in_simulation=False,
         shown_against="load_rate",

@@ -16,17 +16,6 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     return base.with_gain(load, p["amount"] * base.power_shape(ratio, p["exponent"]))
 
 
-def _references(history: base.LoadHistory) -> dict[str, float]:
-    return {"reference_n": history.normal_span_n}
-
-
-def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    return tuple(
-        base.variant(f"power {exponent:g}", [{"amount": 0.05}], {"exponent": exponent})
-        for exponent in (-1.0, -0.33, 0.3, 1.0, 2.0)
-    )
-
-
 base.register(
     base.Effect(
         name="normal_coupling",
@@ -39,8 +28,11 @@ base.register(
             base.reference("reference_n", "N"),
         ),
         apply=_apply,
-        references=_references,
-        variants=_variants,
+        references=lambda history: {"reference_n": history.normal_span_n},
+        variants=lambda history, references: tuple(
+            base.variant(f"power {exponent:g}", [{"amount": 0.05}], {"exponent": exponent})
+            for exponent in (-1.0, -0.33, 0.3, 1.0, 2.0)
+        ),
         shown_against="force_normal_n",
     )
 )

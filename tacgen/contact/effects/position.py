@@ -5,17 +5,7 @@ import numpy as np
 from tacgen.contact.effects import base
 
 PLACE = ("x_mm", "y_mm")
-TERMS: tuple[tuple[str, int, int], ...] = (
-    ("x", 1, 0),
-    ("y", 0, 1),
-    ("xx", 2, 0),
-    ("xy", 1, 1),
-    ("yy", 0, 2),
-    ("xxx", 3, 0),
-    ("xxy", 2, 1),
-    ("xyy", 1, 2),
-    ("yyy", 0, 3),
-)
+TERMS = ("x", "y", "xx", "xy", "yy", "xxx", "xxy", "xyy", "yyy")
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
@@ -23,37 +13,34 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     u = np.clip(history.column("x_mm") / p["extent_mm"], -1.2, 1.2)
     v = np.clip(history.column("y_mm") / p["extent_mm"], -1.2, 1.2)
     relative = p["rrrr"] * (u**2 + v**2) ** 2 + p["rr"] * (u**2 + v**2)
-    for name, i, j in TERMS:
+    for name in TERMS:
         if p[name] != 0.0:
-            relative = relative + p[name] * u**i * v**j
+            relative = relative + p[name] * u ** name.count("x") * v ** name.count("y")
     return base.with_gain(load, relative)
 
 
 def _references(history: base.LoadHistory) -> dict[str, float]:
-    extents = [_extent_mm(history.column(name)) for name in PLACE]
-    return {"extent_mm": max(extents)}
-
-
-def _extent_mm(values: base.FloatArray) -> float:
-    """Largest finite |value|; 1 where there is none above 0."""
-    finite = np.abs(values[np.isfinite(values)])
-    return float(finite.max()) if finite.size and finite.max() > 0 else 1.0
+    """The largest finite |x| or |y|; 1 for an axis that has none above 0."""
+    sizes = (np.abs(history.column(name)) for name in PLACE)
+    return {
+        "extent_mm": max(
+            float(size.max(where=np.isfinite(size), initial=0.0)) or 1.0 for size in sizes
+        )
+    }
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    linear = [{"x": 0.05}, {"y": 0.05}]
-    square = [{"xx": 0.05}, {"xy": 0.05}, {"yy": 0.05}]
-    cubic = [{"xxx": 0.05}, {"xxy": 0.05}, {"xyy": 0.05}, {"yyy": 0.05}]
-    return (
-        base.variant("along x", [{"x": 0.05}]),
-        base.variant("along y", [{"y": 0.05}]),
-        base.variant("plane", linear),
-        base.variant("from the centre out", [{"rr": 0.05}]),
-        base.variant("from the centre out, fourth degree", [{"rr": 0.05}, {"rrrr": 0.05}]),
-        base.variant("second degree", [*linear, *square]),
-        base.variant("third degree", [*linear, *square, *cubic]),
-        base.variant("second degree and r⁴", [*linear, *square, {"rrrr": 0.05}]),
-    )
+    forms = {
+        "along x": ("x",),
+        "along y": ("y",),
+        "plane": ("x", "y"),
+        "from the centre out": ("rr",),
+        "from the centre out, fourth degree": ("rr", "rrrr"),
+        "second degree": TERMS[:5],
+        "third degree": TERMS,
+        "second degree and r⁴": (*TERMS[:5], "rrrr"),
+    }
+    return tuple(base.variant(k, [{name: 0.05} for name in names]) for k, names in forms.items())
 
 
 base.register(
@@ -63,9 +50,7 @@ base.register(
         stage="gain",
         about="the compliance depends on where the gel is touched",
         parameters=(
-            *(base.amount(name, -5.0, 5.0) for name, _, _ in TERMS),
-            base.amount("rr", -5.0, 5.0),
-            base.amount("rrrr", -5.0, 5.0),
+            *(base.amount(name, -5.0, 5.0) for name in (*TERMS, "rr", "rrrr")),
             base.reference("extent_mm", "mm"),
         ),
         apply=_apply,

@@ -4,6 +4,9 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+LIMITS = ((0.8, 20.0), (0.95, 20.0), (0.8, 6.0), (1.0, 6.0), (1.0, 2.5), (1.4, 2.5))
+"""Limits, as shares of the span of the volume, and sharpnesses that a fit starts from."""
+
 
 def _apply(
     volume: base.FloatArray, history: base.LoadHistory, p: base.Parameters
@@ -17,31 +20,6 @@ def _apply(
     return volume * damp
 
 
-def _limit_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
-    return 0.4 * p["span_mm3"], 5.0 * p["span_mm3"]
-
-
-def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    """Limits are shares of the span of the volume."""
-    span = references["span_mm3"]
-    return tuple(
-        base.variant(
-            f"limit at {share:g} of the range, sharpness {sharpness:g}",
-            [{"limit_mm3": share * span}],
-            {"sharpness": sharpness},
-            scales=False,
-        )
-        for share, sharpness in (
-            (0.8, 20.0),
-            (0.95, 20.0),
-            (0.8, 6.0),
-            (1.0, 6.0),
-            (1.0, 2.5),
-            (1.4, 2.5),
-        )
-    )
-
-
 base.register(
     base.Effect(
         name="saturation",
@@ -49,11 +27,21 @@ base.register(
         stage="output",
         about="the volume does not grow beyond a limit",
         parameters=(
-            base.amount("limit_mm3", 1e-6, np.inf, "mm3", np.inf, _limit_bounds),
+            base.amount(
+                "limit_mm3", 1e-6, np.inf, "mm3", np.inf, base.share_of("span_mm3", 0.4, 5.0)
+            ),
             base.shape("sharpness", 1.5, 60.0, 6.0),
             base.reference("span_mm3", "mm3", of_response=True),
         ),
         apply=_apply,
-        variants=_variants,
+        variants=lambda history, references: tuple(
+            base.variant(
+                f"limit at {share:g} of the range, sharpness {sharpness:g}",
+                [{"limit_mm3": share * references["span_mm3"]}],
+                {"sharpness": sharpness},
+                scales=False,
+            )
+            for share, sharpness in LIMITS
+        ),
     )
 )

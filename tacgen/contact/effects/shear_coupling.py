@@ -33,17 +33,6 @@ def _references(history: base.LoadHistory) -> dict[str, float]:
     }
 
 
-def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
-    return (
-        base.variant("ratio", [{"ratio": 0.05}], {"exponent": 1.0}),
-        base.variant("ratio squared", [{"ratio": 0.05}], {"exponent": 2.0}),
-        base.variant("shear", [{"size": 0.05}], {"exponent": 1.0}),
-        base.variant("shear squared", [{"size": 0.05}], {"exponent": 2.0}),
-        base.variant("added", [{"leak": 0.02}]),
-        base.variant("leaking from x and y", [{"leak_x": 0.02}, {"leak_y": 0.02}]),
-    )
-
-
 base.register(
     base.Effect(
         name="shear_coupling",
@@ -53,9 +42,7 @@ base.register(
         parameters=(
             base.amount("ratio", -3.0, 5.0),
             base.amount("size", -3.0, 5.0),
-            base.amount("leak", -3.0, 3.0),
-            base.amount("leak_x", -3.0, 3.0),
-            base.amount("leak_y", -3.0, 3.0),
+            *(base.amount(name, -3.0, 3.0) for name in ("leak", "leak_x", "leak_y")),
             base.shape("exponent", 0.5, 4.0, 2.0),
             base.reference("ratio_reference", "1"),
             base.reference("reference_n", "N"),
@@ -63,7 +50,14 @@ base.register(
         ),
         apply=_apply,
         references=_references,
-        variants=_variants,
+        variants=lambda history, references: (
+            base.variant("ratio", [{"ratio": 0.05}], {"exponent": 1.0}),
+            base.variant("ratio squared", [{"ratio": 0.05}], {"exponent": 2.0}),
+            base.variant("shear", [{"size": 0.05}], {"exponent": 1.0}),
+            base.variant("shear squared", [{"size": 0.05}], {"exponent": 2.0}),
+            base.variant("added", [{"leak": 0.02}]),
+            base.variant("leaking from x and y", [{"leak_x": 0.02}, {"leak_y": 0.02}]),
+        ),
         needs=("force_shear_x_n", "force_shear_y_n"),
         is_identifiable=lambda h: h.shear_span_n > MIN_SHEAR_SHARE * h.normal_span_n,
         shown_against="shear_force",

@@ -32,10 +32,6 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     return base.with_gain(load, relative)
 
 
-def _gross_mu_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
-    return 0.2 * p["ratio_reference"], 4.0 * p["ratio_reference"]
-
-
 def _references(history: base.LoadHistory) -> dict[str, float]:
     floor = 0.05 * history.normal_span_n
     ratio = load_ratio(history, floor)
@@ -74,7 +70,9 @@ base.register(
             base.shape("exponent", 0.5, 12.0, 2.0),
             base.amount("mindlin", -3.0, 10.0),
             base.shape("mu", 0.01, 10.0, 1.0),
-            base.amount("gross_mu", 0.01, np.inf, "1", np.inf, _gross_mu_bounds),
+            base.amount(
+                "gross_mu", 0.01, np.inf, "1", np.inf, base.share_of("ratio_reference", 0.2, 4.0)
+            ),
             base.reference("ratio_reference", "1"),
             base.reference("floor_n", "N"),
         ),

@@ -20,23 +20,15 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     return base.with_gain(load, p["amount"] * bend + p["curvature"] * bend**2)
 
 
-def _references(history: base.LoadHistory) -> dict[str, float]:
-    return {"reference_n": history.normal_span_n}
-
-
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
+    amount, curvature = {"amount": 0.05}, {"curvature": 0.05}
     single = [
-        base.variant(f"power {exponent:g}", [{"amount": 0.05}], {"exponent": exponent})
+        base.variant(f"power {exponent:g}", [amount], {"exponent": exponent})
         for exponent in (-0.2, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0)
     ]
     curved = [
-        base.variant(
-            f"power {exponent:g}, curved",
-            [{"amount": 0.05}, {"curvature": 0.05}],
-            {"exponent": exponent},
-            fit_shapes=False,
-        )
-        for exponent in (0.5, 1.0)
+        base.variant(f"power {e:g}, curved", [amount, curvature], {"exponent": e}, fitted=())
+        for e in (0.5, 1.0)
     ]
     return (*single, *curved)
 
@@ -71,7 +63,7 @@ base.register(
             base.reference("reference_n", "N"),
         ),
         apply=_apply,
-        references=_references,
+        references=lambda history: {"reference_n": history.normal_span_n},
         variants=_variants,
         separated_by={
             "saturation": "press harder: a limit stays, stiffening goes on",
