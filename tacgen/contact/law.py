@@ -6,22 +6,26 @@ found to show. The same law predicts a press log and drives the simulation.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field
 
-from tacgen.contact.effects import STAGES, Channel, Effect, LoadHistory, find_effect
+from tacgen.contact.effects import CHANNELS, STAGES, Channel, Effect, LoadHistory, find_effect
 from tacgen.core.arrays import FloatArray
-from tacgen.core.errors import ContactError
+from tacgen.core.config import Section
+from tacgen.core.errors import ContactError, RecipeError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
+from tacgen.core.yaml_source import read_yaml, validate
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
@@ -31,7 +35,6 @@ USUAL_K_S_MM_PER_N = 1.0
 """Assumed: summed marker motion a newton; a press log with shear gives a sensor's own."""
 
 _ESTIMATES = {"k_n_mm3_per_n": "mm3/N", "k_s_mm_per_n": "mm/N", "k_depth_mm_per_n": "mm/N"}
-_KEYS = ("law", *_ESTIMATES, "marker_pitch_mm", "effects", "provenance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +136,11 @@ class ContactLaw:
         history = LoadHistory(columns)
         if not simulate:
             _require_columns(self, history)
-        volume = history.unsorted(self._respond(history, "normal", simulate))[:, 0]
-        shear = history.unsorted(self._respond(history, "shear", simulate))
-        volume = np.maximum(volume, 0.0) if simulate else volume
-        return volume.astype(np.float64, copy=False), shear.astype(np.float64, copy=False)
+        volume, shear = (
+            history.unsorted(self._respond(history, channel, k.value, simulate=simulate))
+            for channel, k in zip(CHANNELS, (self.k_n_mm3_per_n, self.k_s_mm_per_n), strict=True)
+        )
+        return np.maximum(volume[:, 0], 0.0) if simulate else volume[:, 0], shear
 
     def predict_depth(self, columns: Mapping[str, ArrayLike]) -> FloatArray:
         """Indentation (N,) in mm of a ``linear_depth`` law, for a simulated grasp.
@@ -150,15 +154,11 @@ class ContactLaw:
             msg = f"law {self.law!r} gives a volume; only linear_depth gives a depth by itself"
             raise ContactError(msg)
         history = LoadHistory(columns)
-        load = history.unsorted(self._respond(history, "normal", True, compliance=1.0))[:, 0]
+        load = history.unsorted(self._respond(history, "normal", 1.0, simulate=True))[:, 0]
         return np.maximum(load, 0.0) * self.k_depth_mm_per_n.value
 
     def _respond(
-        self,
-        history: LoadHistory,
-        channel: Channel,
-        simulate: bool,
-        compliance: float | None = None,
+        self, history: LoadHistory, channel: Channel, compliance: float, *, simulate: bool
     ) -> FloatArray:
         acting = []
         for fitted in self.effects:
@@ -166,10 +166,7 @@ class ContactLaw:
             left_out = simulate and not (effect.in_simulation and history.has(*effect.needs))
             if effect.channel == channel and not left_out:
                 acting.append((effect, fitted.values))
-        if compliance is None:
-            estimate = self.k_n_mm3_per_n if channel == "normal" else self.k_s_mm_per_n
-            compliance = 0.0 if math.isnan(estimate.value) else estimate.value
-        return respond(history, channel, compliance, acting)
+        return respond(history, channel, np.nan_to_num(compliance), acting)
 
 
 def respond(
@@ -183,15 +180,13 @@ def respond(
     ``effects`` act in the order of their stages, whatever the order they are given in; every
     parameter must be given.
     """
-    load = history.load(channel)
-    acting = sorted(effects, key=lambda pair: STAGES.index(pair[0].stage))
-    for effect, parameters in acting:
-        if effect.stage != "output":
-            load = effect.apply(load, history, parameters)
-    result = compliance * load
-    for effect, parameters in acting:
-        if effect.stage == "output":
-            result = effect.apply(result, history, parameters)
+    result = history.load(channel)
+    for stage in STAGES:
+        if stage == "output":
+            result = compliance * result
+        for effect, parameters in effects:
+            if effect.stage == stage:
+                result = effect.apply(result, history, parameters)
     return result
 
 
@@ -219,21 +214,19 @@ def _law_problems(law: ContactLaw) -> list[str]:
 
 
 def _effect_problems(where: str, fitted: FittedEffect) -> list[str]:
+    problems = []
     try:
         effect = find_effect(fitted.channel, fitted.name)
     except ContactError as error:
         return [f"{where}: {error}"]
-    problems = []
     for name, estimate in fitted.parameters.items():
-        parameter = effect.parameter(name)
-        if parameter is None:
-            known = ", ".join(p.name for p in effect.parameters)
-            problems.append(f"{where}: parameter {name!r} is unknown; there are {known}")
-        elif math.isnan(estimate.value) or not (parameter.low <= estimate.value <= parameter.high):
-            problems.append(
-                f"{where}: {name} = {estimate.value:g} is not in "
-                f"[{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
-            )
+        try:
+            low, high = effect.parameter(name).low, effect.parameter(name).high
+        except ContactError as error:
+            problems.append(f"{where}: {error}")
+            continue
+        if not low <= estimate.value <= high:
+            problems.append(f"{where}: {name} = {estimate.value:g} is not in [{low:g}, {high:g}]")
     return problems
 
 
@@ -258,25 +251,30 @@ def save_law(law: ContactLaw, path: Path) -> None:
     for key in _ESTIMATES:
         estimate = getattr(law, key)
         if estimate is not None:
-            content[key] = {"value": float(estimate.value), "stderr": float(estimate.stderr)}
+            content[key] = _numbers(estimate)
     content["marker_pitch_mm"] = float(law.marker_pitch_mm)
     content["effects"] = [
         {
             "name": fitted.name,
             "channel": fitted.channel,
             "parameters": {
-                name: {
-                    "value": float(estimate.value),
-                    "stderr": float(estimate.stderr),
-                    "unit": estimate.unit,
-                }
+                name: {**_numbers(estimate), "unit": estimate.unit}
                 for name, estimate in fitted.parameters.items()
             },
         }
         for fitted in law.effects
     ]
-    content["provenance"] = _plain(law.provenance)
+    content["provenance"] = json.loads(json.dumps(dict(law.provenance), default=_plain))
     write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+
+def _numbers(estimate: Estimate) -> dict[str, float]:
+    return {"value": float(estimate.value), "stderr": float(estimate.stderr)}
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not know: numbers of numpy, and mappings."""
+    return value.item() if isinstance(value, np.generic) else dict(value)
 
 
 def load_law(path: Path | str) -> ContactLaw:
@@ -288,110 +286,58 @@ def load_law(path: Path | str) -> ContactLaw:
         If the file is missing or is not a contact law; the message lists every problem.
     """
     path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         msg = f"{path}: no such contact law; `tacgen calibrate contact` makes one"
-        raise ContactError(msg) from None
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        msg = f"{path}: cannot be read as a contact law: {error}"
-        raise ContactError(msg) from None
-    problems = _content_problems(content)
-    if problems:
-        raise ContactError.from_problems([f"{path}: {problem}" for problem in problems])
+        raise ContactError(msg)
+    try:
+        source = read_yaml(path)
+    except RecipeError as error:
+        raise ContactError(str(error)) from None
+    for key in [key for key, value in source.data.items() if value is None]:
+        del source.data[key]
+    file = validate(LawFile, source, ContactError)
     estimates = {
-        key: _estimate(content[key], unit)
+        key: replace(given, unit=given.unit or unit)
         for key, unit in _ESTIMATES.items()
-        if content.get(key) is not None
+        if (given := getattr(file, key)) is not None
     }
-    pitch = content.get("marker_pitch_mm")
     try:
         return ContactLaw(
-            law=content["law"],
-            marker_pitch_mm=math.nan if pitch is None else float(pitch),
-            effects=tuple(_effect(entry) for entry in content.get("effects") or []),
-            provenance=MappingProxyType(content.get("provenance") or {}),
+            law=file.law,
+            marker_pitch_mm=file.marker_pitch_mm,
+            effects=tuple(FittedEffect(**dict(effect)) for effect in file.effects),
+            provenance=MappingProxyType(file.provenance),
             **estimates,
         )
     except ContactError as error:
-        raise ContactError.from_problems(
-            [f"{path}: {line}" for line in str(error).splitlines()]
-        ) from None
+        problems = [f"{path}: {line}" for line in str(error).splitlines()]
+        raise ContactError.from_problems(problems) from None
 
 
-def _effect(entry: Mapping[str, Any]) -> FittedEffect:
-    parameters = {
-        str(name): _estimate(value, "") for name, value in (entry.get("parameters") or {}).items()
-    }
-    return FittedEffect(str(entry["name"]), str(entry["channel"]), MappingProxyType(parameters))
+def _estimate(given: Any) -> Any:
+    """A number, or a mapping with ``value`` and perhaps ``stderr`` and ``unit``."""
+    given = given if isinstance(given, Mapping) else {"value": given}
+    return {key: one for key, one in given.items() if one is not None}
 
 
-def _estimate(value: Any, unit: str) -> Estimate:
-    if isinstance(value, Mapping):
-        stderr = value.get("stderr")
-        return Estimate(
-            float(value["value"]),
-            math.nan if stderr is None else float(stderr),
-            str(value.get("unit", unit)),
-        )
-    return Estimate(float(value), math.nan, unit)
+Given = Annotated[Estimate, BeforeValidator(_estimate)]
 
 
-def _content_problems(content: Any) -> list[str]:
-    if not isinstance(content, Mapping):
-        return ["is not a contact law: a mapping with `law` and `k_n_mm3_per_n` is expected"]
-    problems = [
-        f"{key} is unknown; a contact law has {', '.join(_KEYS)}"
-        for key in content
-        if key not in _KEYS
-    ]
-    problems += [
-        f"{key} is missing" for key in ("law", "k_n_mm3_per_n") if content.get(key) is None
-    ]
-    for key in _ESTIMATES:
-        if content.get(key) is not None:
-            problems += _estimate_problems(key, content[key])
-    pitch = content.get("marker_pitch_mm")
-    if pitch is not None and not _is_number(pitch):
-        problems.append(f"marker_pitch_mm = {pitch!r} is not a number")
-    if not isinstance(content.get("provenance") or {}, Mapping):
-        problems.append("provenance is not a mapping")
-    entries = content.get("effects") or []
-    if not isinstance(entries, list):
-        return [*problems, "effects is not a list"]
-    for index, entry in enumerate(entries):
-        where = f"effects[{index}]"
-        if not isinstance(entry, Mapping) or not {"name", "channel"} <= set(entry):
-            problems.append(f"{where} lacks name or channel")
-        elif not isinstance(entry.get("parameters") or {}, Mapping):
-            problems.append(f"{where}.parameters is not a mapping")
-        else:
-            for name, value in (entry.get("parameters") or {}).items():
-                problems += _estimate_problems(f"{where}.parameters.{name}", value)
-    return problems
+class EffectEntry(Section):
+    """An effect of a ``contact.yaml``."""
+
+    name: str
+    channel: str
+    parameters: dict[str, Given] = Field(default_factory=dict)
 
 
-def _estimate_problems(where: str, value: Any) -> list[str]:
-    numbers = [value.get("value") if isinstance(value, Mapping) else value]
-    if isinstance(value, Mapping) and value.get("stderr") is not None:
-        numbers.append(value["stderr"])
-    if not all(_is_number(number) for number in numbers):
-        return [f"{where} = {value!r} is not a number nor {{value, stderr}}"]
-    return []
+class LawFile(Section):
+    """The content of a ``contact.yaml``."""
 
-
-def _is_number(value: Any) -> bool:
-    """Whether it is a number that a float can be; YAML has integers without end."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return is_number and (isinstance(value, float) or abs(value) < 1 << 1000)
-
-
-def _plain(value: Any) -> Any:
-    """``value`` in types that YAML knows."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return value
+    law: LawName
+    k_n_mm3_per_n: Given
+    k_s_mm_per_n: Given | None = None
+    k_depth_mm_per_n: Given | None = None
+    marker_pitch_mm: float = math.nan
+    effects: tuple[EffectEntry, ...] = ()
+    provenance: dict[str, Any] = Field(default_factory=dict)

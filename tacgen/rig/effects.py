@@ -56,12 +56,10 @@ def _with_parameters(
     values = fixed
     if given.strength is not None:
         values = _solve_strength(effect, given, history, fixed, compliance, noise)
-    units = {p.name: p.unit for p in effect.parameters}
-    return FittedEffect(
-        given.name,
-        given.channel,
-        {name: Estimate(value, 0.0, units.get(name, "1")) for name, value in values.items()},
-    )
+    estimates = {
+        name: Estimate(value, 0.0, effect.parameter(name).unit) for name, value in values.items()
+    }
+    return FittedEffect(given.name, given.channel, estimates)
 
 
 def _solve_strength(
@@ -75,18 +73,22 @@ def _solve_strength(
     """The parameters at which the residual of the best linear law is strength × noise."""
     wanted = float(given.strength or 0.0) * noise
     variants = effect.variants(history, fixed)
+    unreachable = (
+        f"effects: {given.name!r} ({given.channel}) cannot reach a strength of "
+        f"{given.strength:g} × the noise with this schedule; lower it, lower the noise, or "
+        f"press so that it shows ({effect.about})"
+    )
     if not variants:
-        raise _unreachable(effect, given)
+        raise RecipeError(unreachable)
     variant = variants[0]
     shaped = {**fixed, **variant.shapes, **given.parameters}
     probe = {k: v for k, v in variant.probes[0].items() if k not in given.parameters}
     load = history.load(effect.channel)
     if wanted == 0.0 or not probe:
-        return dict(shaped)
+        return shaped
 
     def at(size: float) -> dict[str, float]:
-        return {**shaped, **{name: _scaled(effect, name, value, size)
-                             for name, value in probe.items()}}  # fmt: skip
+        return shaped | {name: _scaled(effect, name, one, size) for name, one in probe.items()}
 
     def residual(size: float) -> float:
         response = respond(history, effect.channel, compliance, [(effect, at(size))])
@@ -96,23 +98,13 @@ def _solve_strength(
 
     size = _size_for(residual, wanted)
     if size is None:
-        raise _unreachable(effect, given)
+        raise RecipeError(unreachable)
     return at(size)
-
-
-def _unreachable(effect: Effect, given: RigEffect) -> RecipeError:
-    return RecipeError(
-        f"effects: {given.name!r} ({given.channel}) cannot reach a strength of "
-        f"{given.strength:g} × the noise with this schedule; lower it, lower the noise, or "
-        f"press so that it shows ({effect.about})"
-    )
 
 
 def _scaled(effect: Effect, name: str, probe: float, size: float) -> float:
     """The probe's amount ``size`` times as far from doing nothing, within its bounds."""
     parameter = effect.parameter(name)
-    if parameter is None:
-        return probe * size
     if np.isinf(parameter.identity):
         # A limit does nothing at infinity: nearer is stronger.
         return max(probe / max(size, 1e-12), parameter.low)

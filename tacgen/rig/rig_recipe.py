@@ -233,11 +233,11 @@ def _effect_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
             yield source.problem(where, f"= {given.name!r}: {error}")
             continue
         for name in given.parameters:
-            if effect.parameter(name) is None:
-                known = ", ".join(p.name for p in effect.parameters)
-                yield source.problem(
-                    (*where, "parameters", name), f"is no parameter of it; known: {known}"
-                )
+            try:
+                effect.parameter(name)
+            except ContactError as error:
+                key = (*where, "parameters", name)
+                yield source.problem(key, f"is no parameter of it: {error}")
         if given.strength is None and not given.parameters:
             yield source.problem(where, "has neither strength nor parameters; give one of them")
         if "temperature_c" in effect.needs and recipe.temperature is None:

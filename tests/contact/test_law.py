@@ -121,18 +121,24 @@ def test_every_problem_of_a_law_is_listed_at_once():
     ("text", "words"),
     [
         ("law: volume_linear", "k_n_mm3_per_n is missing"),
-        ("law: cubic\nk_n_mm3_per_n: {value: 5}", "'cubic' is unknown; there are volume_linear"),
-        ("law: volume_linear\nk_n_mm3_per_n: many", "is not a number"),
-        ("law: volume_linear\nk_n_mm3_per_n: 5\nk_q: 3", "k_q is unknown"),
-        ("law: volume_linear\nk_n_mm3_per_n: 5\neffects: [creep]", "lacks name or channel"),
-        ("[1, 2]", "is not a contact law"),
-        ("{", "cannot be read as a contact law"),
+        (
+            "law: cubic\nk_n_mm3_per_n: {value: 5}",
+            "law = 'cubic': must be 'volume_linear' or 'linear_depth'",
+        ),
+        ("law: volume_linear\nk_n_mm3_per_n: many", "must be a number"),
+        ("law: volume_linear\nk_n_mm3_per_n: 5\nk_q: 3", "k_q is not a known key"),
+        (
+            "law: volume_linear\nk_n_mm3_per_n: 5\neffects: [creep]",
+            "effects[0] = 'creep' must hold `key: value` pairs",
+        ),
+        ("[1, 2]", "holds no `key: value` pairs"),
+        ("{", "not valid YAML"),
     ],
 )
 def test_a_wrong_file_says_what_and_where(tmp_path, text, words):
     path = tmp_path / "contact.yaml"
     path.write_text(text)
-    with pytest.raises(ContactError, match=r"contact\.yaml: ") as caught:
+    with pytest.raises(ContactError, match=r"contact\.yaml:") as caught:
         load_law(path)
     assert words in str(caught.value)
 

@@ -28,15 +28,9 @@ SEED = 3_100_000
 KINDS = ("single", "pair", "clean", "unlisted")
 STRENGTHS = [1.5, 2.0, 3.0]
 REMOVED: dict[str, Any] = {
-    "third_memory_share": DEFAULT_RULES.same_kind_share,
-    "covariate_share": DEFAULT_RULES.same_kind_share,
-    "same_kind_share": 0.0,
-    "other_kind_share": 0.0,
-    "effect_slack": 0.0,
-    "tie_in_se": 0.0,
+    "least_share_of_rival": 0.0,
     "parameter_price": 0.0,
     "few_parameter_price": 0.0,
-    "min_gain_in_se": 0.0,
     "clear_alpha": 0.0,
     "form_share_left": 0.0,
 }

@@ -88,43 +88,6 @@ class Variant:
 
 
 @dataclass(frozen=True, slots=True)
-class FittedForm:
-    """A form of an effect as it was fitted beside the other effects of a model.
-
-    ``values`` are its parameters, ``fitted`` the names of those that were free, ``unit_losses``
-    (U,) the held-out loss of every trial.
-    """
-
-    name: str
-    values: Parameters
-    fitted: tuple[str, ...]
-    unit_losses: FloatArray
-
-    @property
-    def loss(self) -> float:
-        """Held-out sum of squares."""
-        return float(self.unit_losses.sum())
-
-    def lead_in_se(self, other: FittedForm) -> float:
-        """By how many standard errors over trials it predicts better than ``other``."""
-        return lead_in_se(self.unit_losses, other.unit_losses)
-
-
-@dataclass(frozen=True, slots=True)
-class Tie:
-    """An effect that was found, and a rival of it that was not.
-
-    ``forms(name)`` fits every form of an effect in the place of ``found``; ``max_lead_in_se`` is
-    the lead below which two of them predict equally well.
-    """
-
-    found: FittedForm
-    history: LoadHistory
-    max_lead_in_se: float
-    forms: Callable[[str], Sequence[FittedForm]]
-
-
-@dataclass(frozen=True, slots=True)
 class Effect:
     """A named effect on one channel.
 
@@ -152,9 +115,6 @@ class Effect:
     separated_by : mapping
         Other effects (or covariates) that it can be confused with, and the measurement that
         separates the two.
-    tie_breaks : mapping
-        Rivals that predict as well on many logs, each with the rule that decides which one is
-        named: it returns a form of either, or the form that was found.
     """
 
     name: str
@@ -173,16 +133,17 @@ class Effect:
     is_identifiable: Callable[[LoadHistory], bool] = lambda history: True
     shown_against: str = "load"
     separated_by: Mapping[str, str] = field(default_factory=dict)
-    tie_breaks: Mapping[str, Callable[[Tie], FittedForm]] = field(default_factory=dict)
 
-    def parameter(self, name: str) -> Parameter | None:
-        """Its parameter called ``name``, or None."""
+    def parameter(self, name: str) -> Parameter:
+        """Its parameter called ``name``; raises ``ContactError`` if it has none."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         if self.per_indenter and name.startswith("gain_"):
             return Parameter(name, "1", "amount", 0.0, -0.9, 5.0)
-        return None
+        known = ", ".join(parameter.name for parameter in self.parameters)
+        msg = f"parameter {name!r} is unknown; there are {known}"
+        raise ContactError(msg)
 
     def complete(self, parameters: Parameters) -> dict[str, float]:
         """``parameters`` with the identity for every one that is not given."""
@@ -307,13 +268,6 @@ def variant(
 def share_of(reference: str, low: float, high: float) -> Bounds:
     """Bounds that are shares of one of the effect's reference values."""
     return lambda history, p: (low * p[reference], high * p[reference])
-
-
-def lead_in_se(losses: FloatArray, other_losses: FloatArray) -> float:
-    """By how many standard errors over units ``losses`` (U,) are below ``other_losses``."""
-    difference = other_losses - losses
-    error = float(difference.std() * np.sqrt(difference.size)) + 1e-300
-    return float(difference.sum()) / error
 
 
 def power_shape(ratio: FloatArray, exponent: float) -> FloatArray:

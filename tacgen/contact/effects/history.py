@@ -46,11 +46,8 @@ class LoadHistory:
         self._reversals: dict[Channel, tuple[NDArray[np.int64], BoolArray]] = {}
         self._since_contact: dict[Channel, FloatArray] = {}
         trial = arrays["trial"][self.order]
-        self.starts: NDArray[np.int64] = np.concatenate(
-            [[0], np.flatnonzero(trial[1:] != trial[:-1]) + 1, [trial.size]]
-        ).astype(np.int64)
-        if trial.size == 0:
-            self.starts = np.zeros(1, dtype=np.int64)
+        edges = np.flatnonzero(trial[1:] != trial[:-1]) + 1
+        self.starts = np.unique([0, *edges, trial.size]).astype(np.int64)
 
     @property
     def n_samples(self) -> int:
@@ -188,17 +185,13 @@ class LoadHistory:
     @cached_property
     def sample_period_s(self) -> float:
         """Median time between samples of a trial; 1 where no trial has two."""
-        steps = np.diff(self.time_s)
-        inside = np.ones(max(self.n_samples - 1, 0), dtype=bool)
-        inside[self.starts[1:-1] - 1] = False
-        steps = steps[inside & (steps > 0)]
+        steps = np.delete(np.diff(self.time_s), self.starts[1:-1] - 1)
+        steps = steps[steps > 0]
         return float(np.median(steps)) if steps.size else 1.0
 
 
 def _span(load: FloatArray) -> float:
-    if not load.size:
-        return 1.0
-    return float(np.quantile(np.abs(load), 0.99)) or 1.0
+    return (float(np.quantile(np.abs(load), 0.99)) if load.size else 0.0) or 1.0
 
 
 def _require_usable(arrays: Mapping[str, NDArray[Any]]) -> None:

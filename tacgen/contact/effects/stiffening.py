@@ -4,9 +4,6 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
-LIMIT_EXPONENT = 1.5
-"""Softening by a higher power of the load is a limit: half-way between a line and a parabola."""
-
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Compliance 1 + amount·b + curvature·b², b the power shape of |F| / reference.
@@ -33,23 +30,6 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
     return (*single, *curved)
 
 
-def _or_saturation(tie: base.Tie) -> base.FittedForm:
-    """Where stiffening and saturation predict equally well, decide by where the bend sits.
-
-    A limit bends the curve at its end: as a change of compliance it goes with a higher power of
-    the load than ``LIMIT_EXPONENT``; a softening that is spread over the range does not.
-    """
-    bends, limits = tie.forms("stiffening"), tie.forms("saturation")
-    powers = [form for form in bends if "exponent" in form.fitted]
-    if not powers or not limits:
-        return tie.found
-    power, bend, limit = (min(f, key=lambda form: form.loss) for f in (powers, bends, limits))
-    if abs(limit.lead_in_se(bend)) > tie.max_lead_in_se:
-        return tie.found
-    is_limit = power.values["amount"] < 0 and power.values["exponent"] > LIMIT_EXPONENT
-    return limit if is_limit else bend
-
-
 base.register(
     base.Effect(
         name="stiffening",
@@ -70,6 +50,5 @@ base.register(
             "zero_offset": "record some seconds without contact",
             "geometry": "press every ball with the same range of forces",
         },
-        tie_breaks={"saturation": _or_saturation},
     )
 )

@@ -43,11 +43,6 @@ class Candidate:
         return self.effect is not None and self.effect.kind == "between trials"
 
     @property
-    def has_memory(self) -> bool:
-        """Whether it is an effect that follows the course of the load."""
-        return self.effect is not None and self.effect.kind == "memory"
-
-    @property
     def n_parameters(self) -> int:
         """Number of parameters that a fit of it frees."""
         if self.variant is not None:

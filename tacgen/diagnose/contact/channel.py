@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -145,7 +144,7 @@ class ChannelSamples:
         size = np.linalg.norm(np.stack(parts, axis=1), axis=1)
         residual = target - rough_k * load
         self.noise, self.precision = noise_and_weight(residual, size, history.starts, rules)
-        self.thinned = lru_cache(maxsize=None)(self._thinned)
+        self._kept: dict[int, ChannelData] = {}
 
     @property
     def n_spikes(self) -> int:
@@ -155,15 +154,19 @@ class ChannelSamples:
     def _target(self, history: LoadHistory) -> FloatArray:
         return np.stack([history.column(name) for name in TARGETS[self.channel]], axis=1)
 
-    def _thinned(self, rows_per_trial: int | None = None) -> ChannelData:
-        """Means over neighbouring samples, at most so many rows a trial, in order.
+    def thinned(self, rows_per_trial: int | None = None) -> ChannelData:
+        """Means over neighbouring samples, at most so many rows a trial, in order; made once.
 
         Without a number, as many as choosing among effects needs.
         """
-        rules, history = self.rules, self.history
-        rows = rows_per_trial or max(
-            rules.rows_per_trial, rules.min_rows // max(history.n_trials, 1)
-        )
+        least = self.rules.min_rows // max(self.history.n_trials, 1)
+        rows = rows_per_trial or max(self.rules.rows_per_trial, least)
+        if rows not in self._kept:
+            self._kept[rows] = self._thinned(rows)
+        return self._kept[rows]
+
+    def _thinned(self, rows: int) -> ChannelData:
+        history = self.history
         starts = [
             np.arange(first, stop, max(1, int(np.ceil((stop - first) / rows))), dtype=np.int64)
             for first, stop in pairwise(history.starts)
@@ -183,20 +186,19 @@ class ChannelSamples:
         thinned = LoadHistory(columns)
         return ChannelData(
             self.channel,
-            rules,
+            self.rules,
             thinned,
             columns,
             self._target(thinned),
             self.noise,
             history.n_samples,
             weight,
-            *_pairs(thinned.starts, rules),
+            *_pairs(thinned.starts, self.rules),
         )
 
     def every_sample(self) -> ChannelData:
         """A row a sample."""
-        rows: ChannelData = self.thinned(int(np.diff(self.history.starts).max()))
-        return rows
+        return self.thinned(int(np.diff(self.history.starts).max()))
 
 
 def linear_compliance(load: FloatArray, target: FloatArray) -> float:
@@ -211,13 +213,13 @@ def _pairs(
     n_trials = starts.size - 1
     few = n_trials < rules.min_trials_as_units
     parts = int(np.ceil(rules.min_units / max(n_trials, 1))) if few else 1
-    first_rows, units = [], []
+    lefts, units = [], []
     for trial, (first, stop) in enumerate(pairwise(starts)):
-        here = np.arange(first, stop - 1, 2, dtype=np.int64)
-        first_rows.append(here)
-        units.append(trial * parts + np.arange(here.size) * parts // max(here.size, 1))
-    left = np.concatenate(first_rows)
-    swap = (np.arange(left.size) % 2).astype(np.int64)
+        lefts.append(np.arange(first, stop - 1, 2, dtype=np.int64))
+        count = lefts[-1].size
+        units.append(trial * parts + np.arange(count) * parts // max(count, 1))
+    left = np.concatenate(lefts)
+    swap = np.arange(left.size) % 2
     unit = np.unique(np.concatenate(units), return_inverse=True)[1].astype(np.int64)
     return np.stack([left + swap, left + 1 - swap]), unit
 
@@ -230,14 +232,9 @@ def noise_and_weight(
     Second differences do not see what varies slowly. Their square is fitted by a + b·load², so
     that noise that grows with the load weighs less where it is large.
     """
-    n = load.size
-    inside = np.ones(n, dtype=bool)
-    inside[starts[:-1]] = False
-    inside[starts[1:] - 1] = False
-    rows = np.flatnonzero(inside)
+    rows, square = _second_differences(rough, starts, 1)
     if rows.size < 8:
-        return float(rough.std()) or 1e-12, np.ones(n)
-    square = _difference_square(rough[rows - 1], rough[rows], rough[rows + 1])
+        return float(rough.std()) or 1e-12, np.ones(load.size)
     clean = is_clean(square, rules)
     noise = float(np.sqrt(square[clean].mean()))
     weight = _precision(square[clean], load[rows[clean]], load, rules)
@@ -245,10 +242,16 @@ def noise_and_weight(
     return max(noise, 1e-12), weight
 
 
-def _difference_square(before: FloatArray, here: FloatArray, after: FloatArray) -> FloatArray:
-    """Square of second differences (N, C), averaged to (N,), on the scale of one sample's."""
-    second = before - 2.0 * here + after
-    return (second**2).mean(axis=1) / 6.0
+def _second_differences(
+    values: FloatArray, starts: NDArray[np.int64], lag: int
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Rows that have neighbours in their trial, and the squares (M,) of second differences there.
+
+    Averaged over the outputs of ``values`` (N, C), on the scale of one sample's noise.
+    """
+    rows = np.concatenate([np.arange(i + lag, j - lag, dtype=int) for i, j in pairwise(starts)])
+    second = values[rows - lag] - 2.0 * values[rows] + values[rows + lag]
+    return rows, (second**2).mean(axis=1) / 6.0
 
 
 def is_clean(square: FloatArray, rules: SelectionRules) -> BoolArray:
@@ -266,36 +269,18 @@ def noise_floor(
     one sample to the next is seen whole by differences over 2, 4 and 8 samples, which are taken
     as long as they rise little. Single samples that stick out do not count.
     """
-    first, *wider_lags = rules.floor_lags
-    floor = _difference_noise(residual, starts, first, rules)
-    if not np.isfinite(floor):
-        return float(residual.std())
+    floor = float("nan")
     shortest = float(np.median(np.diff(starts)))
-    for lag in wider_lags:
-        wider = _difference_noise(residual, starts, lag, rules)
-        if shortest < rules.rows_per_lag * lag or not wider <= rules.max_floor_rise * floor:
+    for lag in rules.floor_lags:
+        _, square = _second_differences(residual, starts, lag)
+        if not square.size:
             break
-        floor = max(wider, floor)
-    return floor
-
-
-def _difference_noise(
-    residual: FloatArray, starts: NDArray[np.int64], lag: int, rules: SelectionRules
-) -> float:
-    """Noise by second differences over ``lag`` samples; NaN where no trial is long enough."""
-    parts = [
-        _difference_square(
-            residual[first : stop - 2 * lag],
-            residual[first + lag : stop - lag],
-            residual[first + 2 * lag : stop],
-        )
-        for first, stop in pairwise(starts)
-        if stop - first > 2 * lag
-    ]
-    if not parts:
-        return float("nan")
-    square = np.concatenate(parts)
-    return float(np.sqrt(square[is_clean(square, rules)].mean()))
+        wider = float(np.sqrt(square[is_clean(square, rules)].mean()))
+        too_wide = shortest < rules.rows_per_lag * lag or not wider <= rules.max_floor_rise * floor
+        if lag > rules.floor_lags[0] and too_wide:
+            break
+        floor = float(np.fmax(wider, floor))
+    return floor if np.isfinite(floor) else float(residual.std())
 
 
 def _precision(
@@ -317,11 +302,10 @@ def _spikes(
     """Single samples far from the median of their neighbours on both sides."""
     sticks = np.zeros(rough.shape[0], dtype=bool)
     for first, stop in pairwise(starts):
-        if stop - first < 5:
-            continue
-        part = rough[first:stop]
-        padded = np.pad(part, ((2, 2), (0, 0)), mode="edge")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
-        distance = np.abs(part - np.median(windows, axis=-1)).max(axis=1)
-        sticks[first:stop] = distance > rules.outlier_sigmas * noise[first:stop]
-    return sticks if sticks.mean() <= rules.max_spike_share else np.zeros_like(sticks)
+        if stop - first >= 5:
+            part = rough[first:stop]
+            padded = np.pad(part, ((2, 2), (0, 0)), mode="edge")
+            windows = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
+            distance = np.abs(part - np.median(windows, axis=-1)).max(axis=1)
+            sticks[first:stop] = distance > rules.outlier_sigmas * noise[first:stop]
+    return sticks

@@ -39,7 +39,6 @@ from tacgen.diagnose.contact.result import (
     Diagnosis,
     diagnosis_record,
     shown_parameters,
-    unit_of,
 )
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.diagnose.contact.selection import Attribution, Selection
@@ -234,11 +233,10 @@ def _unexplained(
     found = [
         Dependence(c.candidate.name, c.p_value, c.gain)
         for c in attribution.chosen
-        if not c.candidate.is_effect
+        if not c.is_effect
     ]
     explained = max(base.loss - final.loss, 0.0) / max(base.loss, 1e-300)
-    of_form = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)
-    least = max(rules.min_share_left, of_form)
+    least = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)
     left = [d for d in structure if d.p_value <= rules.alpha and d.share > least]
     if not found and left:
         found.append(max(left, key=lambda d: d.share))
@@ -270,7 +268,7 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
         for term in found.final.model.terms:
             errors = found.final_errors.effects[term.name]
             parameters = {
-                key: Estimate(value, errors.get(key, 0.0), unit_of(term.effect, key))
+                key: Estimate(value, errors.get(key, 0.0), term.effect.parameter(key).unit)
                 for key, value in shown_parameters(term).items()
             }
             effects.append(FittedEffect(term.name, name, MappingProxyType(parameters)))

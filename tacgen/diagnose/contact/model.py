@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.contact.effects import Effect, Parameter, Variant
+from tacgen.contact.effects import Effect, Variant
 from tacgen.contact.law import respond
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
@@ -48,12 +48,10 @@ class Model:
     terms: tuple[Term, ...] = ()
     covariates: tuple[CovariateTerm, ...] = ()
 
-    def without_effect(self, name: str) -> Model:
-        """The model less the effect ``name``."""
-        return replace(self, terms=tuple(t for t in self.terms if t.name != name))
-
-    def without_covariate(self, covariate: Covariate) -> Model:
-        """The model less ``covariate``."""
+    def without(self, name: str, covariate: Covariate | None) -> Model:
+        """The model less ``covariate``, or less the effect ``name``."""
+        if covariate is None:
+            return replace(self, terms=tuple(t for t in self.terms if t.name != name))
         kept = tuple(term for term in self.covariates if term.covariate != covariate)
         return replace(self, covariates=kept)
 
@@ -102,7 +100,6 @@ def start_term(
     for probe, scale in zip(variant.probes, scales, strict=True):
         for name, value in probe.items():
             parameter = effect.parameter(name)
-            assert parameter is not None  # a variant probes parameters of its own effect
             scaled = value * scale if variant.scales else value
             values[name] = float(np.clip(scaled, parameter.low, parameter.high))
     return Term(effect, variant, values)
@@ -208,33 +205,25 @@ class _Space:
     """The free numbers of a model as one vector, in units of about their own size."""
 
     def __init__(self, data: ChannelData, model: Model) -> None:
-        self._data = data
-        self._template = model
+        self._data, self._template = data, model
         self._slots: list[tuple[int, str, float, bool]] = []
-        lows, highs, start = [0.0], [np.inf], [1.0]
         self._compliance_scale = abs(model.compliance) or 1.0
-        lows[0] = 1e-3
+        bounds, reach = [(1.0, 1e-3, np.inf)], [np.inf]
         for index, term in enumerate(model.terms):
             for name in term.variant.free:
-                parameter = _parameter(term, name)
+                parameter = term.effect.parameter(name)
                 logarithmic = parameter.is_logarithmic
                 scale = 1.0 if logarithmic else _probed(term, name)
                 low, high = parameter.bounds_on(data.history, term.values)
                 value = float(np.clip(term.values[name], low, high))
                 self._slots.append((index, name, scale, logarithmic))
-                mapped = [np.log(v) if logarithmic else v / scale for v in (value, low, high)]
-                start.append(mapped[0])
-                lows.append(mapped[1])
-                highs.append(mapped[2])
+                start = [np.log(v) if logarithmic else v / scale for v in (value, low, high)]
+                bounds.append((start[0], start[1], start[2]))
+                reach.append(_MAX_LOG_STEP if logarithmic else np.inf)
         coefficients = [c for term in model.covariates for c in term.coefficients]
-        start += coefficients
-        lows += [-np.inf] * len(coefficients)
-        highs += [np.inf] * len(coefficients)
-        self.start = np.asarray(start)
-        logarithmic_slots = [slot[3] for slot in self._slots]
-        self.reach = np.full(self.start.size, np.inf)
-        self.reach[1 : 1 + len(self._slots)] = np.where(logarithmic_slots, _MAX_LOG_STEP, np.inf)
-        self._low, self._high = np.asarray(lows), np.asarray(highs)
+        bounds += [(c, -np.inf, np.inf) for c in coefficients]
+        self.start, self._low, self._high = np.array(bounds).T
+        self.reach = np.array(reach + [np.inf] * len(coefficients))
 
     @property
     def slot_names(self) -> list[tuple[int, str]]:
@@ -261,7 +250,7 @@ class _Space:
 
     def model(self, vector: FloatArray) -> Model:
         """The model that ``vector`` stands for."""
-        values: list[dict[str, float]] = [dict(t.values) for t in self._template.terms]
+        values = [dict(term.values) for term in self._template.terms]
         for number, (index, name, scale, logarithmic) in zip(vector[1:], self._slots, strict=False):
             values[index][name] = float(np.exp(number) if logarithmic else number * scale)
         terms = tuple(
@@ -286,15 +275,6 @@ class _Space:
         return np.stack(columns, axis=1)
 
 
-def _parameter(term: Term, name: str) -> Parameter:
-    parameter = term.effect.parameter(name)
-    assert parameter is not None  # free parameters are the effect's own
-    return parameter
-
-
 def _probed(term: Term, name: str) -> float:
     """The size at which a parameter is probed: that of a number of its kind."""
-    for probe in term.variant.probes:
-        if name in probe:
-            return abs(probe[name]) or 1.0
-    return 1.0
+    return next((abs(probe[name]) for probe in term.variant.probes if name in probe), 0.0) or 1.0

@@ -17,6 +17,9 @@ from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.rules import SelectionRules
 
+NAMED = ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
+"""Columns of a press log that a residual may follow; every column that is not known may too."""
+
 
 @dataclass(frozen=True)
 class Dependence:
@@ -52,20 +55,14 @@ def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDAr
         found["shear_force" if data.channel == "normal" else "force_normal_n"] = (
             history.shear_size_n if data.channel == "normal" else history.force_normal_n
         )
-    known = known_columns()
+    known = {*known_columns(), *TARGETS[data.channel]} - set(NAMED)
     for name, values in data.columns.items():
-        named = name in ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
-        other = name not in known and name not in TARGETS[data.channel]
-        if (named or other) and name not in skip and not _is_reading(data, name, other):
-            numeric = np.issubdtype(np.asarray(values).dtype, np.number)
+        numeric = np.issubdtype(np.asarray(values).dtype, np.number)
+        if name in known or name in skip:
+            continue
+        if name in NAMED or not numeric or not follows_load(data, name):
             found[name] = history.column(name) if numeric else history.text(name)
     return found
-
-
-def _is_reading(data: ChannelData, name: str, other: bool) -> bool:
-    """Whether an extra column is another reading of the press."""
-    numeric = np.issubdtype(np.asarray(data.columns[name]).dtype, np.number)
-    return other and numeric and follows_load(data, name)
 
 
 def dependences(
@@ -77,56 +74,46 @@ def dependences(
     cubic, or as levels, on the compliance and added.
     """
     rules, response = data.rules, fit.model.law_response(data)
-    added = 0.1 * data.span
-    names, blocks = [], []
+    blocks: dict[str, FloatArray] = {}
     for name, values in covariates_of(data, skip).items():
-        for basis in _basis(values, data.rules):
-            functions = [f[:, None] * response for f in basis]
-            functions += [
-                f[:, None] * added * axis for axis in np.eye(data.n_outputs) for f in basis
-            ]
-            names.append(name)
-            blocks.append(np.stack([data.reduce(f) for f in functions], axis=1))
+        basis = [function[:, None] for function in _basis(values, rules)]
+        axes = 0.1 * data.span * np.eye(data.n_outputs)
+        functions = [f * response for f in basis] + [f * axis for axis in axes for f in basis]
+        if functions:
+            blocks[name] = np.stack([data.reduce(f) for f in functions], axis=1)
     if not blocks:
         return ()
-    start = fit.jacobian.shape[1]
-    groups, position = [], start
-    for block in blocks:
-        groups.append(list(range(position, position + block.shape[1])))
-        position += block.shape[1]
-    constant = data.reduce(np.ones_like(data.target))[:, None]
-    design = np.column_stack([fit.jacobian, *blocks, constant, fit.residual])
-    grams = scores.unit_grams(data, design)
-    base = list(range(start))
+    ones = data.reduce(np.ones_like(data.target))[:, None]
+    grams, groups, base = scores.fit_grams(data, fit, [*blocks.values(), ones])
+    *groups, (constant,) = groups
     shuffled = scores.shuffles(data.n_units, rules.n_shuffles, rng)
-    statistics = scores.shuffle_statistics(grams, base, groups, shuffled, position, rules)
+    statistics = scores.shuffle_statistics(grams, base, groups, shuffled, constant, rules)
     p_values = np.minimum(scores.shuffle_p_values(statistics, rules) * len(groups), 1.0)
-    folds = data.folds()
-    without = scores.cv_losses(grams, folds, [base], rules).sum()
-    losses = scores.losses_of_groups(grams, folds, base, groups, rules).sum(axis=1)
+    sets = [base, *([*base, *group] for group in groups)]
+    without, *losses = scores.cv_losses(grams, data.folds(), sets, rules).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)
     found = [
         Dependence(name, float(p), float(without - loss) / total)
-        for name, p, loss in zip(names, p_values, losses, strict=True)
+        for name, p, loss in zip(blocks, p_values, losses, strict=True)
     ]
     return tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
 
 
-def _basis(values: NDArray[Any], rules: SelectionRules) -> list[list[FloatArray]]:
-    """Functions (N,) of a covariate, one list; empty where it is constant or has no repeats."""
+def _basis(values: NDArray[Any], rules: SelectionRules) -> list[FloatArray]:
+    """Functions (N,) of a covariate; none where it is constant or has no repeats."""
     if not np.issubdtype(values.dtype, np.number):
         levels, counts = np.unique(values, return_counts=True)
         common = levels[np.argsort(-counts)][: rules.residual_levels]
         if levels.size < 2 or counts.max() < 2:
             return []
-        return [[(values == level).astype(np.float64) for level in common[1:]]]
+        return [(values == level).astype(np.float64) for level in common[1:]]
     finite = np.isfinite(values)
     spread = float(values[finite].std()) if finite.any() else 0.0
     if spread <= 1e-9 * (1.0 + float(np.abs(values[finite]).max(initial=0.0))):
         return []
     scaled = np.nan_to_num((values - values[finite].mean()) / spread, nan=0.0)
     degree = min(rules.residual_degree, np.unique(scaled[:2000]).size - 1)
-    return [[np.clip(scaled, -3, 3) ** power for power in range(1, degree + 1)]]
+    return [np.clip(scaled, -3, 3) ** power for power in range(1, degree + 1)]
 
 
 def _rate(load: FloatArray, time_s: FloatArray, starts: NDArray[np.int64]) -> FloatArray:

@@ -11,9 +11,9 @@ from tacgen.contact.effects import separating_measurement
 from tacgen.contact.law import ContactLaw
 from tacgen.diagnose.contact.channel import UNITS, ChannelData
 from tacgen.diagnose.contact.heldout import Errors
-from tacgen.diagnose.contact.model import Fit, StandardErrors
+from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
 from tacgen.diagnose.contact.residuals import Dependence
-from tacgen.diagnose.contact.selection import Attribution
+from tacgen.diagnose.contact.selection import Attribution, Chosen
 from tacgen.report.formatting import unit_text
 
 SCHEMA = 1
@@ -58,7 +58,7 @@ class ChannelDiagnosis:
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Effects of the list, in the order in which they were added."""
-        return tuple(c.candidate.name for c in self.attribution.chosen if c.candidate.is_effect)
+        return tuple(c.candidate.name for c in self.attribution.chosen if c.is_effect)
 
     def p_value(self, p_value: float) -> float | None:
         """``p_value``, but no less than the trials allow, however many samples they have.
@@ -120,37 +120,14 @@ def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
     unit = UNITS[found.data.channel]
+    chosen = found.attribution.chosen
     terms = {term.name: term for term in found.final.model.terms}
-    effects = []
-    for chosen in found.attribution.chosen:
-        if not chosen.candidate.is_effect:
-            continue
-        term = terms[chosen.candidate.name]
-        effects.append(
-            {
-                "name": term.name,
-                "parameters": {
-                    name: {
-                        "value": _number(value),
-                        "stderr": _number(found.final_errors.effects[term.name].get(name, 0.0)),
-                        "unit": unit_of(term.effect, name),
-                    }
-                    for name, value in shown_parameters(term).items()
-                },
-                "heldout_gain": _number(chosen.gain),
-                "runner_up": chosen.runner_up,
-                "runner_up_margin": _number(chosen.runner_up_margin),
-                "runner_up_margin_in_se": _number(chosen.margin_in_se),
-                "confusable_with": list(chosen.confusable),
-                "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
-                "p_value": found.p_value(chosen.p_value),
-                "form": chosen.candidate.label,
-            }
-        )
     return {
         "verdict": found.verdict,
         "sentence": found.sentence,
-        "effects": effects,
+        "effects": [
+            _effect(found, one, terms[one.candidate.name]) for one in chosen if one.is_effect
+        ],
         "unexplained": [_unexplained(found, d) for d in found.unexplained],
         "error_before": _error(found.before, unit),
         "error_after": _error(found.after, unit),
@@ -163,50 +140,60 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "trials": {"fit": found.n_fit, "test": found.n_test},
         "held_out": found.how,
         "compliance": {
-            "before": _estimate(found.base.model.compliance, found.base_errors.compliance, unit),
-            "after": _estimate(found.final.model.compliance, found.final_errors.compliance, unit),
+            when: _estimate(fit.model.compliance, errors.compliance, f"{unit}/N")
+            for when, fit, errors in (
+                ("before", found.base, found.base_errors),
+                ("after", found.final, found.final_errors),
+            )
         },
         "ranking": [
             {"candidate": label, "heldout_gain": _number(gain), "p_value": found.p_value(p)}
             for label, gain, p in found.attribution.ranking[:12]
         ],
-        "residual_before": _dependences(found, found.dependences_before),
-        "residual_after": _dependences(found, found.dependences_after),
+        "residual_before": [_dependence(found, d) for d in found.dependences_before],
+        "residual_after": [_dependence(found, d) for d in found.dependences_after],
+    }
+
+
+def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, Any]:
+    errors = found.final_errors.effects[term.name]
+    return {
+        "name": term.name,
+        "parameters": {
+            name: _estimate(value, errors.get(name, 0.0), term.effect.parameter(name).unit)
+            for name, value in shown_parameters(term).items()
+        },
+        "heldout_gain": _number(chosen.gain),
+        "runner_up": chosen.runner_up,
+        "runner_up_margin": _number(chosen.runner_up_margin),
+        "runner_up_margin_in_se": _number(chosen.margin_in_se),
+        "confusable_with": list(chosen.confusable),
+        "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
+        "p_value": found.p_value(chosen.p_value),
+        "form": chosen.candidate.label,
     }
 
 
 def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, Any]:
     """What the residual depends on; a covariate that was chosen as effects are has rivals too."""
-    record: dict[str, Any] = {
-        "covariate": dependence.covariate,
-        "p_value": found.p_value(dependence.p_value),
-        "share": _number(dependence.share),
-    }
+    record = _dependence(found, dependence)
     for chosen in found.attribution.chosen:
         name = chosen.candidate.name
-        if name == dependence.covariate and not chosen.candidate.is_effect:
+        if name == dependence.covariate and not chosen.is_effect:
             record["runner_up"] = chosen.runner_up
             record["runner_up_margin"] = _number(chosen.runner_up_margin)
             record["what_would_tell"] = [advice(name, other) for other in chosen.confusable]
     return record
 
 
-def shown_parameters(term: Any) -> dict[str, float]:
+def shown_parameters(term: Term) -> dict[str, float]:
     """Parameters that matter for a term: fitted ones, references, and shapes that are in use."""
-    kept = {}
-    for name, value in term.values.items():
-        parameter = term.effect.parameter(name)
-        fitted = name in term.variant.free
-        held = name in term.variant.shapes
-        if fitted or held or (parameter is not None and parameter.role == "reference"):
-            kept[name] = value
-    return kept
-
-
-def unit_of(effect: Any, name: str) -> str:
-    """Unit of an effect's parameter."""
-    parameter = effect.parameter(name)
-    return parameter.unit if parameter is not None else ""
+    shown = {*term.variant.free, *term.variant.shapes}
+    return {
+        name: value
+        for name, value in term.values.items()
+        if name in shown or term.effect.parameter(name).role == "reference"
+    }
 
 
 def advice(name: str, other: str) -> str:
@@ -216,17 +203,16 @@ def advice(name: str, other: str) -> str:
     return f"{name} or {other}: {words}"
 
 
-def _dependences(
-    found: ChannelDiagnosis, dependences: tuple[Dependence, ...]
-) -> list[dict[str, Any]]:
-    return [
-        {"covariate": d.covariate, "p_value": found.p_value(d.p_value), "share": _number(d.share)}
-        for d in dependences
-    ]
+def _dependence(found: ChannelDiagnosis, d: Dependence) -> dict[str, Any]:
+    return {
+        "covariate": d.covariate,
+        "p_value": found.p_value(d.p_value),
+        "share": _number(d.share),
+    }
 
 
 def _estimate(value: float, stderr: float, unit: str) -> dict[str, Any]:
-    return {"value": _number(value), "stderr": _number(stderr), "unit": f"{unit}/N"}
+    return {"value": _number(value), "stderr": _number(stderr), "unit": unit}
 
 
 def _error(errors: Errors, unit: str) -> dict[str, Any]:

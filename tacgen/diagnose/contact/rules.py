@@ -46,9 +46,6 @@ class SelectionRules:
     outlier_sigmas: float = _rule(
         7.0, "a sample so many σ from its neighbours is a spike: it has no weight", CONVENTION
     )
-    max_spike_share: float = _rule(
-        0.12, "where more samples than this stick out, it is the signal that jumps"
-    )
     max_variance_ratio: float = _rule(
         25.0, "most that noise which grows with the load changes a sample's weight", NUMERICAL
     )
@@ -110,11 +107,6 @@ class SelectionRules:
         "least share that an effect must explain, a seventh of the noise in amplitude: below it "
         "the force's noise is no longer negligible",
     )
-    min_gain_in_se: float = _rule(1.0, "least gain in standard errors over trials")
-    pair_alpha_share: float = _rule(
-        0.1, "of alpha: each of two members that were added together", CONTACT
-    )
-    oscillation_alpha_share: float = _rule(0.1, "of alpha: an oscillation beside other members")
     clear_share: float = _rule(
         0.5, "of the remaining structure: what explains it is believed at clear_alpha"
     )
@@ -133,27 +125,10 @@ class SelectionRules:
     )
     few_parameter_price: float = _rule(0.02, "the same where trials are few")
     min_swap_gain: float = _rule(0.001, "share that an exchange of members must gain")
-    same_kind_share: float = _rule(
+    least_share_of_rival: float = _rule(
         0.06,
-        "of another member's worth that one of the same kind must have, a quarter in amplitude: "
-        "less cannot be separated from the other's true form being a little different",
-    )
-    other_kind_share: float = _rule(0.02, "the same for members of different kinds")
-    third_memory_share: float = _rule(
-        0.15,
-        "the same for the third effect with memory: following the load's course in three ways is, "
-        "more often, two effects of another form",
-    )
-    covariate_share: float = _rule(
-        0.08,
-        "the same beside a covariate or for an oscillation: one frequency of a thousand follows "
-        "anything",
-    )
-    effect_slack: float = _rule(
-        0.06, "part of a covariate's gain that an effect which replaces it may lack"
-    )
-    tie_in_se: float = _rule(
-        2.5, "lead in standard errors below which the rule of two rival effects decides"
+        "of another member's worth that each must have, a quarter in amplitude: less cannot be "
+        "separated from the other's true form being a little different",
     )
     confusable_in_se: float = _rule(
         2.0, "lead in standard errors below which a rival is reported as confusable", CONVENTION
@@ -170,9 +145,6 @@ class SelectionRules:
     pairs_fitted: int = _rule(8, "pairs that are fitted", NUMERICAL)
 
     # What remains
-    min_share_left: float = _rule(
-        0.04, "share of a residual's covariate below which it is not named"
-    )
     form_share_left: float = _rule(
         0.06, "part of what the effects explain that their formulas' inexactness may leave"
     )

@@ -8,7 +8,7 @@ candidates and pairs cost milliseconds. The products are between the two halves 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
+from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.rules import SelectionRules
 
 
@@ -32,6 +33,18 @@ def unit_grams(data: ChannelData, columns: FloatArray) -> FloatArray:
     return 0.5 * (grams + grams.transpose(0, 2, 1))
 
 
+def fit_grams(
+    data: ChannelData, fit: Fit, blocks: Sequence[FloatArray]
+) -> tuple[FloatArray, list[list[int]], list[int]]:
+    """Gram matrices of a fit's columns and of further ``blocks`` (R, M), and the numbers of both.
+
+    The numbers of each block's columns come first, then those of the fit's own.
+    """
+    stops = np.cumsum([block.shape[1] for block in (fit.jacobian, *blocks)])
+    base, *groups = (list(range(i, j)) for i, j in pairwise([0, *map(int, stops)]))
+    return unit_grams(data, np.column_stack([fit.jacobian, *blocks, fit.residual])), groups, base
+
+
 def cv_losses(
     grams: FloatArray,
     folds: NDArray[np.int64],
@@ -40,37 +53,19 @@ def cv_losses(
 ) -> FloatArray:
     """Held-out sum of squares of every unit, for every set of columns: (S, U).
 
-    ``sets`` hold column numbers, all of the same length; the last column is the target.
+    ``sets`` hold column numbers; the last column is the target.
     """
-    index = np.asarray(sets, dtype=np.int64)
-    n_sets = index.shape[0]
+    losses = np.empty((len(sets), grams.shape[0]))
     total = grams.sum(axis=0)
-    losses = np.empty((n_sets, grams.shape[0]))
-    for fold in range(int(folds.max()) + 1):
-        out = folds == fold
-        kept = total - grams[out].sum(axis=0)
-        weights = _solve(kept, index, rules, total)
-        held = grams[out]
-        cross = held[:, index, -1]
-        block = held[:, index[:, :, None], index[:, None, :]]
-        onto = (block @ weights[None, :, :, None])[..., 0]
-        change = ((onto - 2.0 * cross) * weights).sum(axis=-1)
-        losses[:, out] = held[:, -1, -1] + change.T
-    return losses
-
-
-def losses_of_groups(
-    grams: FloatArray,
-    folds: NDArray[np.int64],
-    base: Sequence[int],
-    groups: Sequence[Sequence[int]],
-    rules: SelectionRules,
-) -> FloatArray:
-    """``cv_losses`` of the base with each group, which may differ in length: (groups, U)."""
-    losses = np.empty((len(groups), grams.shape[0]))
-    for size in {len(group) for group in groups}:
-        same = [i for i, group in enumerate(groups) if len(group) == size]
-        losses[same] = cv_losses(grams, folds, [[*base, *groups[i]] for i in same], rules)
+    for rows, index in _of_one_length(sets):
+        for fold in range(int(folds.max()) + 1):
+            out = np.flatnonzero(folds == fold)
+            held = grams[out]
+            weights = _solve(total - held.sum(axis=0), index, rules, total)
+            block = held[:, index[:, :, None], index[:, None, :]]
+            onto = (block @ weights[None, :, :, None])[..., 0]
+            change = ((onto - 2.0 * held[:, index, -1]) * weights).sum(axis=-1)
+            losses[np.ix_(rows, out)] = held[:, -1, -1] + change.T
     return losses
 
 
@@ -78,9 +73,20 @@ def training_losses(
     total: FloatArray, sets: Sequence[Sequence[int]], rules: SelectionRules
 ) -> FloatArray:
     """Sum of squares left by each set of columns on all units: (S,)."""
-    index = np.asarray(sets, dtype=np.int64)
-    weights = _solve(total, index, rules)
-    return total[-1, -1] - np.einsum("si,si->s", weights, total[index, -1])
+    losses = np.empty(len(sets))
+    for rows, index in _of_one_length(sets):
+        weights = _solve(total, index, rules)
+        losses[rows] = total[-1, -1] - np.einsum("si,si->s", weights, total[index, -1])
+    return losses
+
+
+def _of_one_length(
+    sets: Sequence[Sequence[int]],
+) -> Iterator[tuple[list[int], NDArray[np.int64]]]:
+    """Numbers of the sets of each length, and these sets as one array."""
+    for size in {len(one) for one in sets}:
+        rows = [i for i, one in enumerate(sets) if len(one) == size]
+        yield rows, np.asarray([sets[i] for i in rows], dtype=np.int64)
 
 
 def believable(

@@ -11,14 +11,14 @@ compete on the same terms, so that they are not taken for an effect.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.contact.effects import Effect, FittedForm, Tie, lead_in_se
+from tacgen.contact.effects import Effect
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
@@ -56,7 +56,10 @@ class FittedSet:
 
     def lead_in_se(self, other: FittedSet) -> float:
         """By how many standard errors over units it predicts better than ``other``."""
-        return lead_in_se(self.unit_losses, other.unit_losses)
+        difference = other.unit_losses - self.unit_losses
+        return float(difference.sum()) / (
+            float(difference.std() * np.sqrt(difference.size)) + 1e-300
+        )
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,11 @@ class Chosen:
     runner_up_margin: float
     margin_in_se: float
     confusable: tuple[str, ...]
+
+    @property
+    def is_effect(self) -> bool:
+        """Whether it is a registered effect."""
+        return self.candidate.is_effect
 
 
 @dataclass(frozen=True)
@@ -162,15 +170,17 @@ class CandidateSets:
             design = np.column_stack([fit.jacobian, fit.residual])
             grams = scores.unit_grams(self.data, design)
             plain = grams[:, -1, -1]
-            columns = range(fit.jacobian.shape[1])
-            losses = scores.cv_losses(grams, self._folds, [list(columns)], self.rules)
-            losses = self._believable(losses, plain)[0]
+            losses = self._cv_losses(grams, [range(fit.jacobian.shape[1])], plain)[0]
             if not self._is_converged(fit):
                 losses = np.maximum(plain, losses)
             self._fits[key] = FittedSet(members, fit, losses)
         return replace(self._fits[key], members=members)
 
-    def _believable(self, losses: FloatArray, without: FloatArray) -> FloatArray:
+    def _cv_losses(
+        self, grams: FloatArray, sets: Sequence[Sequence[int]], without: FloatArray
+    ) -> FloatArray:
+        """Held-out losses (S, U) of sets of columns; of those that cannot be, ``without`` (U,)."""
+        losses = scores.cv_losses(grams, self._folds, sets, self.rules)
         return scores.believable(losses, without, self.data.noise_loss, self.rules)
 
     def _is_converged(self, fit: Fit) -> bool:
@@ -184,12 +194,10 @@ class CandidateSets:
         fit = current.fit
         grams, groups, base = self.grams(fit, more)
         columns = [*base, *(i for group in groups for i in group)]
-        share = scores.coefficients(grams.sum(axis=0), columns, self.rules)[len(base) :]
-        model, position = fit.model, 0
-        for candidate in more:
-            width = candidate.columns.shape[1]
-            part = share[position : position + width]
-            position += width
+        weights = scores.coefficients(grams.sum(axis=0), columns, self.rules)
+        model = fit.model
+        for candidate, group in zip(more, groups, strict=True):
+            part = weights[group]
             if candidate.effect is not None and candidate.variant is not None:
                 scales = part if candidate.variant.scales else np.ones(len(part))
                 term = start_term(candidate.effect, candidate.variant, self.data, list(scales))
@@ -203,9 +211,7 @@ class CandidateSets:
         """``full`` without ``member``, refitted."""
         members = tuple(m for m in full.members if m.label != member.label)
         model = full.fit.model
-        if member.covariate is not None:
-            return self._fitted(members, model.without_covariate(member.covariate))
-        return self._fitted(members, model.without_effect(member.name))
+        return self._fitted(members, model.without(member.name, member.covariate))
 
     def pool(self, current: FittedSet, *, new_oscillations: bool = False) -> Pool:
         """Candidates beside ``current`` and the losses that each leaves on held-out units."""
@@ -225,53 +231,44 @@ class CandidateSets:
             if (c.is_effect and not c.is_between_trials) or self.is_determined(c, *current.members)
         ]
         grams, groups, base = self.grams(fit, found)
-        losses = scores.losses_of_groups(grams, self._folds, base, groups, self.rules)
-        losses = self._believable(losses, current.unit_losses)
+        losses = self._cv_losses(grams, [[*base, *g] for g in groups], current.unit_losses)
         return Pool(found, losses, current.loss - losses.sum(axis=1))
 
     def pairs(self, current: FittedSet, pool: Pool) -> list[tuple[Candidate, Candidate]]:
         """The pairs of candidates beside ``current`` that are worth a fit, best first."""
         rules, found = self.rules, pool.candidates
         grams, groups, base = self.grams(current.fit, found)
-        by_size: dict[int, list[tuple[int, int]]] = {}
-        for a, b in combinations(self._pair_members(pool), 2):
-            both = (found[a], found[b], *current.members)
-            if found[a].name != found[b].name and self.is_determined(*both):
-                by_size.setdefault(len(groups[a]) + len(groups[b]), []).append((a, b))
-        ranked: list[tuple[float, tuple[int, int]]] = []
-        total = grams.sum(axis=0)
-        for pairs in by_size.values():
-            sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
-            ranked += zip(scores.training_losses(total, sets, rules), pairs, strict=True)
+        pairs = [
+            (a, b)
+            for a, b in combinations(self._pair_members(pool), 2)
+            if found[a].name != found[b].name
+            and self.is_determined(found[a], found[b], *current.members)
+        ]
+        sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
+        sums = scores.training_losses(grams.sum(axis=0), sets, rules)
         least = min(current.loss, 0.0) - rules.negative_loss_tolerance * self.data.noise_loss
-        ranked = [item for item in ranked if item[0] >= least]
-        ranked.sort(key=lambda item: item[0])
-        short = [pair for _, pair in ranked[: rules.pairs_scored]]
-        both_groups = [[*groups[a], *groups[b]] for a, b in short]
-        losses = scores.losses_of_groups(grams, self._folds, base, both_groups, rules)
-        sums = self._believable(losses, current.unit_losses).sum(axis=1)
-        gains = current.loss - sums
+        short = [k for k in np.argsort(sums, kind="stable") if sums[k] >= least]
+        short = short[: rules.pairs_scored]
+        losses = self._cv_losses(grams, [sets[k] for k in short], current.unit_losses)
+        gains = current.loss - losses.sum(axis=1)
         best: dict[frozenset[str], tuple[Candidate, Candidate]] = {}
-        for index in np.argsort(sums):
+        for index in np.argsort(-gains):
             if gains[index] >= rules.pair_share * gains.max():
-                a, b = (found[i] for i in short[index])
+                a, b = (found[i] for i in pairs[short[index]])
                 best.setdefault(frozenset((a.name, b.name)), (a, b))
         return list(best.values())[: rules.pairs_fitted]
 
     def _pair_members(self, pool: Pool) -> list[int]:
         """About ``pair_pool`` candidates, every name with its best few."""
-        kept: list[int] = []
+        by_name: dict[str, list[int]] = {}
+        for index in pool.order:
+            by_name.setdefault(pool.candidates[index].name, []).append(int(index))
+        kept: set[int] = set()
         for depth in range(1, 8):
-            counts: dict[str, int] = {}
-            kept = []
-            for index in pool.order:
-                name = pool.candidates[index].name
-                counts[name] = counts.get(name, 0) + 1
-                if counts[name] <= depth:
-                    kept.append(int(index))
+            kept = {index for found in by_name.values() for index in found[:depth]}
             if len(kept) >= self.rules.pair_pool:
                 break
-        return kept
+        return [int(index) for index in pool.order if index in kept]
 
     def is_determined(self, *members: Candidate) -> bool:
         """Whether there are trials enough for the members that have one number a trial."""
@@ -286,16 +283,8 @@ class CandidateSets:
     def grams(
         self, fit: Fit, candidates: Sequence[Candidate]
     ) -> tuple[FloatArray, list[list[int]], list[int]]:
-        """Gram matrices of a fit's and the candidates' columns, and the numbers of both."""
-        base = list(range(fit.jacobian.shape[1]))
-        groups, position = [], len(base)
-        for candidate in candidates:
-            width = candidate.columns.shape[1]
-            groups.append(list(range(position, position + width)))
-            position += width
-        columns = [candidate.columns for candidate in candidates]
-        design = np.column_stack([fit.jacobian, *columns, fit.residual])
-        return scores.unit_grams(self.data, design), groups, base
+        """``scores.fit_grams`` of the candidates' columns."""
+        return scores.fit_grams(self.data, fit, [candidate.columns for candidate in candidates])
 
     def p_values(self, current: FittedSet, candidates: Sequence[Candidate]) -> FloatArray:
         """Return the p of each candidate, corrected for the number of names looked at."""
@@ -337,16 +326,13 @@ class CandidateSets:
         return fitted.loss + price * self.total(fitted)
 
     def is_worth(self, smaller: FittedSet, larger: FittedSet) -> bool:
-        """Whether the larger set's gain on held-out units is large and above its own error."""
-        difference = smaller.unit_losses - larger.unit_losses
-        error = float(difference.std() * np.sqrt(difference.size))
-        gain = float(difference.sum())
+        """Whether the larger set's gain on held-out units is large."""
+        gain = smaller.loss - larger.loss
         if self.data.few_trials:
             at_bound = any(_is_at_bound(term) for term in larger.fit.model.terms)
             if at_bound or gain < self.rules.clear_share * smaller.loss:
                 return False
-        least = self._min_gain * self.total(larger)
-        return gain > least and gain > self.rules.min_gain_in_se * error
+        return gain > self._min_gain * self.total(larger)
 
     def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
         """Whether ``gain`` over ``without`` is so large that a weak p is enough."""
@@ -354,48 +340,18 @@ class CandidateSets:
         least = max(rules.clear_share * without.loss, rules.clear_gain * self.total(without))
         return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
 
-    def is_needed(self, full: FittedSet, member: Candidate, alpha: float | None = None) -> bool:
+    def is_needed(self, full: FittedSet, member: Candidate) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``."""
         rest = self.without(full, member)
+        worth = rest.loss - full.loss
         if not self.is_worth(rest, full):
             return False
-        if member.is_oscillation:
-            alpha = self.rules.oscillation_alpha_share * self.alpha
         p_value = self.p_value(full, member)
-        if p_value > (alpha or self.alpha) and not self.is_clear(
-            rest, rest.loss - full.loss, p_value
-        ):
+        if p_value > self.alpha and not self.is_clear(rest, worth, p_value):
             return False
-        worth = self._worth(full, member)
-        return all(
-            worth >= self._least_share(full, member, rival) * self._worth_of_rival(full, rival)
-            for rival in full.members
-            if rival.label != member.label
-        )
-
-    def _least_share(self, full: FittedSet, member: Candidate, rival: Candidate) -> float:
-        """Share of what ``rival`` is worth that ``member`` must be worth."""
-        rules = self.rules
-        if member.has_memory and rival.has_memory and sum(m.has_memory for m in full.members) > 2:
-            return rules.third_memory_share
-        if member.is_oscillation or not rival.is_effect:
-            return rules.covariate_share
-        same_kind = member.is_between_trials == rival.is_between_trials
-        return rules.same_kind_share if same_kind else rules.other_kind_share
-
-    def _worth(self, full: FittedSet, member: Candidate) -> float:
-        """What ``full`` gains by ``member`` over the others in whatever forms were fitted."""
-        rest = self.without(full, member)
-        return min(rest.loss, self._least_loss(rest.names)) - full.loss
-
-    def _worth_of_rival(self, full: FittedSet, rival: Candidate) -> float:
-        """What ``rival`` is worth in ``full``, or alone where others can imitate it."""
-        alone = self._least_loss(frozenset()) - self._least_loss(frozenset({rival.name}))
-        return max(self._worth(full, rival), alone)
-
-    def _least_loss(self, names: frozenset[str]) -> float:
-        """Least loss of the sets of these names that were fitted; infinite if there are none."""
-        return min((f.loss for f in self._fits.values() if f.names == names), default=np.inf)
+        rivals = [rival for rival in full.members if rival.label != member.label]
+        worths = [self.without(full, rival).loss - full.loss for rival in rivals]
+        return worth >= self.rules.least_share_of_rival * max(worths, default=0.0)
 
 
 class Selection:
@@ -422,11 +378,11 @@ class Selection:
             extended = self._extended(current, pool, p_values)
             if extended is None:
                 break
-            current = self._pruned(self._prefer_effects(self._swapped(extended)))
+            current = self._pruned(self._swapped(extended))
             if current.names in visited:
                 break
             visited.add(current.names)
-        current = self._ties_broken(self._pruned(current))
+        current = self._pruned(current)
         return Attribution(base, current, self._described(current), ranking or (), best_covariate)
 
     def _extended(self, current: FittedSet, pool: Pool, p_values: FloatArray) -> FittedSet | None:
@@ -447,15 +403,12 @@ class Selection:
             return best_single
         pairs = [sets.add(current, pair) for pair in sets.pairs(current, pool)]
         for pair in sorted(pairs, key=sets.score):
-            if sets.is_worth(best_single or current, pair) and self._both_needed(current, pair):
+            added = pair.members[len(current.members) :]
+            if sets.is_worth(best_single or current, pair) and all(
+                sets.is_needed(pair, member) for member in added
+            ):
                 return pair
         return best_single
-
-    def _both_needed(self, current: FittedSet, pair: FittedSet) -> bool:
-        """Whether either of the last two members is missed when it is left out."""
-        alpha = self.rules.pair_alpha_share * self.sets.alpha
-        new = [member for member in pair.members if member.name not in current.names]
-        return all(self.sets.is_needed(pair, member, alpha) for member in new)
 
     def _swapped(self, fitted: FittedSet) -> FittedSet:
         """Exchange members, and their variants, as long as held-out trials gain."""
@@ -483,23 +436,6 @@ class Selection:
             picked += pool.best_of_each(order, rules.singles_fitted, variants, rules.single_share)
         return picked
 
-    def _prefer_effects(self, fitted: FittedSet) -> FittedSet:
-        """Exchange a covariate for an effect that explains nearly all that it explains.
-
-        Levels or a parabola bend to whatever is near them; what an effect explains with its own
-        few numbers needs no further column.
-        """
-        for member in fitted.members:
-            if member.is_effect:
-                continue
-            rest = self.sets.without(fitted, member)
-            least = (1.0 - self.rules.effect_slack) * (rest.loss - fitted.loss)
-            for other in self._alternatives(rest, fitted):
-                trial = self.sets.add(rest, [other]) if other.is_effect else rest
-                if rest.loss - trial.loss >= least and self.sets.is_needed(trial, other):
-                    return self._prefer_effects(trial)
-        return fitted
-
     def _pruned(self, fitted: FittedSet) -> FittedSet:
         """Drop members that are not needed beside the others: covariates, then the least needed."""
         while fitted.members:
@@ -512,36 +448,6 @@ class Selection:
                 break
             fitted = self.sets.without(fitted, fitted.members[min(idle)[-1]])
         return fitted
-
-    def _ties_broken(self, fitted: FittedSet) -> FittedSet:
-        """Where two effects predict equally well, let the rule that one declares decide."""
-        for effect in self.sets.effects:
-            for rival, decide in effect.tie_breaks.items():
-                found = {effect.name, rival} & fitted.names
-                if len(found) == 1:
-                    fitted = self._tie_broken(fitted, found.pop(), decide)
-        return fitted
-
-    def _tie_broken(
-        self, fitted: FittedSet, name: str, decide: Callable[[Tie], FittedForm]
-    ) -> FittedSet:
-        rest = self.sets.without(fitted, next(m for m in fitted.members if m.name == name))
-        set_of_form: list[tuple[FittedForm, FittedSet]] = []
-
-        def form_of(candidate_set: FittedSet, name: str) -> FittedForm:
-            term = next(t for t in candidate_set.fit.model.terms if t.name == name)
-            form = FittedForm(name, term.values, term.variant.free, candidate_set.unit_losses)
-            set_of_form.append((form, candidate_set))
-            return form
-
-        def forms(name: str) -> list[FittedForm]:
-            pool = self.sets.pool(rest)
-            named = [pool.candidates[i] for i in pool.order if pool.candidates[i].name == name]
-            return [form_of(self.sets.add(rest, [candidate]), name) for candidate in named]
-
-        found = form_of(fitted, name)
-        decided = decide(Tie(found, self.data.history, self.rules.tie_in_se, forms))
-        return next(candidate_set for form, candidate_set in set_of_form if form is decided)
 
     def _best_covariate(self, current: FittedSet, pool: Pool) -> tuple[str, float]:
         """Name and share of the best candidate that is no effect."""
@@ -600,9 +506,8 @@ class Selection:
 def _is_at_bound(term: Term) -> bool:
     """Whether a fitted amount ended where its bound stopped it: then it is no measurement."""
     for name in term.variant.free:
-        parameter = term.effect.parameter(name)
-        if parameter is not None and parameter.role == "amount":
-            value = term.values[name]
-            if value != parameter.identity and not parameter.low < value < parameter.high:
-                return True
+        parameter, value = term.effect.parameter(name), term.values[name]
+        is_inside = parameter.low < value < parameter.high
+        if parameter.role == "amount" and value != parameter.identity and not is_inside:
+            return True
     return False

@@ -88,7 +88,7 @@ def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
 def test_groups_of_different_size_are_scored_as_they_are_alone():
     _, grams, _ = grams_of(log(np.random.default_rng(5)))
     folds = np.arange(N_TRIALS) % 4
-    both = scores.losses_of_groups(grams, folds, [0], [[1], [1, 2]], RULES)
+    both = scores.cv_losses(grams, folds, [[0, 1], [0, 1, 2]], RULES)
     np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]], RULES)[0])
     np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]], RULES)[0])
 
