@@ -28,7 +28,7 @@ TOUCH_SLACK_MM = 0.25
 search for far triangles that cannot touch has to be repeated without a limit."""
 
 DepthCamera = Callable[
-    [NDArray[np.float64], NDArray[np.int32], NDArray[np.float64], Sensor], NDArray
+    [NDArray[np.float64], NDArray[np.int32], NDArray[np.float64], Sensor], NDArray[np.float64]
 ]
 
 
@@ -117,10 +117,7 @@ class GapMapper:
     sensor : Sensor
     camera : {"raster", "pyrender"}
 
-    Raises
-    ------
-    ContactError
-        If the camera is unknown or cannot work on this machine.
+    Raises ``ContactError`` if the camera is unknown or cannot work on this machine.
     """
 
     def __init__(self, sensor: Sensor, camera: str = "raster") -> None:
@@ -260,10 +257,7 @@ def checked_mesh(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
     """The mesh and pose in the types that the rasteriser reads.
 
-    Raises
-    ------
-    ContactError
-        Lists whatever is wrong with their shapes, values or indices.
+    Raises ``ContactError`` that lists whatever is wrong with their shapes, values or indices.
     """
     vertices = np.ascontiguousarray(vertices_mm, dtype=np.float64)
     corners = np.ascontiguousarray(faces, dtype=np.int32)

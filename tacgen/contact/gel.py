@@ -27,10 +27,7 @@ def gel_map_mm(sensor: Sensor) -> NDArray[np.float64]:
         Sag of a sphere cap of ``sensor.dome_radius_mm``, gel frame, mm: 0 at the centre of the
         window, negative around it; 0 everywhere for a flat gel (radius 0).
 
-    Raises
-    ------
-    ContactError
-        If the dome is smaller than the window it should span.
+    Raises ``ContactError`` if the dome is smaller than the window it should span.
     """
     radius = sensor.dome_radius_mm
     if radius == 0:

@@ -70,10 +70,7 @@ class ContactLaw:
     provenance : mapping
         Hashes of the data, versions, trial counts, held-out error.
 
-    Raises
-    ------
-    ContactError
-        Listing every parameter that is unknown, not finite or out of bounds.
+    Raises ``ContactError`` listing every parameter that is unknown, not finite or out of bounds.
     """
 
     law: LawName
@@ -145,10 +142,7 @@ class ContactLaw:
     def predict_depth(self, columns: Mapping[str, ArrayLike]) -> FloatArray:
         """Indentation (N,) in mm of a ``linear_depth`` law, for a simulated grasp.
 
-        Raises
-        ------
-        ContactError
-            If the law is not ``linear_depth``.
+        Raises ``ContactError`` if the law is not ``linear_depth``.
         """
         if self.law != "linear_depth" or self.k_depth_mm_per_n is None:
             msg = f"law {self.law!r} gives a volume; only linear_depth gives a depth by itself"

@@ -28,10 +28,7 @@ def depth_map_mm(
 
     The pose's translation along z is left out, as in the rasteriser.
 
-    Raises
-    ------
-    ContactError
-        If neither EGL nor OSMesa works here.
+    Raises ``ContactError`` if neither EGL nor OSMesa works here.
     """
     import trimesh
 

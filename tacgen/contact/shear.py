@@ -126,9 +126,7 @@ class MarkerField:
         turn_sum_mm2 : float
             The sum of r × motion about the patch's centre: the same law, for a moment.
 
-        Source
-        ------
-        Si et al. 2022, Eq. 3: D = k_s F_s.
+        Source: Si et al. 2022, Eq. 3: D = k_s F_s.
         """
         arm = self._points_mm - self.center_mm
         second = float((self._stick * (arm**2).sum(axis=1)).sum())
@@ -141,7 +139,7 @@ class MarkerField:
         turned = motion.turn_rad * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
         # A turn moves the far points by more than the shift: about the patch's own sum it is 0.
         balance = (self._stick[:, None] * turned).sum(axis=0) / max(self._stick.sum(), 1e-9)
-        return self._stick[:, None] * (motion.shift_mm + turned - balance)
+        return np.asarray(self._stick[:, None] * (motion.shift_mm + turned - balance))
 
     def displaced_mm(self, motion: Motion) -> NDArray[np.float64]:
         """Where each point (n, 2) is: dilated by the indentation, sheared and turned."""

@@ -43,7 +43,7 @@ def thinned(count: int) -> slice:
     return slice(None, None, max(1, -(-count // MAX_POINTS)))
 
 
-def draw_groups(axes: Axes, x: NDArray, y: NDArray, group: NDArray) -> None:
+def draw_groups(axes: Axes, x: NDArray[Any], y: NDArray[Any], group: NDArray[Any]) -> None:
     """Dots, coloured by the group (N,) that each belongs to; a legend where they are few."""
     names = list(dict.fromkeys(group.astype(str)))
     for index, name in enumerate(names):
@@ -55,9 +55,9 @@ def draw_groups(axes: Axes, x: NDArray, y: NDArray, group: NDArray) -> None:
 
 
 def fit_and_residual(
-    load: NDArray,
-    response: NDArray,
-    group: NDArray,
+    load: NDArray[Any],
+    response: NDArray[Any],
+    group: NDArray[Any],
     slope: float,
     labels: tuple[str, str, str],
 ) -> Figure:
@@ -78,7 +78,9 @@ def fit_and_residual(
     return figure
 
 
-def draw_residual(axes: Axes, covariate: NDArray, residual: NDArray, noise: float) -> None:
+def draw_residual(
+    axes: Axes, covariate: NDArray[Any], residual: NDArray[Any], noise: float
+) -> None:
     """A residual over a covariate, numbers or names: dots, means, and the noise as a band."""
     axes.axhspan(-noise, noise, color="0.92")
     axes.axhline(0.0, color="0.5", lw=0.8)
@@ -175,7 +177,7 @@ def rankings(
 
 
 def draw_curve(
-    axes: Axes, x: NDArray, y: NDArray, chosen: float, interval: tuple[float, float]
+    axes: Axes, x: NDArray[Any], y: NDArray[Any], chosen: float, interval: tuple[float, float]
 ) -> None:
     """A curve over a parameter, the chosen value as a line and its interval as a band."""
     axes.axvspan(*interval, color=ACCENT, alpha=0.12)
@@ -192,7 +194,11 @@ OUTCOME_NOTE = (
 
 
 def draw_outcomes(
-    axes: Axes, places: Mapping[str, NDArray], labels: NDArray, real: NDArray, title: str
+    axes: Axes,
+    places: Mapping[str, NDArray[Any]],
+    labels: NDArray[Any],
+    real: NDArray[Any],
+    title: str,
 ) -> None:
     """Outcomes over force and height; rings mark labels that differ from the real ones.
 
@@ -212,7 +218,7 @@ def draw_outcomes(
 
 
 def heat_map(
-    values: NDArray, extent: tuple[float, float, float, float], labels: tuple[str, str, str]
+    values: NDArray[Any], extent: tuple[float, float, float, float], labels: tuple[str, str, str]
 ) -> Figure:
     """A map of values with its scale; ``labels`` name the two axes and the values."""
     figure, grid = new_figure(7.5, 3.6)
@@ -224,7 +230,7 @@ def heat_map(
 
 
 def confusion(
-    counts: NDArray, rows: Sequence[str], columns: Sequence[str], title: str = ""
+    counts: NDArray[Any], rows: Sequence[str], columns: Sequence[str], title: str = ""
 ) -> Figure:
     """True class by row, predicted class by column, with counts or per cent in the cells."""
     size_in = max(2.2, 0.38 * len(columns))
@@ -235,7 +241,7 @@ def confusion(
 
 
 def draw_confusion(
-    axes: Axes, counts: NDArray, rows: Sequence[str], columns: Sequence[str]
+    axes: Axes, counts: NDArray[Any], rows: Sequence[str], columns: Sequence[str]
 ) -> None:
     """A confusion matrix; the shade follows the number in each cell."""
     largest = max(float(counts.max()), 1.0)

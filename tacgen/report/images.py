@@ -56,7 +56,7 @@ def side_by_side(images: Sequence[Image], width_px: int | None = None) -> Image:
 def difference(after: NDArray, before: NDArray, gain: float) -> Image:
     """``gain`` × (after − before) about middle grey."""
     change = gain * (np.asarray(after, np.float64) - before)
-    return np.rint(np.clip(MIDDLE_GREY + change, 0, 255)).astype(np.uint8)
+    return np.asarray(np.rint(np.clip(MIDDLE_GREY + change, 0, 255)).astype(np.uint8))
 
 
 def evenly(count: int, most: int) -> list[int]:

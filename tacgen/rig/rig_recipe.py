@@ -197,10 +197,7 @@ def load_rig_recipe(name: str | Path, changes: Mapping[str, Any] | None = None) 
 
     ``changes`` replaces top-level keys, for repetitions that differ in their seed.
 
-    Raises
-    ------
-    RecipeError
-        Lists everything that is wrong, each with its file, line and fix.
+    Raises ``RecipeError`` that lists everything that is wrong, each with its file, line and fix.
     """
     source = read_yaml(find_recipe(str(name)))
     source.data.update(changes or {})

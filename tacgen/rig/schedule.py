@@ -93,4 +93,4 @@ def _course(
 
 def _room(temperature: Temperature, time_s: FloatArray) -> FloatArray:
     swing = np.sin(2.0 * np.pi * time_s / temperature.period_s)
-    return temperature.mean_c + temperature.swing_c * swing
+    return np.asarray(temperature.mean_c + temperature.swing_c * swing)

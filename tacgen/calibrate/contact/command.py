@@ -67,10 +67,7 @@ def calibrate_contact(
     ``log`` is a press log, a table of force–depth curves, or a folder of press images with
     forces; of the last, ``table`` turns pictures into volumes and ``save_log`` keeps the log.
 
-    Raises
-    ------
-    PressError
-        If the log cannot be used or an option is not known.
+    Raises ``PressError`` if the log cannot be used or an option is not known.
     """
     if contact_point not in CONTACT_POINTS:
         known = ", ".join(CONTACT_POINTS)

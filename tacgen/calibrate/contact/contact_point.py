@@ -71,7 +71,7 @@ def _shift_depth(
     def misfit(parameters: FloatArray) -> FloatArray:
         shift, compliance, zero = parameters
         volume = ball_volume_mm3(depth_mm + shift, radius_mm)
-        return (load / scale_n - zero - volume / np.exp(compliance) / scale_n)[touching]
+        return np.asarray((load / scale_n - zero - volume / np.exp(compliance) / scale_n)[touching])
 
     start = np.log(ball_volume_mm3(deepest, radius_mm[touching].mean()) / scale_n)
     # A force zero that was seen before the contact is known; else it is free too.

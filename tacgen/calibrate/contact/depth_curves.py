@@ -86,10 +86,7 @@ def is_depth_table(path: Path) -> bool:
 def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
     """Read curves from columns ``force_normal_n``, ``depth_mm`` and ``curve`` (or ``trial``).
 
-    Raises
-    ------
-    PressError
-        Listing what is missing, not a number, or too short.
+    Raises ``PressError`` listing what is missing, not a number, or too short.
     """
     frame = read_table(path)
     label = "curve" if "curve" in frame.columns else "trial"
@@ -191,7 +188,7 @@ def _span(logs: list[float]) -> tuple[float, float]:
 
 
 def _predict(curve: DepthCurve, radius_mm: float, k_log: float, shift_mm: float) -> FloatArray:
-    return ball_volume_mm3(curve.depth_mm + shift_mm, radius_mm) / np.exp(k_log)
+    return np.asarray(ball_volume_mm3(curve.depth_mm + shift_mm, radius_mm) / np.exp(k_log))
 
 
 def _squares(curve: DepthCurve, parameters: FloatArray) -> float:

@@ -131,15 +131,10 @@ def fit_contact(
     marker_pitch_mm : float
         Pitch of the markers whose motion was summed.
 
-    Raises
-    ------
-    PressError
-        With fewer than three presses, an unknown column, or a response that does not grow with
-        the load.
+    Raises ``PressError`` with fewer than three presses, an unknown column, or a response that does
+    not grow with the load.
 
-    Source
-    ------
-    Si et al. 2022, arXiv 2208.02885, Eq. 1.
+    Source: Si et al. 2022, arXiv 2208.02885, Eq. 1.
     """
     if len(log.trials) < MIN_TRIALS:
         left_out = [str(trial) for trial in log.dropped]
@@ -210,9 +205,7 @@ def channel_arrays(log: PressLog, channel: str) -> tuple[FloatArray, FloatArray]
 def agreement_of(groups: Mapping[str, SlopeFit], pooled: float) -> Agreement | None:
     """Welch's test over the groups; None where fewer than two have an error of their own.
 
-    Source
-    ------
-    Welch 1951, On the comparison of several mean values, Biometrika 38.
+    Source: Welch 1951, On the comparison of several mean values, Biometrika 38.
     """
     usable = [fit for fit in groups.values() if np.isfinite(fit.stderr) and fit.stderr > 0]
     if len(usable) < 2:

@@ -112,9 +112,7 @@ def fit_slope(
     SlopeFit
         With ``stderr`` NaN where there is one trial only.
 
-    Source
-    ------
-    CR2 and its degrees of freedom: Bell & McCaffrey 2002; Pustejovsky & Tipton 2018.
+    Source: CR2 and its degrees of freedom: Bell & McCaffrey 2002; Pustejovsky & Tipton 2018.
     """
     load, response = (np.asarray(v, np.float64).reshape(len(trial), -1) for v in (load, response))
     _, cluster = np.unique(trial, return_inverse=True)
@@ -203,12 +201,12 @@ def _solve_robustly(
 
 
 def _predicted(design: FloatArray, beta: FloatArray) -> FloatArray:
-    return np.einsum("np,p->n", design, beta)
+    return np.asarray(np.einsum("np,p->n", design, beta))
 
 
 def _gram(left: FloatArray, right: FloatArray) -> FloatArray:
     """leftᵀ right of tall matrices; a BLAS would wake all its threads for so little work."""
-    return np.einsum("ni,nj->ij", left, right)
+    return np.asarray(np.einsum("ni,nj->ij", left, right))
 
 
 def _least_absolute(design: FloatArray, y: FloatArray, beta: FloatArray) -> FloatArray:

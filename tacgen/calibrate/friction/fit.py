@@ -44,10 +44,8 @@ def fit_friction(
     real : (N,) int
         1 success, 0 failure.
 
-    Source
-    ------
-    Si et al. 2022, Sec. IV: friction by sweeping μ against about 20 real grasps. The interval is
-    a percentile bootstrap over grasps.
+    Source: Si et al. 2022, Sec. IV: friction by sweeping μ against about 20 real grasps. The
+    interval is a percentile bootstrap over grasps.
     """
     wrong = simulated != real[None, :]
     mislabels = wrong.sum(axis=1)

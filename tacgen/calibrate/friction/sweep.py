@@ -47,10 +47,7 @@ def sweep_friction(
     -------
     The fit of every object by name, and every simulated outcome.
 
-    Raises
-    ------
-    DatasetError
-        If a real grasp asks for a force that the recipe's gripper cannot give.
+    Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
     check_forces(recipe, real)
     changes = {mu: Perturbation(friction=mu) for mu in mu_values}
@@ -91,10 +88,7 @@ def data_warnings(
 def mu_range(text: str) -> tuple[float, ...]:
     """The values of μ that ``start:stop:step`` means, the end included.
 
-    Raises
-    ------
-    RecipeError
-        If the text is not of that form, or a value lies outside [0, 2].
+    Raises ``RecipeError`` if the text is not of that form, or a value lies outside [0, 2].
     """
     try:
         start, stop, step = (float(part) for part in text.split(":"))

@@ -10,7 +10,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     cos, sin = np.cos(p["rotation_rad"]), np.sin(p["rotation_rad"])
     turn = np.array([[cos, -sin], [sin, cos]])
     stretch = np.array([[1.0 + p["along_x"], p["diagonal"]], [p["diagonal"], 1.0 - p["along_x"]]])
-    return load @ (stretch @ turn).T
+    return np.asarray(load @ (stretch @ turn).T)
 
 
 base.register(

@@ -160,10 +160,7 @@ _REGISTRY: dict[tuple[Channel, str], Effect] = {}
 def register(effect: Effect) -> Effect:
     """Add ``effect`` to the registry.
 
-    Raises
-    ------
-    ContactError
-        If the channel already has an effect of that name.
+    Raises ``ContactError`` if the channel already has an effect of that name.
     """
     key = (effect.channel, effect.name)
     if key in _REGISTRY:
@@ -191,10 +188,7 @@ def all_effects() -> tuple[Effect, ...]:
 def find_effect(channel: str, name: str) -> Effect:
     """The effect of that name.
 
-    Raises
-    ------
-    ContactError
-        If there is none; the message lists those there are.
+    Raises ``ContactError`` if there is none; the message lists those there are.
     """
     for effect in _REGISTRY.values():
         if (effect.channel, effect.name) == (channel, name):
@@ -273,9 +267,7 @@ def share_of(reference: str, low: float, high: float) -> Bounds:
 def power_shape(ratio: FloatArray, exponent: float) -> FloatArray:
     """(ratio^exponent − 1)/exponent, and log(ratio) at exponent 0: 0 and of slope 1 at ratio 1.
 
-    Source
-    ------
-    Box & Cox 1964.
+    Source: Box & Cox 1964.
     """
     log_ratio = np.log(np.maximum(ratio, _MIN_RATIO))
     if abs(exponent) < 1e-6:
@@ -286,7 +278,7 @@ def power_shape(ratio: FloatArray, exponent: float) -> FloatArray:
 def with_gain(load: FloatArray, relative: FloatArray) -> FloatArray:
     """``load`` (N, C) times 1 + ``relative`` (N,), never turned round; NaN counts as 0."""
     gain = np.maximum(1.0 + np.nan_to_num(relative, nan=0.0), MIN_GAIN)
-    return load * gain[:, None]
+    return np.asarray(load * gain[:, None])
 
 
 def varies(values: FloatArray) -> bool:

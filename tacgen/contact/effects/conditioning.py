@@ -13,9 +13,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
 
     At tail 0 that is exp(−m), at tail 1 it is 1/(1 + m); a power above 1 starts with a plateau.
 
-    Source
-    ------
-    Mullins 1969: a rubber softens over its first loadings and then settles.
+    Source: Mullins 1969: a rubber softens over its first loadings and then settles.
     """
     n = (np.maximum(history.trial - p["first_trial"], 0.0) / p["trials"]) ** p["power"]
     tail = p["tail"]

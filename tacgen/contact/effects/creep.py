@@ -18,9 +18,7 @@ def _apply(
     with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial's contact began,
     which is gone with the load; in between, a share of each.
 
-    Source
-    ------
-    Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
+    Source: Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
     """
     result = load.copy()
     for amount_name, tau_name in TERMS:

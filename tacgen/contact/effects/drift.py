@@ -16,7 +16,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     """
     tau = np.clip((history.time_s - p["start_s"]) / p["span_s"] - 0.5, -0.75, 0.75)
     relative = tau * (p["linear"] + tau * (p["quadratic"] + tau * p["cubic"]))
-    return base.with_gain(load, relative) + (p["offset_n"] * tau)[:, None]
+    return np.asarray(base.with_gain(load, relative) + (p["offset_n"] * tau)[:, None])
 
 
 def _references(history: base.LoadHistory) -> dict[str, float]:

@@ -32,10 +32,8 @@ class LoadHistory:
         Columns of a press log in tacgen's units; ``trial``, ``time_s`` and ``force_normal_n`` are
         required. Nothing is written to them.
 
-    Raises
-    ------
-    ContactError
-        If a required column is missing or not finite, or columns differ in length.
+    Raises ``ContactError`` if a required column is missing or not finite, or columns differ in
+    length.
     """
 
     def __init__(self, columns: Mapping[str, ArrayLike]) -> None:
@@ -100,7 +98,7 @@ class LoadHistory:
     def time_in_trial_s(self) -> FloatArray:
         """Time since the first sample of the trial."""
         first = self.time_s[self.starts[:-1]] if self.n_samples else np.zeros(0)
-        return self.time_s - np.repeat(first, np.diff(self.starts))
+        return np.asarray(self.time_s - np.repeat(first, np.diff(self.starts)))
 
     @cached_property
     def force_normal_n(self) -> FloatArray:

@@ -22,9 +22,7 @@ def _apply(
     ``friction``·(Dahl friction of that width) turn round with the direction, and ``spread`` is
     the play with widths spread evenly up to ``width_n``.
 
-    Source
-    ------
-    Visintin 1994, Differential Models of Hysteresis, ch. III: play, Prandtl-Ishlinskii.
+    Source: Visintin 1994, Differential Models of Hysteresis, ch. III: play, Prandtl-Ishlinskii.
     """
     peak_row, unloading = history.reversal(channel)
     peak = load[peak_row]
@@ -56,7 +54,7 @@ def _below(load: base.FloatArray, peak: base.FloatArray) -> base.FloatArray:
     """0 at the peak, where noise alone separates the two, rising to 1 a little below it."""
     size = np.linalg.norm(peak, axis=1, keepdims=True) + 1e-9
     gap = np.linalg.norm(peak - load, axis=1, keepdims=True) / size
-    return np.clip(gap / 0.05, 0.0, 1.0)
+    return np.asarray(np.clip(gap / 0.05, 0.0, 1.0))
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
@@ -79,11 +77,11 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
     )
 
 
-for _channel in base.CHANNELS:
+def _register(channel: base.Channel) -> None:
     base.register(
         base.Effect(
             name="hysteresis",
-            channel=_channel,
+            channel=channel,
             stage="memory",
             about="the way back differs from the way in",
             parameters=(
@@ -96,12 +94,16 @@ for _channel in base.CHANNELS:
                 base.shape("width_n", 1e-4, 1e3, 1.0, "N", base.share_of("span_n", 0.01, 1.2)),
                 base.reference("span_n", "N"),
             ),
-            apply=partial(_apply, channel=_channel),
-            references=lambda history, channel=_channel: {"span_n": history.span_n(channel)},
+            apply=partial(_apply, channel=channel),
+            references=lambda history: {"span_n": history.span_n(channel)},
             variants=_variants,
             kind="memory",
-            is_identifiable=lambda history, channel=_channel: bool(
+            is_identifiable=lambda history: bool(
                 history.reversal(channel)[1].mean() > MIN_UNLOADING_SHARE
             ),
         )
     )
+
+
+for _channel in base.CHANNELS:
+    _register(_channel)

@@ -61,9 +61,7 @@ def delayed(
 def play(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
     """The play (backlash) operator of half-width ``width``, starting at rest.
 
-    Source
-    ------
-    Krasnosel'skii & Pokrovskii 1989, Systems with Hysteresis: the Prandtl play.
+    Source: Krasnosel'skii & Pokrovskii 1989, Systems with Hysteresis: the Prandtl play.
     """
     result = np.empty(values.size)
     for k in range(starts.size - 1):
@@ -78,9 +76,7 @@ def play(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatAr
 def dahl(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
     """Friction that saturates at ±width exponentially with the way since the last turn.
 
-    Source
-    ------
-    Dahl 1968, A solid friction model, with exponent 1: dz/dx = 1 − sgn(dx)·z/width.
+    Source: Dahl 1968, A solid friction model, with exponent 1: dz/dx = 1 − sgn(dx)·z/width.
     """
     result = np.empty(values.size)
     for k in range(starts.size - 1):

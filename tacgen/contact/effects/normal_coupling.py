@@ -8,9 +8,8 @@ from tacgen.contact.effects import base
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Compliance 1 + amount·b, b the power shape of F_n / reference.
 
-    Source
-    ------
-    Mindlin 1949: tangential compliance goes as 1/contact radius, hence as F_n^(−1/3) for a ball.
+    Source: Mindlin 1949: tangential compliance goes as 1/contact radius, hence as F_n^(−1/3) for a
+    ball.
     """
     ratio = np.maximum(history.normal_smooth_n, 0.05 * p["reference_n"]) / p["reference_n"]
     return base.with_gain(load, p["amount"] * base.power_shape(ratio, p["exponent"]))

@@ -19,7 +19,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     if p["size"] != 0.0:
         relative = relative + p["size"] * (shear / p["reference_n"]) ** p["exponent"]
     leak = p["leak"] * shear + history.force_shear_n @ np.array([p["leak_x"], p["leak_y"]])
-    return base.with_gain(load, relative) + leak[:, None]
+    return np.asarray(base.with_gain(load, relative) + leak[:, None])
 
 
 def _references(history: base.LoadHistory) -> dict[str, float]:

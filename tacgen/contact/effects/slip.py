@@ -13,9 +13,7 @@ def load_ratio(history: base.LoadHistory, floor_n: float) -> base.FloatArray:
 def mindlin_factor(fraction: base.FloatArray) -> base.FloatArray:
     """Growth of the tangential displacement at F_s = fraction·μF_n over the stuck contact.
 
-    Source
-    ------
-    Cattaneo 1938; Mindlin 1949: s = (3μF_n/16Ga)(1 − (1 − F_s/μF_n)^(2/3)).
+    Source: Cattaneo 1938; Mindlin 1949: s = (3μF_n/16Ga)(1 − (1 − F_s/μF_n)^(2/3)).
     """
     q = np.clip(fraction, 1e-6, 1.0)
     return (1.0 - (1.0 - q) ** (2.0 / 3.0)) / (2.0 / 3.0 * q)

@@ -8,10 +8,8 @@ from tacgen.contact.effects import base
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Compliance 1 + amount·b + curvature·b², b the power shape of |F| / reference.
 
-    Source
-    ------
-    A finite layer under a ball and a hyperelastic gel both bend V(F) by a power of the load;
-    Johnson 1985, Contact Mechanics, §5.8.
+    Source: A finite layer under a ball and a hyperelastic gel both bend V(F) by a power of the
+    load; Johnson 1985, Contact Mechanics, §5.8.
     """
     bend = base.power_shape(np.abs(load[:, 0]) / p["reference_n"], p["exponent"])
     return base.with_gain(load, p["amount"] * bend + p["curvature"] * bend**2)

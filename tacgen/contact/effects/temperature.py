@@ -9,7 +9,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     """Gain 1 + linear·ΔT + quadratic·ΔT² and a zero that moves by offset·ΔT."""
     delta = np.nan_to_num(history.column("temperature_c") - p["reference_c"], nan=0.0)
     relative = delta * (p["linear_per_c"] + delta * p["quadratic_per_c2"])
-    return base.with_gain(load, relative) + (p["offset_n_per_c"] * delta)[:, None]
+    return np.asarray(base.with_gain(load, relative) + (p["offset_n_per_c"] * delta)[:, None])
 
 
 def _references(history: base.LoadHistory) -> dict[str, float]:

@@ -71,7 +71,7 @@ class ChannelData:
     @property
     def n_outputs(self) -> int:
         """1 for the normal channel, 2 for shear."""
-        return self.target.shape[1]
+        return int(self.target.shape[1])
 
     @property
     def n_units(self) -> int:
@@ -293,7 +293,7 @@ def _precision(
     variance = base + slope * everywhere**2 / scale
     variance = np.maximum(variance, max(variance.max() / rules.max_variance_ratio, 1e-24))
     weight = 1.0 / variance
-    return weight / weight.mean()
+    return np.asarray(weight / weight.mean())
 
 
 def _spikes(

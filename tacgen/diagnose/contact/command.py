@@ -50,10 +50,7 @@ SEED = 20220804
 def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")) -> Diagnosis:
     """Diagnose the press log at ``path``; write diagnosis.json, contact.yaml and report.html.
 
-    Raises
-    ------
-    PressError
-        If the log cannot be used; the message says what and where.
+    Raises ``PressError`` if the log cannot be used; the message says what and where.
     """
     from tacgen.diagnose.contact.report import write_report
 
@@ -94,10 +91,7 @@ def diagnose(
         Whether ``time_s`` runs on from trial to trial.
     rules : SelectionRules
 
-    Raises
-    ------
-    PressError
-        If no channel has enough samples to fit.
+    Raises ``PressError`` if no channel has enough samples to fit.
     """
     notes = list(notes)
     channels: dict[str, ChannelDiagnosis] = {}

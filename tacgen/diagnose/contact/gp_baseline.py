@@ -74,4 +74,4 @@ def _predict(x: FloatArray, y: FloatArray, test: FloatArray) -> FloatArray:
     if chosen is None or variance <= 0:
         return np.zeros(test.shape[0])
     weights, width = chosen
-    return np.exp(-0.5 * cdist(test, x, "sqeuclidean") / width) @ weights
+    return np.asarray(np.exp(-0.5 * cdist(test, x, "sqeuclidean") / width) @ weights)

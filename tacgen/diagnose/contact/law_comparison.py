@@ -30,10 +30,8 @@ DIFFERENCE_GAIN = 4
 def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, path: Path) -> None:
     """Simulate the strongest grasp of ``recipe`` once and render it by each law.
 
-    Raises
-    ------
-    RecipeError
-        If the grasp cannot be executed, or the recipe asks for single images only.
+    Raises ``RecipeError`` if the grasp cannot be executed, or the recipe asks for single images
+    only.
     """
     if recipe.frames.mode != "sequence":
         msg = f"recipe {recipe.name!r} asks for single images; memory shows in `mode: sequence`"

@@ -183,9 +183,7 @@ class StandardErrors:
 def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     """Errors that hold for samples that are correlated within a trial (or part of one).
 
-    Source
-    ------
-    Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor.
+    Source: Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor.
     """
     space = _Space(data, fit.model)
     rows = np.repeat(data.row_unit, data.n_outputs)
@@ -246,7 +244,7 @@ class _Space:
         """Which numbers no bound holds; ``gradient`` is the direction of descent."""
         held_low = (vector <= self._low) & (gradient <= 0)
         held_high = (vector >= self._high) & (gradient >= 0)
-        return ~(held_low | held_high)
+        return np.asarray(~(held_low | held_high))
 
     def model(self, vector: FloatArray) -> Model:
         """The model that ``vector`` stands for."""

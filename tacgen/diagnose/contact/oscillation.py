@@ -120,7 +120,7 @@ def _powers(
 
 def _spectrum(clock: _Clock, values: FloatArray) -> NDArray[np.complex128]:
     on_clock = np.bincount(clock.ticks, values, minlength=clock.n_points)
-    return rfft(on_clock)
+    return np.asarray(rfft(on_clock))
 
 
 def _power_at(

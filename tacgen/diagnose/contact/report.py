@@ -84,4 +84,6 @@ def _residual(found: ChannelDiagnosis, fit: Fit) -> FloatArray:
     if data.channel == "normal":
         return residual[:, 0]
     force = data.history.force_shear_n
-    return (residual * force).sum(axis=1) / np.maximum(np.linalg.norm(force, axis=1), 1e-9)
+    return np.asarray(
+        (residual * force).sum(axis=1) / np.maximum(np.linalg.norm(force, axis=1), 1e-9)
+    )

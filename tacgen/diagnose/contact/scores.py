@@ -82,10 +82,10 @@ def training_losses(
 
 def _of_one_length(
     sets: Sequence[Sequence[int]],
-) -> Iterator[tuple[list[int], NDArray[np.int64]]]:
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Numbers of the sets of each length, and these sets as one array."""
     for size in {len(one) for one in sets}:
-        rows = [i for i, one in enumerate(sets) if len(one) == size]
+        rows = np.array([i for i, one in enumerate(sets) if len(one) == size], dtype=np.int64)
         yield rows, np.asarray([sets[i] for i in rows], dtype=np.int64)
 
 
@@ -108,7 +108,7 @@ def believable(
 
 def coefficients(total: FloatArray, columns: Sequence[int], rules: SelectionRules) -> FloatArray:
     """Least-squares coefficients of ``columns`` for the target."""
-    return _solve(total, np.asarray([columns], dtype=np.int64), rules)[0]
+    return np.asarray(_solve(total, np.asarray([columns], dtype=np.int64), rules)[0])
 
 
 def _solve(
@@ -130,7 +130,7 @@ def _solve(
         lacking = np.diag(gram)[index] < rules.min_column_share_in_fold * np.diag(whole)[index]
         scaled = scaled + 1e12 * lacking[:, :, None] * np.eye(index.shape[1])
     right = gram[index, -1] / size
-    return np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / size
+    return np.asarray(np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / size)
 
 
 @dataclass(frozen=True)
@@ -233,4 +233,4 @@ def shuffle_p_values(statistics: FloatArray, rules: SelectionRules) -> FloatArra
     observed = statistics[0]
     by_rank = (1.0 + (null >= observed).sum(axis=0)) / (1.0 + count)
     by_tail = top / count * np.exp(-np.maximum(observed - threshold, 0.0) / excess)
-    return np.where(observed > threshold, np.minimum(by_tail, by_rank), by_rank)
+    return np.asarray(np.where(observed > threshold, np.minimum(by_tail, by_rank), by_rank))

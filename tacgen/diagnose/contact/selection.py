@@ -278,7 +278,7 @@ class CandidateSets:
             if not member.is_oscillation and (not member.is_effect or member.is_between_trials)
         ]
         most = self.rules.coefficients_per_trial * self.data.history.n_trials
-        return sum(widths) <= max(1.0, most)
+        return bool(sum(widths) <= max(1.0, most))
 
     def grams(
         self, fit: Fit, candidates: Sequence[Candidate]
@@ -296,7 +296,7 @@ class CandidateSets:
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
         n_names = 1 if self.data.few_trials else len({c.name for c in candidates})
         by_shuffle = np.maximum(scores.shuffle_p_values(statistics, self.rules), search)
-        return np.minimum(by_shuffle * n_names, 1.0)
+        return np.asarray(np.minimum(by_shuffle * n_names, 1.0))
 
     def p_value(self, full: FittedSet, member: Candidate) -> float:
         """Return the p of the member's columns beside the others, not corrected for a choice."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,7 @@ from tacgen.diagnose.grasps.perturbed_simulations import (
 from tacgen.diagnose.grasps.result import GraspDiagnosis, diagnose_labels, diagnosis_record
 from tacgen.diagnose.grasps.rules import RULES
 
+PLACE = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _KNOWN_MODE = {"rotational_slip": TURNED, "translational_slip": SLID}
 
 
@@ -74,18 +75,14 @@ def diagnose_grasps(
 
     Finished simulations in ``out`` are kept and used again.
 
-    Raises
-    ------
-    DatasetError
-        If a real grasp asks for a force that the recipe's gripper cannot give.
+    Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
     check_forces(recipe, real)
     configs = tuple(grasp.config for grasp in real.grasps)
     simulations = PerturbedSimulations(recipe, configs, out, workers, show)
     comparison = simulations.comparison()
     reading, about = force_from_images(recipe, real, out / "imprints.json", show("images"))
-    labels = labels_of(real.grasps)
-    labels = Labels(labels.known, labels.modes, reading)
+    labels = replace(labels_of(real.grasps), reading=reading)
     comparison = refine(simulations, comparison, labels)
     rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(0x67,)))
     steps, simulated = choose_confirmed(simulations, comparison, labels, rng)
@@ -143,7 +140,9 @@ def refine(
 ) -> ModelComparison:
     """Simulate the leading candidates about their own values, which moves them, a few times."""
     for _ in range(RULES.refining_rounds):
-        leading = _leading(comparison.scores(labels))
+        scores = comparison.scores(labels)
+        least = max(0.0, scores[0].gain - RULES.leading_gain)
+        leading = [score for score in scores if score.gain > least][: RULES.most_refined]
         if not leading:
             break
         comparison = simulations.refined(leading)
@@ -191,23 +190,14 @@ def record_of(findings: GraspFindings, recipe: Recipe, objects: Sequence[str]) -
         "how": "all grasps simulated with what was found",
     }
     channel["next_grasps"] = [
-        {
-            "object": one.config.object,
-            "force_n": one.config.force_n,
-            "x_mm": one.config.x_mm,
-            "y_mm": one.config.y_mm,
-            "z_mm": one.config.z_mm,
-            "yaw_rad": one.config.yaw_rad,
-            "success": {name: round(p, 3) for name, p in one.success.items()},
-        }
+        _place(one) | {"success": {name: round(p, 3) for name, p in one.success.items()}}
         for one in findings.proposals
     ]
     return record
 
 
-def _leading(scores: Sequence[CandidateScore]) -> list[CandidateScore]:
-    least = max(0.0, scores[0].gain - RULES.leading_gain)
-    return [score for score in scores if score.gain > least][: RULES.most_refined]
+def _place(proposal: Proposal) -> dict[str, Any]:
+    return {name: getattr(proposal.config, name) for name in PLACE}
 
 
 def _write(findings: GraspFindings, record: dict[str, Any], out: Path) -> None:
@@ -215,18 +205,13 @@ def _write(findings: GraspFindings, record: dict[str, Any], out: Path) -> None:
     write_text(out / "diagnosis.json", text + "\n")
     recipe = yaml.safe_dump(findings.recipe.resolved(), sort_keys=False, allow_unicode=True)
     write_text(out / "recipe.yaml", recipe)
-    names = ["object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad"]
-    rows = [
-        {"grasp_id": f"next{k}"} | {name: getattr(one.config, name) for name in names}
-        for k, one in enumerate(findings.proposals)
-    ]
-    table = pd.DataFrame(rows, columns=["grasp_id", *names])
+    rows = [{"grasp_id": f"next{k}"} | _place(one) for k, one in enumerate(findings.proposals)]
+    table = pd.DataFrame(rows, columns=["grasp_id", *PLACE])
     write_text(out / "next_grasps.csv", table.to_csv(index=False))
 
 
 def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, FloatArray]:
-    names = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
-    found = {name: np.array([getattr(g.config, name) for g in grasps], float) for name in names}
+    found = {n: np.array([getattr(g.config, n) for g in grasps], float) for n in PLACE[1:]}
     return found | {"order": np.arange(len(grasps), dtype=float)}
 
 

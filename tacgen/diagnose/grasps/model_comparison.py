@@ -42,6 +42,11 @@ class LabelModel:
     turning: FloatArray
     log_force: FloatArray
 
+    @property
+    def weight(self) -> float:
+        """Prior weight beside other models of the same hypothesis."""
+        return 1.0
+
     def log_probability(self) -> FloatArray:
         """Log-probability (M, S, 4, N) of what can be known, for S flip rates and widths."""
         tables = []
@@ -53,7 +58,7 @@ class LabelModel:
                     [success, failure, failure * self.turning, failure * (1 - self.turning)], axis=1
                 )
             )
-        return np.log(np.stack(tables, axis=1))
+        return np.asarray(np.log(np.stack(tables, axis=1)))
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,11 @@ class CandidateModel(LabelModel):
     """A candidate's predictions over its parameter."""
 
     candidate: Candidate
+
+    @property
+    def weight(self) -> float:
+        """Prior weight of the candidate."""
+        return self.candidate.weight
 
 
 def interpolated(
@@ -137,14 +147,13 @@ class Labels:
     @property
     def success(self) -> BoolArray:
         """Whether each grasp succeeded."""
-        found: BoolArray = self.known == SUCCESS
-        return found
+        return np.asarray(self.known == SUCCESS)
 
 
 def one_hot(known: IntArray, used: BoolArray | None = None) -> FloatArray:
     """What is known of the grasps (B, N) as (B, 4, N) zeros and ones, unused grasps all zero."""
     table = (known[:, None, :] == np.arange(4)[None, :, None]).astype(np.float64)
-    return table if used is None else table * used
+    return np.asarray(table if used is None else table * used)
 
 
 Model = TypeVar("Model", bound=LabelModel)
@@ -171,9 +180,9 @@ class Evidence(Generic[Model]):
         return total
 
     def log_evidence(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> FloatArray:
-        """Log-evidence (B,)."""
-        total: FloatArray = logsumexp(self.joint(known, log_scale, stderr), axis=(1, 2))
-        return total
+        """Log of the evidence times the candidate's prior weight (B,)."""
+        total = logsumexp(self.joint(known, log_scale, stderr), axis=(1, 2))
+        return np.asarray(total + np.log(self.model.weight))
 
     def best_fit(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> float:
         """The largest log-likelihood over all values, for one set of labels, without the prior."""
@@ -183,18 +192,15 @@ class Evidence(Generic[Model]):
     def posterior(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> FloatArray:
         """Posterior weights (M, S) for one set of labels."""
         joint = self.joint(known, log_scale, stderr)[0]
-        weights: FloatArray = np.exp(joint - logsumexp(joint))
-        return weights
+        return np.asarray(np.exp(joint - logsumexp(joint)))
 
     def predicted(self, weights: FloatArray) -> FloatArray:
         """Probability (4, N) of what can be known of each grasp, averaged over ``weights``."""
-        mean: FloatArray = np.einsum("ms,mscn->cn", weights, np.exp(self._table))
-        return mean
+        return np.asarray(np.einsum("ms,mscn->cn", weights, np.exp(self._table)))
 
     def success_probability(self, labels: Labels, used: BoolArray | None = None) -> FloatArray:
         """Probability (N,) of success, averaged over the posterior from the ``used`` grasps."""
-        probability: FloatArray = self.predicted(self.posterior(*_arguments(labels, used)))[SUCCESS]
-        return probability
+        return np.asarray(self.predicted(self.posterior(*_arguments(labels, used)))[SUCCESS])
 
     def drawn(
         self, weights: FloatArray, modes: BoolArray, count: int, rng: np.random.Generator
@@ -278,9 +284,8 @@ class ModelComparison:
         base = self.declared.log_evidence(known, log_scale, stderr)
         by_name: dict[str, list[FloatArray]] = {name: [] for name in self.names}
         for evidence in self.others:
-            candidate = evidence.model.candidate
             found = evidence.log_evidence(known, log_scale, stderr)
-            by_name[candidate.name].append(found + np.log(candidate.weight))
+            by_name[evidence.model.candidate.name].append(found)
         return np.stack([logsumexp(by_name[name], axis=0) - base for name in self.names])
 
     def scores(self, labels: Labels, used: BoolArray | None = None) -> list[CandidateScore]:
@@ -291,12 +296,7 @@ class ModelComparison:
         found = []
         for name, gain in zip(self.names, gains, strict=True):
             own = [one for one in self.others if one.model.candidate.name == name]
-            evidence = [
-                float(one.log_evidence(known, log_scale, stderr)[0])
-                + np.log(one.model.candidate.weight)
-                for one in own
-            ]
-            best = own[int(np.argmax(evidence))]
+            best = max(own, key=lambda one: one.log_evidence(known, log_scale, stderr)[0])
             weights = best.posterior(known, log_scale, stderr).sum(axis=1)
             axis = best.model.coordinate
             mean, deviation, rest = _mean_of_best_mode(axis, weights)
@@ -316,8 +316,7 @@ class ModelComparison:
         spread = stderr if np.isfinite(stderr) else 0.0
         log_force = self.declared.model.log_force[0]
         readings = log_force + spread * rng.standard_normal(RULES.null_draws)
-        largest: FloatArray = self.gains(drawn, readings, stderr).max(axis=0)
-        return largest
+        return np.asarray(self.gains(drawn, readings, stderr).max(axis=0))
 
 
 @dataclass(frozen=True, slots=True)

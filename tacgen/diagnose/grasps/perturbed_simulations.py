@@ -251,7 +251,7 @@ class PerturbedSimulations:
             return [max(force_n, RULES.least_force_n) for force_n in forces_n]
 
         perturbed = np.array([delivered(parameter.perturb(float(node))) for node in nodes])
-        return np.log(perturbed / np.array(delivered(DECLARED)))
+        return np.asarray(np.log(perturbed / np.array(delivered(DECLARED))))
 
 
 def combined_perturbation(scores: Sequence[CandidateScore], name: str) -> Perturbation:

@@ -117,7 +117,12 @@ class GraspDiagnosis:
             f"Declared wrongly: {names}. As declared, {before} of {n} grasps are mislabelled; "
             f"predicted from the other grasps, {after} are."
         )
-        text += "".join(_other_value(score) for score in self.found)
+        for score in self.found:
+            if score.second_mode is not None:
+                parameter = score.candidate.parameter
+                value = f"{score.second_mode:.{decimals_for(score.stderr)}f}"
+                unit = "times the declared" if parameter.is_factor else parameter.unit
+                text += f" {score.name} at {value} {unit} explains these labels nearly as well."
         unsure = confusable(self.steps[0].scores)
         if unsure:
             text += (
@@ -137,15 +142,6 @@ def describe(score: CandidateScore) -> str:
     return score.candidate.reported(value, error)
 
 
-def _other_value(score: CandidateScore) -> str:
-    if score.second_mode is None:
-        return ""
-    value = f"{score.second_mode:.{decimals_for(score.stderr)}f}"
-    parameter = score.candidate.parameter
-    unit = "times the declared" if parameter.is_factor else parameter.unit
-    return f" {score.name} at {value} {unit} explains these labels nearly as well."
-
-
 def diagnose_labels(
     comparison: ModelComparison,
     labels: Labels,
@@ -159,25 +155,17 @@ def diagnose_labels(
 ) -> GraspDiagnosis:
     """Predict held-out grasps, and look for what the remaining mislabels follow.
 
-    Parameters
-    ----------
-    steps : sequence of Choice
-        What was chosen from all labels.
-    simulated : (N,) int
-        Simulated labels as declared.
-    covariates : mapping of str to (N,) float
-        What remaining mislabels may follow.
+    ``steps`` were chosen from all labels, ``simulated`` (N,) are labels as declared, and
+    ``covariates`` (N,) what remaining mislabels may follow.
     """
     real = labels.success.astype(np.int64)
-    folds = _folds(real, rng)
-    heldout = heldout_success(comparison, labels, [step for step in steps if step.accepted], folds)
-    final = comparison
-    for step in steps:
-        if step.accepted:
-            final = final.given(step.scores[0])
-    probability = final.declared.success_probability(labels)
-    if not any(step.accepted for step in steps):
-        probability = np.clip(simulated, 0, 1).astype(np.float64)
+    accepted = [step for step in steps if step.accepted]
+    heldout = heldout_success(comparison, labels, accepted, _folds(real, rng))
+    probability: FloatArray = np.clip(simulated, 0, 1).astype(np.float64)
+    if accepted:
+        for step in accepted:
+            comparison = comparison.given(step.scores[0])
+        probability = comparison.declared.success_probability(labels)
     dependences = _dependences(real, probability, covariates, rng)
     return GraspDiagnosis(
         tuple(steps), real, simulated, heldout, probability, dependences, tuple(notes), reading
@@ -235,76 +223,71 @@ def diagnosis_record(
     given as the figure.
     """
     n = len(diagnosis.real)
-    effects = []
-    for number, score in enumerate(diagnosis.found):
-        step = diagnosis.steps[number]
-        second = step.scores[1] if len(step.scores) > 1 else None
-        unsure = confusable(step.scores)
-        effects.append(
+    first = diagnosis.steps[0]
+    remaining = diagnosis.dependences if diagnosis.too_many_remaining else ()
+    channel = {
+        "verdict": diagnosis.verdict,
+        "sentence": diagnosis.sentence,
+        "effects": [
+            _effect(diagnosis, step, declared) for step in diagnosis.steps if step.accepted
+        ],
+        "unexplained": [{"covariate": d.covariate, "p_value": d.p_value} for d in remaining],
+        "error_before": _error(diagnosis.rate_before, n),
+        "error_after": _error(diagnosis.rate_after, n),
+        "noise_floor": {
+            "rmse": diagnosis.n_remaining / n,
+            "how": "labels that no value of what was found matches",
+        },
+        "trials": {"fit": n, "test": n},
+        "held_out": f"{min(RULES.max_folds, n)} folds of {n} grasps; the whole choice made "
+        "anew without each",
+        "false_alarm_rate": RULES.false_alarm,
+        "force_from_images": diagnosis.reading,
+        "ranking": [
             {
-                "name": score.name,
-                "description": describe(score),
+                "candidate": score.name,
+                "log_evidence_gain": _number(score.gain),
+                "log_likelihood_gain": _number(score.fit),
                 "parameters": _parameters(score, declared),
                 "objects": list(score.candidate.objects),
-                "heldout_gain": diagnosis.rate_before - diagnosis.rate_after,
-                "runner_up": second.name if second else "",
-                "runner_up_log_evidence_behind": score.gain - second.gain if second else None,
-                "log_evidence_gain": score.gain,
+            }
+            for score in first.scores
+        ],
+        "p_value": first.p_value,
+        "steps": [
+            {
+                "chosen": step.accepted,
                 "p_value": step.p_value,
-                "or_value": score.second_mode,
-                "confusable_with": list(unsure),
-                "what_would_tell": [advice(score.name, other) for other in unsure],
+                "critical_gain": _number(step.critical_gain),
+                "candidates": [
+                    {"description": describe(score), "log_evidence_gain": _number(score.gain)}
+                    for score in step.scores
+                ],
             }
-        )
+            for step in diagnosis.steps
+        ],
+    }
+    return {"schema": SCHEMA, "notes": list(diagnosis.notes), "channels": {"grasp": channel}}
+
+
+def _effect(
+    diagnosis: GraspDiagnosis, step: Choice, declared: Mapping[str, GraspObject]
+) -> dict[str, Any]:
+    score, *others = step.scores
+    unsure = confusable(step.scores)
     return {
-        "schema": SCHEMA,
-        "notes": list(diagnosis.notes),
-        "channels": {
-            "grasp": {
-                "verdict": diagnosis.verdict,
-                "sentence": diagnosis.sentence,
-                "effects": effects,
-                "unexplained": [
-                    {"covariate": d.covariate, "p_value": d.p_value} for d in diagnosis.dependences
-                ]
-                if diagnosis.too_many_remaining
-                else [],
-                "error_before": _error(diagnosis.rate_before, n),
-                "error_after": _error(diagnosis.rate_after, n),
-                "noise_floor": {
-                    "rmse": diagnosis.n_remaining / n,
-                    "how": "labels that no value of what was found matches",
-                },
-                "trials": {"fit": n, "test": n},
-                "held_out": f"{min(RULES.max_folds, n)} folds of {n} grasps; the whole choice made "
-                "anew without each",
-                "false_alarm_rate": RULES.false_alarm,
-                "force_from_images": diagnosis.reading,
-                "ranking": [
-                    {
-                        "candidate": s.name,
-                        "log_evidence_gain": _number(s.gain),
-                        "log_likelihood_gain": _number(s.fit),
-                        "parameters": _parameters(s, declared),
-                        "objects": list(s.candidate.objects),
-                    }
-                    for s in diagnosis.steps[0].scores
-                ],
-                "p_value": diagnosis.steps[0].p_value,
-                "steps": [
-                    {
-                        "chosen": step.accepted,
-                        "p_value": step.p_value,
-                        "critical_gain": _number(step.critical_gain),
-                        "candidates": [
-                            {"description": describe(s), "log_evidence_gain": _number(s.gain)}
-                            for s in step.scores
-                        ],
-                    }
-                    for step in diagnosis.steps
-                ],
-            }
-        },
+        "name": score.name,
+        "description": describe(score),
+        "parameters": _parameters(score, declared),
+        "objects": list(score.candidate.objects),
+        "heldout_gain": diagnosis.rate_before - diagnosis.rate_after,
+        "runner_up": others[0].name if others else "",
+        "runner_up_log_evidence_behind": score.gain - others[0].gain if others else None,
+        "log_evidence_gain": score.gain,
+        "p_value": step.p_value,
+        "or_value": score.second_mode,
+        "confusable_with": list(unsure),
+        "what_would_tell": [advice(score.name, other) for other in unsure],
     }
 
 

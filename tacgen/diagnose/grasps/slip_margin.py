@@ -35,9 +35,7 @@ def closed_form_margin(
     torsion_factor : (...) float
         By how much the pads hold a larger moment than they did.
 
-    Source
-    ------
-    Howe & Cutkosky 1996, Practical force-motion models for sliding manipulation.
+    Source: Howe & Cutkosky 1996, Practical force-motion models for sliding manipulation.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = 1 / friction_ratio

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from tacgen.collection.perturbed import Perturbation
@@ -19,7 +20,9 @@ BALANCE = "balance the object on an edge"
 
 def number(key: str, **options: Any) -> Parameter:
     """A parameter that is the field ``key`` of ``Perturbation``."""
-    return Parameter(key=key, perturb=lambda value: Perturbation(**{key: value}), **options)
+    return Parameter(
+        key=key, perturb=lambda value: replace(Perturbation(), **{key: value}), **options
+    )
 
 
 def factor(key: str, nodes: tuple[float, ...], spread: float, **options: Any) -> Parameter:

@@ -155,10 +155,7 @@ _REGISTRY: dict[str, Hypothesis] = {}
 def register(hypothesis: Hypothesis) -> Hypothesis:
     """Add ``hypothesis`` to the registry.
 
-    Raises
-    ------
-    TacgenError
-        If its name is registered already.
+    Raises ``TacgenError`` if its name is registered already.
     """
     if hypothesis.name in _REGISTRY:
         msg = f"the hypothesis {hypothesis.name!r} is registered twice; give one another name"
