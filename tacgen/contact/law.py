@@ -137,7 +137,8 @@ class ContactLaw:
             history.unsorted(self._respond(history, channel, k.value, simulate=simulate))
             for channel, k in zip(CHANNELS, (self.k_n_mm3_per_n, self.k_s_mm_per_n), strict=True)
         )
-        return np.maximum(volume[:, 0], 0.0) if simulate else volume[:, 0], shear
+        volume = np.maximum(volume[:, 0], 0.0) if simulate else volume[:, 0]
+        return np.asarray(volume, np.float64), np.asarray(shear, np.float64)
 
     def predict_depth(self, columns: Mapping[str, ArrayLike]) -> FloatArray:
         """Indentation (N,) in mm of a ``linear_depth`` law, for a simulated grasp.

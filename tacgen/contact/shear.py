@@ -55,14 +55,14 @@ def marker_grid_mm(sensor: Sensor) -> NDArray[np.float64]:
 
 @njit(cache=True, nogil=True)
 def _field(
-    points_mm: NDArray,
-    patch_mm: NDArray,
-    depth_mm: NDArray,
+    points_mm: NDArray[np.float64],
+    patch_mm: NDArray[np.float64],
+    depth_mm: NDArray[np.float64],
     area_mm2: float,
     shear_decay: float,
     dilation_decay: float,
-    stick: NDArray,
-    dilation: NDArray,
+    stick: NDArray[np.float64],
+    dilation: NDArray[np.float64],
 ) -> None:
     for i in range(points_mm.shape[0]):
         nearest, along_x, along_y = np.inf, 0.0, 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+Array: TypeAlias = NDArray[Any]
 
 INK, ACCENT, MUTED, GOOD, BAD = "#1c2430", "#0b6e99", "#8a94a3", "#2a7d4f", "#b3402e"
 GROUP_COLORS = (
@@ -28,7 +30,7 @@ MAX_TICKS = 24
 
 def new_figure(
     width_in: float, height_in: float, rows: int = 1, columns: int = 1, **options: Any
-) -> tuple[Figure, NDArray[Any]]:
+) -> tuple[Figure, Array]:
     """A figure and its axes (rows, columns) in the style of the pages."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, **options)
@@ -43,7 +45,7 @@ def thinned(count: int) -> slice:
     return slice(None, None, max(1, -(-count // MAX_POINTS)))
 
 
-def draw_groups(axes: Axes, x: NDArray[Any], y: NDArray[Any], group: NDArray[Any]) -> None:
+def draw_groups(axes: Axes, x: Array, y: Array, group: Array) -> None:
     """Dots, coloured by the group (N,) that each belongs to; a legend where they are few."""
     names = list(dict.fromkeys(group.astype(str)))
     for index, name in enumerate(names):
@@ -55,9 +57,9 @@ def draw_groups(axes: Axes, x: NDArray[Any], y: NDArray[Any], group: NDArray[Any
 
 
 def fit_and_residual(
-    load: NDArray[Any],
-    response: NDArray[Any],
-    group: NDArray[Any],
+    load: Array,
+    response: Array,
+    group: Array,
     slope: float,
     labels: tuple[str, str, str],
 ) -> Figure:
@@ -78,9 +80,7 @@ def fit_and_residual(
     return figure
 
 
-def draw_residual(
-    axes: Axes, covariate: NDArray[Any], residual: NDArray[Any], noise: float
-) -> None:
+def draw_residual(axes: Axes, covariate: Array, residual: Array, noise: float) -> None:
     """A residual over a covariate, numbers or names: dots, means, and the noise as a band."""
     axes.axhspan(-noise, noise, color="0.92")
     axes.axhline(0.0, color="0.5", lw=0.8)
@@ -177,7 +177,7 @@ def rankings(
 
 
 def draw_curve(
-    axes: Axes, x: NDArray[Any], y: NDArray[Any], chosen: float, interval: tuple[float, float]
+    axes: Axes, x: Array, y: Array, chosen: float, interval: tuple[float, float]
 ) -> None:
     """A curve over a parameter, the chosen value as a line and its interval as a band."""
     axes.axvspan(*interval, color=ACCENT, alpha=0.12)
@@ -195,9 +195,9 @@ OUTCOME_NOTE = (
 
 def draw_outcomes(
     axes: Axes,
-    places: Mapping[str, NDArray[Any]],
-    labels: NDArray[Any],
-    real: NDArray[Any],
+    places: Mapping[str, Array],
+    labels: Array,
+    real: Array,
     title: str,
 ) -> None:
     """Outcomes over force and height; rings mark labels that differ from the real ones.
@@ -218,7 +218,7 @@ def draw_outcomes(
 
 
 def heat_map(
-    values: NDArray[Any], extent: tuple[float, float, float, float], labels: tuple[str, str, str]
+    values: Array, extent: tuple[float, float, float, float], labels: tuple[str, str, str]
 ) -> Figure:
     """A map of values with its scale; ``labels`` name the two axes and the values."""
     figure, grid = new_figure(7.5, 3.6)
@@ -230,7 +230,7 @@ def heat_map(
 
 
 def confusion(
-    counts: NDArray[Any], rows: Sequence[str], columns: Sequence[str], title: str = ""
+    counts: Array, rows: Sequence[str], columns: Sequence[str], title: str = ""
 ) -> Figure:
     """True class by row, predicted class by column, with counts or per cent in the cells."""
     size_in = max(2.2, 0.38 * len(columns))
@@ -240,9 +240,7 @@ def confusion(
     return figure
 
 
-def draw_confusion(
-    axes: Axes, counts: NDArray[Any], rows: Sequence[str], columns: Sequence[str]
-) -> None:
+def draw_confusion(axes: Axes, counts: Array, rows: Sequence[str], columns: Sequence[str]) -> None:
     """A confusion matrix; the shade follows the number in each cell."""
     largest = max(float(counts.max()), 1.0)
     axes.imshow(counts, cmap="Blues", vmin=0, vmax=largest, aspect="auto")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -53,7 +54,7 @@ def side_by_side(images: Sequence[Image], width_px: int | None = None) -> Image:
     return np.concatenate([part for image in small for part in (image, gap)][:-1], axis=1)
 
 
-def difference(after: NDArray, before: NDArray, gain: float) -> Image:
+def difference(after: NDArray[Any], before: NDArray[Any], gain: float) -> Image:
     """``gain`` × (after − before) about middle grey."""
     change = gain * (np.asarray(after, np.float64) - before)
     return np.asarray(np.rint(np.clip(MIDDLE_GREY + change, 0, 255)).astype(np.uint8))

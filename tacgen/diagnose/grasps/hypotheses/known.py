@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from tacgen.collection.perturbed import Perturbation
@@ -20,9 +19,11 @@ BALANCE = "balance the object on an edge"
 
 def number(key: str, **options: Any) -> Parameter:
     """A parameter that is the field ``key`` of ``Perturbation``."""
-    return Parameter(
-        key=key, perturb=lambda value: replace(Perturbation(), **{key: value}), **options
-    )
+
+    def perturb(value: Any) -> Perturbation:
+        return Perturbation(**{key: value})
+
+    return Parameter(key=key, perturb=perturb, **options)
 
 
 def factor(key: str, nodes: tuple[float, ...], spread: float, **options: Any) -> Parameter:
