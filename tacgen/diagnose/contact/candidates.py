@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,9 +38,9 @@ class Candidate:
         return self.covariate is not None and self.covariate.kind == "oscillation"
 
     @property
-    def is_between_trials(self) -> bool:
-        """Whether it is an effect that differs from trial to trial."""
-        return self.effect is not None and self.effect.kind == "between trials"
+    def is_within_trials(self) -> bool:
+        """Whether it is an effect that acts within trials, and not one that differs among them."""
+        return self.effect is not None and self.effect.kind != "between trials"
 
     @property
     def n_parameters(self) -> int:
@@ -76,36 +76,37 @@ def effect_candidates(
 ) -> list[Candidate]:
     """The variants of ``effects``, linearised at ``model`` by the difference each probe makes."""
     acting = [(term.effect, term.values) for term in model.terms]
-    plain = data.reduce(respond(data.history, data.channel, model.compliance, acting))
+
+    def reduced(*more: tuple[Effect, Mapping[str, float]]) -> FloatArray:
+        terms = [*acting, *more]
+        return data.reduce(respond(data.history, data.channel, model.compliance, terms))
+
+    plain = reduced()
     candidates = []
     for effect in effects:
         references = references_of(effect, data)
         for variant in effect.variants(data.history, references):
-            columns = []
-            for probe in variant.probes:
-                values = effect.complete({**references, **variant.shapes, **probe})
-                changed = respond(
-                    data.history, data.channel, model.compliance, [*acting, (effect, values)]
-                )
-                columns.append(data.reduce(changed) - plain)
+            given = {**references, **variant.shapes}
+            columns = [
+                reduced((effect, effect.complete({**given, **probe}))) - plain
+                for probe in variant.probes
+            ]
             stacked = np.stack(columns, axis=1)
             if np.isfinite(stacked).all() and np.abs(stacked).max() > 0:
                 candidates.append(Candidate(effect.name, stacked, effect, variant))
     return candidates
 
 
-def log_covariates(data: ChannelData, skip: Sequence[str] = ()) -> list[Covariate]:
+def log_covariates(data: ChannelData) -> list[Covariate]:
     """Covariates of every column that the contract does not know."""
     found: list[Covariate] = []
-    known = known_columns()
     for name, values in data.columns.items():
-        if name in known or name in skip or name in TARGETS[data.channel]:
+        if name in known_columns() or name in TARGETS[data.channel]:
             continue
-        if np.issubdtype(np.asarray(values).dtype, np.number):
-            if not follows_load(data, name):
-                found += numeric_covariates(name, data)
-        else:
+        if not np.issubdtype(np.asarray(values).dtype, np.number):
             found += text_covariates(name, data)
+        elif not follows_load(data, name):
+            found += numeric_covariates(name, data)
     return found
 
 
@@ -131,20 +132,17 @@ def follows_load(data: ChannelData, name: str) -> bool:
     must not be excused by it.
     """
     history = data.history
-    values: FloatArray = np.nan_to_num(history.column(name)).astype(np.float64)
+    values = np.nan_to_num(history.column(name))
     load = history.force_normal_n / history.normal_span_n
     _, unloading = history.reversal("normal")
     time = history.time_in_trial_s / max(float(history.time_in_trial_s.max()), 1e-9)
     basis = [load, load**2, load**3, unloading * 1.0, unloading * load, time, time**2]
-    design = np.stack(
-        [_within(np.asarray(b, dtype=np.float64), history.trial_index) for b in basis], axis=1
-    )
-    centred = _within(values.astype(np.float64), history.trial_index)
+    design = np.stack([_within(b, history.trial_index) for b in basis], axis=1)
+    centred = _within(values, history.trial_index)
     total = float(centred @ centred)
     if total <= 1e-6 * float(((values - values.mean()) ** 2).sum()):
         return False
-    share = np.linalg.lstsq(design, centred, rcond=None)[0]
-    left = centred - design @ share
+    left = centred - design @ np.linalg.lstsq(design, centred, rcond=None)[0]
     return float(left @ left) < data.rules.max_share_beside_load * total
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import heldout
 from tacgen.diagnose.contact.channel import (
     TARGETS,
+    UNITS,
     ChannelData,
     ChannelSamples,
     Columns,
@@ -56,17 +57,9 @@ def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")
 
     log = read_press_log(path)
     diagnosis = diagnose(log.columns, notes=log_notes(log), session_clock=log.session_clock)
-    law = diagnosis.law
-    provenance = {"data_sha256": {path.name: log.sha256}, **law.provenance}
-    law = ContactLaw(
-        law.law,
-        law.k_n_mm3_per_n,
-        law.k_s_mm_per_n,
-        marker_pitch_mm,
-        law.effects,
-        provenance=MappingProxyType(provenance),
-    )
-    diagnosis = Diagnosis(diagnosis.channels, law, diagnosis.notes)
+    provenance = {"data_sha256": {path.name: log.sha256}, **diagnosis.law.provenance}
+    law = replace(diagnosis.law, marker_pitch_mm=marker_pitch_mm, provenance=provenance)
+    diagnosis = replace(diagnosis, law=law)
     save_law(law, out / "contact.yaml")
     write_report(diagnosis, out / "report.html", title=f"Diagnosis of {path.name}")
     record = diagnosis_record(diagnosis)
@@ -106,7 +99,7 @@ def diagnose(
                 notes += channel_notes(channels[channel])
     if "normal" not in channels:
         raise PressError.from_problems(notes)
-    return Diagnosis(MappingProxyType(channels), _law_of(channels), tuple(dict.fromkeys(notes)))
+    return Diagnosis(channels, _law_of(channels), tuple(dict.fromkeys(notes)))
 
 
 class _Channel:
@@ -126,8 +119,8 @@ class _Channel:
         n_trials = np.unique(self._columns["trial"]).size
         every, gp = self._samples(self._columns), float("nan")
         if n_trials >= rules.min_trials_to_split:
-            out = np.isin(self._columns["trial"], heldout.test_trials(self._columns, rng, rules))
-            fitted, test = self._split(out)
+            chosen = heldout.test_trials(self._columns, rng, rules)
+            fitted, test = self._split(np.isin(self._columns["trial"], chosen))
             attribution = self._attribution(fitted)
             before, after = self._test_errors(fitted, test, attribution)
             gp = self._gp_rmse(fitted, test, attribution.base.fit.model)
@@ -176,8 +169,8 @@ class _Channel:
 
     def _split(self, out: BoolArray) -> tuple[ChannelSamples, ChannelSamples]:
         """Samples to fit, and those of the rows ``out``."""
-        fitted, test = (heldout.select(self._columns, rows) for rows in (~out, out))
-        return self._samples(fitted), self._samples(test)
+        kept, held = (self._samples(heldout.select(self._columns, rows)) for rows in (~out, out))
+        return kept, held
 
     def _attribution(self, samples: ChannelSamples) -> Attribution:
         rng = np.random.default_rng(SEED)
@@ -254,18 +247,20 @@ def _is_misfit(attribution: Attribution, data: ChannelData) -> bool:
 def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
     effects = []
     compliance = {"normal": Estimate(1.0), "shear": Estimate(float("nan"), float("nan"), "mm/N")}
-    units = {"normal": "mm3/N", "shear": "mm/N"}
     for name, found in channels.items():
-        compliance[name] = Estimate(
-            found.final.model.compliance, found.final_errors.compliance, units[name]
-        )
-        for term in found.final.model.terms:
-            errors = found.final_errors.effects[term.name]
+        model, errors = found.final.model, found.final_errors
+        unit = f"{UNITS[found.data.channel]}/N"
+        compliance[name] = Estimate(model.compliance, errors.compliance, unit)
+        for term in model.terms:
             parameters = {
-                key: Estimate(value, errors.get(key, 0.0), term.effect.parameter(key).unit)
+                key: Estimate(
+                    value,
+                    errors.effects[term.name].get(key, 0.0),
+                    term.effect.parameter(key).unit,
+                )
                 for key, value in shown_parameters(term).items()
             }
-            effects.append(FittedEffect(term.name, name, MappingProxyType(parameters)))
+            effects.append(FittedEffect(term.name, name, parameters))
     provenance: dict[str, Any] = {
         "versions": {
             "tacgen": version("tacgen"),
@@ -281,7 +276,7 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
         compliance["normal"],
         compliance["shear"],
         effects=tuple(effects),
-        provenance=MappingProxyType(provenance),
+        provenance=provenance,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -84,23 +84,16 @@ def text_covariates(column: str, data: ChannelData) -> list[Covariate]:
     """Both forms for a text column; none if it has one level, or hardly any level twice."""
     text = data.history.text(column)
     per_trial = text[data.history.starts[:-1]]
-    levels, counts = np.unique(per_trial, return_counts=True)
-    if levels.size < 2 or levels.size > max_levels(data):
-        return []
-    used = tuple(str(level) for level, count in zip(levels, counts, strict=True) if count >= 2)
-    if not used:
+    names, counts = np.unique(per_trial, return_counts=True)
+    used = tuple(map(str, names[counts >= 2]))
+    if not (2 <= names.size <= max_levels(data) and used):
         return []
     # On the compliance one level is the reference; an added one may be of any level, so that
     # what is added to one of them alone is not taken for a zero offset beside the others.
-    every = len(used) == levels.size
+    every = len(used) == names.size
+    levels = {"gain": used[1:] if every else used, "added": used}
     return [
-        Covariate(
-            column,
-            "levels",
-            how,
-            levels=used[1:] if every and how == "gain" else used,
-            n_outputs=data.n_outputs,
-        )
+        Covariate(column, "levels", how, levels=levels[how], n_outputs=data.n_outputs)
         for how in HOWS
     ]
 
@@ -112,17 +105,9 @@ def numeric_covariates(column: str, data: ChannelData) -> list[Covariate]:
     spread = float(finite.std()) if finite.size else 0.0
     if finite.size < 0.5 * values.size or spread <= 1e-9 * (1.0 + float(np.abs(finite).max())):
         return []
-    center = float(finite.mean())
+    line = Covariate(column, "polynomial", "gain", center=float(finite.mean()), scale=spread)
     return [
-        Covariate(
-            column,
-            "polynomial",
-            how,
-            center=center,
-            scale=spread,
-            degree=degree,
-            n_outputs=data.target.shape[1],
-        )
+        replace(line, how=how, degree=degree, n_outputs=data.n_outputs)
         for degree in (1, 2)
         for how in HOWS
     ]

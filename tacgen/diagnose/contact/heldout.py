@@ -51,21 +51,20 @@ def select(columns: Columns, mask: BoolArray) -> dict[str, NDArray[Any]]:
 
 def errors(residual: FloatArray, trial: FloatArray, scale: float) -> Errors:
     """Errors of a residual (N, C): RMS over samples and outputs, and the same over ``scale``."""
-    square = (residual**2).mean(axis=1)
     _, inverse = np.unique(trial, return_inverse=True)
-    squares = np.bincount(inverse, square).astype(np.float64)
-    counts = np.bincount(inverse)
+    return _errors(np.bincount(inverse, (residual**2).mean(axis=1)), np.bincount(inverse), scale)
+
+
+def _errors(squares: FloatArray, counts: NDArray[np.int64], scale: float) -> Errors:
     rmse = float(np.sqrt(squares.sum() / counts.sum()))
-    return Errors(rmse, rmse / scale, squares, counts.astype(np.int64))
+    return Errors(rmse, rmse / scale, squares, counts)
 
 
 def pooled(parts: Sequence[Errors]) -> Errors:
     """Errors of several folds as one."""
     squares = np.concatenate([part.squares for part in parts])
     counts = np.concatenate([part.counts for part in parts])
-    rmse = float(np.sqrt(squares.sum() / counts.sum()))
-    scale = parts[0].rmse / parts[0].nrmse if parts[0].nrmse else 1.0
-    return Errors(rmse, rmse / scale, squares, counts)
+    return _errors(squares, counts, parts[0].rmse / parts[0].nrmse if parts[0].nrmse else 1.0)
 
 
 def gain_interval(

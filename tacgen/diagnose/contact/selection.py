@@ -98,10 +98,10 @@ class Chosen:
     candidate: Candidate
     gain: float
     p_value: float
-    runner_up: str
-    runner_up_margin: float
-    margin_in_se: float
     confusable: tuple[str, ...]
+    runner_up: str = ""
+    runner_up_margin: float = np.inf
+    margin_in_se: float = np.inf
 
     @property
     def is_effect(self) -> bool:
@@ -192,7 +192,7 @@ class CandidateSets:
     def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
         """``current`` with ``more`` members, fitted from the linear solution."""
         fit = current.fit
-        grams, groups, base = self.grams(fit, more)
+        grams, groups, base = self._grams(fit, more)
         columns = [*base, *(i for group in groups for i in group)]
         weights = scores.coefficients(grams.sum(axis=0), columns, self.rules)
         model = fit.model
@@ -226,18 +226,18 @@ class CandidateSets:
         found = cand.effect_candidates(self.data, fit.model, effects)
         found += cand.covariate_candidates(self.data, fit, covariates)
         found = [
-            c
-            for c in found
-            if (c.is_effect and not c.is_between_trials) or self.is_determined(c, *current.members)
+            one
+            for one in found
+            if one.is_within_trials or self.is_determined(one, *current.members)
         ]
-        grams, groups, base = self.grams(fit, found)
+        grams, groups, base = self._grams(fit, found)
         losses = self._cv_losses(grams, [[*base, *g] for g in groups], current.unit_losses)
         return Pool(found, losses, current.loss - losses.sum(axis=1))
 
     def pairs(self, current: FittedSet, pool: Pool) -> list[tuple[Candidate, Candidate]]:
         """The pairs of candidates beside ``current`` that are worth a fit, best first."""
         rules, found = self.rules, pool.candidates
-        grams, groups, base = self.grams(current.fit, found)
+        grams, groups, base = self._grams(current.fit, found)
         pairs = [
             (a, b)
             for a, b in combinations(self._pair_members(pool), 2)
@@ -275,21 +275,20 @@ class CandidateSets:
         widths = [
             member.columns.shape[1]
             for member in members
-            if not member.is_oscillation and (not member.is_effect or member.is_between_trials)
+            if not member.is_oscillation and not member.is_within_trials
         ]
         most = self.rules.coefficients_per_trial * self.data.history.n_trials
         return bool(sum(widths) <= max(1.0, most))
 
-    def grams(
+    def _grams(
         self, fit: Fit, candidates: Sequence[Candidate]
     ) -> tuple[FloatArray, list[list[int]], list[int]]:
-        """``scores.fit_grams`` of the candidates' columns."""
         return scores.fit_grams(self.data, fit, [candidate.columns for candidate in candidates])
 
     def p_values(self, current: FittedSet, candidates: Sequence[Candidate]) -> FloatArray:
         """Return the p of each candidate, corrected for the number of names looked at."""
         ones = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
-        grams, groups, base = self.grams(current.fit, [*candidates, ones])
+        grams, groups, base = self._grams(current.fit, [*candidates, ones])
         statistics = scores.shuffle_statistics(
             grams, base, groups[:-1], self._shuffled, groups[-1][0], self.rules
         )
@@ -301,17 +300,13 @@ class CandidateSets:
     def p_value(self, full: FittedSet, member: Candidate) -> float:
         """Return the p of the member's columns beside the others, not corrected for a choice."""
         rest = self.without(full, member)
-        fresh = self._linearised(rest, member)
-        return 1.0 if fresh is None else float(self.p_values(rest, [fresh])[0])
-
-    def _linearised(self, fitted: FittedSet, member: Candidate) -> Candidate | None:
-        """``member`` with columns linearised at another fit."""
-        fit = fitted.fit
         if member.covariate is not None:
-            return cand.covariate_candidates(self.data, fit, [member.covariate])[0]
-        effects = [member.effect] if member.effect is not None else []
-        same = cand.effect_candidates(self.data, fit.model, effects)
-        return next((c for c in same if c.label == member.label), None)
+            fresh = cand.covariate_candidates(self.data, rest.fit, [member.covariate])
+        else:
+            effects = [member.effect] if member.effect is not None else []
+            same = cand.effect_candidates(self.data, rest.fit.model, effects)
+            fresh = [one for one in same if one.label == member.label]
+        return float(self.p_values(rest, fresh)[0]) if fresh else 1.0
 
     def total(self, fitted: FittedSet) -> float:
         """Held-out sum of squares, the noise included."""
@@ -451,14 +446,10 @@ class Selection:
 
     def _best_covariate(self, current: FittedSet, pool: Pool) -> tuple[str, float]:
         """Name and share of the best candidate that is no effect."""
-        shares = pool.gains / self.sets.total(current)
-        found = [
-            (float(share), candidate.name)
-            for share, candidate in zip(shares, pool.candidates, strict=True)
-            if not candidate.is_effect
-        ]
-        share, name = max(found, default=(0.0, ""))
-        return name, share
+        total, candidates = self.sets.total(current), pool.candidates
+        found = [i for i in range(len(candidates)) if not candidates[i].is_effect]
+        best = max(found, key=lambda i: (pool.gains[i], candidates[i].name), default=None)
+        return ("", 0.0) if best is None else (candidates[best].name, pool.gains[best] / total)
 
     def _ranking(
         self, current: FittedSet, pool: Pool, p_values: FloatArray
@@ -484,22 +475,17 @@ class Selection:
             ]
             rivals.sort(key=lambda rival: rival.loss)
             close = [r.members[-1].name for r in rivals if final.lead_in_se(r) < least_lead]
-            name, margin, lead = "", np.inf, np.inf
-            if rivals:
-                name = rivals[0].members[-1].name
-                margin = float(np.sqrt(sets.total(rivals[0]) / sets.total(final))) - 1.0
-                lead = final.lead_in_se(rivals[0])
-            described.append(
-                Chosen(
-                    member,
-                    gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
-                    p_value=sets.p_value(final, member),
-                    runner_up=name,
-                    runner_up_margin=margin,
-                    margin_in_se=lead,
-                    confusable=tuple(dict.fromkeys(close)),
-                )
+            chosen = Chosen(
+                member,
+                gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
+                p_value=sets.p_value(final, member),
+                confusable=tuple(dict.fromkeys(close)),
             )
+            if rivals:
+                margin = float(np.sqrt(sets.total(rivals[0]) / sets.total(final))) - 1.0
+                lead, name = final.lead_in_se(rivals[0]), rivals[0].members[-1].name
+                chosen = replace(chosen, runner_up=name, runner_up_margin=margin, margin_in_se=lead)
+            described.append(chosen)
         return tuple(described)
 
 
