@@ -36,16 +36,11 @@ DepthCamera = Callable[
 class ObjectGap:
     """The gap of one posed mesh, re-zeroed at first touch.
 
-    Attributes
-    ----------
-    window : tuple of int
-        Half-open rectangle (top, bottom, left, right) of pixels outside which there is no object.
-    grains : (bottom − top, right − left) int32
-        Gap beyond first touch, gel frame, in units of ``GAP_GRAIN_MM``; 0 at the first pixel to
-        touch, ``NO_OBJECT`` where there is none. It is the mapper's own memory, valid until its
-        next use.
-    first_touch_mm : float
-        The smallest gap before re-zeroing; +inf if there is no object in the window.
+    Outside the half-open rectangle ``window`` (top, bottom, left, right) of pixels there is no
+    object. ``grains`` (bottom − top, right − left) int32 are gaps beyond first touch in units of
+    ``GAP_GRAIN_MM``: 0 at the first pixel to touch, ``NO_OBJECT`` where there is none; it is the
+    mapper's own memory, valid until its next use. ``first_touch_mm`` is the smallest gap before
+    re-zeroing; +inf if there is no object in the window.
     """
 
     window: tuple[int, int, int, int]
@@ -77,9 +72,7 @@ def _corner_gap(
 
 @njit(cache=True, nogil=True)
 def _smallest_gap(
-    depth_mm: NDArray[np.float64],
-    gel_mm: NDArray[np.float64],
-    window: tuple[int, int, int, int],
+    depth_mm: NDArray[np.float64], gel_mm: NDArray[np.float64], window: tuple[int, int, int, int]
 ) -> float:
     top, bottom, left, right = window
     smallest = np.full(max(0, right - left), np.inf)
@@ -112,11 +105,6 @@ def _fill_grains(
 class GapMapper:
     """Takes gap maps of meshes over one sensor, in memory that it keeps.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    camera : {"raster", "pyrender"}
-
     Raises ``ContactError`` if the camera is unknown or cannot work on this machine.
     """
 
@@ -145,16 +133,9 @@ class GapMapper:
     ) -> ObjectGap:
         """The gap of a posed mesh, re-zeroed at first touch.
 
-        Parameters
-        ----------
-        vertices_mm : (n, 3) float64
-            Object frame.
-        faces : (m, 3) int32
-        pose_gel_object : (4, 4)
-            Object to gel frame, mm.
-        reach_mm : float
-            Gaps further than this beyond first touch may be left at +inf: the depth of the gel,
-            say, since nothing further can touch.
+        ``vertices_mm`` (n, 3) are in the object's frame; ``pose_gel_object`` (4, 4) leads to the
+        gel's. Gaps further than ``reach_mm`` beyond first touch may be left at +inf: the depth of
+        the gel, say, since nothing further can touch.
         """
         if self._camera is None:
             window, zero_mm = self._rasterize(vertices_mm, faces, pose_gel_object, reach_mm)

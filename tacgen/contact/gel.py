@@ -19,14 +19,9 @@ def pixel_centers_mm(sensor: Sensor) -> tuple[FloatArray, FloatArray]:
 
 
 def gel_map_mm(sensor: Sensor) -> NDArray[np.float64]:
-    """Rest height of the gel surface.
+    """Rest height of the gel surface (H, W), gel frame, mm: the sag of a sphere cap.
 
-    Returns
-    -------
-    (H, W) float64
-        Sag of a sphere cap of ``sensor.dome_radius_mm``, gel frame, mm: 0 at the centre of the
-        window, negative around it; 0 everywhere for a flat gel (radius 0).
-
+    0 at the centre of the window, negative around it; 0 everywhere for a flat gel (dome radius 0).
     Raises ``ContactError`` if the dome is smaller than the window it should span.
     """
     radius = sensor.dome_radius_mm

@@ -115,19 +115,9 @@ def _sum_below(grains: NDArray[np.int32], limit: int, stride: int) -> tuple[int,
 def solve_grains(grains: NDArray[np.int32], volume: float, deepest: float) -> float:
     """``solve_indentation`` of a re-zeroed gap map in whole grains: sums are exact and quick.
 
-    Parameters
-    ----------
-    grains : (h, w) int32
-        Gap beyond first touch; a number beyond ``deepest`` where there is no object.
-    volume : float
-        In pixels × grains.
-    deepest : float
-        The largest δ there can be, in grains.
-
-    Returns
-    -------
-    float
-        δ in grains, exact, or ``deepest``.
+    ``grains`` (h, w) int32 are gaps beyond first touch, more than ``deepest`` where there is no
+    object; ``volume`` is in pixels × grains; ``deepest`` is the largest δ there can be, in grains.
+    Returns δ in grains, exact, or ``deepest``.
     """
     if volume <= 0.0:
         return 0.0

@@ -56,19 +56,10 @@ class FittedEffect:
 class ContactLaw:
     """A contact law and where it comes from.
 
-    Attributes
-    ----------
-    law : str
-        ``volume_linear`` (V = k_n F_n) or ``linear_depth`` (indentation = k_depth F_n, TACTO's).
-    k_n_mm3_per_n, k_s_mm_per_n : Estimate
-        Compliances; k_s is NaN where shear was never measured.
-    marker_pitch_mm : float
-        Pitch of the markers whose motion was summed to D; NaN where there were none.
-    effects : tuple of FittedEffect
-    k_depth_mm_per_n : Estimate, optional
-        Needed by ``linear_depth`` alone.
-    provenance : mapping
-        Hashes of the data, versions, trial counts, held-out error.
+    ``volume_linear`` is V = k_n F_n, ``linear_depth`` (TACTO's) indentation = k_depth F_n, which
+    needs ``k_depth_mm_per_n``. k_s is NaN where shear was never measured; ``marker_pitch_mm`` is
+    the pitch of the markers whose motion was summed to D, NaN where there were none. ``provenance``
+    holds hashes of the data, versions, trial counts, held-out error.
 
     Raises ``ContactError`` listing every parameter that is unknown, not finite or out of bounds.
     """

@@ -53,12 +53,8 @@ def rasterize(
 
     Triangles that lie wholly above ``z_limit_mm``, or outside the window, are left out. An edge
     belongs to both of its triangles, and both compute its crossing with a row from the same
-    numbers, so that no pixel falls between them.
-
-    Returns
-    -------
-    top, bottom, left, right : int
-        The half-open rectangle of pixels that was touched; empty where top >= bottom.
+    numbers, so that no pixel falls between them. Returns the half-open rectangle (top, bottom,
+    left, right) of pixels that was touched; empty where top >= bottom.
     """
     n_rows, n_columns = depth_mm.shape
     top, bottom, left, right = n_rows, 0, n_columns, 0

@@ -82,16 +82,8 @@ def _field(
 class MarkerField:
     """The motion of points of the gel's surface around one contact patch.
 
-    Parameters
-    ----------
-    points_mm : (n, 2)
-        The points at rest.
-    patch_mm : (k, 2)
-        Points spread evenly over the contact patch, gel frame.
-    depth_mm : (k,)
-        Their indentation.
-    area_mm2 : float
-        The area that each of them stands for.
+    ``points_mm`` (n, 2) are the points at rest; ``patch_mm`` (k, 2) are spread evenly over the
+    contact patch, gel frame, each indented by ``depth_mm`` (k,) and standing for ``area_mm2``.
     """
 
     def __init__(
@@ -119,12 +111,8 @@ class MarkerField:
     def motion(self, shear_sum_mm: NDArray[np.float64], turn_sum_mm2: float = 0.0) -> Motion:
         """The motion of the object for which the field sums to what the law predicts.
 
-        Parameters
-        ----------
-        shear_sum_mm : (2,)
-            D: the sum of the points' shear motion.
-        turn_sum_mm2 : float
-            The sum of r × motion about the patch's centre: the same law, for a moment.
+        ``shear_sum_mm`` (2,) is D, the sum of the points' shear motion; ``turn_sum_mm2`` the sum of
+        r × motion about the patch's centre: the same law, for a moment.
 
         Source: Si et al. 2022, Eq. 3: D = k_s F_s.
         """

@@ -57,11 +57,7 @@ def draw_groups(axes: Axes, x: Array, y: Array, group: Array) -> None:
 
 
 def fit_and_residual(
-    load: Array,
-    response: Array,
-    group: Array,
-    slope: float,
-    labels: tuple[str, str, str],
+    load: Array, response: Array, group: Array, slope: float, labels: tuple[str, str, str]
 ) -> Figure:
     """A measured response with its proportional fit, and beside it the residual.
 
@@ -156,8 +152,7 @@ def columns(values: Mapping[str, float], line: float, labels: tuple[str, str]) -
 
 
 def rankings(
-    panels: Sequence[tuple[str, Mapping[str, float], Sequence[str], float]],
-    label: str,
+    panels: Sequence[tuple[str, Mapping[str, float], Sequence[str], float]], label: str
 ) -> Figure:
     """Bars of candidates, best on top, in a panel each: title, values, those to mark, a line."""
     counts = [max(1, len(values)) for _, values, _, _ in panels]
@@ -194,11 +189,7 @@ OUTCOME_NOTE = (
 
 
 def draw_outcomes(
-    axes: Axes,
-    places: Mapping[str, Array],
-    labels: Array,
-    real: Array,
-    title: str,
+    axes: Axes, places: Mapping[str, Array], labels: Array, real: Array, title: str
 ) -> None:
     """Outcomes over force and height; rings mark labels that differ from the real ones.
 

@@ -55,9 +55,7 @@ def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
         "versions": {"tacgen": VERSION},
     }
     law = replace(
-        session.truth.law,
-        marker_pitch_mm=pitch_mm,
-        provenance=MappingProxyType(provenance),
+        session.truth.law, marker_pitch_mm=pitch_mm, provenance=MappingProxyType(provenance)
     )
     save_law(law, out / "truth.yaml")
     written = [out / "truth.yaml"]

@@ -119,20 +119,12 @@ def fit_contact(
 ) -> ContactFit:
     """Fit V = k_n F_n and D = k_s F_s to a press log.
 
-    Parameters
-    ----------
-    log : PressLog
-    by : str, optional
-        ``trial`` or a column whose values are compared with each other; by default ``indenter``
-        where there are several, else the first text covariate that splits the trials.
-    free_contact_point : bool, optional
-        Estimate the contact point of every trial. By default only where the volume was computed
-        from the depth of a known ball, whose zero is then what is least certain.
-    marker_pitch_mm : float
-        Pitch of the markers whose motion was summed.
-
-    Raises ``PressError`` with fewer than three presses, an unknown column, or a response that does
-    not grow with the load.
+    ``by`` is ``trial`` or a column whose values are compared with each other; by default
+    ``indenter`` where there are several, else the first text covariate that splits the trials. With
+    ``free_contact_point`` the contact point of every trial is estimated; by default only where the
+    volume was computed from the depth of a known ball, whose zero is then what is least certain.
+    ``marker_pitch_mm`` is that of the markers whose motion was summed. Raises ``PressError`` with
+    fewer than three presses, an unknown column, or a response that does not grow with the load.
 
     Source: Si et al. 2022, arXiv 2208.02885, Eq. 1.
     """

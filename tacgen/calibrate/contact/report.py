@@ -69,11 +69,7 @@ def _figures(name: str, channel: Mapping[str, Any], log: PressLog) -> dict[str, 
     load, response = channel_arrays(log, name)
     symbol, held = SYMBOLS[name], channel["held_out"]
     k, unit = channel[symbol]["value"], unit_text(held["unit"])
-    labels = (
-        "force, N",
-        f"{RESPONSES[name]}, {unit}",
-        f"{RESPONSES[name]} − {symbol} F, {unit}",
-    )
+    labels = ("force, N", f"{RESPONSES[name]}, {unit}", f"{RESPONSES[name]} − {symbol} F, {unit}")
     group = np.tile(log[channel["by"]].astype(str), load.shape[1])
     halves = {g: (fit["value"], half_width(fit) or 0.0) for g, fit in channel["groups"].items()}
     pooled = k, half_width(channel[symbol]) or 0.0

@@ -40,27 +40,14 @@ NORMAL_975 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class SlopeFit:
-    """A compliance with its interval.
+    """A compliance (response per load) with its interval.
 
-    Attributes
-    ----------
-    value : float
-        Response per load.
-    stderr : float
-        A 1.96th of half the 95 % interval, so that value ± 1.96 stderr is that interval whatever
-        the number of presses.
-    dof : float
-        Degrees of freedom of the scatter between presses that ``stderr`` rests on.
-    offsets : (c,) float64
-        Response at no load, where it was free; 0 where not.
-    scatter : float
-        Robust standard deviation of the loaded samples' residuals.
-    r_squared : float
-        Of the samples that kept some weight.
-    outliers : int
-        Samples that kept no weight.
-    outlying_trials : tuple of int
-        Presses most of whose loaded samples kept no weight.
+    ``stderr`` is a 1.96th of half the 95 % interval, so that value ± 1.96 stderr is that interval
+    whatever the number of presses; ``dof`` are the degrees of freedom of the scatter between
+    presses that it rests on. ``offsets`` (c,) are the response at no load, 0 where it was not free.
+    ``scatter`` is the robust standard deviation of the loaded samples' residuals; ``r_squared`` is
+    of the samples that kept some weight, ``outliers`` the number of those that kept none, and
+    ``outlying_trials`` are presses most of whose loaded samples kept none.
     """
 
     value: float
@@ -97,20 +84,10 @@ class SlopeFit:
 def fit_slope(
     load: FloatArray, response: FloatArray, trial: IntArray, *, free_offset: bool = False
 ) -> SlopeFit:
-    """Fit response = k · load (+ an offset) over presses.
+    """Fit response = k · load (+ an offset a component, if ``free_offset``) over presses.
 
-    Parameters
-    ----------
-    load, response : (N,) or (N, c) float64
-        In time order within each trial, trials in blocks; c components share one k.
-    trial : (N,) int
-    free_offset : bool
-        Fit one offset a component too.
-
-    Returns
-    -------
-    SlopeFit
-        With ``stderr`` NaN where there is one trial only.
+    ``load`` and ``response`` are (N,) or (N, c), in time order within each trial, trials (N,) in
+    blocks; c components share one k. ``stderr`` is NaN where there is one trial only.
 
     Source: CR2 and its degrees of freedom: Bell & McCaffrey 2002; Pustejovsky & Tipton 2018.
     """
@@ -175,11 +152,7 @@ def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
 
 
 def _solve_robustly(
-    design: FloatArray,
-    instruments: FloatArray,
-    y: FloatArray,
-    loaded: BoolArray,
-    widening: float,
+    design: FloatArray, instruments: FloatArray, y: FloatArray, loaded: BoolArray, widening: float
 ) -> tuple[FloatArray, float]:
     """Coefficients (p,) and the residuals' scale, by reweighting from an L1 start."""
     beta: FloatArray = np.zeros(design.shape[1])

@@ -29,20 +29,12 @@ class FrictionFit:
 
 
 def fit_friction(
-    mu_values: FloatArray,
-    simulated: IntArray,
-    real: IntArray,
-    rng: np.random.Generator,
+    mu_values: FloatArray, simulated: IntArray, real: IntArray, rng: np.random.Generator
 ) -> FrictionFit:
     """Choose μ by the fewest mislabels; ties go to the middle of the longest run.
 
-    Parameters
-    ----------
-    mu_values : (M,) float, ascending
-    simulated : (M, N) int
-        Simulated label of every grasp at every μ; −1 (not executed) counts as a mislabel.
-    real : (N,) int
-        1 success, 0 failure.
+    ``mu_values`` (M,) ascend; ``simulated`` (M, N) is the label of every grasp at every μ, where −1
+    (not executed) counts as a mislabel; ``real`` (N,) is 1 for success, 0 for failure.
 
     Source: Si et al. 2022, Sec. IV: friction by sweeping μ against about 20 real grasps. The
     interval is a percentile bootstrap over grasps.

@@ -39,14 +39,9 @@ def sweep_friction(
     workers: int,
     show: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[dict[str, FrictionFit], dict[Key, Outcome]]:
-    """Fit every object's friction to its real grasps.
+    """Fit every object's friction to its real grasps: the fits by name, and every outcome.
 
     Finished simulations are kept in ``out/outcomes.jsonl``; an interrupted sweep goes on from them.
-
-    Returns
-    -------
-    The fit of every object by name, and every simulated outcome.
-
     Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
     check_forces(recipe, real)
@@ -79,10 +74,7 @@ def data_warnings(
         max((outcomes[grasp.grasp_id, mu] for mu in mu_values), key=lambda one: one.label)
         for grasp in real.grasps
     ]
-    return [
-        *real.warnings,
-        *unexecuted_note(real.grasps, best, "count as mislabels at every μ"),
-    ]
+    return [*real.warnings, *unexecuted_note(real.grasps, best, "count as mislabels at every μ")]
 
 
 def mu_range(text: str) -> tuple[float, ...]:

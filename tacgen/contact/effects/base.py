@@ -91,30 +91,15 @@ class Variant:
 class Effect:
     """A named effect on one channel.
 
-    Attributes
-    ----------
-    apply : callable
-        Load (N, C), history and parameters to the changed load (N, C).
-    variants : callable
-        History and references to the forms that a fit starts from.
-    references : callable
-        Reference values on a history.
-    needs : tuple of str
-        Columns that it cannot do without.
-    kind : {"load", "memory", "between trials"}
-    needs_session_clock : bool
-        Whether it has no meaning where the clock restarts with every trial.
-    in_simulation : bool
-        False for what belongs to the measurement (a gauge's zero, two clocks, the session).
-    per_indenter : bool
-        Allows further parameters ``gain_<indenter>``.
-    is_identifiable : callable
-        Whether a history varies in what the effect follows.
-    shown_against : str
-        Covariate that its residual is plotted against.
-    separated_by : mapping
-        Other effects (or covariates) that it can be confused with, and the measurement that
-        separates the two.
+    ``apply`` turns load (N, C), history and parameters into the changed load (N, C); ``variants``
+    gives the forms that a fit starts from, ``references`` the reference values on a history.
+    ``needs`` are columns that it cannot do without; ``is_identifiable`` says whether a history
+    varies in what it follows; with ``needs_session_clock`` it has no meaning where the clock
+    restarts with every trial. ``in_simulation`` is false for what belongs to the measurement (a
+    gauge's zero, two clocks, the session). ``per_indenter`` allows further parameters
+    ``gain_<indenter>``. Its residual is plotted against ``shown_against``. ``separated_by`` names
+    other effects (or covariates) that it can be confused with, and the measurement that separates
+    the two.
     """
 
     name: str
@@ -226,12 +211,7 @@ def amount(
 
 
 def shape(
-    name: str,
-    low: float,
-    high: float,
-    start: float,
-    unit: str = "1",
-    bounds: Bounds | None = None,
+    name: str, low: float, high: float, start: float, unit: str = "1", bounds: Bounds | None = None
 ) -> Parameter:
     """A parameter that says how an amount acts."""
     return Parameter(name, unit, "shape", start, low, high, bounds)

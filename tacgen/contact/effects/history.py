@@ -26,14 +26,9 @@ as unloading: above the noise of any usable gauge."""
 class LoadHistory:
     """Samples of a log sorted by trial and time, with what the effects derive from them.
 
-    Parameters
-    ----------
-    columns : mapping of name to (N,) array, or a data frame
-        Columns of a press log in tacgen's units; ``trial``, ``time_s`` and ``force_normal_n`` are
-        required. Nothing is written to them.
-
-    Raises ``ContactError`` if a required column is missing or not finite, or columns differ in
-    length.
+    ``columns`` are a press log's in tacgen's units, (N,) each: ``trial``, ``time_s`` and
+    ``force_normal_n`` are required. Nothing is written to them. Raises ``ContactError`` if a
+    required column is missing or not finite, or columns differ in length.
     """
 
     def __init__(self, columns: Mapping[str, ArrayLike]) -> None:

@@ -15,11 +15,7 @@ from tacgen.core.arrays import BoolArray, FloatArray
 
 @njit(cache=True)
 def low_pass(
-    values: FloatArray,
-    time_s: FloatArray,
-    starts: NDArray[np.int64],
-    tau_s: float,
-    from_rest: bool,
+    values: FloatArray, time_s: FloatArray, starts: NDArray[np.int64], tau_s: float, from_rest: bool
 ) -> FloatArray:
     """Solution q of τ q' = values − q, exact for values linear between samples.
 
@@ -42,10 +38,7 @@ def low_pass(
 
 @njit(cache=True)
 def delayed(
-    values: FloatArray,
-    time_s: FloatArray,
-    starts: NDArray[np.int64],
-    delay_s: float,
+    values: FloatArray, time_s: FloatArray, starts: NDArray[np.int64], delay_s: float
 ) -> FloatArray:
     """values(t − delay) by linear interpolation, the ends of each trial held."""
     result = np.empty(values.size)

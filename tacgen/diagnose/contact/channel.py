@@ -38,23 +38,12 @@ Columns: TypeAlias = Mapping[str, NDArray[Any]]
 class ChannelData:
     """Rows of one channel, ready to fit.
 
-    Attributes
-    ----------
-    channel : str
-    rules : SelectionRules
-    history : LoadHistory
-    target : (N, C) float64
-        Measured volume (C = 1) or shear motion (C = 2), in the history's order.
-    noise : float
-        Standard deviation of one sample's noise, from the high-frequency content.
-    n_samples : int
-        Samples of the log that the rows were averaged from.
-    weight : (N,) float64
-        Number of samples times their relative precision; 0 for what sticks out of its trial.
-    pairs : (2, M) int64
-        Rows of half A and of half B, neighbours in the same trial.
-    pair_unit : (M,) int64
-        The unit (trial, or part of one where trials are few) that each pair belongs to.
+    ``target`` (N, C) is the measured volume (C = 1) or shear motion (C = 2) in the history's order;
+    ``noise`` the standard deviation of one sample's noise, from the high-frequency content;
+    ``n_samples`` how many samples of the log the rows were averaged from; ``weight`` (N,) the
+    number of samples times their relative precision, 0 for what sticks out of its trial. ``pairs``
+    (2, M) are rows of half A and of half B, neighbours in the same trial, and ``pair_unit`` (M,)
+    the unit (trial, or part of one where trials are few) that each pair belongs to.
     """
 
     channel: Channel
@@ -124,12 +113,7 @@ class ChannelData:
 class ChannelSamples:
     """Every sample of one channel, from which rows are averaged.
 
-    Parameters
-    ----------
-    columns : mapping of name to (N,) array
-        A press log's, finite where they are used.
-    channel : str
-    rules : SelectionRules
+    ``columns`` (N,) each are a press log's, finite where they are used.
     """
 
     def __init__(

@@ -74,17 +74,11 @@ def diagnose(
     session_clock: bool = True,
     rules: SelectionRules = DEFAULT_RULES,
 ) -> Diagnosis:
-    """Diagnose the columns of a press log.
+    """Diagnose the columns (N,) of a press log, as ``PressLog.columns`` has them.
 
-    Parameters
-    ----------
-    columns : mapping of name to (N,) array
-        As ``PressLog.columns``: the required ones finite, shear NaN where it was not measured.
-    session_clock : bool
-        Whether ``time_s`` runs on from trial to trial.
-    rules : SelectionRules
-
-    Raises ``PressError`` if no channel has enough samples to fit.
+    The required ones are finite, shear is NaN where it was not measured; ``session_clock`` says
+    whether ``time_s`` runs on from trial to trial. Raises ``PressError`` if no channel has enough
+    samples to fit.
     """
     notes = list(notes)
     channels: dict[str, ChannelDiagnosis] = {}
@@ -254,9 +248,7 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
         for term in model.terms:
             parameters = {
                 key: Estimate(
-                    value,
-                    errors.effects[term.name].get(key, 0.0),
-                    term.effect.parameter(key).unit,
+                    value, errors.effects[term.name].get(key, 0.0), term.effect.parameter(key).unit
                 )
                 for key, value in shown_parameters(term).items()
             }

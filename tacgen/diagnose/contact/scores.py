@@ -90,10 +90,7 @@ def _of_one_length(
 
 
 def believable(
-    losses: FloatArray,
-    without: FloatArray,
-    noise_loss: float,
-    rules: SelectionRules,
+    losses: FloatArray, without: FloatArray, noise_loss: float, rules: SelectionRules
 ) -> FloatArray:
     """``losses`` (S, U) of units; a set whose sum cannot be takes the losses ``without`` (U,) it.
 
@@ -159,14 +156,12 @@ def shuffle_statistics(
 ) -> FloatArray:
     """−log p of the score of every group of columns under every shuffle: (F + 1, groups).
 
-    The score of a unit is the product of the group's columns, made orthogonal to the base, and
-    the residual. Two kinds of null are used. Where the columns are, within each unit, a constant
-    times the response (or a constant), what counts is one number a trial, and those numbers are
-    permuted. Otherwise each unit's score is given a random sign, which holds whatever the
-    correlations within the unit. A statistic is put on the scale of a χ² law so that groups of
-    different size compare; its level comes from the shuffles.
-
-    ``base[0]`` is the column of the compliance and ``ones`` that of a constant.
+    The score of a unit is the product of the group's columns, made orthogonal to the base, and the
+    residual. Two kinds of null are used. Where the columns are, within each unit, a constant times
+    the response (or a constant), what counts is one number a trial, and those numbers are permuted.
+    Otherwise each unit's score is given a random sign, which holds whatever the correlations within
+    the unit. A statistic is put on the scale of a χ² law so that groups of different size compare.
+    ``base[0]`` is the column of the compliance, ``ones`` that of a constant.
     """
     total = grams.sum(axis=0)
     base = list(base)

@@ -25,14 +25,7 @@ from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
 from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
 from tacgen.diagnose.contact.covariates import Covariate
-from tacgen.diagnose.contact.model import (
-    CovariateTerm,
-    Fit,
-    Model,
-    Term,
-    fit_model,
-    start_term,
-)
+from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
 from tacgen.diagnose.contact.oscillation import find_oscillations
 
 
@@ -129,13 +122,8 @@ class Attribution:
 class CandidateSets:
     """Fits and cross-validates sets of candidates on one channel, and tests their members.
 
-    Parameters
-    ----------
-    data : ChannelData
-    rng : numpy.random.Generator
-        For the shuffles of its tests.
-    session_clock : bool
-        Whether ``time_s`` runs on from trial to trial.
+    ``rng`` is for the shuffles of its tests; ``session_clock`` says whether ``time_s`` runs on from
+    trial to trial.
     """
 
     def __init__(

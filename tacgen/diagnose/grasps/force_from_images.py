@@ -99,10 +99,7 @@ def _hash_of_all(recipe: Recipe, folder: Path, grasps: Sequence[RealGrasp]) -> s
 
 
 def imprint_strengths(
-    recipe: Recipe,
-    folder: Path,
-    grasps: Sequence[RealGrasp],
-    show: Callable[[int, int], None],
+    recipe: Recipe, folder: Path, grasps: Sequence[RealGrasp], show: Callable[[int, int], None]
 ) -> tuple[FloatArray, FloatArray]:
     """How strong each grasp's imprint is: measured (N,), simulated (N, len(RULES.image_forces)).
 

@@ -352,11 +352,8 @@ def choose(comparison: ModelComparison, labels: Labels, rng: np.random.Generator
 def confirmed(steps: Sequence[Choice], mislabels: Sequence[int]) -> list[Choice]:
     """The steps, ended before the first addition that simulation does not confirm.
 
-    Parameters
-    ----------
-    mislabels : (K + 1,) int
-        Simulated with none, one, two … of the K choices that were accepted. An addition to an
-        effect must correct at least ``RULES.least_corrected``.
+    ``mislabels`` (K + 1,) are simulated with none, one, two … of the K choices that were accepted.
+    An addition to an effect must correct at least ``RULES.least_corrected``.
     """
     kept: list[Choice] = []
     for number, step in enumerate(steps):

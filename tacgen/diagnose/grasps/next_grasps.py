@@ -12,10 +12,7 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import place_of
 from tacgen.core.records import GraspConfig
 from tacgen.diagnose.grasps.model_comparison import CandidateScore
-from tacgen.diagnose.grasps.perturbed_simulations import (
-    PerturbedSimulations,
-    combined_perturbation,
-)
+from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations, combined_perturbation
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import margins_of
 

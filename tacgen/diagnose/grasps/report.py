@@ -17,11 +17,7 @@ from tacgen.report import write_page
 
 
 def write_grasp_report(
-    path: Path,
-    record: Mapping[str, Any],
-    real: RealGrasps,
-    before: IntArray,
-    after: IntArray,
+    path: Path, record: Mapping[str, Any], real: RealGrasps, before: IntArray, after: IntArray
 ) -> None:
     """Write the page of the content of ``diagnosis.json``.
 

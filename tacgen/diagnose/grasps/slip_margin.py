@@ -24,16 +24,11 @@ def closed_form_margin(
 ) -> FloatArray:
     """Logarithm of the factor by which the grip could be weaker before it slips.
 
-    With s the part of the friction that the weight takes up and m the part of the whole moment
-    that gravity asks for, a soft contact slips at s² + m² = 1, and both fall as the force grows.
-    ``torsion_ratio`` is √(1 − s²)/m; where the weight alone slips it is 0 and m is not known.
-
-    Parameters
-    ----------
-    friction_ratio, torsion_ratio : (...) float
-        Limit over demand, see ``records.SlipMargin``; NaN gives NaN.
-    torsion_factor : (...) float
-        By how much the pads hold a larger moment than they did.
+    With s the part of the friction that the weight takes up and m the part of the whole moment that
+    gravity asks for, a soft contact slips at s² + m² = 1, and both fall as the force grows.
+    ``friction_ratio`` (...) and ``torsion_ratio`` (...) are limit over demand, see
+    ``records.SlipMargin``; NaN gives NaN. The latter is √(1 − s²)/m; where the weight alone slips
+    it is 0 and m is not known. The pads hold a moment larger by ``torsion_factor`` than they did.
 
     Source: Howe & Cutkosky 1996, Practical force-motion models for sliding manipulation.
     """
@@ -51,17 +46,9 @@ def signed_margin(
     """How far each grasp is from the other label: positive holds, negative fails.
 
     The closed form is of slip about to start, so where the simulated label disagrees the label
-    counts: a grasp that turns a little and then holds is as far from failing as its turn is from
-    the limit.
-
-    Parameters
-    ----------
-    label : (..., ) int
-        1, 0, or −1 where the grasp was not executed, which counts as a clear failure.
-    friction_ratio, torsion_ratio : (...) float
-        As in ``closed_form_margin``.
-    turn_rad : (...) float
-        How far the lifted object had turned.
+    counts: a grasp that turns a little and then holds is as far from failing as its turn
+    (``turn_rad``, of the lifted object) is from the limit. A ``label`` of −1 (not executed) counts
+    as a clear failure; ratios as in ``closed_form_margin``, all of one shape.
     """
     least, most = RULES.turn_margin
     slip = np.nan_to_num(
@@ -118,12 +105,8 @@ def is_sure(margin: float, factor: float) -> bool:
 def margin_at_force(log_force: FloatArray, margin: FloatArray, wanted: FloatArray) -> FloatArray:
     """Margins (M, N) at other forces, from those (K, N) at ``log_force`` (K,).
 
-    What holds grows in proportion to the force, so beyond the ends the slope is 1.
-
-    Parameters
-    ----------
-    wanted : (M, N) float
-        Logarithm of the force of each grasp over the declared one.
+    What holds grows in proportion to the force, so beyond the ends the slope is 1. ``wanted`` (M,
+    N) is the logarithm of the force of each grasp over the declared one.
     """
     beyond = wanted - np.clip(wanted, log_force[0], log_force[-1])
     return limited(at_force(log_force, margin, wanted) + beyond)

@@ -38,28 +38,15 @@ class Prediction(Enum):
 class Parameter:
     """One number of a hypothesis.
 
-    Attributes
-    ----------
-    nodes : tuple of float
-        Values at which outcomes are simulated or predicted, ascending, the declared one among
-        them; the first and the last bound the search.
-    spread : float
-        Prior standard deviation about the declared value, of the logarithm for a factor.
-    perturb
-        The changes to the simulation that a value amounts to.
-    share
-        Part of the hypothesis's prior weight.
-    force_exponent
-        Grasps change about as if the grip force were multiplied by value ** force_exponent, 1 or
-        −1; 0 where they do not.
-    changes_force
-        Whether the force between the pads changes, which images of imprints show.
-    figure
-        Attribute of ``GraspObject`` that a factor multiplies, and its unit.
-    limits
-        Smallest and largest value that an object allows.
-    sentence
-        How a value is reported, after the name and the objects.
+    ``nodes`` are values at which outcomes are simulated or predicted, ascending, the declared one
+    among them; the first and the last bound the search. ``spread`` is the prior standard deviation
+    about the declared value, of the logarithm for a factor, and ``share`` the part of the
+    hypothesis's prior weight. ``perturb`` gives the changes to the simulation that a value amounts
+    to. Grasps change about as if the grip force were multiplied by value ** ``force_exponent``, 1
+    or −1; 0 where they do not. ``changes_force``: whether the force between the pads changes, which
+    images of imprints show. ``figure`` is the attribute of ``GraspObject`` that a factor
+    multiplies, and its unit; ``limits`` gives the smallest and largest value that an object allows;
+    ``sentence`` is how a value is reported, after the name and the objects.
     """
 
     key: str
@@ -108,14 +95,9 @@ class Parameter:
 class Hypothesis:
     """One thing that may be wrong, in one or several numbers.
 
-    Attributes
-    ----------
-    weight
-        Prior weight beside the others'.
-    of_gripper
-        Whether it acts on every object: the gripper, or the table.
-    separated_by
-        What separates it for certain from another hypothesis, by that one's name.
+    ``weight`` is its prior weight beside the others'; ``of_gripper`` says that it acts on every
+    object (the gripper, or the table); ``separated_by`` what separates it for certain from another
+    hypothesis, by that one's name.
     """
 
     name: str
