@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.report.images import encode_png
 from tacgen.rig.effects import SessionTruth
 from tacgen.rig.rig_recipe import RigRecipe
-from tacgen.rig.schedule import camera_rng
+from tacgen.rig.schedule import CAMERA, press_rng
 from tacgen.sensor.description import load_sensor
 
 Floats = NDArray[np.float64]
@@ -30,14 +30,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class BallContact:
-    """A ball in the gel: depth map (H, W), where the ball's centre is, and the dots at rest
-    and moved (n, 2), gel frame.
-    """
+    """A ball in the gel: depth map (H, W), the ball's centre, and the moved dots (n, 2)."""
 
     depth_mm: Floats
     center_mm: tuple[float, float]
     markers_mm: Floats
-    markers_at_rest_mm: Floats
 
     def contact_center_px(self) -> tuple[float, float]:
         """Column and row of the middle of the contact: beside the ball's centre on a dome."""
@@ -61,19 +58,20 @@ def press_ball(
     volume_mm3: float,
     shear_sum_mm: Floats,
 ) -> BallContact:
-    """Press a ball until the gel has lost ``volume_mm3``, then move it until the dots' motion
-    sums to ``shear_sum_mm`` (2,).
-    """
+    """Press a ball to a volume, then move it until the dots' motion sums to a shear (2,)."""
     points = marker_grid_mm(sensor)
     depth = _depth_of_ball(sensor, radius_mm, center_mm, volume_mm3)
     if not (depth > 0).any():
-        return BallContact(depth, center_mm, points, points)
-    field = _field(sensor, points, depth)
+        return BallContact(depth, center_mm, points)
+    x_mm, y_mm = pixel_centers_mm(sensor)
+    rows, columns = np.nonzero(depth)
+    patch = np.stack([x_mm[columns], y_mm[rows]], axis=1)
+    field = MarkerField(points, patch, depth[rows, columns], sensor.pixel_area_mm2)
     motion = field.motion(shear_sum_mm)
     moved = (center_mm[0] + float(motion.shift_mm[0]), center_mm[1] + float(motion.shift_mm[1]))
     if np.any(shear_sum_mm):
         depth = _depth_of_ball(sensor, radius_mm, moved, volume_mm3)
-    return BallContact(depth, moved, field.displaced_mm(motion), points)
+    return BallContact(depth, moved, field.displaced_mm(motion))
 
 
 def _depth_of_ball(
@@ -89,13 +87,6 @@ def _depth_of_ball(
         return np.zeros(sensor.shape_px)
     depth_mm = solve_indentation(gap, volume_mm3, sensor.pixel_area_mm2)
     return contact_depth(gap, min(depth_mm, sensor.gel_depth_mm))
-
-
-def _field(sensor: Sensor, points_mm: Floats, depth_mm: Floats) -> MarkerField:
-    x_mm, y_mm = pixel_centers_mm(sensor)
-    rows, columns = np.nonzero(depth_mm)
-    patch = np.stack([x_mm[columns], y_mm[rows]], axis=1)
-    return MarkerField(points_mm, patch, depth_mm[rows, columns], sensor.pixel_area_mm2)
 
 
 class Camera:
@@ -144,7 +135,7 @@ def write_images(
     """Write the press-image folder and return it."""
     folder = Path(folder)
     camera = Camera(recipe, sensor)
-    _write_png(folder / "background.png", camera.take(None, camera_rng(recipe, 10**6)))
+    _write_png(folder / "background.png", camera.take(None, press_rng(recipe, 10**6, CAMERA)))
     records: list[dict[str, Any]] = []
     taken: dict[int, int] = {}
     for row in chosen_samples(log, truth, recipe.images.per_press):
@@ -160,7 +151,7 @@ def write_images(
             float(truth.volume_mm3[row]),
             truth.shear_mm[row],
         )
-        rng = camera_rng(recipe, press * recipe.images.per_press + index)
+        rng = press_rng(recipe, press * recipe.images.per_press + index, CAMERA)
         _write_png(folder / name, camera.take(contact, rng))
         records.append(_record(recipe, sensor, name, sample, contact))
     with atomic_path(folder / "presses.csv") as partial:
@@ -188,24 +179,11 @@ def _record(
 
 def _sensor_yaml(sensor: Sensor) -> dict[str, Any]:
     """What a reader of the folder needs to know of the sensor, in the form of sensor files."""
-    content: dict[str, Any] = {
-        "name": sensor.name,
-        "height_px": sensor.height_px,
-        "width_px": sensor.width_px,
-        "mm_per_px": sensor.mm_per_px,
-        "gel_depth_mm": sensor.gel_depth_mm,
-        "dome_radius_mm": sensor.dome_radius_mm,
-        "leds": [
-            {"direction": list(direction), "rgb": list(rgb)} for direction, rgb in sensor.leds
-        ],
-    }
+    names = ("name", "height_px", "width_px", "mm_per_px", "gel_depth_mm", "dome_radius_mm")
+    content: dict[str, Any] = {name: getattr(sensor, name) for name in names}
+    content["leds"] = [{"direction": list(led), "rgb": list(rgb)} for led, rgb in sensor.leds]
     if sensor.markers is not None:
-        content["markers"] = {
-            "rows": sensor.markers.rows,
-            "columns": sensor.markers.columns,
-            "pitch_mm": sensor.markers.pitch_mm,
-            "radius_mm": sensor.markers.radius_mm,
-        }
+        content["markers"] = asdict(sensor.markers)
     return content
 
 

@@ -32,23 +32,10 @@ def _ordered(values: tuple[float, float]) -> tuple[float, float]:
     return values
 
 
-def _from_zero(values: tuple[float, float]) -> tuple[float, float]:
-    if values[0] < 0:
-        msg = f"starts at {values[0]:g}; it cannot be negative"
-        raise ValueError(msg)
-    return values
-
-
-def _above_zero(values: tuple[float, float]) -> tuple[float, float]:
-    if values[0] <= 0:
-        msg = f"starts at {values[0]:g}; it must be positive"
-        raise ValueError(msg)
-    return values
-
-
-Range = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
-RangeFromZero = Annotated[Range, AfterValidator(_from_zero)]
-PositiveRange = Annotated[Range, AfterValidator(_above_zero)]
+ORDERED = AfterValidator(_ordered)
+Range = Annotated[tuple[Finite, Finite], ORDERED]
+RangeFromZero = Annotated[tuple[NonNegativeFloat, Finite], ORDERED]
+PositiveRange = Annotated[tuple[PositiveFloat, Finite], ORDERED]
 
 
 class Indenter(Section):

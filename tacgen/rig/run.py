@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from tacgen.core.version import VERSION
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import rig_sensor, write_images
 from tacgen.rig.rig_recipe import RigRecipe
-from tacgen.rig.schedule import noise_rng, true_session
+from tacgen.rig.schedule import NOISE, press_rng, true_session
 
 DECIMALS = 6
 
@@ -50,13 +49,8 @@ def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
     session = simulate_session(recipe)
     sensor = rig_sensor(recipe)
     pitch_mm = sensor.markers.pitch_mm if sensor.markers else np.nan
-    provenance: dict[str, Any] = {
-        "rig": recipe.model_dump(mode="json"),
-        "versions": {"tacgen": VERSION},
-    }
-    law = replace(
-        session.truth.law, marker_pitch_mm=pitch_mm, provenance=MappingProxyType(provenance)
-    )
+    provenance = {"rig": recipe.model_dump(mode="json"), "versions": {"tacgen": VERSION}}
+    law = replace(session.truth.law, marker_pitch_mm=pitch_mm, provenance=provenance)
     save_law(law, out / "truth.yaml")
     written = [out / "truth.yaml"]
     if recipe.output != "images":
@@ -76,7 +70,7 @@ def _measured(
     trial = true_columns["trial"]
     counts = np.bincount(trial)
     draws = np.concatenate(
-        [noise_rng(recipe, press).standard_normal((n, 7)) for press, n in enumerate(counts)]
+        [press_rng(recipe, press, NOISE).standard_normal((n, 7)) for press, n in enumerate(counts)]
     )
     noise = recipe.noise
     for column, name in enumerate(("force_normal_n", "force_shear_x_n", "force_shear_y_n")):

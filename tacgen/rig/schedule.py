@@ -12,7 +12,7 @@ from tacgen.rig.rig_recipe import RigRecipe, Schedule, Temperature
 
 Columns = dict[str, NDArray[Any]]
 
-_PRESS, _NOISE, _CAMERA, _ORDER = range(4)
+PRESS, NOISE, CAMERA, ORDER = range(4)
 """Streams of random numbers: a press's course, its samples' noise, its camera, a round's order."""
 
 
@@ -20,16 +20,6 @@ def press_rng(recipe: RigRecipe, press: int, stream: int) -> np.random.Generator
     """Random numbers by identity: the same press gets the same, whatever else is pressed."""
     sequence = np.random.SeedSequence(recipe.seed, spawn_key=(press, stream))
     return np.random.default_rng(sequence)
-
-
-def noise_rng(recipe: RigRecipe, press: int) -> np.random.Generator:
-    """For the noise of gauge, volume and markers."""
-    return press_rng(recipe, press, _NOISE)
-
-
-def camera_rng(recipe: RigRecipe, press: int) -> np.random.Generator:
-    """For the noise of the camera."""
-    return press_rng(recipe, press, _CAMERA)
 
 
 def true_session(recipe: RigRecipe) -> Columns:
@@ -44,7 +34,7 @@ def true_session(recipe: RigRecipe) -> Columns:
 
 
 def _true_press(recipe: RigRecipe, press: int, start_s: float) -> Columns:
-    schedule, rng = recipe.schedule, press_rng(recipe, press, _PRESS)
+    schedule, rng = recipe.schedule, press_rng(recipe, press, PRESS)
     indenter = recipe.indenters[_turn_of(recipe, press)]
     time_s, normal_n, sheared = _course(schedule, rng)
     peak_n = rng.uniform(*schedule.force_n)
@@ -68,13 +58,10 @@ def _true_press(recipe: RigRecipe, press: int, start_s: float) -> Columns:
 
 
 def _turn_of(recipe: RigRecipe, press: int) -> int:
-    """Which ball presses: all in turn, in an order drawn for every round, so that neither the
-    first nor the last part of a session belongs to one ball.
-    """
+    """Which ball presses: all in turn, in an order drawn for every round of the session."""
     n_balls = len(recipe.indenters)
     place = press % n_balls
-    order = press_rng(recipe, press - place, _ORDER).permutation(n_balls)
-    return int(order[place])
+    return int(press_rng(recipe, press - place, ORDER).permutation(n_balls)[place])
 
 
 def _course(

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from tacgen.cli import app
 from tacgen.contact import gel_map_mm
 from tacgen.contact.law import load_law
+from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import PressError
 from tacgen.optics import save_table
 from tacgen.optics.reconstruct import Reconstructor, integrate
@@ -103,7 +104,7 @@ def test_markers_are_followed_to_a_hundredth_of_the_sum(recipe, sensor):
     contacts = [press_ball(sensor, 5.0, (0.5, 0.2), 10.0, s) for s in sums]
     motion, seen = follow(dots, [camera.take(contact, rng) for contact in contacts])
     for contact, moved, count in zip(contacts, motion, seen, strict=True):
-        true = (contact.markers_mm - contact.markers_at_rest_mm).sum(axis=0)
+        true = (contact.markers_mm - marker_grid_mm(sensor)).sum(axis=0)
         np.testing.assert_allclose(moved.sum(axis=0) * sensor.mm_per_px, true, atol=0.05)
         assert count == len(dots)
 

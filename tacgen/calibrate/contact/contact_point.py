@@ -7,9 +7,7 @@ gauge's zero are then quantities to estimate, trial by trial.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -52,7 +50,10 @@ def free_contact_points(log: PressLog) -> tuple[PressLog, tuple[ContactPoint, ..
             point = _shift_force(int(trial), log.select(log["trial"] == trial))
         force[rows] -= point.force_n
         points.append(point)
-    return _with_columns(log, {"volume_mm3": volume, "force_normal_n": force}), tuple(points)
+    changed = {"volume_mm3": volume, "force_normal_n": force}
+    for values in changed.values():
+        values.setflags(write=False)
+    return replace(log, columns={**log.columns, **changed}), tuple(points)
 
 
 def _shift_depth(
@@ -93,9 +94,3 @@ def _shift_force(trial: int, log: PressLog) -> ContactPoint:
         log["force_normal_n"], log["volume_mm3"], np.zeros(len(log), dtype=int), free_offset=True
     )
     return ContactPoint(trial, 0.0, float(-fit.offsets[0] / fit.value) if fit.value else 0.0)
-
-
-def _with_columns(log: PressLog, changed: Mapping[str, FloatArray]) -> PressLog:
-    for values in changed.values():
-        values.setflags(write=False)
-    return replace(log, columns=MappingProxyType({**log.columns, **changed}))

@@ -254,13 +254,12 @@ def _own_noise(residual: FloatArray, trial: IntArray) -> float:
 
 
 def _grouping(log: PressLog, by: str | None) -> str:
+    if by is not None and by not in log:
+        msg = f"{log.path}: no column {by!r} to group by; there are {', '.join(log.columns)}"
+        raise PressError(msg)
     if by is not None:
-        if by not in log:
-            msg = f"{log.path}: no column {by!r} to group by; there are {', '.join(log.columns)}"
-            raise PressError(msg)
         return by
-    candidates = ["indenter", *log.covariates]
-    for name in candidates:
+    for name in ("indenter", *log.covariates):
         if name in log and log[name].dtype.kind == "U":
             values = len(np.unique(log[name]))
             pairs = len({*zip(log[name].tolist(), log["trial"].tolist(), strict=True)})

@@ -10,7 +10,8 @@ from typing import Any
 from tacgen.calibrate.contact.depth_curves import RADII_MM, DepthReport
 from tacgen.calibrate.contact.identifiability import limits_of
 from tacgen.calibrate.contact.law_fit import PLAIN_UNITS, ChannelFit, ContactFit
-from tacgen.report.formatting import interval, number, p_value, percent, unit_text, with_error
+from tacgen.report.formatting import p_value, percent
+from tacgen.report.page import templates
 
 SYMBOLS = {"normal": "k_n", "shear": "k_s"}
 AGREEMENT_LEVEL = 0.05
@@ -52,29 +53,14 @@ def _channel_dict(channel: ChannelFit) -> dict[str, Any]:
 
 def summary_text(result: Mapping[str, Any]) -> str:
     """The result of ``summary_dict`` in a few lines for a terminal."""
-    lines = []
-    for name, channel in result["channels"].items():
-        symbol, unit = SYMBOLS[name], unit_text(channel["unit"])
-        pooled, held = channel[symbol], channel["held_out"]
-        ends = pooled["interval"] or (None, None)
-        lines.append(
-            f"{symbol} = {number(pooled['value'], 5)} {unit}, 95 % interval {interval(ends)}, "
-            f"{pooled['trials']} presses, {pooled['samples']} samples, "
-            f"{pooled['outliers']} outliers"
-        )
-        lines.append(
-            f"  held-out presses: RMSE {number(held['rmse'])} {unit_text(held['unit'])} "
-            f"({percent(held['nrmse'], 2)} of the RMS response)"
-        )
-        lines += [
-            f"  {channel['by']} {group}: {with_error(one['value'], half_width(one))} {unit}, "
-            f"R² {one['r_squared']:.5f}, {one['trials']} presses"
-            for group, one in list(channel["groups"].items())[:MAX_GROUPS_SHOWN]
-        ]
-        lines.append(f"  {agreement_text(name, channel)}")
-    if result["contact_points"]:
-        lines.append("contact points were free; the report lists depth and force zeros by trial")
-    return "\n".join(lines)
+    template = templates(escaped=False).get_template("contact_calibration.txt")
+    return template.render(
+        result=result,
+        symbols=SYMBOLS,
+        most_groups=MAX_GROUPS_SHOWN,
+        half_width=half_width,
+        agreement_text=agreement_text,
+    ).rstrip()
 
 
 def half_width(slope: Mapping[str, Any]) -> float | None:
@@ -96,30 +82,8 @@ def agreement_text(name: str, channel: Mapping[str, Any]) -> str:
 
 def depth_text(result: Mapping[str, Any]) -> str:
     """The content of a ``DepthReport`` in a few lines for a terminal; the last is the verdict."""
-    lines = []
-    several = len(result["curves"]) > 1
-    for name, fit in result["curves"].items():
-        lines += [
-            f"{name}: ball of radius {number(fit['radius_mm'], 3)} mm, 95 % interval "
-            f"{interval(fit['radius_interval_mm'])}; k_n = {number(fit['k_n'], 3)} mm³/N, "
-            f"{interval(fit['k_interval'])}; contact {number(-fit['contact_point_mm'], 3)} mm "
-            "along the depth axis",
-            f"  R² {fit['r_squared']:.5f}, RMSE {number(fit['rmse_n'], 3)} N over "
-            f"{fit['samples']} samples; log-log exponent {fit['log_log_exponent']:.2f}",
-        ]
-        if several:
-            shared = fit["with_shared_k_n"]
-            lines.append(
-                f"  with the shared k_n: radius {number(shared['radius_mm'], 3)} mm, RMSE "
-                f"{number(shared['rmse_n'], 3)} N"
-            )
-    if several:
-        verdict = "explains" if result["one_k_n_will_do"] else "does not explain"
-        lines.append(
-            f"one constant k_n = {number(result['shared_k_n'], 3)} mm³/N {verdict} all curves "
-            f"(F test, p = {p_value(result['p_value'])})"
-        )
-    return "\n".join(lines)
+    template = templates(escaped=False).get_template("depth_curves.txt")
+    return template.render(result=result).rstrip()
 
 
 def depth_warnings(path: Path, report: DepthReport) -> tuple[str, ...]:

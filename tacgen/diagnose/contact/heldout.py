@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.contact.channel import Columns
 from tacgen.diagnose.contact.rules import SelectionRules
 
@@ -21,7 +21,7 @@ class Errors:
     rmse: float
     nrmse: float
     squares: FloatArray
-    counts: NDArray[np.int64]
+    counts: IntArray
 
 
 def test_trials(columns: Columns, rng: np.random.Generator, rules: SelectionRules) -> NDArray[Any]:
@@ -55,7 +55,7 @@ def errors(residual: FloatArray, trial: FloatArray, scale: float) -> Errors:
     return _errors(np.bincount(inverse, (residual**2).mean(axis=1)), np.bincount(inverse), scale)
 
 
-def _errors(squares: FloatArray, counts: NDArray[np.int64], scale: float) -> Errors:
+def _errors(squares: FloatArray, counts: IntArray, scale: float) -> Errors:
     rmse = float(np.sqrt(squares.sum() / counts.sum()))
     return Errors(rmse, rmse / scale, squares, counts)
 

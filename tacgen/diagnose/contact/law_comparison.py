@@ -20,7 +20,7 @@ from tacgen.report import figures as plots
 from tacgen.report.formatting import number
 from tacgen.report.images import difference, evenly, side_by_side
 from tacgen.sensor.gel_response import gel_loads
-from tacgen.sensor.tactile_pad import TactileFrame, TactilePad
+from tacgen.sensor.tactile_pad import TactileFrame
 
 STRIP_FRAMES = 6
 THUMBNAIL_WIDTH_PX = 170
@@ -39,7 +39,10 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
     grasped, frames = _strongest_grasp(recipe)
     pad = tactile_pad(recipe)
     rendered = {
-        name: _render(pad, grasped, frames, law)
+        name: [
+            pad.render(grasped.surface, frame.pose_gel_object, load)
+            for frame, load in zip(frames, gel_loads(law, frames), strict=True)
+        ]
         for name, law in (("before", before), ("after", after))
     }
     sections = [_strips(rendered), _curves(frames, rendered)]
@@ -64,16 +67,6 @@ def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, .
         msg = f"recipe {recipe.name!r}: its strongest grasp was not executed: {trace.reason}"
         raise RecipeError(msg)
     return grasped, frames
-
-
-def _render(
-    pad: TactilePad, grasped: GraspObject, frames: Sequence[ContactFrame], law: ContactLaw
-) -> list[TactileFrame]:
-    loads = gel_loads(law, frames)
-    return [
-        pad.render(grasped.surface, frame.pose_gel_object, load)
-        for frame, load in zip(frames, loads, strict=True)
-    ]
 
 
 def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFrame]]) -> Section:
@@ -105,12 +98,8 @@ def _summary(rendered: dict[str, list[TactileFrame]]) -> str:
     before, after = (
         np.array([one.imprint.volume_mm3 for one in rendered[name]]) for name in ("before", "after")
     )
-    grey = np.mean(
-        [
-            np.abs(a.rgb.astype(int) - b.rgb).mean()
-            for a, b in zip(rendered["after"], rendered["before"], strict=True)
-        ]
-    )
+    pairs = zip(rendered["after"], rendered["before"], strict=True)
+    grey = np.mean([np.abs(a.rgb.astype(int) - b.rgb).mean() for a, b in pairs])
     most = int(np.argmax(np.abs(after - before)))
     return (
         f"The imprint differs most at frame {most + 1}: {number(after[most], 3)} mm³ instead of "

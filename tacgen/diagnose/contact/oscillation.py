@@ -57,8 +57,10 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
         peaks = power.max(axis=0)
         best = first + int(np.argmax(power[:, 0]))
         near = (best + np.linspace(-1, 1, _REFINED)) / (n_points * tick_s)
-        phase = np.exp(-2j * np.pi * np.outer(near, time))
-        exact = sum(_explained(phase @ p, phase**2 @ q, float(q.sum())) for p, q in parts)
+        phase: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer(near, time))
+        exact = np.sum(
+            [_explained(phase @ p, phase**2 @ q, float(q.sum())) for p, q in parts], axis=0
+        )
         found.append(
             Covariate(
                 "time_s",
