@@ -52,7 +52,8 @@ def select(columns: Columns, mask: BoolArray) -> dict[str, NDArray[Any]]:
 def errors(residual: FloatArray, trial: FloatArray, scale: float) -> Errors:
     """Errors of a residual (N, C): RMS over samples and outputs, and the same over ``scale``."""
     _, inverse = np.unique(trial, return_inverse=True)
-    return _errors(np.bincount(inverse, (residual**2).mean(axis=1)), np.bincount(inverse), scale)
+    squares = np.bincount(inverse, (residual**2).mean(axis=1)).astype(np.float64)
+    return _errors(squares, np.bincount(inverse), scale)
 
 
 def _errors(squares: FloatArray, counts: IntArray, scale: float) -> Errors:
