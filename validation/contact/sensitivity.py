@@ -1,6 +1,7 @@
 """What halving, doubling or removing each rule of the contact diagnosis changes.
 
     python -m validation.contact.sensitivity --logs 20 --out sensitivity.md
+    python -m validation.contact.sensitivity --logs 20 --changes removed --out removed.md
 
 Each log of ``validation.blind``'s generator (one effect, two, none, or one outside the lists, in
 turn) is diagnosed once by the rules as they are and once for every change of a rule. Every
@@ -20,39 +21,44 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.files import write_text
-from tacgen.diagnose.contact.rules import BLIND, CONTACT, DEFAULT_RULES, SelectionRules
+from tacgen.diagnose.contact.rules import BLIND, DEFAULT_RULES, SelectionRules
 from validation.blind.evaluate import Wanted, draw_wanted, judge, ratios, run
 from validation.blind.generator import draw_case
 
 SEED = 3_100_000
 KINDS = ("single", "pair", "clean", "unlisted")
+CHANGES = ("half", "double", "removed")
 STRENGTHS = [1.5, 2.0, 3.0]
 REMOVED: dict[str, Any] = {
     "least_share_of_rival": 0.0,
     "parameter_price": 0.0,
     "few_parameter_price": 0.0,
+    "min_gain": 0.0,
+    "min_swap_gain": 0.0,
     "clear_alpha": 0.0,
+    "negative_loss_tolerance": 1e9,
+    "max_newton_gain": 1e9,
     "form_share_left": 0.0,
+    "misfit_in_se": 1e9,
 }
 """The value at which a rule does nothing, for those that can be left out."""
 
 
-def changed_rules(names: list[str]) -> Iterator[tuple[str, SelectionRules]]:
+def changed_rules(names: list[str], changes: list[str]) -> Iterator[tuple[str, SelectionRules]]:
     """(label, rules) of the rules as they are and of every change of one of them."""
     yield "as they are", DEFAULT_RULES
     for rule in fields(SelectionRules):
         value: Any = getattr(DEFAULT_RULES, rule.name)
         if isinstance(value, tuple) or (rule.name not in names):
             continue
-        for label, factor in (("half", 0.5), ("double", 2.0)):
-            new: Any = value * factor if isinstance(value, float) else max(1, int(value * factor))
-            if new != value:
-                yield f"{rule.name}: {label}", replace(DEFAULT_RULES, **{rule.name: new})
+        values: dict[str, Any] = {"half": 0.5 * value, "double": 2.0 * value}
+        if isinstance(value, int):
+            values = {label: max(1, int(new)) for label, new in values.items()}
         if rule.name in REMOVED:
-            yield (
-                f"{rule.name}: removed",
-                replace(DEFAULT_RULES, **{rule.name: REMOVED[rule.name]}),
-            )
+            values["removed"] = REMOVED[rule.name]
+        for label, new in values.items():
+            if new != value and label in changes:
+                yield f"{rule.name}: {label}", replace(DEFAULT_RULES, **{rule.name: new})
 
 
 def logs(count: int, seed: int) -> Iterator[tuple[int, dict[str, Wanted]]]:
@@ -97,11 +103,13 @@ def table(store: dict[tuple[str, int], dict[str, Any]]) -> str:
 
 def main() -> None:
     """Diagnose what is not kept yet, and write the table."""
-    studied = [r.name for r in fields(SelectionRules) if r.metadata["set_by"] in (BLIND, CONTACT)]
+    studied = [rule.name for rule in fields(SelectionRules) if rule.metadata["set_by"] == BLIND]
+    studied += [name for name in REMOVED if name not in studied]
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=SEED, help="of the first log")
     parser.add_argument("--rules", nargs="+", default=studied, help="those that a study set")
+    parser.add_argument("--changes", nargs="+", default=list(CHANGES), choices=CHANGES)
     parser.add_argument("--out", type=Path, required=True, help="the table, in Markdown")
     arguments = parser.parse_args()
     kept = arguments.out.with_suffix(".jsonl")
@@ -113,7 +121,7 @@ def main() -> None:
     kept.parent.mkdir(parents=True, exist_ok=True)
     with kept.open("a", encoding="utf-8") as file:
         for seed, wanted in logs(arguments.logs, arguments.seed):
-            for label, rules in changed_rules(arguments.rules):
+            for label, rules in changed_rules(arguments.rules, arguments.changes):
                 if (label, seed) not in store:
                     store[label, seed] = diagnosed(seed, wanted, rules)
                     entry = {"label": label, "seed": seed, **store[label, seed]}

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 BLIND = "`python -m validation.blind.evaluate`"
-CONTACT = "`python -m validation.contact`"
 CONVENTION = "convention"
 NUMERICAL = "numerical"
 
