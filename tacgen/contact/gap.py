@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_map_mm
-from tacgen.contact.raster import rasterize, to_window
+from tacgen.contact.raster import Float64, Int32, rasterize, to_window
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
 
@@ -27,9 +27,7 @@ TOUCH_SLACK_MM = 0.25
 """How much further than its nearest corner the nearest pixel of an object may be before the
 search for far triangles that cannot touch has to be repeated without a limit."""
 
-DepthCamera = Callable[
-    [NDArray[np.float64], NDArray[np.int32], NDArray[np.float64], Sensor], NDArray[np.float64]
-]
+DepthCamera = Callable[[Float64, Int32, Float64, Sensor], Float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,7 @@ class ObjectGap:
     """
 
     window: tuple[int, int, int, int]
-    grains: NDArray[np.int32]
+    grains: Int32
     first_touch_mm: float
 
     @property
@@ -54,12 +52,7 @@ class ObjectGap:
 
 
 @njit(cache=True, nogil=True)
-def _corner_gap(
-    columns: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    heights_mm: NDArray[np.float64],
-    gel_mm: NDArray[np.float64],
-) -> float:
+def _corner_gap(columns: Float64, rows: Float64, heights_mm: Float64, gel_mm: Float64) -> float:
     """The smallest gap at any corner of the mesh inside the window; +inf if there is none."""
     n_rows, n_columns = gel_mm.shape
     smallest = np.inf
@@ -71,9 +64,7 @@ def _corner_gap(
 
 
 @njit(cache=True, nogil=True)
-def _smallest_gap(
-    depth_mm: NDArray[np.float64], gel_mm: NDArray[np.float64], window: tuple[int, int, int, int]
-) -> float:
+def _smallest_gap(depth_mm: Float64, gel_mm: Float64, window: tuple[int, int, int, int]) -> float:
     top, bottom, left, right = window
     smallest = np.full(max(0, right - left), np.inf)
     for r in range(top, bottom):
@@ -85,11 +76,11 @@ def _smallest_gap(
 
 @njit(cache=True, nogil=True)
 def _fill_grains(
-    depth_mm: NDArray[np.float64],
-    gel_mm: NDArray[np.float64],
+    depth_mm: Float64,
+    gel_mm: Float64,
     window: tuple[int, int, int, int],
     zero_mm: float,
-    grains: NDArray[np.int32],
+    grains: Int32,
 ) -> None:
     """Gaps beyond ``zero_mm``, in whole grains."""
     top, bottom, left, right = window
@@ -125,9 +116,9 @@ class GapMapper:
 
     def measure(
         self,
-        vertices_mm: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        pose_gel_object: NDArray[np.float64],
+        vertices_mm: Float64,
+        faces: Int32,
+        pose_gel_object: Float64,
         *,
         reach_mm: float = np.inf,
     ) -> ObjectGap:
@@ -152,33 +143,20 @@ class GapMapper:
         return ObjectGap(window, grains, zero_mm + float(pose_gel_object[2, 3]))
 
     def _rasterize(
-        self,
-        vertices_mm: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        pose_gel_object: NDArray[np.float64],
-        reach_mm: float,
+        self, vertices_mm: Float64, faces: Int32, pose_gel_object: Float64, reach_mm: float
     ) -> tuple[tuple[int, int, int, int], float]:
-        sensor = self.sensor
+        sensor, gel_mm, depth_mm = self.sensor, self._gel_mm, self._depth_mm
         if self._posed.shape[1] != len(vertices_mm):
             self._posed = np.empty((3, len(vertices_mm)))
-        columns, rows, heights_mm = self._posed
-        to_window(
-            vertices_mm,
-            pose_gel_object,
-            sensor.mm_per_px,
-            sensor.shape_px,
-            columns,
-            rows,
-            heights_mm,
-        )
+        to_window(vertices_mm, pose_gel_object, sensor.mm_per_px, sensor.shape_px, *self._posed)
         # The gel lies at or below z = 0, so a triangle's gap is at least its own height.
-        touch_mm = _corner_gap(columns, rows, heights_mm, self._gel_mm) + TOUCH_SLACK_MM
-        self._depth_mm.fill(np.inf)
-        window = rasterize(columns, rows, heights_mm, faces, touch_mm + reach_mm, self._depth_mm)
-        zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
+        touch_mm = _corner_gap(*self._posed, gel_mm) + TOUCH_SLACK_MM
+        depth_mm.fill(np.inf)
+        window = rasterize(*self._posed, faces, touch_mm + reach_mm, depth_mm)
+        zero_mm = _smallest_gap(depth_mm, gel_mm, window)
         if zero_mm > touch_mm and np.isfinite(touch_mm + reach_mm):
-            window = rasterize(columns, rows, heights_mm, faces, np.inf, self._depth_mm)
-            zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
+            window = rasterize(*self._posed, faces, np.inf, depth_mm)
+            zero_mm = _smallest_gap(depth_mm, gel_mm, window)
         return window, zero_mm
 
 
@@ -235,7 +213,7 @@ def checked_mesh(
     vertices_mm: NDArray[np.floating],
     faces: NDArray[np.integer],
     pose_gel_object: NDArray[np.floating],
-) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+) -> tuple[Float64, Int32, Float64]:
     """The mesh and pose in the types that the rasteriser reads.
 
     Raises ``ContactError`` that lists whatever is wrong with their shapes, values or indices.

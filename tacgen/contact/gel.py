@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.contact.raster import Float64
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
@@ -18,7 +18,7 @@ def pixel_centers_mm(sensor: Sensor) -> tuple[FloatArray, FloatArray]:
     return x_mm, y_mm
 
 
-def gel_map_mm(sensor: Sensor) -> NDArray[np.float64]:
+def gel_map_mm(sensor: Sensor) -> Float64:
     """Rest height of the gel surface (H, W), gel frame, mm: the sag of a sphere cap.
 
     0 at the centre of the window, negative around it; 0 everywhere for a flat gel (dome radius 0).

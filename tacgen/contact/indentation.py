@@ -8,11 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tacgen.contact.raster import Float64
 from tacgen.core.errors import ContactError
 
 
 @njit(cache=True, nogil=True)
-def _solve(gaps_mm: NDArray[np.float64], count: int, depth_sum_mm: float) -> float:
+def _solve(gaps_mm: Float64, count: int, depth_sum_mm: float) -> float:
     """The δ with Σ max(0, δ − gap) = ``depth_sum_mm`` over the first ``count`` gaps, reordered.
 
     Newton from the right: the sum is convex and piecewise linear in δ, so the line through the
@@ -90,7 +91,7 @@ def volume_of(gap_map_mm: NDArray[np.floating], delta_mm: float, pixel_area_mm2:
     return float(contact_depth(gap_map_mm, delta_mm).sum(dtype=np.float64)) * pixel_area_mm2
 
 
-def contact_depth(gap_map_mm: NDArray[np.floating], delta_mm: float) -> NDArray[np.float64]:
+def contact_depth(gap_map_mm: NDArray[np.floating], delta_mm: float) -> Float64:
     """Indentation of each pixel (H, W), mm: max(0, δ − gap)."""
     return np.maximum(0.0, delta_mm - np.asarray(gap_map_mm, dtype=np.float64))
 

@@ -6,12 +6,10 @@ import os
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.contact.raster import Float64, Int32
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
-
-_PLATFORMS = ("egl", "osmesa")
 
 _renderers: dict[tuple[int, int], Any] = {}
 """The one living renderer of this process: deleting one takes the EGL display of all others with
@@ -19,11 +17,8 @@ it, so it is resized and never deleted."""
 
 
 def depth_map_mm(
-    vertices_mm: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    pose_gel_object: NDArray[np.float64],
-    sensor: Sensor,
-) -> NDArray[np.float64]:
+    vertices_mm: Float64, faces: Int32, pose_gel_object: Float64, sensor: Sensor
+) -> Float64:
     """Height of the nearest surface over each pixel (H, W), mm; +inf where there is none.
 
     The pose's translation along z is left out, as in the rasteriser.
@@ -63,11 +58,8 @@ def depth_map_mm(
 
 
 def _load_pyrender() -> Any:
-    """Import pyrender on a platform that needs no display.
-
-    PyOpenGL settles on a platform when it is imported, so it cannot be tried again in a process.
-    """
-    os.environ.setdefault("PYOPENGL_PLATFORM", _PLATFORMS[0])
+    """Import pyrender on a platform that needs no display, on which PyOpenGL then settles."""
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     try:
         import pyrender
     except (ImportError, AttributeError, OSError) as error:

@@ -6,12 +6,14 @@ One thread, float64, no fast-math and no fused operations: the same bits on ever
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+Float64: TypeAlias = NDArray[np.float64]
+Int32: TypeAlias = NDArray[np.int32]
 
 
 @njit(cache=True, nogil=True)
@@ -45,7 +47,7 @@ def rasterize(
     columns: Float64,
     rows: Float64,
     heights_mm: Float64,
-    faces: NDArray[np.int32],
+    faces: Int32,
     z_limit_mm: float,
     depth_mm: Float64,
 ) -> tuple[int, int, int, int]:

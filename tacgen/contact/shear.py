@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tacgen.contact.raster import Float64
 from tacgen.core.records import Markers, Sensor
 
 SHEAR_DECAY_PER_MM2 = 0.0805
@@ -28,11 +29,11 @@ DEFAULT_PITCH_MM = 2.0
 class Motion:
     """How the object has moved along the gel: ``shift_mm`` (2,), then a turn about the patch."""
 
-    shift_mm: NDArray[np.float64]
+    shift_mm: Float64
     turn_rad: float
-    center_mm: NDArray[np.float64]
+    center_mm: Float64
 
-    def moved(self, pose_gel_object: NDArray[np.float64]) -> NDArray[np.float64]:
+    def moved(self, pose_gel_object: Float64) -> Float64:
         """The pose after the motion, turned about the normal through the patch's centre."""
         cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
         turn = np.eye(4)
@@ -41,7 +42,7 @@ class Motion:
         return turn @ pose_gel_object
 
 
-def marker_grid_mm(sensor: Sensor) -> NDArray[np.float64]:
+def marker_grid_mm(sensor: Sensor) -> Float64:
     """x, y of the markers at rest (n, 2), gel frame; a plain grid where the gel has none."""
     markers = sensor.markers
     if markers is None:
@@ -55,14 +56,14 @@ def marker_grid_mm(sensor: Sensor) -> NDArray[np.float64]:
 
 @njit(cache=True, nogil=True)
 def _field(
-    points_mm: NDArray[np.float64],
-    patch_mm: NDArray[np.float64],
-    depth_mm: NDArray[np.float64],
+    points_mm: Float64,
+    patch_mm: Float64,
+    depth_mm: Float64,
     area_mm2: float,
     shear_decay: float,
     dilation_decay: float,
-    stick: NDArray[np.float64],
-    dilation: NDArray[np.float64],
+    stick: Float64,
+    dilation: Float64,
 ) -> None:
     for i in range(points_mm.shape[0]):
         nearest, along_x, along_y = np.inf, 0.0, 0.0
@@ -88,7 +89,7 @@ class MarkerField:
 
     def __init__(
         self,
-        points_mm: NDArray[np.float64],
+        points_mm: Float64,
         patch_mm: NDArray[np.floating],
         depth_mm: NDArray[np.floating],
         area_mm2: float,
@@ -108,7 +109,7 @@ class MarkerField:
             self._dilation,
         )
 
-    def motion(self, shear_sum_mm: NDArray[np.float64], turn_sum_mm2: float = 0.0) -> Motion:
+    def motion(self, shear_sum_mm: Float64, turn_sum_mm2: float = 0.0) -> Motion:
         """The motion of the object for which the field sums to what the law predicts.
 
         ``shear_sum_mm`` (2,) is D, the sum of the points' shear motion; ``turn_sum_mm2`` the sum of
@@ -121,7 +122,7 @@ class MarkerField:
         shift_mm = np.asarray(shear_sum_mm, dtype=np.float64) / max(self._stick.sum(), 1e-9)
         return Motion(shift_mm, turn_sum_mm2 / max(second, 1e-9), self.center_mm)
 
-    def shear_mm(self, motion: Motion) -> NDArray[np.float64]:
+    def shear_mm(self, motion: Motion) -> Float64:
         """Motion of each point (n, 2) that goes with the object."""
         arm = self._points_mm - self.center_mm
         turned = motion.turn_rad * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
@@ -129,6 +130,6 @@ class MarkerField:
         balance = (self._stick[:, None] * turned).sum(axis=0) / max(self._stick.sum(), 1e-9)
         return np.asarray(self._stick[:, None] * (motion.shift_mm + turned - balance))
 
-    def displaced_mm(self, motion: Motion) -> NDArray[np.float64]:
+    def displaced_mm(self, motion: Motion) -> Float64:
         """Where each point (n, 2) is: dilated by the indentation, sheared and turned."""
         return self._points_mm + DILATION_GAIN * self._dilation + self.shear_mm(motion)
