@@ -148,14 +148,15 @@ class GapMapper:
         sensor, gel_mm, depth_mm = self.sensor, self._gel_mm, self._depth_mm
         if self._posed.shape[1] != len(vertices_mm):
             self._posed = np.empty((3, len(vertices_mm)))
-        to_window(vertices_mm, pose_gel_object, sensor.mm_per_px, sensor.shape_px, *self._posed)
+        x, y, z = self._posed
+        to_window(vertices_mm, pose_gel_object, sensor.mm_per_px, sensor.shape_px, x, y, z)
         # The gel lies at or below z = 0, so a triangle's gap is at least its own height.
-        touch_mm = _corner_gap(*self._posed, gel_mm) + TOUCH_SLACK_MM
+        touch_mm = _corner_gap(x, y, z, gel_mm) + TOUCH_SLACK_MM
         depth_mm.fill(np.inf)
-        window = rasterize(*self._posed, faces, touch_mm + reach_mm, depth_mm)
+        window = rasterize(x, y, z, faces, touch_mm + reach_mm, depth_mm)
         zero_mm = _smallest_gap(depth_mm, gel_mm, window)
         if zero_mm > touch_mm and np.isfinite(touch_mm + reach_mm):
-            window = rasterize(*self._posed, faces, np.inf, depth_mm)
+            window = rasterize(x, y, z, faces, np.inf, depth_mm)
             zero_mm = _smallest_gap(depth_mm, gel_mm, window)
         return window, zero_mm
 
