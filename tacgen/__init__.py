@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from tacgen.collection.run import collect
     from tacgen.contact.law import load_law
     from tacgen.dataset.reader import Dataset
+    from tacgen.learning.predictor import Predictor
     from tacgen.optics.table import load_table
     from tacgen.presses.read_image import read_image
     from tacgen.sensor.simulated import Sensor
@@ -20,6 +21,7 @@ __version__: str
 
 _HOMES = {
     "Dataset": "tacgen.dataset.reader",
+    "Predictor": "tacgen.learning.predictor",
     "Sensor": "tacgen.sensor.simulated",
     "collect": "tacgen.collection.run",
     "load_law": "tacgen.contact.law",
@@ -28,7 +30,16 @@ _HOMES = {
     "read_image": "tacgen.presses.read_image",
 }
 
-__all__ = ["Dataset", "Sensor", "collect", "load_law", "load_recipe", "load_table", "read_image"]
+__all__ = [
+    "Dataset",
+    "Predictor",
+    "Sensor",
+    "collect",
+    "load_law",
+    "load_recipe",
+    "load_table",
+    "read_image",
+]
 
 
 def __getattr__(name: str) -> object:

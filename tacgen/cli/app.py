@@ -24,7 +24,7 @@ ORDER_OF_WORK = (
     *("collect", "init", "grid", "inspect", "verify", "merge", "export"),
     *("recipe", "objects"),
     *("import", "calibrate", "read", "diagnose", "friction", "rig"),
-    *("train", "eval", "study"),
+    *("train", "eval", "predict", "study"),
     *("submit", "status"),
     *("doctor", "bench"),
 )

@@ -82,6 +82,36 @@ def evaluate(
 
 
 @app.command(rich_help_panel=NETWORKS)
+def predict(
+    run: Annotated[Path, typer.Argument(help="Folder of a run that `tacgen train` wrote.")],
+    images: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Images, or folders of them; for a sequence network the frames of a grasp."
+        ),
+    ],
+    object_name: Annotated[
+        str | None, typer.Option("--object", help="Object whose model to use, if there are more.")
+    ] = None,
+    background: Annotated[
+        Path | None,
+        typer.Option(help="Image of your gel at rest; else that of the training data."),
+    ] = None,
+    json_output: JsonFlag = False,
+) -> None:
+    """Predict from your own images the probability that each grasp will hold."""
+    from tacgen.learning import require_learning_extra
+
+    require_learning_extra()
+    from tacgen.learning.predictor import Predictor, predict_files, read_rgb
+
+    at_rest = None if background is None else read_rgb(background)
+    rows = predict_files(Predictor(run, object_name, at_rest), images)
+    lines = [f"{row['probability']:.3f}  {row['images']}" for row in rows]
+    print_result(rows, lines, json_output)
+
+
+@app.command(rich_help_panel=NETWORKS)
 def study(
     recipe: Annotated[
         str, typer.Argument(help="Study (YAML), or a shipped one: paper_table, paper_ablation, …")

@@ -114,14 +114,14 @@ class Batches:
                     )
                     for item, f in zip(items, frames, strict=True)
                 ]
-            images = _as_batch(frames, self._reference, self._spec)
+            images = as_batch(frames, self._reference, self._spec)
             labels = torch.from_numpy(self._inputs.labels[items])
             self.waited_s += time.perf_counter() - start_s
             yield images, labels, items
             start_s = time.perf_counter()
 
 
-def _as_batch(
+def as_batch(
     frames: list[NDArray[np.uint8]], reference: NDArray[np.uint8] | None, spec: InputSpec
 ) -> Tensor:
     """(B, T, 3, h, w) float32; shorter sequences repeat their last frame.

@@ -1,0 +1,173 @@
+"""A trained network on one's own images: the probability that the grasp will hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from tacgen.core.errors import LearningError
+from tacgen.core.safe_io import read_bgr
+from tacgen.learning.checkpoint import load_model
+from tacgen.learning.device import choose_device, exact_torch
+from tacgen.learning.inputs import InputSpec, chosen_frames, resized
+from tacgen.learning.loader import as_batch
+from tacgen.learning.run_folder import RunFolder
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+class Predictor:
+    """One model of a training run, ready for images.
+
+    Parameters
+    ----------
+    run : path
+        Folder that ``tacgen train --out`` wrote.
+    object_name : str, optional
+        Whose model to use, in a run with one model an object.
+    background_rgb : (H, W, 3) uint8, optional
+        The gel at rest, which the network's input is compared with; by default that of the
+        training data.
+
+    Raises
+    ------
+    LearningError
+        If the folder is not a run, or which model to use is not clear.
+
+    Examples
+    --------
+    >>> predictor = tacgen.Predictor("run", object_name="can")      # doctest: +SKIP
+    >>> predictor.predict(images)                                   # doctest: +SKIP
+    array([0.93, 0.12])
+    """
+
+    def __init__(
+        self,
+        run: Path | str,
+        object_name: str | None = None,
+        background_rgb: NDArray[np.uint8] | None = None,
+    ) -> None:
+        folder = RunFolder(run)
+        options = folder.recipe().training
+        self._device, self._threads = choose_device(options), options.threads
+        name = _model_for(folder.plan()["models"], object_name, str(run))
+        network, card, reference = load_model(folder.model(name).model_path)
+        self._network, self.spec = network.to(self._device.name), card.input
+        self._reference = reference
+        if background_rgb is not None:
+            _check_size(background_rgb, self.spec, "the background")
+            self._reference = resized(background_rgb[None], self.spec.size_px)[0]
+
+    def predict(
+        self, images: NDArray[np.uint8] | Sequence[NDArray[np.uint8]]
+    ) -> NDArray[np.float64]:
+        """Probability of success (N,) of each grasp.
+
+        Parameters
+        ----------
+        images : (N, H, W, 3) uint8, or N of (H, W, 3)
+            RGB, one image a grasp, of the size that the network was trained on. A network for
+            sequences needs N of (T, H, W, 3), the frames of each grasp in time order.
+
+        Raises
+        ------
+        LearningError
+            If an image is of another size or type, or a sequence is needed.
+        """
+        inputs = [self._input(np.asarray(grasp)) for grasp in images]
+        found = []
+        with exact_torch(self._threads), torch.inference_mode(), self._device.autocast():
+            for grasp in inputs:
+                batch = as_batch([grasp], self._reference, self.spec)
+                logits = self._network(batch.to(self._device.name))
+                found.append(float(logits.double().softmax(1)[0, 1]))
+        return np.array(found, np.float64)
+
+    def _input(self, grasp: NDArray[Any]) -> NDArray[np.uint8]:
+        """The frames of one grasp (t, h, w, 3) at the network's size."""
+        frames = grasp[None] if grasp.ndim == 3 else grasp
+        if frames.ndim != 4 or not len(frames):
+            msg = f"a grasp's images are (H, W, 3) or (T, H, W, 3), not {grasp.shape}"
+            raise LearningError(msg)
+        for frame in frames:
+            _check_size(frame, self.spec, "an image")
+        if self.spec.kind == "sequence" and len(frames) < 2:
+            msg = "the run is of a sequence network: give two or more frames of each grasp"
+            raise LearningError(msg)
+        if self.spec.kind == "single" and len(frames) > 1:
+            msg = f"the run is of a single-image network: give one image a grasp, not {len(frames)}"
+            raise LearningError(msg)
+        return resized(frames[chosen_frames(self.spec, len(frames), 0)], self.spec.size_px)
+
+
+def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str, str | float]]:
+    """Probability of success for image files, or folders of them.
+
+    For a network of single images every image is a grasp. For one of sequences the images of a
+    folder, or else all images that are given, are the frames of one grasp, in order of their names
+    and of the command line respectively.
+
+    Raises
+    ------
+    LearningError
+        If a file is no image, or a folder has none.
+    """
+    groups: list[tuple[str, list[Path]]] = []
+    loose = [path for path in paths if not path.is_dir()]
+    if predictor.spec.kind == "sequence":
+        groups = [(str(path), _images_of(path)) for path in paths if path.is_dir()]
+        groups += [(str(loose[0]), loose)] if loose else []
+    else:
+        listed = [p for path in paths for p in (_images_of(path) if path.is_dir() else [path])]
+        groups = [(str(path), [path]) for path in listed]
+    images = [np.stack([read_rgb(path) for path in files]) for _, files in groups]
+    return [
+        {"images": name, "probability": float(p)}
+        for (name, _), p in zip(groups, predictor.predict(images), strict=True)
+    ]
+
+
+def _images_of(folder: Path) -> list[Path]:
+    found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    if not found:
+        msg = f"{folder}: has no images ({', '.join(IMAGE_SUFFIXES)})"
+        raise LearningError(msg)
+    # 10.png comes after 9.png.
+    return sorted(found, key=lambda path: (len(path.stem), path.stem))
+
+
+def read_rgb(path: Path) -> NDArray[np.uint8]:
+    """An image file as RGB (H, W, 3) uint8.
+
+    Raises ``LearningError`` if it is missing or no image.
+    """
+    bgr = read_bgr(path) if path.is_file() else None
+    if bgr is None:
+        msg = f"{path}: {'not an image' if path.is_file() else 'no such file'}; give PNG or JPEG"
+        raise LearningError(msg)
+    return np.ascontiguousarray(bgr[..., ::-1]).astype(np.uint8)
+
+
+def _model_for(models: dict[str, Any], object_name: str | None, run: str) -> str:
+    """Name of the model for an object, or of the only one."""
+    names = [name for name, model in models.items() if object_name in (None, *model["objects"])]
+    if len(names) == 1:
+        return names[0]
+    objects = ", ".join(sorted({one for model in models.values() for one in model["objects"]}))
+    msg = f"{run}: has models for {objects}; name one of these objects with --object"
+    raise LearningError(msg)
+
+
+def _check_size(image: NDArray[Any], spec: InputSpec, what: str) -> None:
+    wanted = (*spec.source_shape_px, 3)
+    if image.dtype != np.uint8 or image.shape != wanted:
+        msg = (
+            f"{what} is {image.dtype} of shape {image.shape}; the network was trained on uint8 RGB "
+            f"of shape {wanted}: use the same sensor and image size"
+        )
+        raise LearningError(msg)

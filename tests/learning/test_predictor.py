@@ -1,0 +1,100 @@
+"""A run on single images: the probabilities of ``tacgen eval``, and what is refused."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import tacgen
+from tacgen.cli import app
+from tacgen.core.errors import LearningError
+from tacgen.dataset import Dataset
+from tacgen.learning.evaluate import evaluate
+from tacgen.learning.train import train
+
+from .conftest import recipe_of
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def run(toy, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "run"
+    train(recipe_of(), toy, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def sequence(toy, tmp_path_factory):
+    out = tmp_path_factory.mktemp("sequence") / "run"
+    train(recipe_of("sequence"), toy, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def test_grasps(toy):
+    """Images at the moment of grasp, and labels, of the test split."""
+    dataset = Dataset(toy)
+    columns = dataset.columns()
+    rows = np.flatnonzero((columns["split"] == "test") & (columns["label"] >= 0))
+    images = [
+        dataset.rgb(int(columns["index"][r]), None, int(columns["grasp_frame"][r])) for r in rows
+    ]
+    return np.stack(images), columns["label"][rows]
+
+
+def test_predictions_are_those_that_eval_scores(run, toy, test_grasps):
+    images, labels = test_grasps
+    found = tacgen.Predictor(run).predict(images)
+    assert found.shape == labels.shape
+    result = evaluate(run, data=toy)
+    assert np.mean((found >= 0.5) == (labels == 1)) == result["accuracy"]
+    wrong = sorted(found[(found >= 0.5) != (labels == 1)])
+    # One by one or in batches: single precision differs in its last bits.
+    assert wrong == pytest.approx(
+        sorted(one["probability"] for one in result["misclassified"]), abs=1e-5
+    )
+
+
+def test_a_sequence_of_frames(sequence, toy):
+    dataset = Dataset(toy)
+    found = tacgen.Predictor(sequence).predict([dataset.rgb(0), dataset.rgb(1)])
+    assert found.shape == (2,)
+    assert ((found > 0) & (found < 1)).all()
+    with pytest.raises(LearningError, match="give two or more frames of each grasp"):
+        tacgen.Predictor(sequence).predict(dataset.rgb(0))
+
+
+def test_the_command_reads_a_folder(run, test_grasps, tmp_path):
+    images = test_grasps[0][:11]
+    for k, image in enumerate(images):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), image[..., ::-1])
+    result = CliRunner().invoke(app, ["predict", str(run), str(tmp_path), "--json"])
+    assert result.exit_code == 0, result.output
+    rows = json.loads(result.stdout)
+    assert [row["images"] for row in rows] == [str(tmp_path / f"{k}.png") for k in range(11)]
+    assert [row["probability"] for row in rows] == pytest.approx(
+        list(tacgen.Predictor(run).predict(images))
+    )
+
+
+@pytest.mark.parametrize(
+    ("images", "words"),
+    [
+        (np.zeros((1, 24, 32, 3), np.uint8), r"trained on uint8 RGB of shape \(48, 64, 3\)"),
+        (np.zeros((1, 2, 48, 64, 3), np.uint8), "give one image a grasp, not 2"),
+        (np.zeros((1, 48, 64, 3), np.float32), "an image is float32"),
+    ],
+)
+def test_images_that_do_not_fit_are_refused(run, images, words):
+    with pytest.raises(LearningError, match=words):
+        tacgen.Predictor(run).predict(images)
+
+
+def test_an_object_without_a_model_is_named(run, tmp_path):
+    with pytest.raises(LearningError, match="has models for can, cup; name one of these objects"):
+        tacgen.Predictor(run, "spoon")
+    with pytest.raises(LearningError, match="give the folder that `tacgen train --out` made"):
+        tacgen.Predictor(tmp_path)
