@@ -33,6 +33,10 @@ ANYWHERE = ("-v", "--verbose", "-q", "--quiet")
 """Options of ``tacgen`` that may also follow a command."""
 
 
+_OUTPUT = {"json": False}
+"""Whether a program reads the output of the command line that runs."""
+
+
 class _InOrderOfWork(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         names = super().list_commands(ctx)
@@ -42,6 +46,8 @@ class _InOrderOfWork(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Accept ``-v`` and ``-q`` after a command too."""
         end = args.index("--") if "--" in args else len(args)
+        if ctx.parent is None:
+            _OUTPUT["json"] = "--json" in args[:end]
         anywhere = [arg for arg in args[:end] if ctx.parent is None and arg in ANYWHERE]
         rest = [arg for k, arg in enumerate(args) if k >= end or arg not in anywhere]
         return super().parse_args(ctx, [*anywhere, *rest])
@@ -193,8 +199,8 @@ def note(lines: Iterable[object]) -> None:
 
 
 def hand_over(*lines: str) -> None:
-    """Print the next commands or lines of a recipe on standard error, unless ``-q`` is given."""
-    if not is_quiet():
+    """Print the next commands or lines of a recipe on standard error; not with -q or --json."""
+    if not (is_quiet() or _OUTPUT["json"]):
         typer.echo("\n".join(["next:", *(f"  {line}" for line in lines)]), err=True)
 
 

@@ -124,5 +124,5 @@ def diagnose_grasps_command(
     print_result(record, findings.diagnosis.sentence, json_output)
     hand_over(
         f"tacgen collect {out / 'recipe.yaml'} --out data   # the recipe with what was found",
-        f"grasps that would tell more, to do on the robot: {out / 'next_grasps.csv'}",
+        f"grasps for the robot that separate the explanations: {out / 'next_grasps.csv'}",
     )

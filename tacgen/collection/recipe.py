@@ -83,7 +83,7 @@ class ObjectEntry(Located):
 
     @model_serializer(mode="wrap")
     def _without_the_usual(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Keys that came later are left out at their usual value: older recipes keep their hash."""
+        """Omit newer keys at their default, so that older recipes keep their hash."""
         written = dict(serialize(self))
         for name in ("spinning_friction_mm", "scale"):
             if getattr(self, name) == type(self).model_fields[name].default:
@@ -280,7 +280,7 @@ class Recipe(Section):
     def resolved(self) -> dict[str, Any]:
         """Every setting that a byte of the dataset can depend on, written or not, as plain data.
 
-        The section ``cluster`` is left out: where a job runs changes nothing of what it makes.
+        The section ``cluster`` is not part of it: it does not affect the dataset.
         """
         return self.model_dump(mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True})
 

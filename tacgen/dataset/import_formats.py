@@ -72,15 +72,15 @@ def read_poseit(source: Path, notes: list[str]) -> Iterator[ImportedGrasp]:
             stages = _two_columns(folder / "stages.csv")
             results = {result.lower() for _, result in _two_columns(folder / "label.csv")}
         except (OSError, ValueError) as error:
-            notes.append(f"{folder}: left out: {error}")
+            notes.append(f"{folder}: not imported: {error}")
             continue
         if not results or not results <= {"pass", "slip", "drop"}:
-            said = ", ".join(sorted(results)) or "nothing"
-            notes.append(f"{folder}: left out: label.csv says {said}")
+            found = ", ".join(sorted(results)) or "nothing"
+            notes.append(f"{folder}: not imported: label.csv says {found}")
             continue
         images = tuple(_poseit_frames(folder / "gelsight", stages))
         if not images:
-            notes.append(f"{folder}: left out: no readable picture of the grasp in gelsight/")
+            notes.append(f"{folder}: not imported: no readable picture of the grasp in gelsight/")
             continue
         columns: dict[str, float | int | str] = {
             "object": match["object"],
@@ -135,7 +135,7 @@ def read_feeling_of_success(source: Path, notes: list[str]) -> Iterator[Imported
                 for name, group in _deepdish_entries(h5):
                     yield from _both_fingers(f"{file.stem}_{name}", group, notes)
         except OSError as error:
-            notes.append(f"{file}: left out: cannot be read as HDF5: {error}")
+            notes.append(f"{file}: not imported: cannot be read as HDF5: {error}")
 
 
 def _deepdish_entries(h5: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
@@ -147,7 +147,7 @@ def _deepdish_entries(h5: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
 def _both_fingers(grasp_id: str, group: h5py.Group, notes: list[str]) -> Iterator[ImportedGrasp]:
     held = _deepdish_value(group, "is_gripping")
     if held is None:
-        notes.append(f"{grasp_id}: left out: no is_gripping")
+        notes.append(f"{grasp_id}: not imported: no is_gripping")
         return
     name = _deepdish_value(group, "object_name")
     text = name.decode() if isinstance(name, bytes) else str(name)
@@ -156,7 +156,7 @@ def _both_fingers(grasp_id: str, group: h5py.Group, notes: list[str]) -> Iterato
         found = [np.asarray(group[m], np.uint8) for m in moments if m in group]
         images = tuple(np.ascontiguousarray(rgb[..., ::-1]) for rgb in found)
         if not images:
-            notes.append(f"{grasp_id}_{finger}: left out: no tactile picture")
+            notes.append(f"{grasp_id}_{finger}: not imported: no tactile picture")
             continue
         columns: dict[str, float | int | str]
         columns = {"object": text, "label": int(bool(held)), "finger": finger}

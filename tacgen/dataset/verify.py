@@ -139,14 +139,14 @@ def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[
 def _plan_problems(
     folder: DatasetFolder, plan: dict[str, Any], lines: list[ShardLine]
 ) -> list[Problem]:
-    """Where ``dataset.json`` or ``recipe.yaml`` say otherwise than the shards."""
+    """Where ``dataset.json`` or ``recipe.yaml`` differ from the shards."""
     wrong = []
     size, n_grasps = plan["shard_size"], plan["n_grasps"]
     if plan["n_shards"] != -(-n_grasps // size):
         wrong.append(f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard")
     for line in lines:
         due = (line.shard * size, min(n_grasps, (line.shard + 1) * size))
-        said = {
+        recorded = {
             "recipe_sha256": line.recipe_sha256,
             "calibration": line.calibration,
             "sensor": line.sensor,
@@ -154,9 +154,9 @@ def _plan_problems(
             "tacgen_version": line.versions.get("tacgen"),
         }
         differing = ["index_range"] if due != line.index_range else []
-        differing += [name for name, there in said.items() if plan.get(name) != there]
+        differing += [name for name, there in recorded.items() if plan.get(name) != there]
         if differing:
-            wrong.append(f"says otherwise than {line.file} about {', '.join(differing)}")
+            wrong.append(f"differs from {line.file} in {', '.join(differing)}")
             break
     problems = [Problem(folder.plan_path.name, reason) for reason in wrong]
     try:

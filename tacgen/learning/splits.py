@@ -91,7 +91,7 @@ def unseen_tests(
     if not isinstance(source, SimulatedGrasps) or not seen.any():
         return tests, []
     return tests & ~seen, [
-        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are left out: a grasp "
+        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are not used: a grasp "
         "with the same configuration, from another dataset, was trained on"
     ]
 

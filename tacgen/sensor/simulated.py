@@ -37,7 +37,7 @@ class Frame:
     force_n : (3,) float64
         Force of the object on the gel: along the gel's x and y, and into the gel.
     indentation_mm, volume_mm3 : float
-        Deepest indentation beyond first touch, and the volume that the gel gives way by.
+        Deepest indentation beyond first touch, and the displaced volume.
     markers_px : (n, 2) float64 or None
         Places x, y of the marker dots in the image; None without markers.
     """
@@ -203,7 +203,7 @@ class Sensor:
         *,
         scale: float = 1.0,
     ) -> Sensor:
-        """Tell the sensor of a body that may touch it.
+        """Register a body that may touch the sensor.
 
         ``mesh`` is in the body's own frame; ``scale`` takes it to mm (1000 for metres). Without
         one, the mesh is made from the shapes that the simulation itself collides.

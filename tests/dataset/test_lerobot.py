@@ -24,7 +24,7 @@ def exported(toy, tmp_path):
     )
     assert run.exit_code == 0, run.output
     assert "8 episodes" in run.output
-    assert "2 grasps that were not executed are left out" in run.output
+    assert "2 grasps that were not executed are not exported" in run.output
     return tmp_path / "lerobot"
 
 

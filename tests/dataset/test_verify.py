@@ -174,7 +174,7 @@ def test_a_manifest_at_odds_with_a_shards_own_line_is_told(toy):
 
 def test_command_verify(toy):
     run = CliRunner().invoke(app, ["verify", str(toy.root)])
-    assert (run.exit_code, run.output.strip()) == (
+    assert (run.exit_code, run.stdout.strip()) == (
         0,
         "10 grasps in 3 shards, all intact",
     )

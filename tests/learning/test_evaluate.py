@@ -156,7 +156,7 @@ def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, t
     data = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32), all_for_testing)
     result = evaluate(run, data=data)
     assert result["n"] == whole
-    assert "are left out: a grasp with the same configuration" in " ".join(result["notes"])
+    assert "are not used: a grasp with the same configuration" in " ".join(result["notes"])
 
 
 def test_the_training_grasps_written_as_real_ones_are_refused(run, toy, tmp_path):

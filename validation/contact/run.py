@@ -143,7 +143,7 @@ def is_right(outcome: Outcome) -> bool:
 
 
 def run_study(repeats: int, store: Path, *, kept_only: bool = False) -> list[Outcome]:
-    """Run what ``store`` does not hold yet, unless told not to; a line of JSON a log."""
+    """Run what ``store`` does not hold yet, unless forbidden; one line of JSON per log."""
     done: dict[int, list[Outcome]] = defaultdict(list)
     if store.is_file():
         for line in store.read_text(encoding="utf-8").splitlines():

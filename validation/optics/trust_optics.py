@@ -1,4 +1,4 @@
-"""How far ``tacgen diagnose optics`` can be trusted: effects by other formulas put in, and counted.
+"""Error rates of ``tacgen diagnose optics`` on images with effects by independent formulas.
 
     python -m validation.optics.trust_optics --kept FOLDER --out docs/trust_optics.md
 
@@ -90,16 +90,16 @@ def finished(file: Path) -> list[dict[str, Any]]:
 
 def page(records: list[dict[str, Any]]) -> str:
     """The counts as Markdown."""
-    lines = ["# How far `tacgen diagnose optics` can be trusted", ""]
+    lines = ["# Error rates of the optical diagnosis", ""]
     lines += [
         f"Made by `python -m validation.optics.trust_optics`: {COUNT} presses a case, two sensors "
-        "(three lamps, four lamps; other noise, ball, skin and resolution), pictures by "
+        "(three lamps, four lamps; other noise, ball, gel and resolution), images by "
         "`validation/optics/optics_images.py`, which shares no code or formula with the diagnosis. "
         "Nominal strengths: "
         + ", ".join(f"{name} {STRENGTHS[name]}" for name in EFFECTS)
         + " (units in that file). Every fourth press is a test press.",
         "",
-        "| put in | strength | right name first | it and only it | otherwise found | error, test |",
+        "| simulated | strength | named first | exactly it named | other results | test error |",
         "|---|---|---|---|---|---|",
     ]
     groups = defaultdict(list)
@@ -117,15 +117,15 @@ def page(records: list[dict[str, Any]]) -> str:
         )
     clean = groups["none", 0.0]
     sufficient = sum(r["verdict"] == "sufficient" for r in clean)
-    lines += ["", f"Nothing put in: `sufficient` in {sufficient} of {len(clean)}."]
-    lines += [f"Otherwise: {_others(clean, [])}." if sufficient < len(clean) else "", ""]
+    lines += ["", f"No effect: `sufficient` in {sufficient} of {len(clean)}."]
+    lines += [f"Other results: {_others(clean, [])}." if sufficient < len(clean) else "", ""]
     for effect, covariate in OUTSIDE.items():
         group = groups[effect, 1.0]
         right = sum(covariate in r["unexplained"] for r in group)
         named = sum(bool(r["found"]) for r in group)
         lines.append(
-            f"`{effect}`, on no list: `unexplained` by `{covariate}` in {right} of {len(group)}; "
-            f"an effect named beside it in {named} ({_others(group, [])})."
+            f"`{effect}`, not listed: `unexplained` by `{covariate}` in {right} of {len(group)}; "
+            f"an effect falsely named in {named} ({_others(group, [])})."
         )
     spent = [record["cpu_s"] for record in records]
     lines += ["", f"Processor time: median {np.median(spent):.1f} s, at most {max(spent):.1f} s."]
@@ -133,12 +133,12 @@ def page(records: list[dict[str, Any]]) -> str:
 
 
 def _others(group: list[dict[str, Any]], right: list[str]) -> str:
-    told = []
+    results = []
     for record in group:
         if record["found"] != right:
-            extra = [f"left: {name}" for name in record["unexplained"]]
-            told.append(" + ".join([*record["found"], *extra]) or "nothing")
-    return "; ".join(sorted(told)) or "–"
+            extra = [f"unexplained: {name}" for name in record["unexplained"]]
+            results.append(" + ".join([*record["found"], *extra]) or "nothing")
+    return "; ".join(sorted(results)) or "–"
 
 
 if __name__ == "__main__":
@@ -146,7 +146,9 @@ if __name__ == "__main__":
     parser.add_argument("--kept", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--backwards", action="store_true")
-    parser.add_argument("--only-page", action="store_true", help="of what is kept, run nothing")
+    parser.add_argument(
+        "--only-page", action="store_true", help="write the page from the kept records, run nothing"
+    )
     given = parser.parse_args()
     if given.only_page:
         given.out.write_text(page(finished(given.kept / "optics.jsonl")))

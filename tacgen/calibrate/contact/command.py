@@ -37,7 +37,7 @@ CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
 
 @dataclass(frozen=True, slots=True)
 class ContactCalibration:
-    """What was fitted, the law that was written, and what has to be said about it."""
+    """What was fitted, the law that was written, and warnings."""
 
     fit: ContactFit | DepthReport
     law: ContactLaw
@@ -110,10 +110,10 @@ def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, 
     own = _table_of(folder) if lookup is None else None
     found = measure_presses(images, lookup or own)
     if own is not None:
-        said = (
-            f"{folder}: no --table given; volumes are by one fitted to these same pictures of balls"
+        warning = (
+            f"{folder}: no --table given; volumes are computed with a table fitted to these images"
         )
-        found = replace(found, method="own table", warnings=(said, *found.warnings))
+        found = replace(found, method="own table", warnings=(warning, *found.warnings))
     with atomic_path(log) as partial:
         found.frame.to_csv(partial, index=False)
     return log, found

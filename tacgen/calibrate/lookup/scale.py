@@ -289,8 +289,8 @@ def _notes(presses: PressImages, found: ScaleEvidence) -> list[str]:
         )
     if len(set(presses.ball_radius_mm.tolist())) == 1:
         lines.append(
-            "one ball only: whether its radius is off cannot be told; a second ball of another "
-            "size would show it by the ratio of the two"
+            "one ball only: an error of its radius cannot be detected; presses of a second ball "
+            "of another size would show it"
         )
     return lines
 

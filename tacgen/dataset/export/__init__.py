@@ -42,7 +42,7 @@ class Exported:
     @property
     def sentence(self) -> str:
         """The result in one sentence."""
-        tail = f"; {self.not_executed} grasps that were not executed are left out"
+        tail = f"; {self.not_executed} grasps that were not executed are not exported"
         return f"{self.folder}: {self.content}{tail if self.not_executed else ''}"
 
 

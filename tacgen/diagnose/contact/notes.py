@@ -31,8 +31,8 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
     elif found.n_test == 1:
         notes.append(
             f"{name} channel: {found.n_fit + 1} trials are too few to set some aside; each was "
-            "left out in turn, and parts of trials stood in for trials in the tests, whose "
-            "p-values say little. Press at least twelve times"
+            "held out in turn, and the tests use parts of trials in place of trials, so that "
+            "their p-values mean little. Press at least twelve times"
         )
     if found.n_spikes:
         notes.append(

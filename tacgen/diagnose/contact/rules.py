@@ -51,7 +51,7 @@ class SelectionRules:
 
     # Held-out trials
     trials_per_test_trial: int = _rule(4, "one trial in so many is held out", CONVENTION)
-    min_trials_to_split: int = _rule(8, "with fewer, each trial is left out in turn", CONVENTION)
+    min_trials_to_split: int = _rule(8, "with fewer, each trial is held out in turn", CONVENTION)
     n_bootstrap: int = _rule(1000, "resamplings of held-out trials for the gain's interval")
     n_folds: int = _rule(10, "folds of whole trials in cross-validation", CONVENTION)
     n_shuffles: int = _rule(1999, "sign flips or permutations of trials in each test", CONVENTION)
