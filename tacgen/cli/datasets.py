@@ -164,7 +164,12 @@ def export(
     folder: DatasetArgument,
     out: Annotated[Path, typer.Option(help="Folder to write; it must not exist yet.")],
     format_name: Annotated[
-        str, typer.Option("--format", help="lerobot, or real-grasps (the layout of real grasps).")
+        str,
+        typer.Option(
+            "--format",
+            help="lerobot, images (PNG and CSV), webdataset, robomimic, or real-grasps (the layout "
+            "of real grasps, without forces and depth).",
+        ),
     ] = "lerobot",
     split: Annotated[
         str | None, typer.Option(help="Export only the train or the test grasps.")

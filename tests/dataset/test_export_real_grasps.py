@@ -41,7 +41,10 @@ def test_labels_alone_and_a_few_of_each_object(toy, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"format_name": "zarr"}, "--format zarr: not known; give one of lerobot, real-grasps"),
+        (
+            {"format_name": "zarr"},
+            "--format zarr: not known; give one of lerobot, images, webdataset",
+        ),
         ({"split": "validation"}, "--split validation: not known; give one of train, test"),
         ({"format_name": "lerobot", "images": False}, "--no-images: lerobot always holds images"),
     ],

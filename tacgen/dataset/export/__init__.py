@@ -17,8 +17,11 @@ import pandas as pd
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset.disk import disk_errors
+from tacgen.dataset.export.images import write_images
 from tacgen.dataset.export.lerobot import write_lerobot
 from tacgen.dataset.export.real_grasps import write_real_grasps
+from tacgen.dataset.export.robomimic import write_robomimic
+from tacgen.dataset.export.webdataset import write_webdataset
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.schema import SPLITS
 
@@ -26,7 +29,13 @@ Writer = Callable[[Dataset, pd.DataFrame, Path], str]
 """Takes the dataset, the chosen grasps (a row each: index, object, label, split, …) and a folder
 that does not exist yet; says in a few words what it wrote."""
 
-FORMATS: Mapping[str, Writer] = {"lerobot": write_lerobot, "real-grasps": write_real_grasps}
+FORMATS: Mapping[str, Writer] = {
+    "lerobot": write_lerobot,
+    "images": write_images,
+    "webdataset": write_webdataset,
+    "robomimic": write_robomimic,
+    "real-grasps": write_real_grasps,
+}
 
 
 @dataclass(frozen=True, slots=True)

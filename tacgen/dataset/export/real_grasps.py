@@ -25,19 +25,20 @@ def write_real_grasps(
 ) -> str:
     """Write the chosen grasps as a folder of real grasps."""
     table = grasps[list(COLUMNS)].copy()
-    table.insert(0, "grasp_id", [_grasp_id(int(index)) for index in grasps["index"]])
+    table.insert(0, "grasp_id", [grasp_id(int(index)) for index in grasps["index"]])
     write_text(folder / "grasps.csv", table.to_csv(index=False))
     about = {"simulated": True, "note": NOTE, "recipe_sha256": dataset.lines[0].recipe_sha256}
     write_text(folder / ABOUT, json.dumps(about, indent=1))
     if images:
         (folder / BACKGROUND).write_bytes(encode_png(dataset.reference()))
         for index in map(int, grasps["index"]):
-            place = folder / "images" / _grasp_id(index)
+            place = folder / "images" / grasp_id(index)
             place.mkdir(parents=True)
             for k, frame in enumerate(dataset.rgb(index)):
                 (place / f"{k}.png").write_bytes(encode_png(frame))
     return f"{len(grasps)} simulated grasps in the format of real ones"
 
 
-def _grasp_id(index: int) -> str:
+def grasp_id(index: int) -> str:
+    """Name of a grasp of the dataset: ``g00012``."""
     return f"g{index:05d}"

@@ -1,0 +1,63 @@
+"""Export to WebDataset: tar files of samples that stream into a training loop.
+
+A sample is the files of one base name: ``<grasp_id>.<pad>.<k>.png`` (frame k of a pad), ``.npy``
+arrays, and ``.json`` with everything else. Format: github.com/webdataset/webdataset.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tacgen.dataset.export.real_grasps import grasp_id
+from tacgen.dataset.reader import Dataset
+from tacgen.dataset.samples import GraspSample
+from tacgen.report.images import encode_png
+
+GRASPS_PER_TAR = 1000
+"""At 4 images of 100 kB a grasp about 400 MB, WebDataset's recommended order of size."""
+COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode", "split")
+
+
+def write_webdataset(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
+    """Write the chosen grasps as ``grasps-000000.tar`` …"""
+    folder.mkdir(parents=True)
+    count = 0
+    for start in range(0, len(grasps), GRASPS_PER_TAR):
+        with tarfile.open(folder / f"grasps-{count:06d}.tar", "w") as archive:
+            for row in grasps.iloc[start : start + GRASPS_PER_TAR].to_dict("records"):
+                sample = dataset.read(int(row["index"]))
+                for name, content in _files(sample, {key: row[key] for key in COLUMNS}):
+                    entry = tarfile.TarInfo(f"{grasp_id(sample.config.index)}.{name}")
+                    entry.size = len(content)
+                    archive.addfile(entry, io.BytesIO(content))
+        count += 1
+    return f"{len(grasps)} grasps in {count} tar files of WebDataset's format"
+
+
+def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, bytes]]:
+    """Extension and content of each file of a sample."""
+    about = {"grasp_frame": sample.grasp_frame, **row}
+    yield "json", json.dumps(about, default=lambda value: value.item()).encode()
+    yield "object_pose.npy", _npy(sample.object_pose)
+    for pad, frames in sample.pads.items():
+        for k, rgb in enumerate(frames.rgb):
+            yield f"{pad}.{k}.png", encode_png(rgb)
+        yield f"{pad}.force_normal_n.npy", _npy(frames.force_normal_n)
+        yield f"{pad}.force_shear_n.npy", _npy(frames.force_shear_n)
+        yield f"{pad}.indentation_mm.npy", _npy(frames.indentation_mm)
+        if frames.depth_mm is not None:
+            yield f"{pad}.depth_mm.npy", _npy(frames.depth_mm)
+
+
+def _npy(array: np.ndarray[Any, np.dtype[Any]]) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return buffer.getvalue()

@@ -1,0 +1,112 @@
+"""Exports read back by readers that share no code with the writers."""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+
+import cv2
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+
+from tacgen.dataset import Dataset
+from tacgen.dataset.export import export_dataset
+
+from .conftest import collect_toy, make_spec
+
+
+@pytest.fixture(scope="module")
+def with_depth(tmp_path_factory):
+    folder = collect_toy(tmp_path_factory.mktemp("depth") / "data", make_spec(depth=True))
+    folder.merge()
+    return Dataset(folder.root)
+
+
+def executed(dataset):
+    columns = dataset.columns()
+    return columns["index"][columns["label"] >= 0]
+
+
+def test_images_hold_frames_forces_and_depth(with_depth, tmp_path):
+    export_dataset(with_depth.root, tmp_path / "out", "images")
+    listed = pd.read_csv(tmp_path / "out" / "grasps.csv")
+    indices = executed(with_depth)
+    assert len(listed) == len(indices)
+    for name, index in zip(listed["grasp_id"], indices, strict=True):
+        sample = with_depth.read(int(index)).pads["left"]
+        forces = pd.read_csv(tmp_path / "out" / "contact" / f"{name}.csv")
+        np.testing.assert_allclose(forces["force_normal_n"], sample.force_normal_n)
+        np.testing.assert_allclose(forces["force_shear_y_n"], sample.force_shear_n[:, 1])
+        np.testing.assert_array_equal(
+            np.load(tmp_path / "out" / "depth" / f"{name}.npy"), sample.depth_mm.astype(np.float32)
+        )
+        first = cv2.imread(str(tmp_path / "out" / "images" / name / "0.png"))[..., ::-1]
+        np.testing.assert_array_equal(first, sample.rgb[0])
+
+
+def test_webdataset_streams_every_grasp(with_depth, tmp_path):
+    """Samples by WebDataset's rule: consecutive files whose names agree up to the first dot."""
+    export_dataset(with_depth.root, tmp_path / "out", "webdataset")
+    samples: dict[str, dict[str, bytes]] = {}
+    order = []
+    for path in sorted((tmp_path / "out").glob("*.tar")):
+        with tarfile.open(path) as archive:
+            for member in archive:
+                key, extension = member.name.split(".", 1)
+                order += [key] if key not in samples else []
+                assert key == order[-1], "the files of a sample are consecutive"
+                samples.setdefault(key, {})[extension] = archive.extractfile(member).read()
+    indices = executed(with_depth)
+    assert order == [f"g{index:05d}" for index in indices]
+    for key, index in zip(order, indices, strict=True):
+        sample, files = with_depth.read(int(index)), samples[key]
+        about = json.loads(files["json"])
+        assert (about["label"], about["object"]) == (sample.label, sample.config.object)
+        pad = sample.pads["left"]
+        picture = cv2.imdecode(np.frombuffer(files["left.1.png"], np.uint8), cv2.IMREAD_COLOR)
+        np.testing.assert_array_equal(picture[..., ::-1], pad.rgb[1])
+        np.testing.assert_array_equal(np.load(io.BytesIO(files["left.depth_mm.npy"])), pad.depth_mm)
+        np.testing.assert_array_equal(
+            np.load(io.BytesIO(files["left.force_normal_n.npy"])), pad.force_normal_n
+        )
+
+
+def test_webdataset_reads_it(with_depth, tmp_path):
+    webdataset = pytest.importorskip("webdataset")
+    export_dataset(with_depth.root, tmp_path / "out", "webdataset")
+    tars = [str(path) for path in sorted((tmp_path / "out").glob("*.tar"))]
+    read = list(webdataset.WebDataset(tars, shardshuffle=False).decode("rgb8"))
+    assert [one["__key__"] for one in read] == [f"g{i:05d}" for i in executed(with_depth)]
+    first = with_depth.read(int(executed(with_depth)[0])).pads["left"]
+    np.testing.assert_array_equal(read[0]["left.0.png"], first.rgb[0])
+    np.testing.assert_array_equal(read[0]["left.depth_mm.npy"], first.depth_mm)
+
+
+def test_robomimic_has_what_its_documentation_asks_for(with_depth, tmp_path):
+    export_dataset(with_depth.root, tmp_path / "out", "robomimic")
+    indices = executed(with_depth)
+    with h5py.File(tmp_path / "out" / "grasps.hdf5") as file:
+        demos = sorted(file["data"], key=lambda name: int(name.split("_")[1]))
+        assert len(demos) == len(indices)
+        assert json.loads(file["data"].attrs["env_args"])["env_name"] == "tacgen"
+        total = 0
+        for name, index in zip(demos, indices, strict=True):
+            demo, sample = file["data"][name], with_depth.read(int(index))
+            n = demo.attrs["num_samples"]
+            total += n
+            assert all(len(values) == n for values in demo["obs"].values())
+            assert demo["actions"].shape == (n, 5)
+            assert demo["actions"][0, 0] == sample.config.force_n
+            assert demo["rewards"][-1] == sample.label
+            assert demo["dones"][:].tolist() == [0] * (n - 1) + [1]
+            np.testing.assert_array_equal(demo["obs/left_rgb"], sample.pads["left"].rgb)
+            np.testing.assert_array_equal(demo["depth_mm/left"], sample.pads["left"].depth_mm)
+        assert total == file["data"].attrs["total"]
+        masks = {key: [name.decode() for name in file["mask"][key]] for key in ("train", "valid")}
+        columns = with_depth.columns()
+        split = columns["split"][columns["label"] >= 0]
+        assert masks["train"] == [d for d, s in zip(demos, split, strict=True) if s == "train"]
+        assert sorted(masks["train"] + masks["valid"]) == sorted(demos)
