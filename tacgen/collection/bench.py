@@ -54,21 +54,15 @@ def run_benchmarks(*, repeats: int = 30) -> list[Figure]:
 def estimate_s(recipe: Recipe, *, sample: int = 6, workers: int = 1) -> dict[str, float]:
     """How long ``recipe`` would take here, from a few of its own grasps.
 
-    Returns
-    -------
-    dict
-        ``grasps``, ``grasp_s`` (median of the sample, after a warm-up) and ``total_s``.
+    The result holds ``grasps``, ``grasp_s`` (median of the sample, after a warm-up), ``total_s``.
     """
     planned = plan_recipe(recipe)
     chosen = [planned[i] for i in np.linspace(0, len(planned) - 1, sample).astype(int)]
     with GraspPipeline(recipe) as pipeline:
         pipeline.sample(chosen[0])
         grasp_s = statistics.median(_timed_s(partial(pipeline.sample, one)) for one in chosen)
-    return {
-        "grasps": len(planned),
-        "grasp_s": grasp_s,
-        "total_s": grasp_s * len(planned) / workers,
-    }
+    total_s = grasp_s * len(planned) / workers
+    return {"grasps": len(planned), "grasp_s": grasp_s, "total_s": total_s}
 
 
 def _frame_figures(repeats: int) -> list[Figure]:

@@ -59,21 +59,12 @@ class Mesh:
 class GraspObject:
     """A rigid object, in its own frame: footprint centre at the origin, z up, table at z = 0.
 
-    Attributes
-    ----------
-    surface : Mesh
-        The true surface, watertight: what the gel feels.
-    collision : tuple of Mesh
-        Convex parts: what the physics collides.
-    center_of_mass_mm : (3,) float64
-    inertia_kg_mm2 : (3, 3) float64
-        About the centre of mass, along the object's axes.
-    friction : float
-        Coulomb coefficient against the gel.
-    spinning_friction_mm : float
-        Moment about the contact normal that one pad resists, for each newton of normal force.
-    grasp_ranges : mapping
-        Axis values (``force_n``, ``x_mm``, ``y_mm``, ``z_mm``) a recipe falls back on.
+    ``surface`` is the true one, watertight, which the gel senses; ``collision`` are convex parts,
+    which the physics collides. ``center_of_mass_mm`` (3,); ``inertia_kg_mm2`` (3, 3) is about it,
+    along the object's axes. ``friction`` is Coulomb's coefficient against the gel, and
+    ``spinning_friction_mm`` the moment about the contact normal that one pad resists, for each
+    newton of normal force. ``grasp_ranges`` holds the axis values (``force_n``, ``x_mm``, ``y_mm``,
+    ``z_mm``) of recipes that give none.
     """
 
     name: str

@@ -10,16 +10,14 @@ from pathlib import Path
 
 from tacgen.core.errors import DatasetError
 
-_WRITABLE = "give a folder that you may write to"
 _FIXES = {
     errno.ENOSPC: "free some space and run the same command again; finished shards are kept",
     errno.EDQUOT: "your quota is used up; free some and run the same command again",
-    errno.EACCES: _WRITABLE,
-    errno.EPERM: _WRITABLE,
-    errno.EROFS: _WRITABLE,
-    errno.ENOTDIR: _WRITABLE,
     errno.EISDIR: "remove it and run the same command again",
 }
+_FIXES |= dict.fromkeys(
+    (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR), "give a folder that you may write to"
+)
 
 
 @contextlib.contextmanager

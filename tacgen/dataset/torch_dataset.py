@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch.utils.data import Dataset as TorchDataset
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import LABEL_NOT_EXECUTED
 
-
-class Grasps(Protocol):
-    """What is asked of the dataset; ``tacgen.Dataset`` has it."""
-
-    root: Path
-
-    def columns(self) -> dict[str, Any]:
-        """Arrays (N, …) by name."""
-
-    def rgb(self, index: int, *, frame: int | None = None) -> NDArray[np.uint8]:
-        """Images of a grasp."""
+if TYPE_CHECKING:
+    from tacgen.dataset.reader import Dataset
 
 
 class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
@@ -33,7 +22,7 @@ class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
     side of the split.
     """
 
-    def __init__(self, dataset: Grasps, split: str | None, frames: str) -> None:
+    def __init__(self, dataset: Dataset, split: str | None, frames: str) -> None:
         for name, value, known in (
             ("split", split, (None, "train", "test")),
             ("frames", frames, ("grasp", "sequence")),

@@ -170,20 +170,21 @@ def _check_arguments(
 
 
 def _check_target(folder: Path, force: bool) -> None:
+    problem = ""
     if folder.is_symlink() or folder.parent.is_symlink():
-        msg = f"{folder}: is or lies in a link; tacgen writes only into a real folder"
-        raise ObjectError(msg)
-    if folder.exists() and not force:
-        msg = f"{folder}: exists already; pass --force to replace it, or another --name"
-        raise ObjectError(msg)
-    if folder.exists() and not (folder / "object.yaml").is_file():
-        msg = f"{folder}: is no object's folder, so it is not replaced; pass another --name"
+        problem = "is or lies in a link; tacgen writes only into a real folder"
+    elif folder.exists() and not force:
+        problem = "exists already; pass --force to replace it, or another --name"
+    elif folder.exists() and not (folder / "object.yaml").is_file():
+        problem = "is no object's folder, so it is not replaced; pass another --name"
+    if problem:
+        msg = f"{folder}: {problem}"
         raise ObjectError(msg)
 
 
 def _check_density(mesh_path: Path, surface: Mesh, mass_kg: float) -> list[str]:
-    density = 1e6 * mass_kg / volume_mm3(surface)
     volume_cm3 = volume_mm3(surface) / 1000
+    density = 1000 * mass_kg / volume_cm3
     text = f"{mesh_path}: {mass_kg:g} kg in {volume_cm3:.4g} cm³ is {density:.3g} g/cm³"
     if density > DENSEST_G_CM3:
         msg = f"{text}, denser than any metal; give --mass in kg and check --scale"

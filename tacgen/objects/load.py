@@ -77,12 +77,13 @@ def _check_file(path: Path) -> None:
 
 def _checked(path: Path, vertices_mm: np.ndarray, faces: np.ndarray) -> Mesh:
     """A mesh record, if the arrays are one."""
-    right_shape = vertices_mm.ndim == 2 and vertices_mm.shape[1:] == (3,) and faces.ndim == 2
-    if not right_shape or faces.shape[1:] != (3,) or len(faces) == 0:
-        msg = f"{path}: holds no triangles; import it anew with `tacgen objects add --force`"
-        raise ObjectError(msg)
-    if not np.isfinite(vertices_mm).all() or faces.min() < 0 or faces.max() >= len(vertices_mm):
-        msg = f"{path}: has coordinates or faces that are no numbers; import it anew"
+    problem = ""
+    if vertices_mm.shape[1:] != (3,) or faces.shape[1:] != (3,) or len(faces) == 0:
+        problem = "holds no triangles; import it anew with `tacgen objects add --force`"
+    elif not np.isfinite(vertices_mm).all() or faces.min() < 0 or faces.max() >= len(vertices_mm):
+        problem = "has coordinates or faces that are no numbers; import it anew"
+    if problem:
+        msg = f"{path}: {problem}"
         raise ObjectError(msg)
     return Mesh(frozen_array(vertices_mm), frozen_array(faces, np.int32))
 

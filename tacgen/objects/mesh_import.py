@@ -42,14 +42,8 @@ def import_surface(
 ) -> ImportedSurface:
     """Read, check, repair and place a mesh.
 
-    Parameters
-    ----------
-    scale : float
-        mm that one unit of the file stands for: 1000 for a mesh in metres.
-    up : one of UP_AXES
-        The file's axis that points up; glTF's is y.
-    yaw_rad : float
-        Direction about z, in the file's axes, that becomes x.
+    ``scale`` is the mm that one unit of the file stands for, 1000 for a mesh in metres; ``up`` the
+    file's axis that points up, y in glTF.
 
     Raises ``ObjectError`` if it is not a closed surface of a size that a gripper can hold, after
     what can safely be repaired; the message says how to fix it.
@@ -85,14 +79,15 @@ def import_surface(
 
 def _read(path: Path) -> trimesh.Trimesh:
     kind = path.suffix.lower().lstrip(".")
+    problem = ""
     if path.is_symlink() or not path.is_file():
-        msg = f"{path}: no such file, or a link; give the mesh file itself"
-        raise ObjectError(msg)
-    if kind not in FORMATS:
-        msg = f"{path}: not a mesh tacgen reads; give one of {', '.join(FORMATS)}"
-        raise ObjectError(msg)
-    if path.stat().st_size > MAX_FILE_BYTES:
-        msg = f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; simplify the mesh first"
+        problem = "no such file, or a link; give the mesh file itself"
+    elif kind not in FORMATS:
+        problem = f"not a mesh tacgen reads; give one of {', '.join(FORMATS)}"
+    elif path.stat().st_size > MAX_FILE_BYTES:
+        problem = f"larger than {MAX_FILE_BYTES >> 20} MiB; simplify the mesh first"
+    if problem:
+        msg = f"{path}: {problem}"
         raise ObjectError(msg)
     try:
         # From memory, where a part that says it is larger than the file takes no more than that;
@@ -130,21 +125,21 @@ def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray[Any
 
 def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> None:
     size = np.ptp(vertices_mm, axis=0)
-    shown = " × ".join(f"{extent:.4g}" for extent in size)
+    problem = ""
     if size.min() <= 0:
-        msg = f"{path}: is {shown} mm, flat; give a solid object"
-        raise ObjectError(msg)
-    if size.max() < SMALLEST_MM:
-        msg = (
-            f"{path}: is {shown} mm; if the mesh is in metres, pass --scale {1000 * scale:g}, "
+        problem = "flat; give a solid object"
+    elif size.max() < SMALLEST_MM:
+        problem = (
+            f"too small; if the mesh is in metres, pass --scale {1000 * scale:g}, "
             f"if in inches, --scale {25.4 * scale:g}"
         )
-        raise ObjectError(msg)
-    if size.max() > LARGEST_MM or size.min() > STROKE_MM:
-        msg = (
-            f"{path}: is {shown} mm, too large for a gripper that opens {STROKE_MM:.0f} mm; "
+    elif size.max() > LARGEST_MM or size.min() > STROKE_MM:
+        problem = (
+            f"too large for a gripper that opens {STROKE_MM:.0f} mm; "
             f"if the mesh is in µm, pass --scale {0.001 * scale:g}, else check the scale"
         )
+    if problem:
+        msg = f"{path}: is {' × '.join(f'{extent:.4g}' for extent in size)} mm, {problem}"
         raise ObjectError(msg)
 
 

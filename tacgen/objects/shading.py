@@ -46,13 +46,8 @@ def _nearest_face(
 def view_axes(azimuth_deg: float, elevation_deg: float) -> NDArray[np.float64]:
     """Rows (3, 3): the view's right, up and towards-the-viewer, for a viewer at those angles."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
-    towards = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    flat = np.array([np.cos(azimuth), np.sin(azimuth)])
+    towards = np.append(np.cos(elevation) * flat, np.sin(elevation))
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return np.stack([right, np.cross(towards, right), towards])
 

@@ -97,15 +97,14 @@ def _first_obstacle(
             return reason
         met = _distances(world, robot, body, 0.0)
         if met:
-            height_mm = waypoint.z_m * MM_PER_M
+            height = f"with the pads {waypoint.z_m * MM_PER_M:.0f} mm above the table"
             if {link for link, _ in met} == {robot.palm}:
                 return (
-                    f"the palm meets the object with the pads {height_mm:.0f} mm above the table; "
-                    "the object is too tall, grasp it higher"
+                    f"the palm meets the object {height}; the object is too tall, grasp it higher"
                 )
             return (
-                f"the open fingers meet the object with the pads {height_mm:.0f} mm above the "
-                f"table; the object is wider there than the stroke of {STROKE_MM:g} mm"
+                f"the open fingers meet the object {height}; the object is wider there than the "
+                f"stroke of {STROKE_MM:g} mm"
             )
     return ""
 
@@ -120,8 +119,6 @@ def _distances(
 
 def _preposition(world: World, robot: Robot, body: ObjectBody, settings: PhysicsSettings) -> None:
     """Bring the fingers near the object, symmetrically, so that closing takes little time."""
-    near_m = min(
-        (distance for _, distance in _distances(world, robot, body, STROKE_MM * M_PER_MM)),
-        default=0.0,
-    )
+    found = _distances(world, robot, body, STROKE_MM * M_PER_MM)
+    near_m = min((distance for _, distance in found), default=0.0)
     robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))

@@ -7,7 +7,7 @@ the gel frame.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -53,14 +53,7 @@ class Contacts:
     def of(self, body: int, link: int) -> Contacts:
         """Those with one link of another body."""
         keep = (self.body == body) & (self.link == link)
-        return Contacts(
-            self.body[keep],
-            self.link[keep],
-            self.point_m[keep],
-            self.normal[keep],
-            self.normal_force_n[keep],
-            self.force_n[keep],
-        )
+        return Contacts(*(getattr(self, column.name)[keep] for column in fields(self)))
 
 
 def object_contacts(raw: Sequence[tuple[Any, ...]], object_body: int) -> Contacts:
@@ -123,16 +116,9 @@ def closing_force_n(
             sign = -1.0
         else:
             continue
-        for magnitude, direction in (
-            (contact[9], contact[7]),
-            (contact[10], contact[11]),
-            (contact[12], contact[13]),
-        ):
-            total += (
-                sign
-                * magnitude
-                * (direction[0] * axis[0] + direction[1] * axis[1] + direction[2] * axis[2])
-            )
+        for force, axis_of in ((9, 7), (10, 11), (12, 13)):
+            x, y, z = contact[axis_of]
+            total += sign * contact[force] * (x * axis[0] + y * axis[1] + z * axis[2])
     return abs(total)
 
 

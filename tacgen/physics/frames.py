@@ -82,15 +82,14 @@ def gel_pose_in_gripper(pad: str, distance_m: float) -> Pose:
     return pose(GEL_AXES_IN_GRIPPER[pad], [PAD_SIDE[pad] * distance_m, 0.0, 0.0])
 
 
+def twice_sine(rotation: FloatArray) -> FloatArray:
+    """Axis times twice the sine of the angle, (..., 3), of rotations (..., 3, 3)."""
+    pairs = ((2, 1), (0, 2), (1, 0))
+    return np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in pairs], axis=-1)
+
+
 def turn_rad(rotation: FloatArray) -> FloatArray:
     """The angle of each rotation of a (..., 3, 3) array, exact for small angles too."""
-    sine = np.stack(
-        [
-            rotation[..., 2, 1] - rotation[..., 1, 2],
-            rotation[..., 0, 2] - rotation[..., 2, 0],
-            rotation[..., 1, 0] - rotation[..., 0, 1],
-        ],
-        axis=-1,
-    )
+    sine = twice_sine(rotation)
     cosine = np.trace(rotation, axis1=-2, axis2=-1) - 1.0
     return np.asarray(np.arctan2(np.linalg.norm(sine, axis=-1), cosine))

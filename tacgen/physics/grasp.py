@@ -176,10 +176,8 @@ class _Grasp:
             if sum(now.pad_distance_m) <= 0:
                 return "the pads met with nothing between them"
             touched = self._pad_forces_n(now)
-            near = all(
-                abs(force - force_n) <= STEADY_TOLERANCE * force_n for force in touched.values()
-            )
-            steady = steady + 1 if near else 0
+            off_n = max(abs(force - force_n) for force in touched.values())
+            steady = steady + 1 if off_n <= STEADY_TOLERANCE * force_n else 0
             if steady == STEADY_CHUNKS:
                 return ""
         missing = [pad for pad, force in touched.items() if force <= 0]
@@ -215,9 +213,8 @@ class _Grasp:
             settings.time_step_s,
         )
         samples = [recorder.snapshot()]
-        for k, (height_m, speed_m_s) in enumerate(
-            zip(heights_m.tolist(), speeds_m_s.tolist(), strict=True)
-        ):
+        motion = zip(heights_m.tolist(), speeds_m_s.tolist(), strict=True)
+        for k, (height_m, speed_m_s) in enumerate(motion):
             self.robot.command_lift(height_m, speed_m_s)
             recorder.advance(1)
             if k % sampled == 0:
@@ -279,10 +276,6 @@ def trapezoid(
     rising = np.minimum(time_s, ramp_s)
     falling = np.clip(time_s - (total_s - ramp_s), 0.0, ramp_s)
     cruise = np.clip(time_s - ramp_s, 0.0, total_s - 2 * ramp_s)
-    positions = (
-        acceleration * rising**2 / 2
-        + speed * cruise
-        + speed * falling
-        - acceleration * falling**2 / 2
-    )
+    positions = acceleration * rising**2 / 2 + speed * cruise
+    positions = positions + speed * falling - acceleration * falling**2 / 2
     return positions[1:], np.diff(positions) / time_step_s

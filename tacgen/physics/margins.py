@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import SlipMargin
+from tacgen.core.records import SlipMargin, frozen_array
 from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 
 
@@ -104,13 +104,11 @@ def slip_margin(
 ) -> SlipMargin:
     """The record of a grasp's margins, see ``records.SlipMargin``."""
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2
-    direction = np.array(first_slip_direction, dtype=np.float64)
-    direction.setflags(write=False)
     return SlipMargin(
         translational=(capacity.friction_limit_n - capacity.tangential_load_n) / weight_n,
         rotational=(capacity.torsion_limit_n_mm - capacity.moment_n_mm) / weight_n,
         first_slip_time_s=first_slip_time_s,
-        first_slip_direction=direction,
+        first_slip_direction=frozen_array(first_slip_direction),
         friction_ratio=_ratio(capacity.friction_limit_n, capacity.tangential_load_n),
         torsion_ratio=_ratio(capacity.torsion_limit_n_mm, capacity.moment_n_mm),
     )

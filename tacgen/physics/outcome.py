@@ -36,18 +36,10 @@ from tacgen.physics.settings import PhysicsSettings
 class Motion:
     """How the object moved during the lift, n samples from its start on.
 
-    Attributes
-    ----------
-    time_s : (n,)
-        Since closing on.
-    rise_mm : (n,)
-        Height of the centre of mass above where it was.
-    turn_rad : (n,)
-        Rotation relative to the gripper.
-    slide_mm : (n, 2)
-        Displacement of the object's point between the pads, in the gel's x and y.
-    center_slide_mm : (n, 2)
-        Displacement of the centre of mass relative to the gripper, in the gel's x and y.
+    ``time_s`` (n,) since closing on; ``rise_mm`` (n,), the height of the centre of mass above where
+    it was; ``turn_rad`` (n,), the rotation relative to the gripper; ``slide_mm`` and
+    ``center_slide_mm`` (n, 2), displacements in the gel's x and y of the object's point between the
+    pads and of the centre of mass.
     """
 
     time_s: FloatArray

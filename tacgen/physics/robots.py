@@ -88,11 +88,11 @@ class FloatingGripper:
         """Make the gripper in an empty world."""
         self._world = world
         hand = Link(-1, world.bullet.JOINT_PRISMATIC, HAND_MASS_KG)
-        links = [
-            hand,
-            *finger_links(world, settings, FLOATING_HAND),
+        fingers, palm = (
+            finger_links(world, settings, FLOATING_HAND),
             palm_link(world, FLOATING_HAND),
-        ]
+        )
+        links = [hand, *fingers, palm]
         self.body = create_body(world, links, (0.0, 0.0, 0.0))
         self.palm = len(links) - 1
         self.fingers = Fingers(world, self.body, FLOATING_HAND)
@@ -146,12 +146,8 @@ class ArmWithGripper:
             quaternion=_quaternion(ur5e.link_transform(5) @ hand_in_flange),
             center_of_mass_m=(0.0, 0.0, FLANGE_HEIGHT_M - PALM_HALF_EXTENTS_MM[2] * M_PER_MM),
         )
-        links = [
-            *self._arm_links(),
-            hand,
-            *finger_links(world, settings, ARM_HAND),
-            palm_link(world, ARM_HAND),
-        ]
+        fingers, palm = finger_links(world, settings, ARM_HAND), palm_link(world, ARM_HAND)
+        links = [*self._arm_links(), hand, *fingers, palm]
         self.body = create_body(world, links, BASE_POSITION_M)
         self.palm = len(links) - 1
         self.fingers = Fingers(world, self.body, ARM_HAND)
@@ -182,11 +178,9 @@ class ArmWithGripper:
         """Put the arm so that the gripper is at ``target``; a reason where it cannot reach."""
         joints = self._inverse(target, self._joints_rad)
         if joints is None:
-            return (
-                f"the arm does not reach x_mm = {target.x_m * MM_PER_M:.0f}, "
-                f"y_mm = {target.y_m * MM_PER_M:.0f}, z_mm = {target.z_m * MM_PER_M:.0f}, "
-                f"yaw_rad = {target.yaw_rad:.2f}"
-            )
+            x_mm, y_mm, z_mm = (MM_PER_M * one for one in (target.x_m, target.y_m, target.z_m))
+            place = f"x_mm = {x_mm:.0f}, y_mm = {y_mm:.0f}, z_mm = {z_mm:.0f}"
+            return f"the arm does not reach {place}, yaw_rad = {target.yaw_rad:.2f}"
         self._joints_rad, self._target = joints, target
         for joint, angle in zip(ARM_JOINTS, joints.tolist(), strict=True):
             self._world.bullet.resetJointState(self.body, joint, angle, 0.0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.physics.frames import Pose, pose
+from tacgen.physics.frames import Pose, pose, twice_sine
 
 A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
 D_M = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
@@ -74,10 +74,8 @@ def inverse_kinematics(target: Pose, seed_rad: FloatArray) -> FloatArray | None:
         error = np.concatenate(
             [target[:3, 3] - flange[:3, 3], _rotation_vector(target[:3, :3] @ flange[:3, :3].T)]
         )
-        if (
-            np.linalg.norm(error[:3]) < POSITION_TOLERANCE_M
-            and np.linalg.norm(error[3:]) < ANGLE_TOLERANCE_RAD
-        ):
+        off_m, off_rad = np.linalg.norm(error[:3]), np.linalg.norm(error[3:])
+        if off_m < POSITION_TOLERANCE_M and off_rad < ANGLE_TOLERANCE_RAD:
             return joints if np.all(np.abs(joints) <= JOINT_LIMIT_RAD) else None
         axes = np.stack([frame[:3, 2] for frame in frames[:-1]])
         arms = flange[:3, 3] - np.stack([frame[:3, 3] for frame in frames[:-1]])
@@ -91,13 +89,7 @@ def inverse_kinematics(target: Pose, seed_rad: FloatArray) -> FloatArray | None:
 
 def _rotation_vector(rotation: FloatArray) -> FloatArray:
     """Axis times angle of a (3, 3) rotation."""
-    sine = 0.5 * np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
+    sine = 0.5 * twice_sine(rotation)
     length = float(np.linalg.norm(sine))
     angle = np.arctan2(length, 0.5 * (np.trace(rotation) - 1.0))
     if length < 1e-9:

@@ -66,30 +66,26 @@ def export_dataset(
 ) -> Exported:
     """Write executed grasps of the dataset in ``root`` to the new folder ``out``.
 
-    Parameters
-    ----------
-    split : ``train`` or ``test``, optional
-        Only the grasps of this split.
-    per_object : int, optional
-        Only the first so many grasps of each object.
-    images : bool
-        Whether to write the images; labels and forces suffice to calibrate friction.
+    ``split`` (``train`` or ``test``) and ``per_object``, the first so many of each object, limit
+    the grasps; without ``images``, labels and forces are written, which suffice to calibrate
+    friction.
 
     Raises ``DatasetError`` if the format or the split is not known, ``out`` exists, or no grasp is
     left to export.
     """
     out = Path(out)
-    if format_name not in FORMATS:
-        msg = f"--format {format_name}: not known; give one of {', '.join(FORMATS)}"
-        raise DatasetError(msg)
-    if split not in (None, *SPLITS):
-        msg = f"--split {split}: not known; give one of {', '.join(SPLITS)}"
-        raise DatasetError(msg)
-    writer = FORMATS[format_name]
-    if not images:
-        if writer is not write_real_grasps:
-            msg = f"--no-images: {format_name} always holds images; use --format real-grasps"
+    for name, value, known in (
+        ("--format", format_name, FORMATS),
+        ("--split", split, (None, *SPLITS)),
+    ):
+        if value not in known:
+            msg = f"{name} {value}: not known; give one of {', '.join(filter(None, known))}"
             raise DatasetError(msg)
+    writer = FORMATS[format_name]
+    if not images and writer is not write_real_grasps:
+        msg = f"--no-images: {format_name} always holds images; use --format real-grasps"
+        raise DatasetError(msg)
+    if not images:
         writer = partial(write_real_grasps, images=False)
     if out.exists():
         msg = f"{out} exists already; give a new folder, or remove it"

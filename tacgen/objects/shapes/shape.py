@@ -32,14 +32,8 @@ class Body:
 class Shape:
     """A procedural object in its rest pose, mm, footprint centre at the origin, table at z = 0.
 
-    Attributes
-    ----------
-    surface : Mesh
-        Watertight, faces counter-clockwise seen from outside.
-    collision : tuple of Mesh
-        Convex parts.
-    bodies : tuple of Body
-        Empty where one material fills the surface.
+    ``surface`` is watertight, its faces counter-clockwise seen from outside; ``collision`` are
+    convex parts; ``bodies`` is empty where one material fills the surface.
     """
 
     surface: Mesh
@@ -56,11 +50,8 @@ def mesh(vertices_mm: Points, faces: NDArray[Any]) -> Mesh:
 def loft(rings_mm: Points) -> Mesh:
     """The closed surface through rings of points, both ends closed by a fan.
 
-    Parameters
-    ----------
-    rings_mm : (k, n, 3) float64
-        Ring after ring from one end to the other, each counter-clockwise seen against the
-        direction of travel. The end rings must be star-shaped about their mean.
+    ``rings_mm`` (k, n, 3) goes ring after ring from one end to the other, each counter-clockwise
+    seen against the direction of travel. The end rings must be star-shaped about their mean.
     """
     rings_mm = np.asarray(rings_mm, dtype=np.float64)
     k, n, _ = rings_mm.shape
@@ -149,14 +140,10 @@ def moved(solid: Mesh, *, turn: Points | None = None, shift_mm: Points | None = 
 def sweep(path_mm: Points, across: Points, sections_mm: Points) -> Points:
     """Rings (k, n, 3) of plane sections carried along a path.
 
-    Parameters
-    ----------
-    path_mm : (k, 3)
-        Where each section's origin goes; its direction of travel is the section's normal.
-    across : (3,)
-        A direction perpendicular to the whole path: each section's first axis. The second is
-        travel × across, so that sections counter-clockwise in their plane face outward.
-    sections_mm : (k, n, 2) or (n, 2)
+    The origin of each section, (k, n, 2) or (n, 2), goes to its point of ``path_mm`` (k, 3), and
+    the direction of travel there is its normal. ``across`` (3,), perpendicular to the whole path,
+    is its first axis; the second is travel × across, so that sections counter-clockwise in their
+    plane face outward.
     """
     path_mm = np.asarray(path_mm, dtype=np.float64)
     travel = np.gradient(path_mm, axis=0)
