@@ -228,13 +228,12 @@ def friction(
         sweep_friction,
         write_object_copies,
     )
-    from tacgen.collection.recipe import load_recipe
+    from tacgen.collection.recipe import known_objects, load_recipe
     from tacgen.core.progress import progress_counter
-    from tacgen.core.resources import object_folders
     from tacgen.dataset.real_grasps import read_real_grasps
 
     loaded = load_recipe(recipe)
-    grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
+    grasps = read_real_grasps(real, known_objects=known_objects(loaded))
     with progress_counter("grasp") as show:
         fits, outcomes = sweep_friction(
             loaded, grasps, mu_range(mu), out, workers=workers, show=show

@@ -106,15 +106,14 @@ def diagnose_grasps_command(
     json_output: JsonFlag = False,
 ) -> None:
     """Find simulation parameters that explain why real grasps ended differently than simulated."""
-    from tacgen.collection.recipe import load_recipe
+    from tacgen.collection.recipe import known_objects, load_recipe
     from tacgen.core.progress import progress_counter
-    from tacgen.core.resources import object_folders
     from tacgen.dataset.real_grasps import read_real_grasps
     from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
     from tacgen.diagnose.grasps.report import write_grasp_report
 
     loaded = load_recipe(recipe)
-    grasps = read_real_grasps(real, known_objects=tuple(object_folders()))
+    grasps = read_real_grasps(real, known_objects=known_objects(loaded))
     with progress_counter("grasp") as show:
         findings = diagnose_grasps(loaded, grasps, out, workers=workers, show=lambda what: show)
     note(findings.diagnosis.notes)

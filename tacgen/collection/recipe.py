@@ -309,6 +309,11 @@ def load_recipe(name: str | Path) -> Recipe:
     return recipe
 
 
+def known_objects(recipe: Recipe) -> tuple[str, ...]:
+    """Names of the objects that ``recipe`` and real grasps beside it may use."""
+    return tuple(dict.fromkeys([*object_folders(), *(entry.name for entry in recipe.objects)]))
+
+
 def with_cluster(recipe: Recipe, **settings: str | float | None) -> Recipe:
     """``recipe`` with these settings of its section ``cluster``; None leaves one as it is.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from types import MappingProxyType
@@ -84,6 +85,21 @@ def similar_columns(columns: Iterable[str], known: Iterable[str], where: str) ->
                 f"{where}: column {name!r} is not read as {near[0]!r}; rename it if it is that"
             )
     return warnings
+
+
+def csv_problem(error: Exception) -> str:
+    """Why a CSV file cannot be read, in plain words, from the error of its reader."""
+    cells = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+    if cells:
+        expected, line, found = cells.groups()
+        return f"line {line} has {found} cells, the header {expected}; quote cells with commas"
+    if isinstance(error, UnicodeDecodeError):
+        return f"byte {error.start} is not UTF-8 text; save it as comma-separated UTF-8 text"
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}; check the path and its permissions"
+    if "No columns to parse" in str(error):
+        return "it is empty; write a header and one row each below it"
+    return "it is not comma-separated text; save it as comma-separated UTF-8 text"
 
 
 def unit_problems(name: str, values: FloatArray) -> str:

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tacgen.core.columns import GRASPS, similar_columns, unit_problems
+from tacgen.core.columns import GRASPS, csv_problem, similar_columns, unit_problems
 from tacgen.core.errors import DatasetError, did_you_mean
 from tacgen.core.records import FailureMode, GraspConfig
+from tacgen.core.resources import unknown_object_hint
 
 REQUIRED = ("grasp_id", "object", "label")
 CONFIGURATION = ("force_n", "x_mm", "y_mm", "z_mm")
@@ -112,7 +113,7 @@ def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:
         msg = f"{path}: no such file; real grasps are a folder with grasps.csv and images/"
         raise DatasetError(msg) from None
     except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read as CSV: {error}"
+        msg = f"{path}: cannot be read: {csv_problem(error)}"
         raise DatasetError(msg) from None
     table.columns = [str(name).strip() for name in table.columns]
     missing = [name for name in (*REQUIRED, *needs) if name not in table.columns]
@@ -162,8 +163,8 @@ def _problems(
             count = int((table["object"] == name).sum())
             where = "1 row" if count == 1 else f"{count} rows, the first"
             problems.append(
-                f"{path}:{row + 2}: object = {name!r} ({where}) is not an object here; known: "
-                f"{', '.join(known_objects)}; add your own mesh with `tacgen objects add`"
+                f"{path}:{row + 2}: object = {name!r} ({where}) is not an object here"
+                f"{unknown_object_hint(name, known_objects)}"
             )
     for grasp_id in table["grasp_id"][table["grasp_id"].duplicated()].unique():
         rows = np.flatnonzero(table["grasp_id"] == grasp_id) + 2

@@ -16,6 +16,7 @@ import pandas as pd
 import yaml
 from numpy.typing import NDArray
 
+from tacgen.core.columns import csv_problem
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_folder
 from tacgen.core.safe_io import check_archive, read_bgr
@@ -221,7 +222,7 @@ def _table(path: Path, needed: tuple[str, ...]) -> pd.DataFrame:
     try:
         table = pd.read_csv(path, skipinitialspace=True)
     except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read as CSV: {error}; is this the right folder?"
+        msg = f"{path}: cannot be read: {csv_problem(error)}; is this the right folder?"
         raise PressError(msg) from None
     missing = [name for name in needed if name not in table]
     if missing:

@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.core.columns import PRESS_LOG, similar_columns
+from tacgen.core.columns import PRESS_LOG, csv_problem, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
@@ -218,7 +218,7 @@ def read_table(path: Path) -> pd.DataFrame:
             frame = frame.iloc[1:].set_axis(frame.iloc[0].tolist(), axis=1).reset_index(drop=True)
     except (OSError, ValueError, LookupError, TypeError, pd.errors.EmptyDataError) as error:
         # pandas and pyarrow raise the latter for metadata that is not what they write themselves.
-        msg = f"{path}: cannot be read as a table ({error}); save it as comma-separated UTF-8 text"
+        msg = f"{path}: cannot be read as a table: {csv_problem(error)}"
         raise PressError(msg) from error
     frame.columns = [str(name).strip() for name in frame.columns]
     doubled = sorted({name for name in frame.columns if list(frame.columns).count(name) > 1})

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tacgen.core.columns import GRASPS, PRESS_LOG, PRESSES, similar_columns, unit_problems
+from tacgen.core.errors import DatasetError
 from tacgen.dataset.real_grasps import CONFIGURATION, REQUIRED, read_real_grasps
 from tacgen.presses import press_folder, press_log
 
@@ -59,3 +60,20 @@ def test_real_grasps_warn_of_columns_and_units(tmp_path):
     text = "\n".join(read_real_grasps(tmp_path).warnings)
     assert "column 'yaw_deg' is not read as 'yaw_rad'" in text
     assert "z_mm is at most 0.06 mm above the table" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"grasp_id,object,label\na,can,1\nb,can,0,5,6\n", "line 3 has 5 cells, the header 3"),
+        (b"", "it is empty"),
+        (b"grasp_id,object,label\n\xff\xfe\n", "is not UTF-8 text"),
+    ],
+)
+def test_a_file_that_is_no_csv_is_refused_without_the_reader_s_own_words(tmp_path, content, words):
+    (tmp_path / "grasps.csv").write_bytes(content)
+    with pytest.raises(DatasetError) as caught:
+        read_real_grasps(tmp_path, needs=())
+    assert words in str(caught.value)
+    assert "tokeniz" not in str(caught.value)
+    assert "codec" not in str(caught.value)
