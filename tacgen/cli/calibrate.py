@@ -102,7 +102,11 @@ def calibrate_lookup(
     )  # fmt: skip
     warn(command.warning_lines(used, made.scale))
     typer.echo(command.lookup_text(made, used, json_output=json_output))
-    hand_over(*table_lines(out), f"tacgen calibrate score {out} OTHER_PRESSES")
+    hand_over(
+        *table_lines(out),
+        f"tacgen calibrate score {out} OTHER_PRESSES",
+        f"tacgen read IMAGE --sensor SENSOR --table {out} --out readings",
+    )
 
 
 @calibrate_app.command("score")
@@ -277,6 +281,9 @@ def read(
     at_rest = None if background is None else read_rgb(background)
     rows = read_files(ImageReader(Sensor(sensor, table, contact), at_rest), images, out)
     print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
+    hand_over(
+        f"look at {out}; from Python: tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}))"
+    )
 
 
 @app.command(rich_help_panel=CALIBRATION)

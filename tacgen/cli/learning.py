@@ -78,7 +78,7 @@ def evaluate(
 
     result = evaluate_run(run, data, real)
     print_result(result, evaluation_lines(result), json_output)
-    hand_over(f"tacgen eval {run} --real REAL_GRASPS" if real is None else f"tacgen status {run}")
+    hand_over(f"tacgen eval {run} --real REAL_GRASPS", f"tacgen predict {run} IMAGE")
 
 
 @app.command(rich_help_panel=NETWORKS)
@@ -109,6 +109,7 @@ def predict(
     rows = predict_files(Predictor(run, object_name, at_rest), images)
     lines = [f"{row['probability']:.3f}  {row['images']}" for row in rows]
     print_result(rows, lines, json_output)
+    hand_over(f"tacgen eval {run} --real REAL_GRASPS   # how often it is right")
 
 
 @app.command(rich_help_panel=NETWORKS)
