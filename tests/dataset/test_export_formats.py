@@ -110,3 +110,11 @@ def test_robomimic_has_what_its_documentation_asks_for(with_depth, tmp_path):
         split = columns["split"][columns["label"] >= 0]
         assert masks["train"] == [d for d, s in zip(demos, split, strict=True) if s == "train"]
         assert sorted(masks["train"] + masks["valid"]) == sorted(demos)
+
+
+def test_lerobot_has_the_depth_of_each_episode(with_depth, tmp_path):
+    export_dataset(with_depth.root, tmp_path / "out", "lerobot")
+    episodes = pd.read_parquet(tmp_path / "out" / "meta/episodes/chunk-000/file-000.parquet")
+    for episode, index in zip(episodes["episode_index"], episodes["grasp_index"], strict=True):
+        depth = np.load(tmp_path / "out" / "depth_mm" / f"episode_{episode:06d}_left.npy")
+        np.testing.assert_array_equal(depth, with_depth.read(int(index)).pads["left"].depth_mm)

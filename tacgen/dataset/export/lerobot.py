@@ -249,6 +249,12 @@ class _Export:
                 part = np.asarray(array, np.float64).reshape(n_frames, -1)
                 stats[key] = vector_stats(part)
             self.parts.setdefault(key, []).append(part)
+        for pad, frames in sample.pads.items():
+            if frames.depth_mm is not None:
+                # One map a grasp, at its moment of grasp: no feature of the frames.
+                place = self.root / "depth_mm"
+                place.mkdir(parents=True, exist_ok=True)
+                np.save(place / f"episode_{episode:06d}_{pad}.npy", frames.depth_mm)
         chunk, number = data.write(episode_table(values, features, data.schema))
         self.episodes.append(
             {

@@ -47,7 +47,8 @@ def write_robomimic(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str
 
 
 def _write_demo(demo: h5py.Group, sample: GraspSample) -> None:
-    count = len(sample.object_pose)
+    object_pose = np.asarray(sample.object_pose)
+    count = len(object_pose)
     configuration = [getattr(sample.config, name) for name in ACTION]
     rewards, dones = np.zeros(count), np.zeros(count, np.int64)
     rewards[-1], dones[-1] = sample.label, 1
@@ -55,7 +56,7 @@ def _write_demo(demo: h5py.Group, sample: GraspSample) -> None:
     demo["actions"] = np.tile(np.array(configuration), (count, 1))
     demo["rewards"], demo["dones"] = rewards, dones
     observed = demo.create_group("obs")
-    observed["object_pose"] = sample.object_pose
+    observed["object_pose"] = object_pose
     for pad, frames in sample.pads.items():
         options = {"chunks": (1, *frames.rgb.shape[1:]), "compression": "gzip"}
         observed.create_dataset(f"{pad}_rgb", data=frames.rgb, **options)

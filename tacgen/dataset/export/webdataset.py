@@ -46,7 +46,7 @@ def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, byte
     """Extension and content of each file of a sample."""
     about = {"grasp_frame": sample.grasp_frame, **row}
     yield "json", json.dumps(about, default=lambda value: value.item()).encode()
-    yield "object_pose.npy", _npy(sample.object_pose)
+    yield "object_pose.npy", _npy(np.asarray(sample.object_pose))
     for pad, frames in sample.pads.items():
         for k, rgb in enumerate(frames.rgb):
             yield f"{pad}.{k}.png", encode_png(rgb)
