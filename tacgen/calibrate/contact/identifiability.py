@@ -30,42 +30,40 @@ class Limit:
 
 def limits_of(log: PressLog) -> tuple[Limit, ...]:
     """What the schedule of this log leaves open, the most important first."""
-    known = {
-        "geometry": n_balls(log) > 1,
-        "shear": log.has_shear,
-        "trials": len(log.trials) >= FEW_TRIALS,
-        "unloading": any(_is_unloaded(log, trial) for trial in log.trials),
-        "hold": any(_is_held(log, trial) for trial in log.trials),
-        "position": _has_places(log),
-    }
-    texts = {
+    checks = {
         "geometry": (
+            n_balls(log) > 1,
             "one ball only: whether k_n depends on the indenter's size or shape is unknown",
             "press a second ball of at least twice the radius",
         ),
         "shear": (
+            log.has_shear,
             "no trial holds both shear force and marker motion: k_s is unknown",
             "push sideways while pressing and track the markers",
         ),
         "trials": (
+            len(log.trials) >= FEW_TRIALS,
             f"{len(log.trials)} presses only: the interval rests on few repeats and is wide",
             f"press at least {FEW_TRIALS} times, and repeat a press now and then",
         ),
         "unloading": (
+            any(_is_unloaded(log, trial) for trial in log.trials),
             "no press is unloaded: hysteresis and stiffening look the same",
             "log the way back as well",
         ),
         "hold": (
+            any(_is_held(log, trial) for trial in log.trials),
             f"no press is held for {HOLD_S:g} s near its peak: creep is unknown",
             "hold some presses for several seconds",
         ),
         "position": (
+            _has_places(log),
             "positions on the gel are not known or all alike: whether k_n depends on them is "
             "unknown",
             "press on a grid over the gel and log x_mm and y_mm",
         ),
     }
-    return tuple(Limit(name, *texts[name]) for name, is_known in known.items() if not is_known)
+    return tuple(Limit(name, *texts) for name, (known, *texts) in checks.items() if not known)
 
 
 def n_balls(log: PressLog) -> int:

@@ -58,20 +58,15 @@ def gp_rmse(
 
 
 def _predict(x: FloatArray, y: FloatArray, test: FloatArray) -> FloatArray:
-    squared = cdist(x, x, "sqeuclidean")
-    best, chosen = -np.inf, None
-    variance = float(y.var()) or 1e-12
-    for length in _LENGTHS:
-        width = length**2 * x.shape[1]
+    """Prediction (M, D) from ``x`` (N, D) and ``y`` (N,) by the likeliest length and noise."""
+    squared, settings = cdist(x, x, "sqeuclidean"), []
+    for width in (length**2 * x.shape[1] for length in _LENGTHS):
         correlation = np.exp(-0.5 * squared / width)
         for noise in _NOISES:
             factor = cho_factor(correlation + noise * np.eye(y.size), lower=True)
             weights = cho_solve(factor, y)
-            fitted = float(y @ weights) / y.size
-            evidence = -np.log(max(fitted, 1e-300)) * y.size / 2 - np.log(np.diag(factor[0])).sum()
-            if evidence > best:
-                best, chosen = evidence, (weights, width)
-    if chosen is None or variance <= 0:
-        return np.zeros(test.shape[0])
-    weights, width = chosen
+            fitted = max(float(y @ weights) / y.size, 1e-300)
+            evidence = -np.log(fitted) * y.size / 2 - np.log(np.diag(factor[0])).sum()
+            settings.append((evidence, width, weights))
+    _, width, weights = max(settings, key=lambda setting: setting[0])
     return np.asarray(np.exp(-0.5 * cdist(test, x, "sqeuclidean") / width) @ weights)

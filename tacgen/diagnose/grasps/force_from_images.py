@@ -133,7 +133,13 @@ def imprint_strength(image: Image, untouched: Image) -> float:
     The image is brought to the brightness of the untouched one first, so that a camera's gain
     does not count; most of a gel is untouched.
     """
-    small, base = _reduced(image), _reduced(untouched)
+    height, width = image.shape[:2]
+    size = RULES.image_width_px, max(1, round(height * RULES.image_width_px / width))
+    # A small size averages the camera's noise away.
+    small, base = (
+        cv2.resize(one, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+        for one in (image, untouched)
+    )
     small *= np.median(base) / max(float(np.median(small)), 1.0)
     return float(np.maximum(np.abs(small - base).mean(axis=2) - RULES.image_noise_grey, 0.0).mean())
 
@@ -172,13 +178,6 @@ def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Rec
     content["dataset"]["scene_pictures"] = False
     content["randomize"] = Randomize().model_dump(mode="json")
     return Recipe.model_validate(content)
-
-
-def _reduced(image: Image) -> FloatArray:
-    """The image in a small size, which averages the camera's noise away."""
-    height, width = image.shape[:2]
-    size = RULES.image_width_px, max(1, round(height * RULES.image_width_px / width))
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float64)
 
 
 def _read(path: Path) -> Image | None:
