@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -70,7 +69,7 @@ class ContactLaw:
     marker_pitch_mm: float = math.nan
     effects: tuple[FittedEffect, ...] = ()
     k_depth_mm_per_n: Estimate | None = None
-    provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         problems = _law_problems(self)
@@ -218,15 +217,14 @@ def _effect_problems(where: str, fitted: FittedEffect) -> list[str]:
 
 def _require_columns(law: ContactLaw, history: LoadHistory) -> None:
     """Raise a ``ContactError`` for columns that the law's effects need and the log lacks."""
-    problems = []
-    for fitted in law.effects:
-        effect = find_effect(fitted.channel, fitted.name)
-        lacking = [name for name in effect.needs if not history.has(name)]
-        if lacking:
-            problems.append(
-                f"the law's effect {fitted.name!r} needs the column {', '.join(lacking)}, "
-                "which the log lacks; add it, or predict with simulate=True to leave it neutral"
-            )
+    needed = {one.name: find_effect(one.channel, one.name).needs for one in law.effects}
+    lacking = {key: [n for n in names if not history.has(n)] for key, names in needed.items()}
+    problems = [
+        f"the law's effect {name!r} needs the column {', '.join(columns)}, which the log lacks; "
+        "add it, or predict with simulate=True to leave it neutral"
+        for name, columns in lacking.items()
+        if columns
+    ]
     if problems:
         raise ContactError.from_problems(problems)
 
@@ -292,7 +290,7 @@ def load_law(path: Path | str) -> ContactLaw:
             law=file.law,
             marker_pitch_mm=file.marker_pitch_mm,
             effects=tuple(FittedEffect(**dict(effect)) for effect in file.effects),
-            provenance=MappingProxyType(file.provenance),
+            provenance=file.provenance,
             **estimates,
         )
     except ContactError as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -133,9 +132,10 @@ def _table_of(folder: Path) -> LookupTable | None:
 
 def result_text(result: ContactCalibration, *, json_output: bool) -> str:
     """What the command prints."""
-    is_log = isinstance(result.fit, ContactFit)
-    record = summary_dict(result.fit) if isinstance(result.fit, ContactFit) else asdict(result.fit)
-    text = summary_text if is_log else depth_text
+    if isinstance(result.fit, ContactFit):
+        record, text = summary_dict(result.fit), summary_text
+    else:
+        record, text = asdict(result.fit), depth_text
     return json.dumps(record, indent=2) if json_output else text(record)
 
 
@@ -160,7 +160,7 @@ def _explain_depths(
     law = ContactLaw(
         law="volume_linear",
         k_n_mm3_per_n=Estimate(k_n, k_n * spread / 1.96, "mm3/N"),
-        provenance=MappingProxyType(provenance),
+        provenance=provenance,
     )
     save_law(law, out)
     if report is not None:

@@ -66,7 +66,7 @@ class ChannelDiagnosis:
         Under the null each trial's sign is a coin's; n trials have 2^(n − 1) different outcomes.
         """
         n_seen = self.n_fit if self.n_test > 1 else self.data.history.n_trials
-        return _number(max(p_value, 0.5 ** (n_seen - 1)))
+        return finite(max(p_value, 0.5 ** (n_seen - 1)))
 
     @property
     def sentence(self) -> str:
@@ -132,11 +132,11 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "error_before": _error(found.before, unit),
         "error_after": _error(found.after, unit),
         "noise_floor": {
-            "rmse": _number(found.floor),
+            "rmse": finite(found.floor),
             "how": "second differences, over 1 to 8 samples of a trial, of what the law leaves",
         },
-        "gain_interval_95": [_number(v) for v in found.gain_interval],
-        "gp_baseline": {"rmse": _number(found.gp_rmse), "unit": unit},
+        "gain_interval_95": [finite(v) for v in found.gain_interval],
+        "gp_baseline": {"rmse": finite(found.gp_rmse), "unit": unit},
         "trials": {"fit": found.n_fit, "test": found.n_test},
         "held_out": found.how,
         "compliance": {
@@ -147,7 +147,7 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
             )
         },
         "ranking": [
-            {"candidate": label, "heldout_gain": _number(gain), "p_value": found.p_value(p)}
+            {"candidate": label, "heldout_gain": finite(gain), "p_value": found.p_value(p)}
             for label, gain, p in found.attribution.ranking[:12]
         ],
         "residual_before": [_dependence(found, d) for d in found.dependences_before],
@@ -163,10 +163,10 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
             name: _estimate(value, errors.get(name, 0.0), term.effect.parameter(name).unit)
             for name, value in shown_parameters(term).items()
         },
-        "heldout_gain": _number(chosen.gain),
+        "heldout_gain": finite(chosen.gain),
         "runner_up": chosen.runner_up,
-        "runner_up_margin": _number(chosen.runner_up_margin),
-        "runner_up_margin_in_se": _number(chosen.margin_in_se),
+        "runner_up_margin": finite(chosen.runner_up_margin),
+        "runner_up_margin_in_se": finite(chosen.margin_in_se),
         "confusable_with": list(chosen.confusable),
         "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
         "p_value": found.p_value(chosen.p_value),
@@ -181,7 +181,7 @@ def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, A
         name = chosen.candidate.name
         if name == dependence.covariate and not chosen.is_effect:
             record["runner_up"] = chosen.runner_up
-            record["runner_up_margin"] = _number(chosen.runner_up_margin)
+            record["runner_up_margin"] = finite(chosen.runner_up_margin)
             record["what_would_tell"] = [advice(name, other) for other in chosen.confusable]
     return record
 
@@ -207,18 +207,22 @@ def _dependence(found: ChannelDiagnosis, d: Dependence) -> dict[str, Any]:
     return {
         "covariate": d.covariate,
         "p_value": found.p_value(d.p_value),
-        "share": _number(d.share),
+        "share": finite(d.share),
     }
 
 
 def _estimate(value: float, stderr: float, unit: str) -> dict[str, Any]:
-    return {"value": _number(value), "stderr": _number(stderr), "unit": unit}
+    return {"value": finite(value), "stderr": finite(stderr), "unit": unit}
 
 
 def _error(errors: Errors, unit: str) -> dict[str, Any]:
-    return {"rmse": _number(errors.rmse), "nrmse": _number(errors.nrmse), "unit": unit}
+    return {
+        "rmse": finite(errors.rmse),
+        "nrmse": finite(errors.nrmse),
+        "unit": unit,
+    }
 
 
-def _number(value: float) -> float | None:
+def finite(value: float) -> float | None:
     """A float that JSON knows; what is not finite becomes null."""
     return float(value) if math.isfinite(value) else None

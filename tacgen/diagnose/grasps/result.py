@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,7 @@ from scipy.stats import binom, rankdata
 
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspObject
-from tacgen.diagnose.contact.result import SCHEMA, Verdict
+from tacgen.diagnose.contact.result import SCHEMA, Verdict, finite
 from tacgen.diagnose.grasps.hypotheses import advice
 from tacgen.diagnose.grasps.model_comparison import (
     CandidateScore,
@@ -246,8 +245,8 @@ def diagnosis_record(
         "ranking": [
             {
                 "candidate": score.name,
-                "log_evidence_gain": _number(score.gain),
-                "log_likelihood_gain": _number(score.fit),
+                "log_evidence_gain": finite(score.gain),
+                "log_likelihood_gain": finite(score.fit),
                 "parameters": _parameters(score, declared),
                 "objects": list(score.candidate.objects),
             }
@@ -258,9 +257,12 @@ def diagnosis_record(
             {
                 "chosen": step.accepted,
                 "p_value": step.p_value,
-                "critical_gain": _number(step.critical_gain),
+                "critical_gain": finite(step.critical_gain),
                 "candidates": [
-                    {"description": describe(score), "log_evidence_gain": _number(score.gain)}
+                    {
+                        "description": describe(score),
+                        "log_evidence_gain": finite(score.gain),
+                    }
                     for score in step.scores
                 ],
             }
@@ -305,12 +307,8 @@ def _parameters(
 
 def _estimate(score: CandidateScore, factor: float, unit: str) -> dict[str, Any]:
     value, stderr = factor * score.value, factor * score.stderr
-    return {"value": _number(value), "stderr": _number(stderr), "unit": unit}
+    return {"value": finite(value), "stderr": finite(stderr), "unit": unit}
 
 
 def _error(rate: float, n: int) -> dict[str, Any]:
     return {"rmse": rate, "nrmse": rate, "unit": "mislabel_rate", "mislabels": round(rate * n)}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

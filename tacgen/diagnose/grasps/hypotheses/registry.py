@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from types import MappingProxyType
 
 import numpy as np
 
@@ -104,7 +103,7 @@ class Hypothesis:
     weight: float
     of_gripper: bool
     parameters: tuple[Parameter, ...]
-    separated_by: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    separated_by: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
