@@ -21,7 +21,7 @@ NETWORKS = "Networks"
 CLUSTER = "Cluster"
 MACHINE = "This machine"
 ORDER_OF_WORK = (
-    *("collect", "init", "grid", "inspect", "verify", "merge", "export"),
+    *("collect", "init", "grid", "render", "inspect", "view", "verify", "merge", "export"),
     *("recipe", "objects"),
     *("import", "calibrate", "read", "diagnose", "friction", "rig"),
     *("train", "eval", "predict", "study"),

@@ -192,6 +192,47 @@ def export(
     print_result(asdict(result), result.sentence, json_output)
 
 
+@app.command(rich_help_panel=DATASETS)
+def view(
+    folder: DatasetArgument,
+    grasp: Annotated[
+        int | None, typer.Option("--grasp", help="Show this grasp alone, with depth and forces.")
+    ] = None,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the page's path and open nothing.")
+    ] = False,
+) -> None:
+    """Open the gallery of a dataset, or a page of one grasp, in the browser."""
+    import webbrowser
+
+    from tacgen.core.errors import DatasetError
+    from tacgen.dataset.grasp_page import write_grasp_page
+
+    page = folder / ("index.html" if grasp is None else f"grasp-{grasp:05d}.html")
+    if grasp is not None:
+        write_grasp_page(folder, grasp, page)
+    if not page.is_file():
+        msg = f"{page}: there is no gallery; `tacgen collect` writes it when it has finished"
+        raise DatasetError(msg)
+    typer.echo(str(page))
+    if not no_browser:
+        webbrowser.open(page.resolve().as_uri())
+
+
+@app.command(rich_help_panel=DATASETS)
+def render(
+    recipe: RecipeArgument,
+    out: Annotated[Path, typer.Option("--gif", help="Animation (GIF) to write.")],
+    grasp: Annotated[int, typer.Option("--grasp", min=0, help="Number of the grasp.")] = 0,
+) -> None:
+    """Simulate one grasp of a recipe and write its tactile images as an animation."""
+    from tacgen.collection.grasp_gif import write_gif
+    from tacgen.collection.recipe import load_recipe
+
+    outcome = write_gif(load_recipe(recipe), grasp, out)
+    typer.echo(f"{out}: grasp {grasp}, {outcome}")
+
+
 def _looks_whole(out: Path) -> bool:
     """Whether the dataset looks complete, so that no workers need to start early."""
     try:

@@ -5,6 +5,7 @@ Engines are in metres; what leaves this module is in mm, N and the gel frame.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +33,7 @@ class _Body:
     mesh: Mesh
 
 
-class _Contacts:
+class _Contacts(ABC):
     """What both engines share: objects, their meshes as one, forces in the gel frame."""
 
     def __init__(self) -> None:
@@ -55,14 +56,17 @@ class _Contacts:
             return self._objects[0].mesh, poses[0], force, float(torsion)
         return _joined([one.mesh for one in self._objects], poses), np.eye(4), force, float(torsion)
 
+    @abstractmethod
     def _gel_pose_m(self) -> FloatArray:
-        raise NotImplementedError
+        """Pose (4, 4) of the gel in the world."""
 
+    @abstractmethod
     def _object_pose_m(self, body: int) -> FloatArray:
-        raise NotImplementedError
+        """Pose (4, 4) of a body in the world."""
 
+    @abstractmethod
     def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
-        raise NotImplementedError
+        """Contact points (n, 3), m, and the forces (n, 3) on the gel there, N, in the world."""
 
 
 class PyBulletContacts(_Contacts):

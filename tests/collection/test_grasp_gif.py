@@ -1,0 +1,28 @@
+"""One grasp as an animation."""
+
+import pytest
+from PIL import Image
+
+from tacgen.collection.grasp_gif import write_gif
+from tacgen.collection.recipe import load_recipe
+from tacgen.core.errors import RecipeError
+
+from ..small_world import write_world
+
+
+@pytest.mark.slow
+def test_a_grasp_becomes_an_animation(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recipe = load_recipe(write_world(tmp_path, frames="{mode: sequence, count: 3}"))
+    outcome = write_gif(recipe, 1, tmp_path / "grasp.gif")
+    assert outcome in ("success", "translational_slip", "rotational_slip")
+    with Image.open(tmp_path / "grasp.gif") as gif:
+        assert gif.height == 48
+        assert gif.n_frames == 3
+
+
+def test_a_grasp_that_is_not_in_the_recipe(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recipe = load_recipe(write_world(tmp_path))
+    with pytest.raises(RecipeError, match="--grasp 6: small has grasps 0 to 5"):
+        write_gif(recipe, 6, tmp_path / "grasp.gif")
