@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.optics.deform import deform
 from tacgen.optics.sampled_table import features
-from tacgen.optics.table import LookupTable
+from tacgen.optics.table import LookupTable, contact_at
 
 Tile = tuple[tuple[int, int], tuple[int, int]]
 
@@ -42,6 +42,9 @@ SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
 REFINEMENTS = 3
+CONTACT_PASSES = 3
+"""Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large after
+the first and 1 % after the third, and more change nothing."""
 BLUR_PX = 0.7
 CONTACT_SHARE = 0.02
 """Depths below this share of the deepest are not contact."""
@@ -127,6 +130,7 @@ class Reconstructor:
         self, table: LookupTable, background: NDArray[np.uint8], dome_radius_mm: float = 0.0
     ) -> None:
         height, width = background.shape[:2]
+        self._table = table
         self._step = max(1, round(width / MAX_WIDTH_PX))
         self._shape = height // self._step, width // self._step
         self.mm_per_px = table.mm_per_px * self._step
@@ -144,13 +148,24 @@ class Reconstructor:
         if hidden is not None:
             covered = _averaged(hidden.astype(np.float32), self._step, self._shape)
             known = (covered < 0.25).astype(np.float32)
-        change = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
-        found = self._slopes_of(change)
-        slopes = _filled(found - self._rest, known)
-        surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
-        depth = _rest_level(surface) - surface
+        seen = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
+        change = seen
+        for _ in range(1 if self._table.contact is None else CONTACT_PASSES):
+            found = self._slopes_of(change)
+            slopes = _filled(found - self._rest, known)
+            surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
+            depth = _rest_level(surface) - surface
+            change = seen - self._contact_light(found, depth)
         stderr = self._slope_stderr(found, change, (depth > 0.1 * depth.max()) & (known > 0))
         return Shape(depth, self.mm_per_px, stderr)
+
+    def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Grey levels (h, w, 3) that a contact of these slopes and depths adds."""
+        height, width = self._shape
+        rows, columns = np.indices(self._shape)
+        u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5
+        places = (part.ravel() for part in (slopes[..., 0], slopes[..., 1], depth_mm, u, v))
+        return contact_at(self._table, *places).reshape(height, width, 3)
 
     def _slope_stderr(self, slopes: FloatArray, change: FloatArray, where: BoolArray) -> float:
         """Standard error of the slopes in a region.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def score_presses(
         ball_radius_mm = ball_radius_mm or _ball_of(table)
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
     presses = usable_presses(raw, least=1)
-    return score_table(table, presses), presses
+    return score_table(table, presses, gradients=True), presses
 
 
 def _ball_of(table: LookupTable) -> float | None:
@@ -112,8 +112,20 @@ def score_text(score: TableScore | None, *, json_output: bool = False) -> str:
                 f"without a contact {ring['rmse_bare']:.2f}"
                 for ring in score.rings()[1:]
             ),
+            _likeness_line(score.likeness()),
         ]
     )
+
+
+def _likeness_line(likeness: Mapping[str, float]) -> str:
+    """SSIM, PSNR and, where it was computed, the error of the normals."""
+    line = (
+        f"  SSIM {likeness['ssim_labels']:.3f}, re-estimated {likeness['ssim_refined']:.3f}; PSNR "
+        f"{likeness['psnr_db_labels']:.1f} dB, re-estimated {likeness['psnr_db_refined']:.1f} dB"
+    )
+    if "gradient_error_deg" in likeness:
+        line += f"; normals read from the photographs {likeness['gradient_error_deg']:.1f}° off"
+    return line
 
 
 def _channels(values: list[float]) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,9 +21,13 @@ from tacgen.calibrate.lookup.press_fit import (
 from tacgen.calibrate.lookup.settings import LookupRules
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
+from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.render import Shader
+from tacgen.optics.smooth import Window
 from tacgen.optics.table import LookupTable
-from tacgen.presses.press_images import PressImages, label_mm, place_mm
+from tacgen.presses.geometry import rest_height
+from tacgen.presses.press_images import PressImages, label_mm
+from tacgen.presses.press_images import place_mm as image_place_mm
 
 _MARGIN_PX = 3
 """The renderer's differences and shadows reach this far beyond the pixels that are read."""
@@ -44,6 +50,11 @@ class PressScore:
         Pixels in each ring.
     expected_mm, refined_mm : (3,) float
         Centre and contact radius.
+    likeness : mapping
+        ``ssim_…`` and ``psnr_db_…`` (dB) of the picture within the outermost ring's square,
+        at the place as labelled and refined; where it was asked for ``gradient_error_deg``, the
+        mean angle, inside the circle, between the surface normal read from the photograph with the
+        table and that of the refined press.
     """
 
     name: str
@@ -51,6 +62,7 @@ class PressScore:
     counts: IntArray
     expected_mm: FloatArray
     refined_mm: FloatArray
+    likeness: Mapping[str, float]
 
     @property
     def n_pixels(self) -> int:
@@ -94,6 +106,13 @@ class TableScore:
             for k, (inner, outer) in enumerate(zip((0.0, *radii), radii, strict=False))
         ]
 
+    def likeness(self) -> dict[str, float]:
+        """Means over the presses of their ``likeness``."""
+        names = self.presses[0].likeness if self.presses else {}
+        return {
+            name: float(np.mean([press.likeness[name] for press in self.presses])) for name in names
+        }
+
     def as_dict(self) -> dict[str, Any]:
         """What ``tacgen calibrate score --json`` prints."""
         labels, labels_rgb = self.rmse("labels")
@@ -106,6 +125,7 @@ class TableScore:
             "n_images": len(self.presses),
             "n_pixels": self.n_pixels,
             "unit": "grey",
+            **self.likeness(),
             "rings": self.rings(),
             "images": [
                 {
@@ -113,6 +133,7 @@ class TableScore:
                     "rmse_labels": press.rmse("labels"),
                     "rmse_refined": press.rmse("refined"),
                     "n_pixels": press.n_pixels,
+                    **press.likeness,
                 }
                 for press in self.presses
             ],
@@ -142,6 +163,16 @@ class PressRenderer:
         self._render(geometry, ball_radius_mm, (0, self._shape[0], 0, self._shape[1]))
         return np.rint(np.clip(self._image, 0, 255)).astype(np.uint8)
 
+    def cut(
+        self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels
+    ) -> tuple[NDArray[np.uint8], Window]:
+        """The rectangle of the picture around ``pixels``, RGB, and where it is in the image."""
+        self._render(geometry, ball_radius_mm, self._window(pixels))
+        top, bottom = int(pixels.rows.min()), int(pixels.rows.max()) + 1
+        left, right = int(pixels.columns.min()), int(pixels.columns.max()) + 1
+        part = self._image[top:bottom, left:right]
+        return np.rint(np.clip(part, 0, 255)).astype(np.uint8), (top, bottom, left, right)
+
     def _window(self, pixels: Pixels) -> tuple[int, int, int, int]:
         height, width = self._shape
         return (
@@ -156,7 +187,7 @@ class PressRenderer:
     ) -> None:
         top, bottom, left, right = window
         rows, columns = np.mgrid[top:bottom, left:right]
-        x_mm, y_mm = place_mm(columns, rows, self._shape, self._mm_per_px)
+        x_mm, y_mm = image_place_mm(columns, rows, self._shape, self._mm_per_px)
         self._height_mm[top:bottom, left:right] = self._model.height(
             geometry, ball_radius_mm, x_mm, y_mm
         )
@@ -165,9 +196,15 @@ class PressRenderer:
 
 
 def score_table(
-    table: LookupTable, presses: PressImages, rules: LookupRules | None = None
+    table: LookupTable,
+    presses: PressImages,
+    rules: LookupRules | None = None,
+    *,
+    gradients: bool = False,
 ) -> TableScore:
     """Score a table on presses; every press must have a circle, labelled or found.
+
+    ``gradients`` also reads the surface normals back from the photographs, half a second a press.
 
     Raises
     ------
@@ -185,9 +222,72 @@ def score_table(
     expected = press_model.labels.geometry(label_mm(presses))
     expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
     rules = LookupRules() if rules is None else rules
-    return TableScore(
-        tuple(_score_press(presses, k, expected[k], renderer, rules) for k in range(len(presses)))
-    )
+    scored = [_score_press(presses, k, expected[k], renderer, rules) for k in range(len(presses))]
+    if gradients:
+        reader = Reconstructor(table, presses.background, presses.dome_radius_mm)
+        scored = [
+            replace(
+                press,
+                likeness={
+                    **press.likeness,
+                    "gradient_error_deg": _gradient_error_deg(
+                        reader, press_model, presses, k, press.refined_mm
+                    ),
+                },
+            )
+            for k, press in enumerate(scored)
+        ]
+    return TableScore(tuple(scored))
+
+
+def _gradient_error_deg(
+    reader: Reconstructor,
+    press_model: PressModel,
+    presses: PressImages,
+    k: int,
+    place_mm: FloatArray,
+) -> float:
+    """Mean angle between the normals that a photograph shows and those of a press at a place."""
+    depth = reader.shape_of(presses.images[k], presses.hidden_in(k)).depth_mm
+    rows, columns = np.indices(depth.shape)
+    x_mm, y_mm = image_place_mm(columns, rows, depth.shape, reader.mm_per_px)
+    true = press_model.height(place_mm, float(presses.ball_radius_mm[k]), x_mm, y_mm)
+    rest = rest_height(x_mm, y_mm, presses.dome_radius_mm)
+    normals = []
+    for height in (true, rest - depth):
+        gy, gx = np.gradient(height, reader.mm_per_px)
+        normals.append(np.stack([-gx, -gy, np.ones_like(gx)]) / np.sqrt(1 + gx**2 + gy**2))
+    x, y = label_mm(presses)[k, :2]
+    radius_mm = presses.radius_px[k] * presses.mm_per_px
+    inside = np.hypot(x_mm - x, y_mm - y) < radius_mm
+    cosine = np.clip((normals[0] * normals[1]).sum(axis=0)[inside], -1.0, 1.0)
+    return float(np.degrees(np.arccos(cosine)).mean())
+
+
+def psnr_db(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) -> float:
+    """Peak signal-to-noise ratio, dB, of 8-bit pictures; 99 where they are equal."""
+    square = float(((real.astype(np.float64) - rendered) ** 2).mean())
+    return float(min(10 * np.log10(255.0**2 / max(square, 1e-12)), 99.0))
+
+
+def structural_similarity(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) -> float:
+    """Mean structural similarity of 8-bit pictures (H, W, 3), over pixels and channels.
+
+    Source
+    ------
+    Wang et al. 2004, Image quality assessment, Eq. 13: Gaussian window of 1.5 px, K = 0.01, 0.03.
+    """
+    x, y = real.astype(np.float64), rendered.astype(np.float64)
+
+    def mean(image: FloatArray) -> FloatArray:
+        return np.asarray(cv2.GaussianBlur(image, (11, 11), 1.5))
+
+    mean_x, mean_y = mean(x), mean(y)
+    spread = mean(x * x) - mean_x**2 + mean(y * y) - mean_y**2
+    together = mean(x * y) - mean_x * mean_y
+    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    similarity = (2 * mean_x * mean_y + c1) * (2 * together + c2)
+    return float((similarity / ((mean_x**2 + mean_y**2 + c1) * (spread + c2))).mean())
 
 
 def press_model_of(table: LookupTable, presses: PressImages) -> PressModel:
@@ -227,13 +327,21 @@ def _score_press(
             scored = pixels.select(scoring)
             errors[1, scoring] = scored.grey - renderer.grey(place, ball, scored)
         places.append(place)
+    refined = np.mean(places, axis=0)
+    likeness = {}
+    for name, place in (("labels", expected), ("refined", refined)):
+        rendered, (top, bottom, left, right) = renderer.cut(place, ball, pixels)
+        real = presses.images[k, top:bottom, left:right]
+        likeness[f"ssim_{name}"] = structural_similarity(real, rendered)
+        likeness[f"psnr_db_{name}"] = psnr_db(real, rendered)
     squares = [(errors[:, ring == k] ** 2).sum(axis=1) for k in range(len(rules.ring_radii))]
     return PressScore(
         name=presses.names[k],
         squares=np.array(squares),
         counts=np.bincount(ring, minlength=len(rules.ring_radii)),
         expected_mm=expected,
-        refined_mm=np.mean(places, axis=0),
+        refined_mm=refined,
+        likeness=likeness,
     )
 
 

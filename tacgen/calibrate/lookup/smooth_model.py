@@ -101,6 +101,10 @@ def design(terms: FloatArray, position: FloatArray) -> FloatArray:
     return (terms[:, :, None] * position[:, None, :]).reshape(len(terms), -1)
 
 
+TILT_COST = 1000.0
+"""And more for the contact's terms in nx and ny: what the slope itself explains is the slope's, or
+a picture read backwards shows contacts too wide."""
+
 LIGHT_COST = float(np.exp(-1.0))
 """The ridge charges less for the light than for a constant: that a slope's change is in proportion
 to the light at its place is what physics expects."""
@@ -110,7 +114,9 @@ def ridge_costs(degree: int, position_degree: int) -> FloatArray:
     """Diagonal (n_light_terms · n_features,): e times as much for each power of position."""
     orders = [float(k) for k in range(position_degree + 1) for _ in range(k + 1)]
     cost = np.append(np.exp(orders), np.full(N_LIGHT, LIGHT_COST))
-    return np.tile(cost, n_light_terms(degree))
+    terms = np.ones(n_light_terms(degree))
+    terms[-2:] = TILT_COST
+    return np.outer(terms, cost).ravel()
 
 
 CONTACT_DEPTH_MM = 1.0
