@@ -43,8 +43,8 @@ SEARCH_PRIOR_GREY = 3.0
 pixels start at a steep slope of like colour, and stay there."""
 REFINEMENTS = 3
 CONTACT_PASSES = 3
-"""Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large after
-the first and 1 % after the third, and more change nothing."""
+"""Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large
+after the first and 1 % after the third, and more change nothing."""
 BLUR_PX = 0.7
 CONTACT_SHARE = 0.02
 """Depths below this share of the deepest are not contact."""
