@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -112,6 +113,17 @@ def require_numpy(bullet: ModuleType) -> ModuleType:
     return bullet
 
 
+class _Client:
+    """PyBullet's constants, and its functions bound to a new client."""
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module, self._number = module, module.connect(module.DIRECT)
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._module, name)
+        return partial(found, physicsClientId=self._number) if callable(found) else found
+
+
 class World:
     """A DIRECT client with a table at z = 0; a context manager. Lengths are in metres."""
 
@@ -128,9 +140,8 @@ class World:
         return self._client
 
     def __enter__(self) -> World:
-        from pybullet_utils.bullet_client import BulletClient
-
-        self._client = BulletClient(self._module.DIRECT)
+        # Not `pybullet_utils.bullet_client`: that prints a line for every client.
+        self._client = _Client(self._module)
         if not self._client.isConnected():
             msg = "PyBullet accepts no further client in this process; close other simulators first"
             raise PhysicsError(msg)
