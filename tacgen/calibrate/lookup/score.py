@@ -249,8 +249,8 @@ def _gradient_error_deg(
 ) -> float:
     """Mean angle between the normals that a photograph shows and those of a press at a place."""
     depth = reader.shape_of(presses.images[k], presses.hidden_in(k)).depth_mm
-    rows, columns = np.indices(depth.shape)
-    x_mm, y_mm = image_place_mm(columns, rows, depth.shape, reader.mm_per_px)
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    x_mm, y_mm = image_place_mm(columns, rows, (len(depth), depth.shape[1]), reader.mm_per_px)
     true = press_model.height(place_mm, float(presses.ball_radius_mm[k]), x_mm, y_mm)
     rest = rest_height(x_mm, y_mm, presses.dome_radius_mm)
     normals = []
