@@ -11,9 +11,9 @@ from pathlib import Path
 from tacgen.cluster.records import Submission
 from tacgen.core.errors import ClusterError
 
-SCHEDULER_TIMEOUT_S = 60
+SCHEDULER_TIMEOUT_S = 60  # a slurmctld that is only busy answers earlier
 _RUNNING = {"RUNNING", "COMPLETING", "STOPPED", "SUSPENDED"}
-_DEFAULT_MAX_ARRAY = 1000
+_DEFAULT_MAX_ARRAY = 1000  # Slurm's default MaxArraySize, less one
 
 
 def live_jobs(submissions: Iterable[Submission]) -> dict[str, tuple[str, str]] | None:

@@ -23,7 +23,7 @@ from tacgen.dataset.manifest import ShardLine
 ALIVE = ("queued", "running", "unknown")
 """States of a job that has not ended, or may not have (where that is unknown)."""
 
-RATE_WINDOW_S = 600.0
+RATE_WINDOW_S = 600.0  # short enough to follow a queue that speeds up or slows down
 RATE_SHARDS = 200
 """The rate is that of the shards that were finished last: at most so long ago, and so many."""
 

@@ -29,7 +29,7 @@ EXECUTORS = ("local", "slurm")
 COMMANDS = ("friction", "train")
 """Long commands that write into ``--out`` and, run again, resume."""
 
-SIGNAL_DELAY_S = 60
+SIGNAL_DELAY_S = 60  # time to finish and write a shard before the limit
 _A_WEEK_MIN = 7 * 24 * 60
 _POLL_S = 1.0
 

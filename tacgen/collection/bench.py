@@ -33,7 +33,7 @@ FRAME_OBJECT = "tomato_soup_can"
 FRAME_VOLUME_MM3 = 40.0
 """About what 8 N press into the default gel."""
 GRASP = {"force_n": 10.0, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0}
-SEQUENCE_FRAMES = 24
+SEQUENCE_FRAMES = 24  # of the default recipe
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from tacgen.objects.description import read_description
 from tacgen.physics.settings import force_problem
 
 AXES = ("force_n", "x_mm", "y_mm", "z_mm")
-MAX_GRASPS = 10_000_000
+MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
 
 # Streams of a recipe's random numbers; an object's own number follows, so that adding an object
 # changes nothing for those before it.

@@ -19,8 +19,8 @@ from tacgen.dataset.card import write_card
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.gallery import Card, CardMaker, write_gallery
 
-CARDS_A_TASK = 5
-CARD_LIMIT_S = 60.0
+CARDS_A_TASK = 5  # pictures that a worker draws before it reports
+CARD_LIMIT_S = 60.0  # far beyond the time of a picture: the worker hangs
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from tacgen.physics.gripper import (
     PAD_WIDTH_MM,
 )
 
-PICTURE_PX = (150, 200)
+PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
 
 _PAD_COLOR, _FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, PrivateAttr
 
-MAX_AXIS_VALUES = 10_000
+MAX_AXIS_VALUES = 10_000  # more is a misspelt axis
 
 
 class Section(BaseModel):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-MAX_SIDE_PX = 8192
+MAX_SIDE_PX = 8192  # larger than any tactile camera's image
 MAX_ARCHIVE_BYTES = 4 << 30
 """What the arrays of an archive may take together."""
 

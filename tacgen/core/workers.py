@@ -40,17 +40,17 @@ from tacgen.core.errors import TacgenError
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 ONE_THREAD = dict.fromkeys((*_POOLS, "VECLIB_MAXIMUM_THREADS"), "1")
 
-_PR_SET_PDEATHSIG = 1
+_PR_SET_PDEATHSIG = 1  # from linux/prctl.h
 _START_TRIES, _START_PAUSE_S = 20, 0.05
 
 
-MAX_KILLS_PER_TASK = 5
-MAX_CRASHES_IN_A_ROW = 3
+MAX_KILLS_PER_TASK = 5  # an item that ends a worker this often is at fault itself
+MAX_CRASHES_IN_A_ROW = 3  # with different items: then the machine is at fault
 _NATIVE_CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL}
 SILENCE_LIMIT_S = 600.0
 """Between items, where a worker opens and writes files; after that it is ended and replaced."""
-_POLL_S = 1.0
-_LONGEST_LOOK_S = 5.0
+_POLL_S = 1.0  # how late a dead worker is noticed at most
+_LONGEST_LOOK_S = 5.0  # longer pauses are those of a suspended machine, not of a hanging worker
 
 Report = Callable[[str, int, Any], None]
 """Called by a job with ("start", item, None) and then ("item", item, anything to show)."""

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from tacgen.core.config import set_folders
 from tacgen.core.errors import RecipeError, TacgenError, did_you_mean
 
-MAX_BYTES = 1 << 20
+MAX_BYTES = 1 << 20  # no recipe has as much text
 MAX_NODES = 200_000
 """Bounds on a file's size and on what its aliases may unfold to."""
 

@@ -47,7 +47,7 @@ def tally(grasps: Iterable[Outcome]) -> dict[str, Any]:
 
 
 Decode = Literal["none", "first", "all"]
-_MAX_NAMED = 5
+_MAX_NAMED = 5  # enough to see a pattern in a message
 
 
 def byte_problems(path: Path, line: ShardLine) -> list[str]:

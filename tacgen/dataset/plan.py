@@ -15,7 +15,7 @@ from tacgen.core.files import read_small_text, sync_directory, sync_file
 from tacgen.core.version import VERSION
 from tacgen.dataset.samples import DatasetSpec
 
-MAX_PLAN_BYTES = 1 << 20
+MAX_PLAN_BYTES = 1 << 20  # a plan has some kilobytes
 _NO_LINKS_HERE = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 
 

@@ -24,7 +24,7 @@ from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 if TYPE_CHECKING:
     from tacgen.dataset.torch_dataset import TorchGrasps
 
-_MAX_OPEN = 8
+_MAX_OPEN = 8  # shards kept open; far below any limit on open files
 
 
 class Dataset:

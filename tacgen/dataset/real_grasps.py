@@ -23,8 +23,8 @@ BACKGROUND = "background.png"
 """Image of the undeformed gel, where there is one."""
 ABOUT = "about.json"
 """Says ``simulated: true`` where no robot made the grasps; a robot's folder needs none."""
-MAX_BYTES = 256 << 20
-MAX_PROBLEMS_SHOWN = 20
+MAX_BYTES = 256 << 20  # some million grasps
+MAX_PROBLEMS_SHOWN = 20  # enough to see a pattern in a message
 
 
 @dataclass(frozen=True, slots=True)

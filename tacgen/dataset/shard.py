@@ -23,7 +23,7 @@ from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
 from tacgen.dataset.schema import FORMAT_VERSION, PADS, ArraySpec, Layout
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
-MAX_TEXT_BYTES = 256
+MAX_TEXT_BYTES = 256  # of a name or status; more is damage
 # What h5py raises on a file that is damaged, truncated or not one at all.
 _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError, MemoryError)
 

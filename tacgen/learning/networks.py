@@ -19,7 +19,7 @@ from tacgen.learning.training_recipe import TrainingOptions
 CLASSES = 2
 DROPOUT = 0.2
 LSTM_LAYERS, LSTM_UNITS, SEQUENCE_HIDDEN = 3, 128, 64
-SINGLE_HIDDEN = 256
+SINGLE_HIDDEN = 256  # the paper's
 
 
 class StabilityNet(nn.Module):

@@ -8,9 +8,9 @@ import numpy as np
 from tacgen.core.records import Mesh
 from tacgen.objects.shapes.shape import from_manifold, hull, to_manifold
 
-MAX_PARTS = 24
-MAX_PART_VERTICES = 128
-DETAIL_MM = 0.2
+MAX_PARTS = 24  # PyBullet's time a step grows with the parts
+MAX_PART_VERTICES = 128  # limits PyBullet's time a step
+DETAIL_MM = 0.2  # finest detail that the search for convex parts sees
 CONCAVITY = 0.05
 """CoACD's threshold: the concavity left, as a share of the object's size."""
 

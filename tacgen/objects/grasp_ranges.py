@@ -11,9 +11,9 @@ from tacgen.core.records import Mesh
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.objects.shading import depth_view, view_axes
 
-STROKE_MM = 110.0
-MARGIN_MM = 5.0
-PAD_MM = (20.0, 16.0)
+STROKE_MM = 110.0  # opening of the WSG-50 (datasheet)
+MARGIN_MM = 5.0  # to either side between open pads and the object
+PAD_MM = (20.0, 16.0)  # width and height of the sensing surface
 LOWEST_PAD_MM = 10.5
 """Height of the pad's centre at which its lower edge clears the table."""
 MIN_FORCE_N, MAX_FORCE_N = 1.0, 40.0
@@ -29,6 +29,7 @@ FACET_WIDTH_MM = 0.5
 FACET_AREA_SHARE = 0.1
 """A tenth of the surface: less is a rounded edge."""
 THRESHOLD_SHARES = (0.4, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0)
+"""Of the least holding force: from certain failure to certain success."""
 
 
 def suggest_ranges(

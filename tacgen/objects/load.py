@@ -17,8 +17,8 @@ from tacgen.objects.description import ObjectDescription, read_description
 from tacgen.objects.shapes import BUILDERS, Shape
 from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
 
-MAX_FILE_BYTES = 512 << 20
-MAX_PARTS = 256
+MAX_FILE_BYTES = 512 << 20  # far more than any mesh in use
+MAX_PARTS = 256  # far more than the import makes
 
 
 def read_surface(path: Path, scale_mm: float) -> Mesh:

@@ -23,8 +23,8 @@ FORMATS = ("obj", "stl", "ply", "glb")
 STROKE_MM = 110.0
 """Opening of the WSG-50 (datasheet)."""
 SMALLEST_MM, LARGEST_MM = 2.0, 1000.0
-MAX_TRIANGLES = 2_000_000
-MANY_TRIANGLES = 200_000
+MAX_TRIANGLES = 2_000_000  # limits the time and memory of the import
+MANY_TRIANGLES = 200_000  # from here on frames become slower
 MAX_HOLE_SHARE = 0.15
 """A hole is filled if its rim is at most this share of the mesh's diagonal."""
 

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-_BITS = 12
+_BITS = 12  # 4096 quantiles of the normal distribution: finer than a grey level's rounding
 _LEVELS = 1 << _BITS
 
 

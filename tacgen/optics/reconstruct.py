@@ -29,8 +29,8 @@ MAX_WIDTH_PX = 320
 """Pictures are averaged down to about this width: a shape needs no more, and noise goes."""
 TILE_PX = 32
 """Over so few pixels the table's dependence on place is a small correction to a first guess."""
-GRID_NODES = 101
-STEEPEST_RAD = 1.25
+GRID_NODES = 101  # slopes a side: steps of 0.06, refined afterwards
+STEEPEST_RAD = 1.25  # of the slopes searched; tables seldom reach further
 PLACES = 13
 """Nodes of position, each way, of a table that is a quadratic in position."""
 LONGEST_STEP_NODES = 2.0
@@ -41,11 +41,11 @@ flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
 SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
-REFINEMENTS = 3
+REFINEMENTS = 3  # of each slope between the grid's nodes
 CONTACT_PASSES = 3
 """Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large
 after the first and 1 % after the third, and more change nothing."""
-BLUR_PX = 0.7
+BLUR_PX = 0.7  # lowers the camera's noise; below a contact's finest feature
 CONTACT_SHARE = 0.02
 """Depths below this share of the deepest are not contact."""
 UNBENDING_PASSES = 4

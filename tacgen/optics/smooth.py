@@ -16,7 +16,7 @@ Window = tuple[int, int, int, int]
 COARSEST = 4
 """The largest number of pixels, along a side, that a wide Gaussian averages into one."""
 
-_REACH_SIGMAS = 3.0
+_REACH_SIGMAS = 3.0  # beyond it a Gaussian has 0.3 % of its sum
 
 
 def grown(window: Window, margin_px: int, shape_px: tuple[int, int]) -> Window:

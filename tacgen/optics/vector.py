@@ -15,7 +15,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-_LANES = 8
+_LANES = 8  # floats in an AVX register
 NODE_FLOATS = 24
 """Floats of a node: six features of four lanes, red, green, blue and one unused."""
 

@@ -10,10 +10,10 @@ import numpy as np
 from tacgen.core.arrays import FloatArray
 from tacgen.physics.frames import Pose, pose, twice_sine
 
-A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
-D_M = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
+A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)  # Universal Robots, DH parameters of the UR5e
+D_M = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)  # the same source
 ALPHA_RAD = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
-LINK_MASS_KG = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
+LINK_MASS_KG = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)  # the same source
 LINK_CENTER_OF_MASS_M = (
     (0.0, -0.02561, 0.00193),
     (0.2125, 0.0, 0.11336),
@@ -24,9 +24,10 @@ LINK_CENTER_OF_MASS_M = (
 )
 """In the frame after each joint."""
 JOINT_TORQUE_LIMIT_N_M = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
+"""Universal Robots, datasheet of the UR5e."""
 JOINT_LIMIT_RAD = 2 * np.pi
 
-POSITION_TOLERANCE_M = 1e-7
+POSITION_TOLERANCE_M = 1e-7  # far below a pixel of the sensor
 ANGLE_TOLERANCE_RAD = 1e-7
 """Far below what moves a label (0.1 mm)."""
 _ITERATIONS = 200

@@ -45,8 +45,8 @@ follows wide contacts."""
 DRIFT_STEPS = 6
 """Of reweighting: after these a contact of a third of the image no longer moves the drift."""
 
-N_DIRECTIONS = 96
-PROFILE_STEP_PX = 0.25
+N_DIRECTIONS = 96  # every 3.75 degrees: some pixels apart at the rim
+PROFILE_STEP_PX = 0.25  # finer than the image resolves
 MIN_EDGE_DIRECTIONS = 0.4
 """Share of the directions in which an edge must be seen."""
 

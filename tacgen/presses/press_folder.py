@@ -43,7 +43,7 @@ TAXIM_FULL_MM_PER_PX, TAXIM_FULL_WIDTH_PX = 0.0295, 640
 TAXIM_BALL_RADIUS_MM = 2.0
 """Source: Taxim, branch data-collection: a ball of 4 mm diameter."""
 
-BALLS_MM = (0.1, 200.0)
+BALLS_MM = (0.1, 200.0)  # radius
 WIDTHS_MM = (1.0, 150.0)
 """What ball radii and widths of a picture can be; others are in another unit."""
 

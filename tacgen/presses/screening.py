@@ -14,7 +14,7 @@ from tacgen.presses.circles import Circle, find_circle, outside_share
 from tacgen.presses.dots import coarse, dots_in, printed_dots
 from tacgen.presses.press_images import DroppedPress, PressImages
 
-MIN_PRESSES = 3
+MIN_PRESSES = 3  # fewer cannot separate light from place
 
 MAX_OUTSIDE = 0.25
 """A contact may lie out of view by this share of its circle."""

@@ -17,7 +17,7 @@ Image = NDArray[np.uint8]
 
 JPEG_QUALITY = 82
 """No artefact is seen in a tactile image at the sizes that a gallery shows."""
-MIDDLE_GREY = 128
+MIDDLE_GREY = 128  # shown for no difference
 GAP_PX = 4
 """White between images of a strip."""
 

@@ -16,8 +16,8 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.records import Estimate
 from tacgen.rig.rig_recipe import RigEffect, RigRecipe
 
-MAX_DOUBLINGS = 40
-LARGEST_START = 1e-3
+MAX_DOUBLINGS = 40  # a trillion times the start: no magnitude is larger
+LARGEST_START = 1e-3  # small against the strength of any effect
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from tacgen.rig.images import rig_sensor, write_images
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import NOISE, press_rng, true_session
 
-DECIMALS = 6
+DECIMALS = 6  # below any sensor's resolution
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,11 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import yaml
+from PIL import Image
 
 import tacgen
 from tacgen.contact.gel import gel_map_mm
@@ -35,7 +36,7 @@ SENSORS = {
 }
 """Distance of the lamps in mm, gamma, paint, ambient light and glare. The first was looked at while
 the augmentation was chosen, the second was not; its imprints have half of the shipped contrast."""
-WORLDS = {
+WORLDS: dict[str, dict[str, Any]] = {
     "near_lamps": {"object": "tomato_soup_can", "k_n": 5.8, "friction": 0.335, "gain": 1.03},
     "far_lamps": {"object": "sugar_box", "k_n": 4.7, "friction": 0.42, "gain": 0.97},
 }
@@ -111,8 +112,8 @@ def run(name: str, folder: Path, recipe: str, workers: int) -> None:
     if not real.is_dir():
         export_dataset(other, real, "real-grasps", split="test")
         for picture in real.rglob("*.png"):
-            grey = cv2.imread(str(picture)).astype(float) * WORLDS[name]["gain"]
-            cv2.imwrite(str(picture), np.rint(np.clip(grey, 0, 255)).astype(np.uint8))
+            grey = np.asarray(Image.open(picture)) * WORLDS[name]["gain"]
+            Image.fromarray(np.rint(np.clip(grey, 0, 255)).astype(np.uint8)).save(picture)
     trained = folder / f"{name}_{recipe}"
     train(load_train_recipe(recipe), data, trained, workers=1)
     for where in ({"data": data}, {"real": real}):

@@ -22,8 +22,8 @@ from tacgen.presses.press_log import column_names, column_problems, numeric_colu
 
 RADII_MM = (0.1, 100.0)
 """Indenters outside this range are no balls that a gel is pressed with."""
-MIN_SAMPLES = 8
-N_STARTS = 13
+MIN_SAMPLES = 8  # two for each of the four parameters of a curve
+N_STARTS = 13  # contact points tried along a curve: its loss has several minima
 MIN_SHARED_P = 0.05
 """p of the F test below which one k_n for all curves is given up; the usual 5 %."""
 

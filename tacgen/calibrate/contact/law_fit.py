@@ -31,7 +31,7 @@ DISAGREEMENT_P = 0.01
 STRUCTURE_FACTOR = 1.5
 """Held-out errors this many times a sample's own noise are no noise."""
 
-MAX_FOLDS = 20
+MAX_FOLDS = 20  # limits the time of cross-validation over presses
 MIN_SAMPLES_FOR_NOISE = 10
 """In shorter presses neighbouring samples are too far apart to show a sample's own noise."""
 BLOCKS_OF_A_TRIAL = 8

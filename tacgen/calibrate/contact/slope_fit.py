@@ -23,8 +23,8 @@ from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 
 TUKEY = 4.685
 """95 % efficiency at normal noise (Holland & Welsch 1977)."""
-MAX_ITERATIONS = 100
-TOLERANCE = 1e-9
+MAX_ITERATIONS = 100  # of reweighting; it ends earlier where it has converged
+TOLERANCE = 1e-9  # relative; far below any standard error
 SCALE_ITERATIONS = 5
 """The residuals' scale is settled by then; a median that flickers would never let it end."""
 LOADED_SHARE = 0.1
@@ -35,7 +35,7 @@ MAX_OUTLYING_SHARE = 0.2
 """More presses than this that stick out are no outliers but how much presses differ."""
 WIDENINGS = (1.0, 1.7, 3.0, 5.0, 10.0, 30.0, 1e3)
 """Factors on the outlier bound, tried in turn until no more than that share sticks out."""
-NORMAL_975 = 1.959963984540054
+NORMAL_975 = 1.959963984540054  # 97.5 % quantile of the standard normal
 
 
 @dataclass(frozen=True, slots=True)

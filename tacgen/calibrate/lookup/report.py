@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 MAX_PICTURES, SHOWN_FIRST = 40, 6
 """Presses that the page shows, and those of them at its top, from the best to the worst."""
-PICTURE_WIDTH_PX = 320
-DIFFERENCE_GAIN = 4
+PICTURE_WIDTH_PX = 320  # four pictures fit into a page's width
+DIFFERENCE_GAIN = 4  # errors of a few grey levels become visible
 MAX_CANDIDATES = 10
 """Settings in the ranking."""
 RADIUS_EDGES = np.linspace(0, 2.5, 26)

@@ -45,7 +45,7 @@ from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.diagnose.contact.selection import Attribution, Selection
 from tacgen.presses.press_log import read_press_log
 
-SEED = 20220804
+SEED = 20220804  # any; results are repeatable
 
 
 def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")) -> Diagnosis:

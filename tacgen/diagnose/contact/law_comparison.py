@@ -22,9 +22,9 @@ from tacgen.report.images import difference, evenly, side_by_side
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import TactileFrame
 
-STRIP_FRAMES = 6
-THUMBNAIL_WIDTH_PX = 170
-DIFFERENCE_GAIN = 4
+STRIP_FRAMES = 6  # what a page's width holds
+THUMBNAIL_WIDTH_PX = 170  # six fit into a page's width
+DIFFERENCE_GAIN = 4  # differences of a few grey levels become visible
 
 
 def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, path: Path) -> None:

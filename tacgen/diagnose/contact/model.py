@@ -13,7 +13,7 @@ from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import Covariate
 
-_MAX_STEPS = 25
+_MAX_STEPS = 25  # of Gauss-Newton; it ends earlier where it has converged
 _MAX_LOG_STEP = 0.5
 """Longest step of what is fitted on a logarithmic scale: a factor of 1.6 each."""
 

@@ -18,7 +18,7 @@ from tacgen.report.images import difference, side_by_side
 
 SHOWN = 3
 """Test presses that the page shows before and after."""
-DIFFERENCE_GAIN = 3
+DIFFERENCE_GAIN = 3  # differences of a few grey levels become visible
 REACH = 1.7
 """Half the width of a picture in contact radii: a little more than the fit looks at."""
 

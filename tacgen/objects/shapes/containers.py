@@ -65,7 +65,7 @@ def squeeze_bottle(
     return Shape(loft(rings), parts)
 
 
-_BASE_MM = 4.0
+_BASE_MM = 4.0  # radius of the fillet at the bottom
 _SHOULDER = np.array(
     [
         # height, half width and half length (1 body, 0 neck), boxiness

@@ -32,8 +32,8 @@ from tacgen.objects.shapes.shape import (
     union,
 )
 
-POLYPROPYLENE_KG_M3 = 910.0
-STEEL_KG_M3 = 7850.0
+POLYPROPYLENE_KG_M3 = 910.0  # textbook density
+STEEL_KG_M3 = 7850.0  # textbook density
 
 _BLADE = np.array(
     [

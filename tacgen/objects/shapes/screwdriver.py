@@ -19,8 +19,8 @@ from tacgen.objects.shapes.shape import (
     slab_hulls,
 )
 
-ACETATE_KG_M3 = 1280.0
-STEEL_KG_M3 = 7850.0
+ACETATE_KG_M3 = 1280.0  # cellulose acetate, textbook density
+STEEL_KG_M3 = 7850.0  # textbook density
 
 _HANDLE = np.array(
     [

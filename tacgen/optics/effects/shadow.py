@@ -30,7 +30,7 @@ FIRST_STRENGTH = 0.4
 """Where a fit begins: half of what is expected of a lamp at a side."""
 UNLIT_QUANTILE = 0.002
 """Of the changes of colour: the darkest, a few noisy pixels aside, is where no light arrives."""
-REACH_RADII = 2.4
+REACH_RADII = 2.4  # beyond the pixels that the fit looks at
 CELLS_PER_RADIUS = 24
 """How far, and how finely, a ball's dent is drawn to cast its shadows in a fit: beyond the pixels
 that are looked at, and to a hundredth of the contact."""
