@@ -79,7 +79,7 @@ def _spread(n: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Places (n, 2) in [−1, 1]², one in each cell of a grid, anywhere within it."""
     side = round(n**0.5)
     cells = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2)
-    return (cells + rng.random(cells.shape)) / side * 2 - 1
+    return np.asarray((cells + rng.random(cells.shape)) / side * 2 - 1)
 
 
 def make_default_table(sensor: Sensor) -> LookupTable:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -28,7 +30,7 @@ NEGLIGIBLE_MM = 1e-5
 
 @njit(cache=True, nogil=True)
 def _keep_contact(
-    depth: NDArray, window: Window, loose_mm: float, firm_mm: float, surface: NDArray
+    depth: NDArray[Any], window: Window, loose_mm: float, firm_mm: float, surface: NDArray[Any]
 ) -> None:
     """Hold the surface to the object: not at all up to loose, wholly from firm on."""
     top, bottom, left, right = window
@@ -41,7 +43,7 @@ def _keep_contact(
 
 
 @njit(cache=True, nogil=True)
-def _clear_negligible(surface: NDArray, least_mm: float) -> tuple[int, int, int, int]:
+def _clear_negligible(surface: NDArray[Any], least_mm: float) -> tuple[int, int, int, int]:
     """Set what is below ``least_mm`` to 0; returns the rectangle of the rest, empty if none."""
     height, width = surface.shape
     least = np.float32(least_mm)
@@ -88,7 +90,7 @@ class Deformer:
         self._firm_contact = firm_contact
         self._memory = np.empty((3, 0), dtype=np.float32)
 
-    def _maps(self, height: int, width: int) -> tuple[NDArray, NDArray, NDArray]:
+    def _maps(self, height: int, width: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Three maps of a size, in memory that is kept: new pages would cost as much as a blur."""
         if self._memory.shape[1] < height * width:
             self._memory = np.empty((3, height * width), dtype=np.float32)

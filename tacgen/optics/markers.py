@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -16,7 +17,11 @@ INK_TRANSMISSION = 0.25
 
 @njit(cache=True, nogil=True)
 def _draw(
-    image: NDArray, columns: NDArray, rows: NDArray, radius: float, transmission: float
+    image: NDArray[Any],
+    columns: NDArray[Any],
+    rows: NDArray[Any],
+    radius: float,
+    transmission: float,
 ) -> None:
     n_rows, n_columns = image.shape[0], image.shape[1]
     reach = radius + 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -14,11 +16,13 @@ _LEVELS = 1 << _BITS
 def _normal_quantiles() -> NDArray[np.float32]:
     """Equally likely values of a standard normal, scaled to unit variance: ±3.7 at most."""
     values = ndtri((np.arange(_LEVELS) + 0.5) / _LEVELS)
-    return (values / np.sqrt(np.mean(values**2))).astype(np.float32)
+    return np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
 
 
 @njit(cache=True, nogil=True)
-def _add(image: NDArray, words: NDArray, quantiles: NDArray, sigma: np.float32) -> None:
+def _add(
+    image: NDArray[Any], words: NDArray[Any], quantiles: NDArray[Any], sigma: np.float32
+) -> None:
     flat = image.reshape(-1)
     for k in range(flat.shape[0]):
         flat[k] += sigma * quantiles[words[k] >> 4]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -245,7 +246,9 @@ class Reconstructor:
 
 
 @njit(cache=True, nogil=True)
-def _interpolate(grid: NDArray, steepest: float, slopes: NDArray, colors: NDArray) -> None:
+def _interpolate(
+    grid: NDArray[Any], steepest: float, slopes: NDArray[Any], colors: NDArray[Any]
+) -> None:
     """Linear interpolation of ``grid`` (see ``_cartesian``) at slopes (h, w, 2), each at its
     place; into ``colors`` (3, h, w, 3) go the grey levels and their derivatives by both slopes.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -87,7 +88,13 @@ def _atan_of_quotient(numerator, denominator):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _gradients(
-    height_mm: NDArray, r: int, left: int, right: int, mm_per_px: float, gx: NDArray, gy: NDArray
+    height_mm: NDArray[Any],
+    r: int,
+    left: int,
+    right: int,
+    mm_per_px: float,
+    gx: NDArray[Any],
+    gy: NDArray[Any],
 ) -> None:
     """Slopes along x and y of the pixels [left, right) of row r, by central differences."""
     n_rows, n_columns = height_mm.shape
@@ -113,15 +120,15 @@ def _gradients(
 
 @njit(cache=True, nogil=True)
 def _contact_row(
-    height_mm: NDArray,
-    rest_mm: NDArray,
-    gx: NDArray,
-    gy: NDArray,
-    nodes: NDArray,
-    column: NDArray,
-    across: NDArray,
+    height_mm: NDArray[Any],
+    rest_mm: NDArray[Any],
+    gx: NDArray[Any],
+    gy: NDArray[Any],
+    nodes: NDArray[Any],
+    column: NDArray[Any],
+    across: NDArray[Any],
     depth_mm: float,
-    target: NDArray,
+    target: NDArray[Any],
 ) -> None:
     """Grey levels (3 · width,) that the contact itself adds to a row of pixels.
 
@@ -156,7 +163,9 @@ def _contact_row(
 
 
 @njit(cache=True, nogil=True)
-def _to_coordinates(gx: NDArray, gy: NDArray, per_slope: float, per_direction: float) -> None:
+def _to_coordinates(
+    gx: NDArray[Any], gy: NDArray[Any], per_slope: float, per_direction: float
+) -> None:
     """Turn slopes into coordinates in the table: gx into the direction's, gy into the slope's."""
     half_turn = np.float32(math.pi)
     for k in range(gx.shape[0]):
@@ -171,13 +180,13 @@ def _to_coordinates(gx: NDArray, gy: NDArray, per_slope: float, per_direction: f
 
 @njit(cache=True, nogil=True)
 def _place_in_table(
-    slope: NDArray,
-    direction: NDArray,
+    slope: NDArray[Any],
+    direction: NDArray[Any],
     n_slope: int,
     n_direction: int,
     interpolate: bool,
     node_floats: int,
-    offset: NDArray,
+    offset: NDArray[Any],
 ) -> None:
     """Turn coordinates into the node below (its offset) and the shares of the next ones."""
     last_slope = np.int32(n_slope - 2 if interpolate else n_slope - 1)
@@ -194,15 +203,15 @@ def _place_in_table(
 
 @njit(cache=True, nogil=True)
 def shade_window(
-    height_mm: NDArray,
+    height_mm: NDArray[Any],
     window: Window,
     mm_per_px: float,
-    nodes: NDArray,
+    nodes: NDArray[Any],
     max_slope_rad: float,
     interpolate: bool,
-    along: tuple[NDArray, NDArray],
-    background: NDArray,
-    image: NDArray,
+    along: tuple[NDArray[Any], NDArray[Any]],
+    background: NDArray[Any],
+    image: NDArray[Any],
 ) -> None:
     """Write background + polynomial into ``image`` (H, W, 3) float32, within ``window``.
 
@@ -256,15 +265,15 @@ def shade_window(
 
 @njit(cache=True, nogil=True)
 def shade_response(
-    height_mm: NDArray,
+    height_mm: NDArray[Any],
     window: Window,
     mm_per_px: float,
-    response: NDArray,
+    response: NDArray[Any],
     max_slope_rad: float,
-    background: NDArray,
-    image: NDArray,
-    rest_mm: NDArray,
-    contact: NDArray,
+    background: NDArray[Any],
+    image: NDArray[Any],
+    rest_mm: NDArray[Any],
+    contact: NDArray[Any],
     contact_depth_mm: float,
 ) -> None:
     """Write background + response + contact into ``image`` (H, W, 3) float32, within ``window``.
@@ -356,7 +365,7 @@ def shade_response(
 
 
 @njit(cache=True, nogil=True)
-def quantize(image: NDArray, window: Window, rgb: NDArray) -> None:
+def quantize(image: NDArray[Any], window: Window, rgb: NDArray[Any]) -> None:
     """Round ``image`` to 8 bits within ``window``."""
     top, bottom, left, right = window
     for r in range(top, bottom):

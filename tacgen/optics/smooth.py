@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -42,7 +43,9 @@ def aligned(window: Window, step_px: int, shape_px: tuple[int, int]) -> Window:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _add_taps(out: NDArray, kernel: NDArray, j: int, lower: tuple, upper: tuple) -> None:
+def _add_taps(
+    out: NDArray[Any], kernel: NDArray[Any], j: int, lower: tuple[Any, ...], upper: tuple[Any, ...]
+) -> None:
     """Add four taps on each side, j to j + 3, in one walk along the row."""
     b0, b1, b2, b3 = lower
     a0, a1, a2, a3 = upper
@@ -54,7 +57,9 @@ def _add_taps(out: NDArray, kernel: NDArray, j: int, lower: tuple, upper: tuple)
 
 
 @njit(cache=True, nogil=True)
-def _blur_rows(source: NDArray, window: Window, kernel: NDArray, target: NDArray) -> None:
+def _blur_rows(
+    source: NDArray[Any], window: Window, kernel: NDArray[Any], target: NDArray[Any]
+) -> None:
     """Convolve along rows within the window; what lies beyond its edge equals the edge."""
     top, bottom, left, right = window
     radius, width = kernel.shape[0] - 1, right - left
@@ -78,7 +83,9 @@ def _blur_rows(source: NDArray, window: Window, kernel: NDArray, target: NDArray
 
 
 @njit(cache=True, nogil=True)
-def _blur_columns(source: NDArray, window: Window, kernel: NDArray, target: NDArray) -> None:
+def _blur_columns(
+    source: NDArray[Any], window: Window, kernel: NDArray[Any], target: NDArray[Any]
+) -> None:
     """Convolve along columns within the window; what lies beyond its edge equals the edge."""
     top, bottom, left, right = window
     radius, last = kernel.shape[0] - 1, bottom - 1
@@ -113,11 +120,11 @@ def half_kernel(sigma_px: float) -> NDArray[np.float32]:
     """
     radius = 4 * math.ceil(_REACH_SIGMAS * sigma_px / 4) if sigma_px > 0.1 else 0
     weights = np.exp(-0.5 * (np.arange(radius + 1) / max(sigma_px, 0.1)) ** 2)
-    return (weights / (2 * weights.sum() - weights[0])).astype(np.float32)
+    return np.asarray((weights / (2 * weights.sum() - weights[0])).astype(np.float32))
 
 
 def smooth(
-    surface: NDArray[np.float32], window: Window, kernel: NDArray[np.float32], scratch: NDArray
+    surface: NDArray[np.float32], window: Window, kernel: NDArray[np.float32], scratch: NDArray[Any]
 ) -> None:
     """Blur ``surface`` in place within the window; beyond it the edge's values go on."""
     _blur_rows(surface, window, kernel, scratch)
@@ -125,7 +132,7 @@ def smooth(
 
 
 @njit(cache=True, nogil=True)
-def _coarsen(surface: NDArray, window: Window, factor: int, coarse: NDArray) -> None:
+def _coarsen(surface: NDArray[Any], window: Window, factor: int, coarse: NDArray[Any]) -> None:
     """Means of blocks of ``factor`` pixels a side; the last ones may be cut by the window."""
     top, bottom, left, right = window
     total = np.empty(right - left, np.float32)
@@ -145,7 +152,7 @@ def _coarsen(surface: NDArray, window: Window, factor: int, coarse: NDArray) -> 
 
 
 @njit(cache=True, nogil=True)
-def _refine(coarse: NDArray, factor: int, window: Window, surface: NDArray) -> None:
+def _refine(coarse: NDArray[Any], factor: int, window: Window, surface: NDArray[Any]) -> None:
     """Interpolate between the blocks' middles; beyond the outer ones, their values."""
     top, bottom, left, right = window
     n_rows, n_columns = coarse.shape
@@ -233,4 +240,4 @@ def _radial_gaussian(n: int, sigma: float, order: int) -> NDArray[np.float64]:
     kernel[:, n - 1] += kernel[:, n:].sum(axis=1)
     kept = kernel[:, :n]
     kept.setflags(write=False)
-    return kept
+    return np.asarray(kept)

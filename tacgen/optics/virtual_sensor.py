@@ -168,7 +168,9 @@ class VirtualSensor:
         response = (self.exposure * light) ** (1 / self.gamma)
         # A soft shoulder: linear up to KNEE of full scale, reaching it only at infinity.
         over = np.maximum(0, response - KNEE)
-        return 255 * (np.minimum(response, KNEE) + (1 - KNEE) * (1 - np.exp(-over / (1 - KNEE))))
+        return np.asarray(
+            255 * (np.minimum(response, KNEE) + (1 - KNEE) * (1 - np.exp(-over / (1 - KNEE))))
+        )
 
     def _leaked(self, point: FloatArray) -> FloatArray:
         """Glare (…, 3) at surface points (…, 3)."""

@@ -17,7 +17,7 @@ def ball_volume_mm3(depth_mm: ArrayLike, radius_mm: ArrayLike) -> FloatArray:
     depth = np.maximum(np.asarray(depth_mm, dtype=np.float64), 0.0)
     radius = np.asarray(radius_mm, dtype=np.float64)
     cap = np.minimum(depth, radius)
-    return np.pi * cap**2 * (radius - cap / 3.0) + np.pi * radius**2 * (depth - cap)
+    return np.asarray(np.pi * cap**2 * (radius - cap / 3.0) + np.pi * radius**2 * (depth - cap))
 
 
 def ball_depth_mm(volume_mm3: ArrayLike, radius_mm: ArrayLike) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -75,7 +76,9 @@ class Circle:
     edge_px: float = float("nan")
 
 
-def find_circle(image: NDArray, background: NDArray, hidden: BoolArray | None = None) -> Circle:
+def find_circle(
+    image: NDArray[Any], background: NDArray[Any], hidden: BoolArray | None = None
+) -> Circle:
     """The contact circle of a press from its image and the background, both (H, W, 3) RGB.
 
     What changed against the background, relative to the light at its place, is thresholded low to
@@ -224,7 +227,7 @@ def _fit_circle(points: FloatArray, start: FloatArray) -> tuple[FloatArray, floa
     """Circle (x, y, radius) through points, robust to tails; and their median distance."""
 
     def distance(circle: FloatArray) -> FloatArray:
-        return np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2]
+        return np.asarray(np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2])
 
     scale = max(0.03 * float(start[2]), 0.3)
     fitted = least_squares(distance, start, loss="soft_l1", f_scale=scale).x

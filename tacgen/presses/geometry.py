@@ -153,4 +153,4 @@ def press_depth(
     grid = np.linspace(0.0, reach, _DEPTH_POINTS)
     slope = radial_slope(grid, contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm)
     rise = np.cumsum(slope[:0:-1] + slope[-2::-1]) * (0.5 * grid[1])
-    return np.interp(r_mm, grid, np.append(rise[::-1], 0.0))
+    return np.asarray(np.interp(r_mm, grid, np.append(rise[::-1], 0.0)))

@@ -81,7 +81,7 @@ class PressFolder:
         """A column (N,); NaN where it is empty or absent."""
         if name not in self.table:
             return np.full(len(self.table), np.nan)
-        return self.table[name].to_numpy(np.float64)
+        return np.asarray(self.table[name].to_numpy(np.float64))
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         """One picture (H, W, 3), RGB.
@@ -235,7 +235,7 @@ def _names_of(archive: np.lib.npyio.NpzFile, count: int) -> tuple[str, ...]:
     return names if len(names) == count else tuple(f"imgs[{k}]" for k in range(count))
 
 
-def _datapack_problems(path: Path, arrays: dict[str, NDArray]) -> list[str]:
+def _datapack_problems(path: Path, arrays: dict[str, NDArray[Any]]) -> list[str]:
     images, reference = arrays["imgs"], arrays["f0"]
     problems = []
     if images.ndim != 4 or images.shape[-1] != 3:

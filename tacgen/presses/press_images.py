@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +107,7 @@ class PressImages:
         """Pixels (H, W) of press ``k`` that show a dot; None where there are no dots."""
         return None if self.hidden is None else self.hidden[k]
 
-    def select(self, which: NDArray) -> PressImages:
+    def select(self, which: NDArray[Any]) -> PressImages:
         """The presses that an index array or mask picks; notes on the set stay."""
         return replace(
             self,

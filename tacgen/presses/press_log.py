@@ -150,7 +150,7 @@ class PressLog:
 
     def _shear_mask(self) -> BoolArray:
         known = [np.isfinite(self.columns[name]) for name in (*SHEAR_FORCES, *SHEAR_MOTIONS)]
-        return np.logical_and.reduce(known)
+        return np.asarray(np.logical_and.reduce(known))
 
 
 def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
@@ -342,8 +342,8 @@ def _covariate(series: pd.Series) -> NDArray[Any]:
     filled = ~text.str.lower().isin(["", "nan", "na", "n/a", "none", "null"])
     values = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
     if filled.any() and np.isfinite(values[filled]).all() and series.name != "indenter":
-        return values
-    return text.where(filled, "").to_numpy(dtype=str)
+        return np.asarray(values)
+    return np.asarray(text.where(filled, "").to_numpy(dtype=str))
 
 
 def _as_text(series: pd.Series) -> pd.Series:

@@ -266,7 +266,7 @@ def reading_line(row: dict[str, Any]) -> str:
         f"depth {row['indentation_mm']:.3f} mm, "
     )
     if row["force_normal_n"] is None:
-        return text + row["message"]
+        return f"{text}{row['message']}"
     text += f"force {row['force_normal_n']:.2f} ± {row['force_normal_stderr_n']:.2f} N"
     if row["force_shear_x_n"] is not None:
         text += f", shear {row['force_shear_x_n']:.2f}, {row['force_shear_y_n']:.2f} N"

@@ -189,6 +189,7 @@ class MujocoContacts(_Contacts):
     def _shape(self, geom: int) -> trimesh.Trimesh:
         kinds, size = self._mujoco.mjtGeom, self._model.geom_size[geom]
         kind = self._model.geom_type[geom]
+        shape: trimesh.Trimesh
         if kind == kinds.mjGEOM_SPHERE:
             shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, size[0])
         elif kind == kinds.mjGEOM_ELLIPSOID:
@@ -242,6 +243,7 @@ def _bullet_shape(data: tuple[Any, ...]) -> trimesh.Trimesh:
     import pybullet
 
     kind, sizes, file = data[2], data[3], data[4]
+    shape: trimesh.Trimesh
     if kind == pybullet.GEOM_SPHERE:
         shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, sizes[0])
     elif kind == pybullet.GEOM_BOX:

@@ -161,4 +161,4 @@ def held_out_squares(
                 - 2 * (w * sums[i].moment).sum(axis=0)
                 + (w * (sums[i].gram @ w)).sum(axis=0)
             )
-    return squares.reshape(len(sums), -1, 3).sum(axis=2)
+    return np.asarray(squares.reshape(len(sums), -1, 3).sum(axis=2))

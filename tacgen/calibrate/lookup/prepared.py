@@ -296,7 +296,7 @@ def _drift(bare_changes: FloatArray) -> FloatArray:
         bare = change[np.isfinite(change[..., 0])]
         if len(bare):
             drift[k] = np.median(bare, axis=0)
-    return drift - drift.mean(axis=0)
+    return np.asarray(drift - drift.mean(axis=0))
 
 
 def _bare_gel_change(changes: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -237,10 +237,10 @@ def _residual_figure(presses: PressImages, calibration: Calibration) -> Section:
 
 def _residuals(
     presses: PressImages, calibration: Calibration
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Distance (n,), residual, change and fit (n, 3) at a thinned set of pixels of all presses."""
     fit = calibration.fit
-    parts: list[list[NDArray]] = [[], [], [], []]
+    parts: list[list[NDArray[Any]]] = [[], [], [], []]
     for sample, place in zip(
         calibration.presses.samples(calibration.background, limit=150),
         fit.geometry,

@@ -121,7 +121,7 @@ class _FoldTask:
     presses: PreparedPresses
     folds: IntArray
 
-    @threadpool_limits.wrap(limits=1)
+    @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
     def __call__(self, fold: int) -> tuple[LookupTable, JointFit, Choice, Any, TableScore]:
         if fold == WHOLE:
             table, fit, choice = _fit(self.presses)

@@ -386,7 +386,7 @@ def scene_of(problem: Problem, state: ModelState) -> PressScene:
         if isinstance(problem.table, GivenTable):
             leds = leds_of_table(problem.table.table)
             return np.array([math.atan2(y, x) for (x, y, _), _ in leds])
-        return np.arctan2(state.weights[1], state.weights[0])
+        return np.asarray(np.arctan2(state.weights[1], state.weights[0]))
 
     def reliefs(reach_radii: float, cells_per_radius: int) -> Iterator[Relief]:
         expected = state.for_presses(pixels.n_presses)

@@ -38,7 +38,7 @@ class CrossTalk(base.OpticalEffect):
             )
             for shown in base.CHANNELS
         ]
-        return array + np.stack(mixed, axis=-1)
+        return np.asarray(array + np.stack(mixed, axis=-1))
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """Only beside a given table: one that is fitted to the same presses mixes as they do."""

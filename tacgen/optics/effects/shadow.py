@@ -40,12 +40,12 @@ _NOTHING_MM = np.float32(1e6)
 
 @njit(cache=True, nogil=True)
 def _sweep(
-    height_mm: NDArray,
+    height_mm: NDArray[Any],
     across_px: float,
     rise_mm: float,
     downwards: bool,
     per_mm: float,
-    shade: NDArray,
+    shade: NDArray[Any],
 ) -> None:
     """Shade of a light met by going to the row before (downwards) or after, ``across_px`` aside.
 
@@ -130,7 +130,9 @@ def unlit_image(table: LookupTable) -> NDArray[np.float32]:
 
 
 @njit(cache=True, nogil=True)
-def _darken(shade: NDArray, share: NDArray, unlit: NDArray, image: NDArray) -> None:
+def _darken(
+    shade: NDArray[Any], share: NDArray[Any], unlit: NDArray[Any], image: NDArray[Any]
+) -> None:
     for r in range(image.shape[0]):
         for k in range(image.shape[1]):
             hidden = shade[r, k]
