@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -332,32 +333,42 @@ def _read_list(
     if "trial" in numbers:
         problems += trial_number_problems(numbers["trial"], path)
     if "radius_mm" in numbers:
-        for index, radius in enumerate(numbers["radius_mm"]):
-            where = f"{path}: row {index + 2}: radius_mm"
-            if BALLS_MM[0] <= radius <= BALLS_MM[1]:
-                continue
-            if not np.isnan(radius):
-                problems.append(
-                    f"{where} = {radius:g} is not a ball's; give the radius in mm, "
-                    f"{BALLS_MM[0]:g} to {BALLS_MM[1]:g}"
-                )
-            elif "radius_mm" in required and not str(frame["radius_mm"].iloc[index]).strip():
-                problems.append(f"{where} is empty; give the ball's radius in mm")
+        problems += _radius_problems(numbers["radius_mm"], frame, path, "radius_mm" in required)
     if "file" in frame:
         frame["file"] = frame["file"].str.strip()
-        repeated = frame["file"].duplicated()
-        for index, name in enumerate(frame["file"]):
-            where = f"{path}: row {index + 2}"
-            if not name:
-                problems.append(f"{where}: file is empty; name the press's picture")
-            elif repeated.iloc[index]:
-                problems.append(f"{where}: {name} is listed twice; list each press once")
-            elif not os.path.isfile(path.parent / name):  # is_file raises on names too long
-                problems.append(
-                    f"{path.parent / name}: missing (row {index + 2} of presses.csv); add the "
-                    "picture or delete the row"
-                )
+        problems += _file_problems(frame["file"], path)
     return frame.assign(**numbers)
+
+
+def _radius_problems(
+    radii: FloatArray, frame: pd.DataFrame, path: Path, required: bool
+) -> Iterator[str]:
+    for index, radius in enumerate(radii):
+        where = f"{path}: row {index + 2}: radius_mm"
+        if BALLS_MM[0] <= radius <= BALLS_MM[1]:
+            continue
+        if not np.isnan(radius):
+            yield (
+                f"{where} = {radius:g} is not a ball's; give the radius in mm, "
+                f"{BALLS_MM[0]:g} to {BALLS_MM[1]:g}"
+            )
+        elif required and not str(frame["radius_mm"].iloc[index]).strip():
+            yield f"{where} is empty; give the ball's radius in mm"
+
+
+def _file_problems(names: pd.Series, path: Path) -> Iterator[str]:
+    repeated = names.duplicated()
+    for index, name in enumerate(names):
+        where = f"{path}: row {index + 2}"
+        if not name:
+            yield f"{where}: file is empty; name the press's picture"
+        elif repeated.iloc[index]:
+            yield f"{where}: {name} is listed twice; list each press once"
+        elif not os.path.isfile(path.parent / name):  # is_file raises on names too long
+            yield (
+                f"{path.parent / name}: missing (row {index + 2} of presses.csv); add the "
+                "picture or delete the row"
+            )
 
 
 def _read_image(path: Path, what: str) -> NDArray[np.uint8]:

@@ -56,6 +56,24 @@ class Presses:
     mm_per_px: float
 
 
+def _through_camera(grey: Floats, effect: str, size: float, x: Floats, y: Floats) -> Floats:
+    """Grey levels with the camera's vignetting or cross-talk, where that is the effect."""
+    if effect == "vignetting":
+        off = np.hypot(x, y) / np.hypot(x, y).max()
+        tangent = np.sqrt(max((1 - size) ** -0.5 - 1, 0))
+        grey = grey * (1 + (tangent * off) ** 2)[..., None] ** -2
+    if effect == "cross_talk":
+        leak = np.array(
+            [
+                [1 - size, size * 0.7, size * 0.3],
+                [0.1 * size, 1 - 0.6 * size, 0.5 * size],
+                [0.5 * size, 0.2 * size, 1 - 0.7 * size],
+            ]
+        )
+        grey = grey @ leak
+    return grey
+
+
 def make(kind: str, effect: str, strength: float, seed: int, count: int = 28) -> Presses:
     """``count`` presses with ``effect`` at ``strength`` × its nominal; ``effect`` may be ''."""
     rng = np.random.default_rng([seed, sum(map(ord, kind + effect))])
@@ -70,19 +88,7 @@ def make(kind: str, effect: str, strength: float, seed: int, count: int = 28) ->
         grey = _light(made, x, y, surface, effect, size)
         if extra is not None:
             grey = grey + extra
-        if effect == "vignetting":
-            off = np.hypot(x, y) / np.hypot(x, y).max()
-            tangent = np.sqrt(max((1 - size) ** -0.5 - 1, 0))
-            grey = grey * (1 + (tangent * off) ** 2)[..., None] ** -2
-        if effect == "cross_talk":
-            leak = np.array(
-                [
-                    [1 - size, size * 0.7, size * 0.3],
-                    [0.1 * size, 1 - 0.6 * size, 0.5 * size],
-                    [0.5 * size, 0.2 * size, 1 - 0.7 * size],
-                ]
-            )
-            grey = grey @ leak
+        grey = _through_camera(grey, effect, size, x, y)
         return grey * gain
 
     rest = photograph(0 * x, 1.0)
