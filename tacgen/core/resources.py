@@ -17,12 +17,14 @@ def packaged(folder: str) -> Path:
     return inside if inside.is_dir() else _PACKAGE.parent / folder
 
 
-def find_recipe(name: str, *, beside: Path | None = None) -> Path:
+def find_recipe(name: str, *, extended_by: Path | None = None) -> Path:
     """The YAML file that ``name`` means: a path, a file in ``./recipes``, or a shipped recipe.
 
-    ``beside`` is the folder of the file that mentions it, searched first.
+    The folder of a file that is ``extended_by`` another is searched first; ``extends: rig`` in
+    ``rig.yaml`` is the shipped one.
     """
-    return _find_yaml(name, "recipes", "recipe", beside)
+    beside = None if extended_by is None else extended_by.parent
+    return _find_yaml(name, "recipes", "recipe", beside, but_not=extended_by)
 
 
 def sensor_path(name: str, *, beside: Path | None = None) -> Path:
@@ -35,13 +37,15 @@ def contact_law_path(name: str, *, beside: Path | None = None) -> Path:
     return _find_yaml(name, "recipes", "contact law", beside)
 
 
-def _find_yaml(name: str, folder: str, kind: str, beside: Path | None) -> Path:
+def _find_yaml(
+    name: str, folder: str, kind: str, beside: Path | None, but_not: Path | None = None
+) -> Path:
     file = name if name.endswith((".yaml", ".yml")) else f"{name}.yaml"
     places = [Path(file), Path(folder) / file, packaged("recipes").parent / folder / file]
     if beside is not None:
         places.insert(0, beside / file)
     for place in places:
-        if is_file(place):
+        if is_file(place) and (file == name or but_not is None or not place.samefile(but_not)):
             return place
     shipped = sorted(path.stem for path in (packaged("recipes").parent / folder).glob("*.yaml"))
     near = did_you_mean(name, shipped)

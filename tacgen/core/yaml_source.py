@@ -91,7 +91,7 @@ def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
     for name in bases:
         from tacgen.core.resources import find_recipe
 
-        base = _read(find_recipe(str(name), beside=path.parent), (*extended_by, path.resolve()))
+        base = _read(find_recipe(str(name), extended_by=path), (*extended_by, path.resolve()))
         _merge(merged, base)
     _merge(merged, own)
     return merged

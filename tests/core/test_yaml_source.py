@@ -4,6 +4,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict
 
 from tacgen.core.errors import RecipeError
+from tacgen.core.resources import packaged
 from tacgen.core.yaml_source import dotted, read_yaml, validate
 
 
@@ -96,3 +97,11 @@ def test_aliases_that_unfold_without_bound_are_refused(tmp_path):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(RecipeError, match="none.yaml: no such file"):
         read_yaml(tmp_path / "none.yaml")
+
+
+def test_a_recipe_named_like_a_shipped_one_extends_that(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "rig.yaml"
+    path.write_text("extends: rig\nseed: 77\n")
+    shipped = read_yaml(packaged("recipes") / "rig.yaml").data
+    assert read_yaml(path).data == {**shipped, "seed": 77}
