@@ -158,6 +158,10 @@ def _check_background(presses: PressImages) -> None:
             "take it anew with the same gel, light and crop"
         )
         raise PressError(msg)
+    if (
+        printed_dots(presses.background) is not None
+    ):  # they move with the gel, so that the median shows them elsewhere
+        return
     seen = find_circle(presses.background, _median_image(presses))
     if not seen.problem and _share_elsewhere(presses, seen) >= MOVED_SHARE:
         x, y = seen.center_px
