@@ -207,11 +207,13 @@ class Fit:
 
     def _temperature(self) -> float:
         """Of the validation grasps as other cameras might have seen them, where there is such."""
-        changes, seed = self.job.recipe.augmentation, self._seed(_STREAM_CALIBRATION)
-        batches = self.job.validation
-        passes = range(CALIBRATION_PASSES) if changes.on else range(1)
+        changes, batches = self.job.recipe.augmentation, self.job.validation
+        seeds = [
+            self._seed(_STREAM_CALIBRATION, k)
+            for k in range(CALIBRATION_PASSES if changes.on else 1)
+        ]
         found = [
-            predict(self._kept, batches.shuffled(seed, k, changes), self.device) for k in passes
+            predict(self._kept, batches.shuffled(seed, 0, changes), self.device) for seed in seeds
         ]
         probabilities, labels = (np.concatenate(part) for part in zip(*found, strict=True))
         return calibrated_temperature(probabilities, labels, self.job.class_weights)
