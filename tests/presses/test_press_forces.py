@@ -153,7 +153,7 @@ def test_the_command_takes_a_folder(folder):
         app, ["calibrate", "contact", str(folder / "presses"), "--out", str(out)]
     )
     assert result.exit_code == 0, result.output
-    assert "by one fitted to these same pictures" in result.stderr
+    assert "a table fitted to these images" in result.stderr
     law = load_law(out)
     assert law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.05), "two balls, twelve pictures"
     assert law.k_s_mm_per_n.value == pytest.approx(K_S, rel=0.05)
