@@ -333,8 +333,22 @@ class CandidateSets:
         if p_value > self.alpha and not self.is_clear(rest, worth, p_value):
             return False
         rivals = [rival for rival in full.members if rival.label != member.label]
-        worths = [self.without(full, rival).loss - full.loss for rival in rivals]
-        return worth >= self.rules.least_share_of_rival * max(worths, default=0.0)
+        most = max((self._worth_of_rival(full, rival) for rival in rivals), default=0.0)
+        return self._worth(full, member) >= self.rules.least_share_of_rival * most
+
+    def _worth(self, full: FittedSet, member: Candidate) -> float:
+        """What ``full`` gains by ``member`` over the others in whatever forms were fitted."""
+        rest = self.without(full, member)
+        return min(rest.loss, self._least_loss(rest.names)) - full.loss
+
+    def _worth_of_rival(self, full: FittedSet, rival: Candidate) -> float:
+        """What ``rival`` is worth in ``full``, or alone where others can imitate it."""
+        alone = self._least_loss(frozenset()) - self._least_loss(frozenset({rival.name}))
+        return max(self._worth(full, rival), alone)
+
+    def _least_loss(self, names: frozenset[str]) -> float:
+        """Least loss of the sets of these names that were fitted; infinite if there are none."""
+        return min((f.loss for f in self._fits.values() if f.names == names), default=np.inf)
 
 
 class Selection:
