@@ -34,7 +34,7 @@ def sequence(toy, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def test_grasps(toy):
+def grasps_to_test(toy):
     """Images at the moment of grasp, and labels, of the test split."""
     dataset = Dataset(toy)
     columns = dataset.columns()
@@ -45,8 +45,8 @@ def test_grasps(toy):
     return np.stack(images), columns["label"][rows]
 
 
-def test_predictions_are_those_that_eval_scores(run, toy, test_grasps):
-    images, labels = test_grasps
+def test_predictions_are_those_that_eval_scores(run, toy, grasps_to_test):
+    images, labels = grasps_to_test
     found = tacgen.Predictor(run).predict(images)
     assert found.shape == labels.shape
     result = evaluate(run, data=toy)
@@ -67,8 +67,8 @@ def test_a_sequence_of_frames(sequence, toy):
         tacgen.Predictor(sequence).predict(dataset.rgb(0))
 
 
-def test_the_command_reads_a_folder(run, test_grasps, tmp_path):
-    images = test_grasps[0][:11]
+def test_the_command_reads_a_folder(run, grasps_to_test, tmp_path):
+    images = grasps_to_test[0][:11]
     for k, image in enumerate(images):
         cv2.imwrite(str(tmp_path / f"{k}.png"), image[..., ::-1])
     result = CliRunner().invoke(app, ["predict", str(run), str(tmp_path), "--json"])

@@ -137,8 +137,8 @@ def _design(load: FloatArray, free_offset: bool) -> FloatArray:
 def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
     """The mean load of the samples two before and two after (one, in short presses).
 
-    Where there are no neighbours, or they say little (a force that jumps at random), the load
-    itself: its noise then cannot be told from the load.
+    Where there are no neighbours, or they are uncorrelated with the load (a force that jumps at
+    random), the load itself: its noise then cannot be separated from it.
     """
     bounds = np.r_[0, np.flatnonzero(np.diff(trial)) + 1, len(trial)]
     length = np.repeat(np.diff(bounds), np.diff(bounds))
