@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from scripts import docs_hooks
+from docs import hooks
 
 ROOT = Path(__file__).resolve().parents[1]
 FILE = re.compile(r'```yaml title="(.+?)"\n(.*?)```', re.S)
@@ -56,9 +56,9 @@ def test_the_site_builds_without_a_warning(tmp_path):
         assert word in page
 
 
-@pytest.mark.parametrize("kind", docs_hooks.KINDS)
+@pytest.mark.parametrize("kind", hooks.KINDS)
 def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
-    model = docs_hooks.KINDS[kind]
+    model = hooks.KINDS[kind]
     valid = {
         "name": "x",
         "objects": [{"name": "cup"}],
@@ -66,7 +66,7 @@ def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
         "indenters": [{"name": "ball", "radius_mm": 2.0}],
         "effects": [{"name": "creep", "strength": 1.0}],
     }
-    for key in docs_hooks.keys_of(kind):
+    for key in hooks.keys_of(kind):
         assert key.meaning, key.path
         if not key.example or kind in ("sensor", "object"):
             continue  # examples of these two are those of the shipped files, which load
@@ -85,7 +85,7 @@ def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
 
 
 def test_units_follow_from_the_names_of_the_keys():
-    units = {key.path: key.unit for key in docs_hooks.keys_of("collect")}
+    units = {key.path: key.unit for key in hooks.keys_of("collect")}
     assert units["grid.force_n"] == "N"
     assert units["contact.k_n_mm3_per_n"] == "mm³/N"
     assert units["physics.lift_acceleration_mm_s2"] == "mm/s²"

@@ -55,9 +55,9 @@ class _InOrderOfWork(TyperGroup):
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from tacgen.core.version import VERSION
+        from tacgen.core.version import __version__
 
-        typer.echo(VERSION)
+        typer.echo(__version__)
         raise typer.Exit
 
 

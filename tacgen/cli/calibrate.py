@@ -275,7 +275,7 @@ def read(
     json_output: JsonFlag = False,
 ) -> None:
     """Read depth, contact, volume and force from images of a calibrated sensor."""
-    from tacgen.presses.read_image import ImageReader, read_files, read_rgb, reading_line
+    from tacgen.sensor.read_image import ImageReader, read_files, read_rgb, reading_line
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)

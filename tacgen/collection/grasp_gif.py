@@ -12,7 +12,7 @@ from tacgen.collection.pipeline import GraspPipeline, frame_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import atomic_path
-from tacgen.report.images import side_by_side
+from tacgen.core.images import side_by_side
 
 MAX_WIDTH_PX = 420
 """Of each pad's image: several fit beside one another on a page."""

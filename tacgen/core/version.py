@@ -3,6 +3,6 @@
 from importlib.metadata import PackageNotFoundError, version
 
 try:
-    VERSION = version("tacgen")
+    __version__ = version("tacgen")
 except PackageNotFoundError:  # a source tree on the path that was never installed
-    VERSION = "0+not.installed"
+    __version__ = "0+not.installed"

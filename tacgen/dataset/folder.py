@@ -14,7 +14,7 @@ import yaml
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.lock import holder_of, locked
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.core.yaml_source import read_mapping
 from tacgen.dataset.check import content_problems
 from tacgen.dataset.disk import disk_errors
@@ -189,7 +189,7 @@ class DatasetFolder:
             with contextlib.suppress(DatasetError):
                 line = read_part(path)
                 here = (line.recipe_sha256, line.calibration, line.versions.get("tacgen"))
-                if here != (spec.recipe_sha256, dict(spec.calibration), VERSION):
+                if here != (spec.recipe_sha256, dict(spec.calibration), __version__):
                     break
         else:
             return

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import write_text
+from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.summary import summarize
-from tacgen.report.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.report.page import templates
 
 MAX_PAGE_BYTES = 15_000_000

@@ -12,7 +12,7 @@ from typing import Any
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import read_small_text, sync_directory, sync_file
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.dataset.samples import DatasetSpec
 
 MAX_PLAN_BYTES = 1 << 20  # a plan has some kilobytes
@@ -23,7 +23,7 @@ def plan_of(spec: DatasetSpec) -> dict[str, Any]:
     """What ``dataset.json`` says for ``spec``."""
     return {
         "schema": 1,
-        "tacgen_version": VERSION,
+        "tacgen_version": __version__,
         "recipe": spec.recipe.get("name", ""),
         "recipe_sha256": spec.recipe_sha256,
         "calibration": dict(sorted(spec.calibration.items())),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.dataset.check import Outcome, sample_problems, tally
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
@@ -48,7 +48,7 @@ HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 
 @cache
 def library_versions() -> dict[str, str]:
     """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
-    versions = {"tacgen": VERSION, "hdf5": h5py.version.hdf5_version}
+    versions = {"tacgen": __version__, "hdf5": h5py.version.hdf5_version}
     for name in LIBRARIES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
@@ -165,7 +165,7 @@ def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> Non
     """
     texts = {
         "format": "tacgen",
-        "tacgen_version": VERSION,
+        "tacgen_version": __version__,
         "recipe_sha256": spec.recipe_sha256,
         "sensor": spec.sensor.name,
         "pads": ",".join(spec.pads),

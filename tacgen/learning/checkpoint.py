@@ -17,7 +17,7 @@ from safetensors.torch import save_file
 
 from tacgen.core.errors import LearningError
 from tacgen.core.files import atomic_path
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network
 
@@ -46,7 +46,7 @@ class ModelCard:
     recipe_sha256: str
     temperature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     input_range: tuple[tuple[float, float], ...]
-    tacgen_version: str = VERSION
+    tacgen_version: str = __version__
 
 
 def save_model(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.images import evenly, side_by_side
 from tacgen.learning.predictions import Predictions
 from tacgen.learning.scores import reliability, tested_on
 from tacgen.learning.training_recipe import TrainRecipe
@@ -24,7 +25,6 @@ from tacgen.report import (
 )
 from tacgen.report import figures as plots
 from tacgen.report.formatting import number, percent
-from tacgen.report.images import evenly, side_by_side
 
 MAX_SHOWN = 24
 """Misclassified grasps that the page shows, the most certain first."""

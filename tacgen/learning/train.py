@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.core.workers import map_in_processes
 from tacgen.learning import library_versions
 from tacgen.learning.backbone import NO_WEIGHTS
@@ -102,7 +102,7 @@ def _run_plan(
     }
     return {
         "schema": SCHEMA,
-        "tacgen_version": VERSION,
+        "tacgen_version": __version__,
         "recipe": recipe.resolved(),
         "recipe_sha256": recipe.sha256(),
         "dataset": source.identity(),

@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from tacgen.core.arrays import BoolArray, FloatArray
-from tacgen.presses.dots import coarse
+from tacgen.optics.dots import coarse
 
 WORK_WIDTH_PX = 160
 """Images are looked at this wide: a circle needs no more."""

@@ -13,11 +13,11 @@ import pandas as pd
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import PressError
+from tacgen.optics.dots import MIN_TRACKED, Image, dots_at_rest, dots_in, find_spots, follow
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.table import LookupTable
 from tacgen.presses.ball import cap_volume_from_circle_mm3
 from tacgen.presses.circles import find_circle
-from tacgen.presses.dots import MIN_TRACKED, Image, dots_at_rest, dots_in, find_spots, follow
 from tacgen.presses.press_folder import COORDINATES, PressFolder
 
 

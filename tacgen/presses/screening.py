@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import PressError
+from tacgen.optics.dots import coarse, dots_in, printed_dots
 from tacgen.presses.circles import Circle, find_circle, outside_share
-from tacgen.presses.dots import coarse, dots_in, printed_dots
 from tacgen.presses.press_images import DroppedPress, PressImages
 
 MIN_PRESSES = 3  # fewer cannot separate light from place

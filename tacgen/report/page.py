@@ -16,6 +16,7 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from tacgen.core.files import write_text
+from tacgen.core.images import Image, encode_png, jpeg_uri, png_uri
 from tacgen.report.formatting import (
     estimate,
     fixed,
@@ -27,7 +28,6 @@ from tacgen.report.formatting import (
     unit_text,
     with_error,
 )
-from tacgen.report.images import Image, encode_png, jpeg_uri, png_uri
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,11 +15,11 @@ from tacgen.contact import contact_depth, gel_map_mm, solve_indentation
 from tacgen.contact.gel import pixel_centers_mm
 from tacgen.contact.shear import MarkerField, marker_grid_mm
 from tacgen.core.files import atomic_path, write_text
+from tacgen.core.images import encode_png
 from tacgen.core.records import Sensor
 from tacgen.optics.deform import deform
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.report.images import encode_png
 from tacgen.rig.effects import SessionTruth
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import CAMERA, press_rng

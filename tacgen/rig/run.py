@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tacgen.contact.law import save_law
 from tacgen.core.files import atomic_path
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import rig_sensor, write_images
 from tacgen.rig.rig_recipe import RigRecipe
@@ -49,7 +49,7 @@ def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
     session = simulate_session(recipe)
     sensor = rig_sensor(recipe)
     pitch_mm = sensor.markers.pitch_mm if sensor.markers else np.nan
-    provenance = {"rig": recipe.model_dump(mode="json"), "versions": {"tacgen": VERSION}}
+    provenance = {"rig": recipe.model_dump(mode="json"), "versions": {"tacgen": __version__}}
     law = replace(session.truth.law, marker_pitch_mm=pitch_mm, provenance=provenance)
     save_law(law, out / "truth.yaml")
     written = [out / "truth.yaml"]

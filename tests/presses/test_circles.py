@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tacgen.optics.dots import dots_in, printed_dots
 from tacgen.presses.circles import find_circle
-from tacgen.presses.dots import dots_in, printed_dots
 from validation.optics.press_images import digit, draw_presses, gelsight_mini
 
 PLAIN = gelsight_mini(4, dots=False)

@@ -14,10 +14,10 @@ from tacgen.contact.law import load_law
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import PressError
 from tacgen.optics import save_table
+from tacgen.optics.dots import dots_at_rest, follow, printed_dots
 from tacgen.optics.reconstruct import Reconstructor, integrate
 from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.presses.dots import dots_at_rest, follow, printed_dots
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
 from tacgen.presses.press_forces import measure_presses
 from tacgen.rig import load_rig_recipe, run_rig

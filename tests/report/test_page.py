@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 
+from tacgen.core.images import difference, evenly, side_by_side
 from tacgen.report import (
     facts_section,
     image_section,
@@ -12,7 +13,6 @@ from tacgen.report import (
     text_section,
     write_page,
 )
-from tacgen.report.images import difference, evenly, side_by_side
 
 
 def cells_of(body):

@@ -171,5 +171,5 @@ def test_the_same_ball_in_mujoco():
 def test_names_are_loaded_when_used():
     assert {"Sensor", "Dataset", "collect", "load_recipe"} <= set(dir(tacgen))
     assert tacgen.Sensor is Sensor
-    with pytest.raises(AttributeError, match="it has Dataset, Predictor, Sensor"):
+    with pytest.raises(AttributeError, match="Senser"):
         tacgen.Senser  # noqa: B018

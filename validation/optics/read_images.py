@@ -14,10 +14,10 @@ import sys
 import numpy as np
 
 from tacgen.contact.law import ContactLaw
-from tacgen.presses.read_image import ImageReader
 from tacgen.rig import load_rig_recipe
 from tacgen.rig.images import Camera, press_ball, rig_sensor
 from tacgen.rig.run import simulate_session
+from tacgen.sensor.read_image import ImageReader
 from tacgen.sensor.simulated import Sensor
 
 SENSORS = ("gelsight_mini", "gelsight", "digit")

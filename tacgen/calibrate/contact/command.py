@@ -21,7 +21,7 @@ from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of
 from tacgen.core.records import Estimate
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.optics.table import LookupTable, load_table
 from tacgen.presses.press_log import read_press_log
 
@@ -151,7 +151,7 @@ def _explain_depths(
     spread = max(np.ptp(values), max(float(np.ptp(end)) for end in ends)) / 2.0
     provenance: dict[str, Any] = {
         "data": {log.name: sha256_of(log)},
-        "versions": {"tacgen": VERSION},
+        "versions": {"tacgen": __version__},
         "trials": {"fit": len(found.curves), "left_out": 0},
         "curves": asdict(found)["curves"],
         "warnings": list(warnings),

@@ -18,7 +18,7 @@ from tacgen.contact.law import ContactLaw
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
 from tacgen.report.formatting import unit_text
 
@@ -309,7 +309,7 @@ def _provenance(fit: ContactFit) -> dict[str, Any]:
     return {
         "data": {fit.log.path.name: fit.log.sha256},
         "versions": {
-            "tacgen": VERSION,
+            "tacgen": __version__,
             "numpy": np.__version__,
             "scipy": scipy.__version__,
             "python": platform.python_version(),

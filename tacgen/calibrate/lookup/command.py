@@ -10,8 +10,8 @@ from pathlib import Path
 from tacgen.calibrate.lookup.scale import ScaleEvidence
 from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.table_fit import Calibration, calibrate
+from tacgen.optics.dots import filled_in
 from tacgen.optics.table import LookupTable, load_table, save_table
-from tacgen.presses.dots import filled_in
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.screening import usable_presses

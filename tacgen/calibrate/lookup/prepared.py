@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, BackgroundRecipe, LookupRules
 from tacgen.calibrate.lookup.smooth_model import position_features, position_terms
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.presses.dots import coarse, filled_in
+from tacgen.optics.dots import coarse, filled_in
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 BLOCK_PX = 8

@@ -14,6 +14,7 @@ from tacgen.calibrate.lookup.press_fit import predicted
 from tacgen.calibrate.lookup.scale import evidence_lines
 from tacgen.calibrate.lookup.score import PICTURES, PressRenderer
 from tacgen.calibrate.lookup.table_fit import Calibration
+from tacgen.core.images import difference, evenly, no_wider, side_by_side
 from tacgen.presses.press_images import PressImages, label_mm
 from tacgen.report import (
     Section,
@@ -25,7 +26,6 @@ from tacgen.report import (
 )
 from tacgen.report import figures as plots
 from tacgen.report.formatting import fixed
-from tacgen.report.images import difference, evenly, no_wider, side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

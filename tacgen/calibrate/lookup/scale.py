@@ -21,7 +21,7 @@ from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly, sample_design
 from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
-from tacgen.presses.dots import find_spots, nearest_px
+from tacgen.optics.dots import find_spots, nearest_px
 from tacgen.presses.press_images import PressImages
 
 MIN_RULER_PRESSES = 4

@@ -26,7 +26,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     position_terms,
 )
 from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.core.workers import map_in_processes
 from tacgen.optics.table import ContactLight, LookupTable
 from tacgen.presses.geometry import press_slope, rest_slope
@@ -151,7 +151,7 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
     presses = prepared.presses
     steepest = steepest_slope_rad(presses, fit)
     provenance: dict[str, Any] = {
-        "made_by": f"tacgen {VERSION} calibrate lookup",
+        "made_by": f"tacgen {__version__} calibrate lookup",
         "data_sha256": dict(presses.sha256),
         "n_presses": len(presses),
         "left_out": [str(press) for press in presses.dropped],

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
 from tacgen.core.safe_io import check_archive, read_bgr
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.optics.table import N_FEATURES, LookupTable
 
 CHANNELS_RGB = ("grad_b", "grad_g", "grad_r")
@@ -66,7 +66,7 @@ def import_polycalib(path: Path, background: Path, mm_per_px: float) -> LookupTa
         sensor="taxim",
         provenance=MappingProxyType(
             {
-                "made_by": f"tacgen {VERSION} calibrate import",
+                "made_by": f"tacgen {__version__} calibrate import",
                 "data_sha256": {file.name: sha256_of(file) for file in (path, background)},
             }
         ),

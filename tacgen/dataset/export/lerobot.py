@@ -19,10 +19,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from tacgen.core.images import encode_png
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.dataset.schema import SPLITS
-from tacgen.report.images import encode_png
 
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _GREY = np.arange(256) / 255.0

@@ -12,9 +12,9 @@ from pathlib import Path
 import pandas as pd
 
 from tacgen.core.files import write_text
+from tacgen.core.images import encode_png
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.real_grasps import ABOUT, BACKGROUND
-from tacgen.report.images import encode_png
 
 NOTE = "Simulated by tacgen, written in the format of real grasps. Not real."
 COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode")

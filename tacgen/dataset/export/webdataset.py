@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tacgen.core.images import encode_png
 from tacgen.dataset.export.real_grasps import grasp_id
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.report.images import encode_png
 
 GRASPS_PER_TAR = 1000
 """At 4 images of 100 kB a grasp about 400 MB, WebDataset's recommended order of size."""

@@ -18,7 +18,7 @@ from tacgen.calibrate.lookup.smooth_model import position_terms
 from tacgen.calibrate.lookup.table_fit import N_DIRECTION, N_SLOPE, camera_noise_grey
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
-from tacgen.core.version import VERSION
+from tacgen.core.version import __version__
 from tacgen.diagnose.optics.model import (
     SKIRT,
     ModelState,
@@ -124,7 +124,7 @@ def extended_table(
     """
     effects = MappingProxyType(effects_of(found.state))
     if given is not None:
-        provenance = {**given.provenance, "diagnosed_by": f"tacgen {VERSION} diagnose optics"}
+        provenance = {**given.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
         return replace(given, effects=effects, provenance=MappingProxyType(provenance))
     table, state, rules = found.problem.table, found.state, found.problem.rules
     if not isinstance(table, PlainTable):
@@ -188,7 +188,7 @@ def _provenance(
     presses: PressImages, found: FittedModel, press_model: PressModel
 ) -> dict[str, Any]:
     return {
-        "made_by": f"tacgen {VERSION} diagnose optics",
+        "made_by": f"tacgen {__version__} diagnose optics",
         "data_sha256": dict(presses.sha256),
         "n_presses": len(presses),
         "left_out": [str(press) for press in presses.dropped],

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.images import difference, side_by_side
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis
 from tacgen.diagnose.optics.extended_table import first_state
 from tacgen.diagnose.optics.model import prepared, render
 from tacgen.diagnose.optics.model_comparison import FittedModel
 from tacgen.diagnose.optics.pixels import gather_pixels
 from tacgen.presses.press_images import PressImages
-from tacgen.report.images import difference, side_by_side
 
 SHOWN = 3
 """Test presses that the page shows before and after."""

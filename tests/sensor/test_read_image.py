@@ -18,9 +18,9 @@ from tacgen.core.errors import SensorError
 from tacgen.optics import save_table
 from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.presses.read_image import ImageReader, read_image
 from tacgen.rig import load_rig_recipe
 from tacgen.rig.images import Camera, press_ball, rig_sensor
+from tacgen.sensor.read_image import ImageReader, read_image
 
 K_N, K_S = 5.135, 0.8
 
@@ -102,8 +102,8 @@ def test_a_law_with_stiffening_is_inverted(reader, sensor):
     from tacgen.contact.effects import find_effect
     from tacgen.contact.law import FittedEffect
     from tacgen.core.records import ContactFrame, Estimate
-    from tacgen.presses.read_image import _normal_force_n
     from tacgen.sensor.gel_response import gel_loads
+    from tacgen.sensor.read_image import _normal_force_n
 
     names = [p.name for p in find_effect("normal", "stiffening").parameters]
     effect = FittedEffect("stiffening", "normal", MappingProxyType({names[0]: Estimate(0.2, 0.0)}))

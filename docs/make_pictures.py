@@ -19,7 +19,7 @@ from tacgen.core.resources import object_folders
 from tacgen.objects import load_object
 from tacgen.objects.shading import shaded_view
 
-FIGURES = Path(__file__).parents[1] / "docs" / "figures"
+FIGURES = Path(__file__).parent / "figures"
 MAX_KB = 100
 
 

@@ -17,11 +17,11 @@ from scipy.optimize import brentq
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import SensorError
 from tacgen.core.files import atomic_path
+from tacgen.core.images import encode_png
 from tacgen.core.records import ContactFrame
 from tacgen.core.safe_io import read_bgr
+from tacgen.optics.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, follow
 from tacgen.optics.reconstruct import Reconstructor, Shape
-from tacgen.presses.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, follow
-from tacgen.report.images import encode_png
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.simulated import Frame, Sensor
 
