@@ -87,70 +87,44 @@ def radial_slope(
     return np.asarray(cap * (1.0 + (cap / tail) ** membrane.sharpness) ** (-1 / membrane.sharpness))
 
 
-def press_slope(
-    dx_mm: FloatArray,
-    dy_mm: FloatArray,
-    contact_radius_mm: float,
-    ball_radius_mm: float,
-    membrane: Membrane,
-    dome_radius_mm: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Slope that a ball adds to the gel at rest: ``radial_slope`` around its centre.
+@dataclass(frozen=True, slots=True)
+class PressedGel:
+    """What a ball adds to the gel at rest, as functions of the distance from its centre.
 
-    Parameters
-    ----------
-    dx_mm, dy_mm : (...) float
-        Distance from the contact's centre along columns and rows, mm.
-    contact_radius_mm, ball_radius_mm : float
-    membrane : Membrane
-    dome_radius_mm : float
-        Radius of curvature of the gel at rest; 0 for a flat one.
-
-    Returns
-    -------
-    gx, gy : (...) float
-        ∂h/∂x and ∂h/∂y of the gel-frame height map: positive away from the centre, because the
-        gel is deepest there.
+    ``dome_radius_mm`` is the radius of curvature of the gel at rest, 0 for a flat one.
     """
-    r = np.hypot(dx_mm, dy_mm)
-    slope = radial_slope(r, contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm)
-    per_mm = slope / np.maximum(r, 1e-12)
-    return per_mm * dx_mm, per_mm * dy_mm
 
+    contact_radius_mm: float
+    ball_radius_mm: float
+    membrane: Membrane
+    dome_radius_mm: float = 0.0
 
-def press_height(
-    dx_mm: FloatArray,
-    dy_mm: FloatArray,
-    contact_radius_mm: float,
-    ball_radius_mm: float,
-    membrane: Membrane,
-    dome_radius_mm: float = 0.0,
-) -> FloatArray:
-    """Height that a ball adds to the gel at rest, mm: 0 far away, negative under the ball.
+    def radial_slope(self, r_mm: FloatArray) -> FloatArray:
+        """``radial_slope`` of this press."""
+        return radial_slope(
+            r_mm, self.contact_radius_mm, self.ball_radius_mm, self.membrane, self.dome_radius_mm
+        )
 
-    The radial slope of ``press_slope``, integrated inwards from where it has died out.
-    """
-    r = np.hypot(dx_mm, dy_mm)
-    reach = max(float(r.max()), contact_radius_mm + 20.0 * membrane.decay_mm)
-    grid = np.linspace(0.0, reach, 2048)
-    slope = radial_slope(grid, contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm)
-    spline = CubicSpline(grid, slope).antiderivative()
-    return np.asarray(spline(r) - spline(reach))
+    def slope(self, dx_mm: FloatArray, dy_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """∂h/∂x and ∂h/∂y at distances along columns and rows (...) from the centre.
 
+        Of the gel-frame height map: positive away from the centre, where the gel is deepest.
+        """
+        r = np.hypot(dx_mm, dy_mm)
+        per_mm = self.radial_slope(r) / np.maximum(r, 1e-12)
+        return per_mm * dx_mm, per_mm * dy_mm
 
-def press_depth(
-    r_mm: FloatArray,
-    contact_radius_mm: float,
-    ball_radius_mm: float,
-    membrane: Membrane,
-    dome_radius_mm: float = 0.0,
-) -> FloatArray:
-    """Depth below the gel at rest, mm, at distances (n,) from a ball's centre.
+    def height(self, r_mm: FloatArray) -> FloatArray:
+        """Height, mm: 0 far away, negative under the ball."""
+        reach = max(float(r_mm.max()), self.contact_radius_mm + 20.0 * self.membrane.decay_mm)
+        grid = np.linspace(0.0, reach, 2048)
+        spline = CubicSpline(grid, self.radial_slope(grid)).antiderivative()
+        return np.asarray(spline(r_mm) - spline(reach))
 
-    As ``press_height``, to within a thousandth of the depth and ten times as fast.
-    """
-    reach = contact_radius_mm + _TAIL_DECAYS * membrane.decay_mm
-    grid = np.linspace(0.0, reach, _DEPTH_POINTS)
-    slope = radial_slope(grid, contact_radius_mm, ball_radius_mm, membrane, dome_radius_mm)
-    rise = np.cumsum(slope[:0:-1] + slope[-2::-1]) * (0.5 * grid[1])
-    return np.asarray(np.interp(r_mm, grid, np.append(rise[::-1], 0.0)))
+    def depth(self, r_mm: FloatArray) -> FloatArray:
+        """−``height``, to within a thousandth of the depth and ten times as fast."""
+        reach = self.contact_radius_mm + _TAIL_DECAYS * self.membrane.decay_mm
+        grid = np.linspace(0.0, reach, _DEPTH_POINTS)
+        slope = self.radial_slope(grid)
+        rise = np.cumsum(slope[:0:-1] + slope[-2::-1]) * (0.5 * grid[1])
+        return np.asarray(np.interp(r_mm, grid, np.append(rise[::-1], 0.0)))

@@ -128,7 +128,7 @@ def templates(package: str = "tacgen.report", *, escaped: bool = True) -> Enviro
     )
     shown = (estimate, fixed, interval, number, p_value, percent, unit_text, with_error)
     found.filters |= {function.__name__: function for function in shown}
-    parts = (facts_section, figure_section, table_section, text_section)
+    parts = (facts_section, figure_section, pictures_section, table_section, text_section)
     found.globals |= {function.__name__.removesuffix("_section"): function for function in parts}
     return found
 

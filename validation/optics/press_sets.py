@@ -28,7 +28,7 @@ SETS = {
 
 def held_out_errors(path: Path) -> list[dict[str, float]]:
     """RMSE, grey levels, in each ring around the contacts of the presses at ``path``."""
-    heldout = calibrate(usable_presses(read_presses(path)), heldout=True).heldout
+    heldout = calibrate(usable_presses(read_presses(path))).heldout
     if heldout is None:
         msg = f"{path}: no press was held out"
         raise RuntimeError(msg)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from tacgen.calibrate.lookup.scale import ScaleEvidence
 from tacgen.calibrate.lookup.score import TableScore, score_table
@@ -15,6 +18,9 @@ from tacgen.optics.table import LookupTable, load_table, save_table
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.screening import usable_presses
+
+MANY_PRESSES = 30
+"""From so many presses on, spread over the gel, the held-out error hardly falls any more."""
 
 
 def calibrate_lookup(
@@ -33,7 +39,7 @@ def calibrate_lookup(
     """
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
     presses = usable_presses(raw)
-    calibration = calibrate(presses, heldout=True)
+    calibration = calibrate(presses)
     table = calibration.table
     if without_dots and presses.dots is not None:
         table = replace(table, background=filled_in(table.background, presses.dots))
@@ -41,7 +47,7 @@ def calibrate_lookup(
     if report is not None:
         from tacgen.calibrate.lookup.report import write_table_report
 
-        write_table_report(report, presses, calibration)
+        write_table_report(report, lookup_record(calibration, presses), presses, calibration)
     return calibration, presses
 
 
@@ -79,54 +85,86 @@ def warning_lines(presses: PressImages, scale: ScaleEvidence | None = None) -> I
     yield from (str(press) for press in presses.dropped)
 
 
+def lookup_record(made: Calibration, presses: PressImages) -> dict[str, Any]:
+    """What ``tacgen calibrate lookup --json`` prints and its page shows."""
+    height, width = presses.shape_px
+    return {
+        **made.heldout.as_dict(),
+        "scale": made.scale.as_dict(),
+        "left_out": [
+            {"file": press.file, "row": press.row, "reason": press.reason}
+            for press in presses.dropped
+        ],
+        "warnings": list(warning_lines(presses, made.scale)),
+        "candidates": made.choice.errors,
+        "gel": {
+            "height_px": height,
+            "width_px": width,
+            "circles_found": int(presses.found.sum()),
+            "contact_radius_mm": made.fit.press_model.labels.contact_radius_mm,
+            "labelled_radius_px": float(presses.radius_px.mean()),
+            "printed_dots": presses.dots is not None,
+        },
+        "press_next": what_to_press_next(presses, made),
+    }
+
+
+def what_to_press_next(presses: PressImages, made: Calibration) -> list[str]:
+    """Advice: parts of the gel without a press, steeper slopes, more presses."""
+    height, width = presses.shape_px
+    ninth = np.clip(presses.center_px * 3 / (width, height), 0, 2).astype(int)
+    pressed = set(map(tuple, ninth.tolist()))
+    empty = [
+        f"{row} {column}"
+        for j, row in enumerate(("upper", "middle", "lower"))
+        for i, column in enumerate(("left", "centre", "right"))
+        if (i, j) not in pressed
+    ]
+    advice = []
+    if empty:
+        advice.append(
+            "No press is centred in these ninths of the image, where the table is extrapolated: "
+            f"{', '.join(empty)}. Press there first."
+        )
+    advice.append(
+        f"The steepest slope in the presses is {np.degrees(made.table.max_slope_rad):.0f}°; "
+        "steeper ones are rendered like it. A smaller ball or a deeper press reaches further."
+    )
+    if len(presses) < MANY_PRESSES:
+        advice.append(f"{len(presses)} presses; with {MANY_PRESSES} to 50 the error settles.")
+    return advice
+
+
 def lookup_text(made: Calibration, presses: PressImages, *, json_output: bool = False) -> str:
     """What ``tacgen calibrate lookup`` prints: held-out score, scale, rejected presses."""
-    if not json_output:
-        return score_text(made.heldout)
-    found = {} if made.heldout is None else made.heldout.as_dict()
-    if made.scale is not None:
-        found["scale"] = made.scale.as_dict()
-    found["left_out"] = [
-        {"file": press.file, "row": press.row, "reason": press.reason} for press in presses.dropped
-    ]
-    return json.dumps(found)
+    return json.dumps(lookup_record(made, presses)) if json_output else score_text(made.heldout)
 
 
-def score_text(score: TableScore | None, *, json_output: bool = False) -> str:
+def score_text(score: TableScore, *, json_output: bool = False) -> str:
     """The score as text for a terminal, or as JSON."""
-    if score is None:
-        return ""
+    found = score.as_dict()
     if json_output:
-        return json.dumps(score.as_dict())
-    labels, labels_rgb = score.rmse("labels")
-    refined, refined_rgb = score.rmse("refined")
+        return json.dumps(found)
+
+    def line(name: str, which: str) -> str:
+        rgb = ", ".join(f"{value:.2f}" for value in found[f"rmse_{which}_rgb"])
+        return f"  {name:27} {found[f'rmse_{which}']:6.2f}  ({rgb})"
+
+    normals = found.get("gradient_error_deg")
     return "\n".join(
         [
-            f"{len(score.presses)} presses, {score.n_pixels} pixels inside the contact circles; "
+            f"{found['n_images']} presses, {found['n_pixels']} pixels inside the contact circles; "
             "RMSE in grey levels (R, G, B)",
-            f"  labels as given             {labels:6.2f}  {_channels(labels_rgb)}",
-            f"  centre, radius re-estimated {refined:6.2f}  {_channels(refined_rgb)}",
+            line("labels as given", "labels"),
+            line("centre, radius re-estimated", "refined"),
             *(
                 f"  {ring['from_radii']:g} to {ring['to_radii']:g} radii: "
                 f"{ring['rmse_labels']:.2f}, re-estimated {ring['rmse_refined']:.2f}, "
                 f"without a contact {ring['rmse_bare']:.2f}"
-                for ring in score.rings()[1:]
+                for ring in found["rings"][1:]
             ),
-            _likeness_line(score.likeness()),
+            f"  SSIM {found['ssim_labels']:.3f}, re-estimated {found['ssim_refined']:.3f}; PSNR "
+            f"{found['psnr_db_labels']:.1f} dB, re-estimated {found['psnr_db_refined']:.1f} dB"
+            + (f"; normals read from the photographs {normals:.1f}° off" if normals else ""),
         ]
     )
-
-
-def _likeness_line(likeness: Mapping[str, float]) -> str:
-    """SSIM, PSNR and, where it was computed, the error of the normals."""
-    line = (
-        f"  SSIM {likeness['ssim_labels']:.3f}, re-estimated {likeness['ssim_refined']:.3f}; PSNR "
-        f"{likeness['psnr_db_labels']:.1f} dB, re-estimated {likeness['psnr_db_refined']:.1f} dB"
-    )
-    if "gradient_error_deg" in likeness:
-        line += f"; normals read from the photographs {likeness['gradient_error_deg']:.1f}° off"
-    return line
-
-
-def _channels(values: list[float]) -> str:
-    return f"({', '.join(f'{value:.2f}' for value in values)})"

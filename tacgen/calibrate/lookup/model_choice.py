@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.calibrate.lookup.prepared import PreparedPresses, Sample
 from tacgen.calibrate.lookup.press_fit import JointFit, sample_design
-from tacgen.calibrate.lookup.settings import BackgroundRecipe, FitSettings
+from tacgen.calibrate.lookup.settings import RULES, BackgroundRecipe, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     N_CONTACT,
     feature_index,
@@ -49,7 +49,7 @@ class PressSums:
         )
 
 
-def fold_of(count: int, n_folds: int) -> IntArray:
+def fold_of(count: int, n_folds: int = RULES.n_folds) -> IntArray:
     """Which fold each of ``count`` presses is in; neighbours in time go to different folds."""
     return np.arange(count) % min(n_folds, count)
 
@@ -60,12 +60,11 @@ def choose(prepared: PreparedPresses, fit: JointFit) -> Choice:
     The error is weighted as the fit is. A background other than the reference image is chosen only
     where it is better by more than one standard error, over the presses, of the difference.
     """
-    rules = prepared.rules
-    folds = fold_of(len(prepared), rules.n_folds)
+    folds = fold_of(len(prepared))
     nothing = np.zeros((*prepared.presses.shape_px, 3))
-    samples = prepared.samples(nothing, rules.pixels_to_choose)
-    highest = FitSettings(max(rules.degrees), max(rules.position_degrees))
-    backgrounds = [prepared.backgrounds[recipe] for recipe in rules.backgrounds]
+    samples = prepared.samples(nothing, RULES.pixels_to_choose)
+    highest = FitSettings(max(RULES.degrees), max(RULES.position_degrees))
+    backgrounds = [prepared.backgrounds[recipe] for recipe in RULES.backgrounds]
     sums = [
         press_sums(
             sample,
@@ -77,20 +76,20 @@ def choose(prepared: PreparedPresses, fit: JointFit) -> Choice:
         )
     ]
     squares: dict[FitSettings, FloatArray] = {}
-    for degree, position_degree in product(rules.degrees, rules.position_degrees):
+    for degree, position_degree in product(RULES.degrees, RULES.position_degrees):
         index = _columns_of(FitSettings(degree, position_degree), highest)
         fewer = [entry.of_columns(index) for entry in sums]
-        for ridge in rules.ridges:
+        for ridge in RULES.ridges:
             settings = FitSettings(degree, position_degree, ridge)
             squares[settings] = held_out_squares(fewer, folds, settings)
     weight = 3 * sum(entry.weight for entry in sums)
     errors = {
         f"{settings}, {recipe}": float(np.sqrt(square[:, k].sum() / weight))
         for settings, square in squares.items()
-        for k, recipe in enumerate(rules.backgrounds)
+        for k, recipe in enumerate(RULES.backgrounds)
     }
     settings, chosen = _best(squares, len(backgrounds))
-    return Choice(settings, rules.backgrounds[chosen], errors)
+    return Choice(settings, RULES.backgrounds[chosen], errors)
 
 
 def _clearly_better(squares: FloatArray, than: FloatArray) -> bool:

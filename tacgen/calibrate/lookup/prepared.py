@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, BackgroundRecipe, LookupRules
+from tacgen.calibrate.lookup.settings import RULES, BackgroundRecipe
 from tacgen.calibrate.lookup.smooth_model import position_features, position_terms
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import coarse, filled_in
+from tacgen.optics.smooth import Window
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 BLOCK_PX = 8
@@ -80,6 +81,13 @@ class Pixels:
                 for name in self.__slots__
             )
         )
+
+    @property
+    def window(self) -> Window:
+        """The rectangle that they span: rows and columns, first and one beyond the last."""
+        rows, columns = self.rows, self.columns
+        ends = rows.min(), rows.max() + 1, columns.min(), columns.max() + 1
+        return tuple(map(int, ends))  # type: ignore[return-value]
 
     @property
     def odd_block(self) -> BoolArray:
@@ -159,19 +167,17 @@ class PreparedPresses:
     Attributes
     ----------
     presses : PressImages
-    rules : LookupRules
     bare_changes : (N, h, w, 3) float32
         Image − reference where no press touches, coarse; NaN near the contacts.
     drift : (N, 3) float
         What each picture's bare gel is brighter by than that of the others, grey levels.
     backgrounds : mapping of BackgroundRecipe to (H, W, 3) float32
-        Every candidate of the rules.
+        Every candidate of the choice.
     light : (H, W, 3) float32
         Brightness of the reference image, smoothed, relative to its mean.
     """
 
     presses: PressImages
-    rules: LookupRules
     bare_changes: FloatArray
     drift: FloatArray
     backgrounds: Mapping[BackgroundRecipe, FloatArray]
@@ -181,39 +187,29 @@ class PreparedPresses:
     )
 
     @classmethod
-    def of(
-        cls,
-        presses: PressImages,
-        rules: LookupRules | None = None,
-        bare_changes: FloatArray | None = None,
-    ) -> PreparedPresses:
+    def of(cls, presses: PressImages, bare_changes: FloatArray | None = None) -> PreparedPresses:
         """The set of these presses; their ``bare_changes`` are computed unless they are known."""
-        rules = LookupRules() if rules is None else rules
         changes = _bare_changes(presses) if bare_changes is None else bare_changes
         change = _bare_gel_change(changes)
-        recipes = {*rules.backgrounds, SMOOTH_WITH_DRIFT}
         backgrounds = {
             recipe: make_background(presses.background, change, recipe, presses.dots)
-            for recipe in recipes
+            for recipe in RULES.backgrounds
         }
-        light = _light(presses)
-        return cls(presses, rules, changes, _drift(changes), backgrounds, light)
+        return cls(presses, changes, _drift(changes), backgrounds, _light(presses))
 
     def __len__(self) -> int:
         return len(self.presses)
 
     def select(self, which: BoolArray) -> PreparedPresses:
         """The presses that a mask picks; drift and backgrounds are estimated from them alone."""
-        return PreparedPresses.of(self.presses.select(which), self.rules, self.bare_changes[which])
+        return PreparedPresses.of(self.presses.select(which), self.bare_changes[which])
 
     def with_balls(self, ball_radius_mm: FloatArray) -> PreparedPresses:
         """The same presses by balls of other radii (N,), mm."""
         return replace(self, presses=replace(self.presses, ball_radius_mm=ball_radius_mm))
 
-    def samples(self, background: FloatArray, limit: int | None = None) -> list[Sample]:
+    def samples(self, background: FloatArray, limit: int = RULES.pixels_per_press) -> list[Sample]:
         """A sample of every press against ``background`` (H, W, 3), with up to ``limit`` pixels."""
-        rules = self.rules
-        limit = rules.pixels_per_press if limit is None else limit
         if limit not in self._pixels:
             self._pixels[limit] = [self._rings(k, limit) for k in range(len(self))]
         labels = label_mm(self.presses)
@@ -231,21 +227,17 @@ class PreparedPresses:
 
     def _rings(self, k: int, limit: int) -> tuple[Pixels, FloatArray, FloatArray]:
         """Pixels of press ``k`` in every ring, their features of position and their weights."""
-        rules = self.rules
-        inner, parts, weights = 0.0, [], []
-        for reach, share, weight in zip(
-            rules.ring_radii, rules.ring_pixels, rules.ring_weights, strict=True
-        ):
+        inner, parts = 0.0, []
+        for reach, share in zip(RULES.ring_radii, RULES.ring_pixels, strict=True):
             most = max(1, int(share * limit))
-            part = disc_pixels(self.presses, k, reach=reach, limit=most, inner=inner)
-            parts.append(part)
-            weights.append(np.full(len(part), weight))
+            parts.append(disc_pixels(self.presses, k, reach=reach, limit=most, inner=inner))
             inner = reach
         pixels = parts[0].with_these(parts[1:])
+        weight = np.repeat(RULES.ring_weights, [len(part) for part in parts])
         height, width = self.presses.shape_px
         u, v = (pixels.columns + 0.5) / width - 0.5, (pixels.rows + 0.5) / height - 0.5
-        position = position_features(u, v, self.light, max(rules.position_degrees))
-        return pixels, position, np.concatenate(weights)
+        position = position_features(u, v, self.light, max(RULES.position_degrees))
+        return pixels, position, weight
 
 
 def _light(presses: PressImages) -> FloatArray:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, PreparedPresses, Sample
-from tacgen.calibrate.lookup.settings import FitSettings, LookupRules
+from tacgen.calibrate.lookup.settings import RULES, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     SmoothModel,
     design,
@@ -24,9 +24,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.presses.geometry import (
     MAX_RADIUS_SHARE,
     Membrane,
-    press_depth,
-    press_height,
-    press_slope,
+    PressedGel,
     rest_height,
     rest_slope,
 )
@@ -40,13 +38,15 @@ ROUGH_DEGREE, ROUGH_POSITION_DEGREE, ROUGH_RIDGE = 4, 3, 1e-4
 """Presses are placed with a model of at most these degrees and at least this ridge: a stiffer one
 moves contacts to explain light, a softer one bends to explain contacts out of place."""
 
+LABEL_SCATTER_RADII = np.array(
+    [RULES.center_scatter_radii, RULES.center_scatter_radii, RULES.radius_scatter_radii]
+)
+"""Standard deviations of a label's centre and radius, in label radii."""
+
 LARGEST_STEP_RADII = 0.06
 """Of one Gauss–Newton step of a press's place: the model is linear over no more."""
 
-_NUDGE_RADII = 1e-3
-"""By which a press's place is moved for derivatives."""
-
-_TEN_MM = 10.0
+_TEN_MM = 10.0  # an image's size: over this a label's shift grows by what it is at the centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,49 +114,35 @@ class PressModel:
         Slopes along x and y, and depth below the gel at rest, mm; each (n,).
         """
         dx, dy = pixels.x_mm - geometry[0], pixels.y_mm - geometry[1]
-        shape = (float(geometry[2]), ball_radius_mm, self.membrane, self.dome_radius_mm)
-        added = press_slope(dx, dy, *shape)
+        pressed = self._pressed(geometry, ball_radius_mm)
+        added = pressed.slope(dx, dy)
         rest = rest_slope(pixels.x_mm, pixels.y_mm, self.dome_radius_mm)
-        depth = press_depth(np.hypot(dx, dy), *shape)
-        return added[0] + rest[0], added[1] + rest[1], depth
+        return added[0] + rest[0], added[1] + rest[1], pressed.depth(np.hypot(dx, dy))
 
     def height(
         self, geometry: FloatArray, ball_radius_mm: float, x_mm: FloatArray, y_mm: FloatArray
     ) -> FloatArray:
         """Height of the gel, mm, at places on it around a ball at ``geometry``."""
-        added = press_height(
-            x_mm - geometry[0],
-            y_mm - geometry[1],
-            float(geometry[2]),
-            ball_radius_mm,
-            self.membrane,
-            self.dome_radius_mm,
-        )
+        r_mm = np.hypot(x_mm - geometry[0], y_mm - geometry[1])
+        added = self._pressed(geometry, ball_radius_mm).height(r_mm)
         return added + rest_height(x_mm, y_mm, self.dome_radius_mm)
+
+    def _pressed(self, geometry: FloatArray, ball_radius_mm: float) -> PressedGel:
+        return PressedGel(float(geometry[2]), ball_radius_mm, self.membrane, self.dome_radius_mm)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, for a table's provenance."""
-        return {
-            "shift_mm": self.labels.shift_mm.tolist(),
-            "contact_radius_mm": self.labels.contact_radius_mm,
-            "reference_radius_mm": self.labels.reference_radius_mm,
-            "radius_slope": self.labels.radius_slope,
-            "decay_mm": self.membrane.decay_mm,
-            "sharpness": self.membrane.sharpness,
-            "dome_radius_mm": self.dome_radius_mm,
-        }
+        shift = {"shift_mm": self.labels.shift_mm.tolist()}
+        dome = {"dome_radius_mm": self.dome_radius_mm}
+        return asdict(self.labels) | shift | asdict(self.membrane) | dome
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> PressModel:
         """The inverse of ``as_dict``."""
-        labels = LabelModel(
-            shift_mm=np.asarray(values["shift_mm"], dtype=np.float64),
-            contact_radius_mm=float(values["contact_radius_mm"]),
-            reference_radius_mm=float(values["reference_radius_mm"]),
-            radius_slope=float(values["radius_slope"]),
-        )
-        membrane = Membrane(float(values["decay_mm"]), float(values["sharpness"]))
-        return cls(labels, membrane, float(values["dome_radius_mm"]))
+        known = {**values, "shift_mm": np.asarray(values["shift_mm"], dtype=np.float64)}
+        labels = LabelModel(**{name: known[name] for name in LabelModel.__slots__})
+        membrane = Membrane(known["decay_mm"], known["sharpness"])
+        return cls(labels, membrane, known["dome_radius_mm"])
 
 
 def plain_press_model(contact_radius_mm: float, dome_radius_mm: float = 0.0) -> PressModel:
@@ -224,8 +210,8 @@ def fit_jointly(
     The places are found on a thinned lattice of pixels; the model is then fitted to more of them.
     ``start`` is an earlier fit of the same presses to go on from.
     """
-    rules, presses = prepared.rules, prepared.presses
-    thinned = prepared.samples(background, rules.pixels_to_place)
+    presses = prepared.presses
+    thinned = prepared.samples(background, RULES.pixels_to_place)
     labels = np.array([sample.label for sample in thinned])
     rough = FitSettings(
         min(settings.degree, ROUGH_DEGREE),
@@ -233,7 +219,7 @@ def fit_jointly(
         max(settings.ridge, ROUGH_RIDGE),
     )
     if start is None:
-        radius = np.minimum(rules.first_radius_share * labels[:, 2], 0.9 * presses.ball_radius_mm)
+        radius = np.minimum(RULES.first_radius_share * labels[:, 2], 0.9 * presses.ball_radius_mm)
         geometry = np.column_stack([labels[:, :2], radius])
         press_model, share = plain_press_model(float(radius.mean()), presses.dome_radius_mm), 0.0
     else:
@@ -241,10 +227,10 @@ def fit_jointly(
     for _ in range(iterations):
         samples = _less(thinned, share * prepared.drift)
         model = _fit_model(samples, geometry, press_model, rough)
-        expected, scatter = _expected(presses, press_model.labels.geometry(labels), rules)
+        expected, scatter = _expected(presses, press_model.labels.geometry(labels))
         geometry = np.array(
             [
-                _place_sample(sample, model, press_model, place, held, rules)
+                _place_sample(sample, model, press_model, place, held)
                 for sample, place, held in zip(samples, expected, scatter, strict=True)
             ]
         )
@@ -296,13 +282,11 @@ def _drift_share(
         if seen.any():
             residual[k] = apart[seen].mean(axis=0)
     residual -= residual.mean(axis=0)
-    size = float((drift**2).sum()) + len(drift) * prepared.rules.drift_noise_grey**2
+    size = float((drift**2).sum()) + len(drift) * RULES.drift_noise_grey**2
     return float(np.clip((residual * drift).sum() / size, 0.0, 1.0))
 
 
-def _expected(
-    presses: PressImages, by_label: FloatArray, rules: LookupRules
-) -> tuple[FloatArray, FloatArray]:
+def _expected(presses: PressImages, by_label: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Expected geometry (N, 3), mm, and its scatter (N, 3), label radii.
 
     A circle that is seen in the picture says more about the centre than a label does, and keeps a
@@ -311,34 +295,29 @@ def _expected(
     """
     expected = np.array(by_label)
     expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
-    scatter = np.tile(label_scatter(rules), (len(presses), 1))
+    scatter = np.tile(LABEL_SCATTER_RADII, (len(presses), 1))
     if presses.seen_px is not None:
         known = np.isfinite(presses.seen_px).all(axis=1)
         if len(presses.found):
             known &= ~presses.found
         x, y = presses.seen_px[:, 0], presses.seen_px[:, 1]
         seen = np.column_stack(place_mm(x, y, presses.shape_px, presses.mm_per_px))
-        label, circle = rules.center_scatter_radii, rules.seen_scatter_radii
+        label, circle = RULES.center_scatter_radii, RULES.seen_scatter_radii
         share = label**2 / (label**2 + circle**2)
         expected[known, :2] += share * (seen - expected[:, :2])[known]
         scatter[known, :2] = circle * np.sqrt(share)
     return expected, scatter
 
 
-def label_scatter(rules: LookupRules) -> FloatArray:
-    """Standard deviations (3,) of a label's centre and radius, in label radii."""
-    center = rules.center_scatter_radii
-    return np.array([center, center, rules.radius_scatter_radii])
-
-
 def place_press(
-    linearised: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    grey: Callable[[FloatArray], FloatArray],
+    target: FloatArray,
     expected: FloatArray,
-    prior_sigma_mm: FloatArray,
-    precision: FloatArray,
-    label_radius_mm: float,
-    ball_radius_mm: float,
+    scatter: FloatArray,
+    weight: FloatArray,
+    radii_mm: tuple[float, float],
     *,
+    nudge: float,
     steps: int,
     tolerance: float,
 ) -> FloatArray:
@@ -346,28 +325,38 @@ def place_press(
 
     Parameters
     ----------
-    linearised : callable
-        Residual (n,) and Jacobian (n, 3) of the picture at a place.
-    expected, prior_sigma_mm : (3,) float
-        The prior's mean and standard deviations.
-    precision : (n,) float
-        Inverse variance of each residual.
-    tolerance : float
-        The steps end where none of them is longer than this share of the label's radius.
+    grey : callable
+        Grey levels (n, 3) of the press at a place.
+    target : (n, 3) float
+        What they should be.
+    expected, scatter : (3,) float
+        The prior's mean, mm, and its standard deviations in label radii.
+    weight : (n,) float
+        Of each pixel.
+    radii_mm : (float, float)
+        The label's radius and the ball's.
+    nudge, tolerance : float
+        By which a place is moved for derivatives, and the step at which the search ends; both in
+        label radii.
     """
-    prior = 1.0 / prior_sigma_mm**2
+    label_mm, ball_mm = radii_mm
+    moves_mm = nudge * label_mm * np.eye(3)
+    prior = 1.0 / (scatter * label_mm) ** 2
+    precision = np.repeat(weight, 3) / (RULES.noise_grey**2 * RULES.correlated_pixels)
     place = np.array(expected, dtype=np.float64)
     for _ in range(steps):
-        residual, jacobian = linearised(place)
+        value = grey(place)
+        columns = [(grey(place + m) - value).ravel() / (nudge * label_mm) for m in moves_mm]
+        jacobian = np.stack(columns, axis=-1)
         weighted = jacobian * precision[:, None]
         step = np.linalg.solve(
             weighted.T @ jacobian + np.diag(prior),
-            weighted.T @ residual - prior * (place - expected),
+            weighted.T @ (target - value).ravel() - prior * (place - expected),
         )
-        longest = LARGEST_STEP_RADII * label_radius_mm
+        longest = LARGEST_STEP_RADII * label_mm
         place += np.clip(step, -longest, longest)
-        place[2] = np.clip(place[2], 0.1 * label_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
-        if np.abs(step).max() < tolerance * label_radius_mm:
+        place[2] = np.clip(place[2], 0.1 * label_mm, MAX_RADIUS_SHARE * ball_mm)
+        if np.abs(step).max() < tolerance * label_mm:
             break
     return place
 
@@ -378,32 +367,21 @@ def _place_sample(
     press_model: PressModel,
     expected: FloatArray,
     scatter: FloatArray,
-    rules: LookupRules,
 ) -> FloatArray:
-    """Centre and contact radius (3,), mm, of one press under a smooth model.
-
-    ``scatter`` (3,) are the prior's standard deviations in label radii.
-    """
-    radius = float(sample.label[2])
+    """``place_press`` of one press under a smooth model."""
     at_places = model.at_places(sample.position)
     target = sample.change
     if press_model.dome_radius_mm > 0:
         target = target + weighed(_rest_terms(sample, press_model, model.degree), at_places)
-    nudge = _NUDGE_RADII * radius
 
     def grey(place: FloatArray) -> FloatArray:
         surface = press_model.surface(place, sample.ball_radius_mm, sample.pixels)
         return weighed(light_terms(*surface, model.degree), at_places)
 
-    def linearised(place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        value = grey(place)
-        columns = [((grey(place + step) - value) / nudge).ravel() for step in nudge * np.eye(3)]
-        return (target - value).ravel(), np.stack(columns, axis=-1)
-
-    precision = np.repeat(sample.weight, 3) / (rules.noise_grey**2 * rules.correlated_pixels)
+    radii_mm = float(sample.label[2]), sample.ball_radius_mm
     return place_press(
-        linearised, expected, scatter * radius, precision, radius, sample.ball_radius_mm,
-        steps=5, tolerance=1e-3,
+        grey, target, expected, scatter, sample.weight, radii_mm,
+        nudge=1e-3, steps=5, tolerance=1e-3,
     )  # fmt: skip
 
 

@@ -10,8 +10,7 @@ wider than its ball.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares, press_sums
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly, sample_design
-from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings
+from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.dots import find_spots, nearest_px
 from tacgen.presses.press_images import PressImages
@@ -96,17 +95,10 @@ class ScaleEvidence:
             "stated_mm_per_px": self.stated_mm_per_px,
             "estimate_mm_per_px": together.mm_per_px if together else None,
             "stderr_mm_per_px": together.stderr if together else None,
-            "rulers": [
-                {"name": r.name, "mm_per_px": r.mm_per_px, "stderr": r.stderr, "n": r.n}
-                for r in self.rulers
-            ],
+            "rulers": [asdict(ruler) for ruler in self.rulers],
             "largest_mm_per_px": self.largest_mm_per_px,
-            "ball_ratios": [
-                {"radius_mm": r.radius_mm, "reference_mm": r.reference_mm, "factor": r.factor,
-                 "stderr": r.stderr}
-                for r in self.ratios
-            ],
-        }  # fmt: skip
+            "ball_ratios": [asdict(ratio) for ratio in self.ratios],
+        }
 
 
 def scale_evidence(prepared: PreparedPresses, fit: JointFit) -> ScaleEvidence:
@@ -118,7 +110,7 @@ def scale_evidence(prepared: PreparedPresses, fit: JointFit) -> ScaleEvidence:
     ratios = ball_ratios(prepared, fit)
     found = ScaleEvidence(presses.mm_per_px, rulers, largest, ratios, (), ())
     return replace(
-        found, warnings=tuple(_warnings(prepared, found)), notes=tuple(_notes(presses, found))
+        found, warnings=tuple(_warnings(presses, found)), notes=tuple(_notes(presses, found))
     )
 
 
@@ -215,9 +207,9 @@ def _ratio(prepared: PreparedPresses, fit: JointFit, radius: float, reference: f
 
 def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
     """Squared error (N,) of each press by a model of the others, all placed anew."""
-    rules, background = prepared.rules, prepared.backgrounds[SMOOTH_WITH_DRIFT]
+    background = prepared.backgrounds[SMOOTH_WITH_DRIFT]
     placed = fit_jointly(prepared, background, RATIO_SETTINGS, start=fit, iterations=3)
-    samples = prepared.samples(background, rules.pixels_for_ratio)
+    samples = prepared.samples(background, RULES.pixels_for_ratio)
     sums = [
         press_sums(
             sample,
@@ -226,7 +218,7 @@ def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
         )
         for sample, place in zip(samples, placed.geometry, strict=True)
     ]
-    folds = fold_of(len(prepared), rules.n_folds)
+    folds = fold_of(len(prepared))
     return held_out_squares(sums, folds, RATIO_SETTINGS)[:, 0]
 
 
@@ -242,12 +234,12 @@ def _lowest(squares: FloatArray) -> float:
     return float(factors[middle] + step)
 
 
-def _warnings(prepared: PreparedPresses, found: ScaleEvidence) -> list[str]:
-    presses, rules, stated = prepared.presses, prepared.rules, found.stated_mm_per_px
+def _warnings(presses: PressImages, found: ScaleEvidence) -> list[str]:
+    stated = found.stated_mm_per_px
     lines = []
     for ruler in found.rulers:
         apart = ruler.mm_per_px / stated - 1
-        if abs(apart) > max(rules.clear_share, rules.clear_sigmas * ruler.stderr / stated):
+        if abs(apart) > max(RULES.clear_share, RULES.clear_sigmas * ruler.stderr / stated):
             lines.append(
                 f"the stated mm_per_px is {stated:.4f}, but {ruler.name} say {ruler.mm_per_px:.4f} "
                 f"± {ruler.stderr:.4f} ({apart:+.0%}): check both; --mm-per-px "
@@ -269,7 +261,7 @@ def _warnings(prepared: PreparedPresses, found: ScaleEvidence) -> list[str]:
         )
     for ratio in found.ratios:
         apart = ratio.factor - 1
-        if abs(apart) > max(rules.clear_share, rules.clear_sigmas * ratio.stderr):
+        if abs(apart) > max(RULES.clear_share, RULES.clear_sigmas * ratio.stderr):
             lines.append(
                 f"the ball of {ratio.radius_mm:g} mm looks like one of "
                 f"{ratio.factor * ratio.radius_mm:.2f} ± {ratio.stderr * ratio.radius_mm:.2f} mm "
@@ -293,17 +285,3 @@ def _notes(presses: PressImages, found: ScaleEvidence) -> list[str]:
             "of another size would show it"
         )
     return lines
-
-
-def evidence_lines(found: ScaleEvidence) -> Sequence[str]:
-    """The estimates in words."""
-    lines = [f"Stated: {found.stated_mm_per_px:.4f} mm/px."]
-    lines += [
-        f"By {r.name} ({r.n}): {r.mm_per_px:.4f} ± {r.stderr:.4f} mm/px." for r in found.rulers
-    ]
-    lines += [
-        f"The ball of {r.radius_mm:g} mm looks {r.factor:.3f} ± {r.stderr:.3f} times its stated "
-        f"radius against the ball of {r.reference_mm:g} mm."
-        for r in found.ratios
-    ]
-    return [*lines, *found.warnings, *found.notes]

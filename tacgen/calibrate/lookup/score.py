@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -13,21 +14,20 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.press_fit import (
     EXPECTED_RADIUS_SHARE,
+    LABEL_SCATTER_RADII,
     PressModel,
-    label_scatter,
     place_press,
     plain_press_model,
 )
-from tacgen.calibrate.lookup.settings import LookupRules
+from tacgen.calibrate.lookup.settings import RULES
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.render import Shader
-from tacgen.optics.smooth import Window
+from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import rest_height
-from tacgen.presses.press_images import PressImages, label_mm
-from tacgen.presses.press_images import place_mm as image_place_mm
+from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 _MARGIN_PX = 3
 """The renderer's differences and shadows reach this far beyond the pixels that are read."""
@@ -36,6 +36,51 @@ _MARGIN_PX = 3
 PICTURES = ("labels", "refined", "bare")
 """What a press is compared with: the table at the label's word, at the place re-estimated, and the
 background without a contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableScore:
+    """Errors of a table over a set of presses."""
+
+    presses: tuple[PressScore, ...]
+
+    def rmse(self, picture: str, ring: int = 0) -> tuple[float, list[float]]:
+        """Over all and per channel (RGB) in a ring; ``picture`` is one of ``PICTURES``."""
+        which = PICTURES.index(picture)
+        squares = np.sum([press.squares[ring, which] for press in self.presses], axis=0)
+        mean = squares / max(sum(int(press.counts[ring]) for press in self.presses), 1)
+        return float(np.sqrt(mean.mean())), [float(value) for value in np.sqrt(mean)]
+
+    def rings(self) -> list[dict[str, float]]:
+        """RMSE in each ring around the circles, with the bare background's beside it."""
+        radii = RULES.ring_radii
+        return [
+            {
+                "from_radii": inner,
+                "to_radii": outer,
+                "n_pixels": sum(int(press.counts[k]) for press in self.presses),
+                **{f"rmse_{picture}": self.rmse(picture, k)[0] for picture in PICTURES},
+            }
+            for k, (inner, outer) in enumerate(zip((0.0, *radii), radii, strict=False))
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``tacgen calibrate score --json`` prints."""
+        labels, labels_rgb = self.rmse("labels")
+        refined, refined_rgb = self.rmse("refined")
+        names = self.presses[0].likeness if self.presses else {}
+        return {
+            "rmse_labels": labels,
+            "rmse_labels_rgb": labels_rgb,
+            "rmse_refined": refined,
+            "rmse_refined_rgb": refined_rgb,
+            "n_images": len(self.presses),
+            "n_pixels": sum(int(press.counts[0]) for press in self.presses),
+            "unit": "grey",
+            **{name: float(np.mean([p.likeness[name] for p in self.presses])) for name in names},
+            "rings": self.rings(),
+            "images": [press.as_dict() for press in self.presses],
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +93,7 @@ class PressScore:
         By ring (the contact first), by ``PICTURES``, RGB.
     counts : (n_rings,) int
         Pixels in each ring.
-    expected_mm, refined_mm : (3,) float
+    refined_mm : (3,) float
         Centre and contact radius.
     likeness : mapping
         ``ssim_…`` and ``psnr_db_…`` (dB) of the picture within the outermost ring's square,
@@ -60,83 +105,21 @@ class PressScore:
     name: str
     squares: FloatArray
     counts: IntArray
-    expected_mm: FloatArray
     refined_mm: FloatArray
     likeness: Mapping[str, float]
 
-    @property
-    def n_pixels(self) -> int:
-        """Pixels inside the contact circle."""
-        return int(self.counts[0])
-
     def rmse(self, picture: str) -> float:
         """Inside the circle, over the channels, grey levels."""
-        square = self.squares[0, PICTURES.index(picture)].sum()
-        return float(np.sqrt(square / (3 * self.n_pixels)))
-
-
-@dataclass(frozen=True, slots=True)
-class TableScore:
-    """Errors of a table over a set of presses."""
-
-    presses: tuple[PressScore, ...]
-
-    @property
-    def n_pixels(self) -> int:
-        """Pixels inside the contact circles."""
-        return sum(press.n_pixels for press in self.presses)
-
-    def rmse(self, picture: str, ring: int = 0) -> tuple[float, list[float]]:
-        """Over all and per channel (RGB) in a ring; ``picture`` is one of ``PICTURES``."""
-        which = PICTURES.index(picture)
-        squares = np.sum([press.squares[ring, which] for press in self.presses], axis=0)
-        mean = squares / max(sum(int(press.counts[ring]) for press in self.presses), 1)
-        return float(np.sqrt(mean.mean())), [float(value) for value in np.sqrt(mean)]
-
-    def rings(self, rules: LookupRules | None = None) -> list[dict[str, float]]:
-        """RMSE in each ring around the circles, with the bare background's beside it."""
-        radii = (LookupRules() if rules is None else rules).ring_radii
-        return [
-            {
-                "from_radii": inner,
-                "to_radii": outer,
-                "n_pixels": sum(int(press.counts[k]) for press in self.presses),
-                **{f"rmse_{picture}": self.rmse(picture, k)[0] for picture in PICTURES},
-            }
-            for k, (inner, outer) in enumerate(zip((0.0, *radii), radii, strict=False))
-        ]
-
-    def likeness(self) -> dict[str, float]:
-        """Means over the presses of their ``likeness``."""
-        names = self.presses[0].likeness if self.presses else {}
-        return {
-            name: float(np.mean([press.likeness[name] for press in self.presses])) for name in names
-        }
+        return TableScore((self,)).rmse(picture)[0]
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``tacgen calibrate score --json`` prints."""
-        labels, labels_rgb = self.rmse("labels")
-        refined, refined_rgb = self.rmse("refined")
+        """Its entry in the score's ``images``."""
         return {
-            "rmse_labels": labels,
-            "rmse_labels_rgb": labels_rgb,
-            "rmse_refined": refined,
-            "rmse_refined_rgb": refined_rgb,
-            "n_images": len(self.presses),
-            "n_pixels": self.n_pixels,
-            "unit": "grey",
-            **self.likeness(),
-            "rings": self.rings(),
-            "images": [
-                {
-                    "name": press.name,
-                    "rmse_labels": press.rmse("labels"),
-                    "rmse_refined": press.rmse("refined"),
-                    "n_pixels": press.n_pixels,
-                    **press.likeness,
-                }
-                for press in self.presses
-            ],
+            "name": self.name,
+            "rmse_labels": self.rmse("labels"),
+            "rmse_refined": self.rmse("refined"),
+            "n_pixels": int(self.counts[0]),
+            **self.likeness,
         }
 
 
@@ -148,46 +131,28 @@ class PressRenderer:
         self._model = press_model
         self._shape = table.shape_px
         self._mm_per_px = table.mm_per_px
-        height, width = self._shape
-        self._height_mm = np.zeros((height, width), dtype=np.float32)
-        self._image = np.zeros((height, width, 3), dtype=np.float32)
+        self._height_mm = np.zeros(self._shape, dtype=np.float32)
+        self._image = np.zeros((*self._shape, 3), dtype=np.float32)
 
     def grey(self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels) -> FloatArray:
         """Grey levels (n, 3) at ``pixels`` of a ball at ``geometry`` (centre and radius, mm)."""
-        window = self._window(pixels)
-        self._render(geometry, ball_radius_mm, window)
+        self._render(geometry, ball_radius_mm, pixels.window)
         return np.clip(self._image[pixels.rows, pixels.columns].astype(np.float64), 0.0, 255.0)
 
-    def picture(self, geometry: FloatArray, ball_radius_mm: float) -> NDArray[np.uint8]:
-        """The whole picture (H, W, 3), RGB."""
-        self._render(geometry, ball_radius_mm, (0, self._shape[0], 0, self._shape[1]))
-        return np.rint(np.clip(self._image, 0, 255)).astype(np.uint8)
-
-    def cut(
-        self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels
-    ) -> tuple[NDArray[np.uint8], Window]:
-        """The rectangle of the picture around ``pixels``, RGB, and where it is in the image."""
-        self._render(geometry, ball_radius_mm, self._window(pixels))
-        top, bottom = int(pixels.rows.min()), int(pixels.rows.max()) + 1
-        left, right = int(pixels.columns.min()), int(pixels.columns.max()) + 1
-        part = self._image[top:bottom, left:right]
-        return np.rint(np.clip(part, 0, 255)).astype(np.uint8), (top, bottom, left, right)
-
-    def _window(self, pixels: Pixels) -> tuple[int, int, int, int]:
-        height, width = self._shape
-        return (
-            max(0, int(pixels.rows.min()) - _MARGIN_PX),
-            min(height, int(pixels.rows.max()) + _MARGIN_PX + 1),
-            max(0, int(pixels.columns.min()) - _MARGIN_PX),
-            min(width, int(pixels.columns.max()) + _MARGIN_PX + 1),
-        )
-
-    def _render(
-        self, geometry: FloatArray, ball_radius_mm: float, window: tuple[int, int, int, int]
-    ) -> None:
+    def picture(
+        self, geometry: FloatArray, ball_radius_mm: float, window: Window | None = None
+    ) -> NDArray[np.uint8]:
+        """The picture (h, w, 3), RGB, of the whole image or within a window of it."""
+        window = window or (0, self._shape[0], 0, self._shape[1])
+        self._render(geometry, ball_radius_mm, window)
         top, bottom, left, right = window
+        part = self._image[top:bottom, left:right]
+        return np.rint(np.clip(part, 0, 255)).astype(np.uint8)
+
+    def _render(self, geometry: FloatArray, ball_radius_mm: float, window: Window) -> None:
+        top, bottom, left, right = window = grown(window, _MARGIN_PX, self._shape)
         rows, columns = np.mgrid[top:bottom, left:right]
-        x_mm, y_mm = image_place_mm(columns, rows, self._shape, self._mm_per_px)
+        x_mm, y_mm = place_mm(columns, rows, self._shape, self._mm_per_px)
         self._height_mm[top:bottom, left:right] = self._model.height(
             geometry, ball_radius_mm, x_mm, y_mm
         )
@@ -195,13 +160,7 @@ class PressRenderer:
         self._shader.finish(self._height_mm, window, self._image)
 
 
-def score_table(
-    table: LookupTable,
-    presses: PressImages,
-    rules: LookupRules | None = None,
-    *,
-    gradients: bool = False,
-) -> TableScore:
+def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = False) -> TableScore:
     """Score a table on presses; every press must have a circle, labelled or found.
 
     ``gradients`` also reads the surface normals back from the photographs, half a second a press.
@@ -221,22 +180,16 @@ def score_table(
     renderer = PressRenderer(table, press_model)
     expected = press_model.labels.geometry(label_mm(presses))
     expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
-    rules = LookupRules() if rules is None else rules
-    scored = [_score_press(presses, k, expected[k], renderer, rules) for k in range(len(presses))]
+    reader = None
     if gradients:
         reader = Reconstructor(table, presses.background, presses.dome_radius_mm)
-        scored = [
-            replace(
-                press,
-                likeness={
-                    **press.likeness,
-                    "gradient_error_deg": _gradient_error_deg(
-                        reader, press_model, presses, k, press.refined_mm
-                    ),
-                },
-            )
-            for k, press in enumerate(scored)
-        ]
+    scored = []
+    for k in range(len(presses)):
+        press = _score_press(presses, k, expected[k], renderer)
+        if reader is not None:
+            error = _gradient_error_deg(reader, press_model, presses, k, press.refined_mm)
+            press = replace(press, likeness={**press.likeness, "gradient_error_deg": error})
+        scored.append(press)
     return TableScore(tuple(scored))
 
 
@@ -245,13 +198,13 @@ def _gradient_error_deg(
     press_model: PressModel,
     presses: PressImages,
     k: int,
-    place_mm: FloatArray,
+    geometry: FloatArray,
 ) -> float:
     """Mean angle between the normals that a photograph shows and those of a press at a place."""
     depth = reader.shape_of(presses.images[k], presses.hidden_in(k)).depth_mm
     rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
-    x_mm, y_mm = image_place_mm(columns, rows, (len(depth), depth.shape[1]), reader.mm_per_px)
-    true = press_model.height(place_mm, float(presses.ball_radius_mm[k]), x_mm, y_mm)
+    x_mm, y_mm = place_mm(columns, rows, (len(depth), depth.shape[1]), reader.mm_per_px)
+    true = press_model.height(geometry, float(presses.ball_radius_mm[k]), x_mm, y_mm)
     rest = rest_height(x_mm, y_mm, presses.dome_radius_mm)
     normals = []
     for height in (true, rest - depth):
@@ -266,8 +219,7 @@ def _gradient_error_deg(
 
 def psnr_db(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) -> float:
     """Peak signal-to-noise ratio, dB, of 8-bit pictures; 99 where they are equal."""
-    square = float(((real.astype(np.float64) - rendered) ** 2).mean())
-    return float(min(10 * np.log10(255.0**2 / max(square, 1e-12)), 99.0))
+    return min(cv2.PSNR(real, rendered), 99.0)
 
 
 def structural_similarity(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) -> float:
@@ -300,17 +252,13 @@ def press_model_of(table: LookupTable, presses: PressImages) -> PressModel:
 
 
 def _score_press(
-    presses: PressImages,
-    k: int,
-    expected: FloatArray,
-    renderer: PressRenderer,
-    rules: LookupRules,
+    presses: PressImages, k: int, expected: FloatArray, renderer: PressRenderer
 ) -> PressScore:
     ball = float(presses.ball_radius_mm[k])
-    label_radius_mm = float(presses.radius_px[k] * presses.mm_per_px)
-    pixels = disc_pixels(presses, k, reach=rules.ring_radii[-1])
+    radii_mm = float(presses.radius_px[k] * presses.mm_per_px), ball
+    pixels = disc_pixels(presses, k, reach=RULES.ring_radii[-1])
     distance = np.hypot(*(np.stack([pixels.columns, pixels.rows], -1) - presses.center_px[k]).T)
-    ring = np.digitize(distance, np.array(rules.ring_radii[:-1]) * presses.radius_px[k])
+    ring = np.digitize(distance, np.array(RULES.ring_radii[:-1]) * presses.radius_px[k])
     inside, odd_block = ring == 0, pixels.odd_block
     errors = np.empty((len(PICTURES), len(pixels), 3))
     errors[0] = pixels.grey - renderer.grey(expected, ball, pixels)
@@ -320,9 +268,12 @@ def _score_press(
         estimating, scoring = inside & (odd_block == odd), odd_block != odd
         place = expected
         if estimating.any() and scoring.any():
-            place = _place_on_table(
-                pixels.select(estimating), renderer, expected, label_radius_mm, ball, rules
-            )
+            seen = pixels.select(estimating)
+            place = place_press(
+                partial(renderer.grey, ball_radius_mm=ball, pixels=seen), seen.grey, expected,
+                LABEL_SCATTER_RADII, np.ones(len(seen)), radii_mm,
+                nudge=0.01, steps=10, tolerance=2e-3,
+            )  # fmt: skip
         if scoring.any():
             scored = pixels.select(scoring)
             errors[1, scoring] = scored.grey - renderer.grey(place, ball, scored)
@@ -330,43 +281,16 @@ def _score_press(
     refined = np.mean(places, axis=0)
     likeness = {}
     for name, place in (("labels", expected), ("refined", refined)):
-        rendered, (top, bottom, left, right) = renderer.cut(place, ball, pixels)
-        real = presses.images[k, top:bottom, left:right]
+        top, bottom, left, right = pixels.window
+        rendered = renderer.picture(place, ball, pixels.window)
+        real = np.ascontiguousarray(presses.images[k, top:bottom, left:right])
         likeness[f"ssim_{name}"] = structural_similarity(real, rendered)
         likeness[f"psnr_db_{name}"] = psnr_db(real, rendered)
-    squares = [(errors[:, ring == k] ** 2).sum(axis=1) for k in range(len(rules.ring_radii))]
+    squares = [(errors[:, ring == k] ** 2).sum(axis=1) for k in range(len(RULES.ring_radii))]
     return PressScore(
         name=presses.names[k],
         squares=np.array(squares),
-        counts=np.bincount(ring, minlength=len(rules.ring_radii)),
-        expected_mm=expected,
+        counts=np.bincount(ring, minlength=len(RULES.ring_radii)),
         refined_mm=refined,
         likeness=likeness,
     )
-
-
-def _place_on_table(
-    pixels: Pixels,
-    renderer: PressRenderer,
-    expected: FloatArray,
-    label_radius_mm: float,
-    ball_radius_mm: float,
-    rules: LookupRules,
-) -> FloatArray:
-    """Centre and contact radius (3,), mm, that make the table's picture most like the press."""
-    nudge = 0.01 * label_radius_mm
-
-    def linearised(place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        value = renderer.grey(place, ball_radius_mm, pixels)
-        columns = []
-        for axis in range(3):
-            moved = place.copy()
-            moved[axis] += nudge
-            columns.append(((renderer.grey(moved, ball_radius_mm, pixels) - value) / nudge).ravel())
-        return (pixels.grey - value).ravel(), np.stack(columns, axis=-1)
-
-    precision = np.full(3 * len(pixels), 1.0 / (rules.noise_grey**2 * rules.correlated_pixels))
-    return place_press(
-        linearised, expected, label_scatter(rules) * label_radius_mm, precision, label_radius_mm,
-        ball_radius_mm, steps=10, tolerance=2e-3,
-    )  # fmt: skip

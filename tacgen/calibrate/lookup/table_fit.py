@@ -15,8 +15,8 @@ from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly
 from tacgen.calibrate.lookup.scale import ScaleEvidence, scale_evidence
-from tacgen.calibrate.lookup.score import PressScore, TableScore, score_table
-from tacgen.calibrate.lookup.settings import SMOOTH_WITH_DRIFT, FitSettings, LookupRules
+from tacgen.calibrate.lookup.score import TableScore, score_table
+from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     CONTACT_DEPTH_MM,
     SmoothModel,
@@ -29,7 +29,7 @@ from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.version import __version__
 from tacgen.core.workers import map_in_processes
 from tacgen.optics.table import ContactLight, LookupTable
-from tacgen.presses.geometry import press_slope, rest_slope
+from tacgen.presses.geometry import PressedGel, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
 N_SLOPE, N_DIRECTION = 48, 120
@@ -60,9 +60,9 @@ class Calibration:
     table: LookupTable
     fit: JointFit
     choice: Choice
-    heldout: TableScore | None = None
-    scale: ScaleEvidence | None = None
-    fold_tables: tuple[LookupTable, ...] = ()
+    heldout: TableScore
+    scale: ScaleEvidence
+    fold_tables: tuple[LookupTable, ...]
 
     @property
     def background(self) -> FloatArray:
@@ -70,45 +70,36 @@ class Calibration:
         return self.presses.backgrounds[self.choice.background]
 
 
-def fit_lookup(presses: PressImages, rules: LookupRules | None = None) -> LookupTable:
+def fit_lookup(presses: PressImages) -> LookupTable:
     """The lookup table of a sensor from its ball presses.
 
     Every press must have a centre and a radius, labelled or found; both are taken as a start and
     estimated. Degree, ridge and background are chosen by cross-validation over whole presses.
     """
-    return calibrate(presses, rules).table
+    return _fit(PreparedPresses.of(presses))[0]
 
 
-def calibrate(
-    presses: PressImages,
-    rules: LookupRules | None = None,
-    *,
-    heldout: bool = False,
-    processes: int | None = None,
-) -> Calibration:
-    """Fit a table; with ``heldout`` also repeat everything once a fold, each without a fold.
+def calibrate(presses: PressImages, *, processes: int | None = None) -> Calibration:
+    """Fit a table, and repeat everything once a fold, each without a fold, to score it.
 
     The held-out presses of a fold take no part in the fit, in the choice of settings or in the
     estimate of the background that they are scored against. The fits run in ``processes``
     processes, by default one a core; the result does not depend on how many.
     """
-    prepared = PreparedPresses.of(presses, rules)
-    if not heldout:
-        return Calibration(prepared, *_fit(prepared))
-    folds = fold_of(len(presses), prepared.rules.n_folds)
+    prepared = PreparedPresses.of(presses)
+    folds = fold_of(len(presses))
     task = _FoldTask(prepared, folds)
     whole, *parts = map_in_processes(task, [WHOLE, *np.unique(folds).tolist()], processes)
-    table, fit, choice, scale, _ = whole
-    scored: list[PressScore | None] = [None] * len(presses)
-    for fold, (*_, score) in enumerate(parts):
-        for k, press in zip(np.nonzero(folds == fold)[0], score.presses, strict=True):
-            scored[k] = press
-    total = TableScore(tuple(press for press in scored if press is not None))
+    table, fit, choice, scale = whole
+    # Fold f holds the presses f, f + n, f + 2n, … of n folds.
+    scores = [score.presses for _, score in parts]
+    total = TableScore(tuple(scores[k % len(parts)][k // len(parts)] for k in range(len(presses))))
     found = {name: value for name, value in total.as_dict().items() if name != "images"}
     provenance = {**table.provenance, "heldout": found, "scale": scale.as_dict()}
     table = replace(table, provenance=MappingProxyType(provenance))
-    fold_tables = tuple(part[0] for part in parts)
-    return Calibration(prepared, table, fit, choice, total, scale, fold_tables)
+    return Calibration(
+        prepared, table, fit, choice, total, scale, tuple(fold_table for fold_table, _ in parts)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,13 +113,13 @@ class _FoldTask:
     folds: IntArray
 
     @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-    def __call__(self, fold: int) -> tuple[LookupTable, JointFit, Choice, Any, TableScore]:
+    def __call__(self, fold: int) -> tuple[Any, ...]:
         if fold == WHOLE:
             table, fit, choice = _fit(self.presses)
-            return _portable(table), fit, choice, scale_evidence(self.presses, fit), TableScore(())
-        table, fit, choice = _fit(self.presses.select(self.folds != fold))
+            return _portable(table), fit, choice, scale_evidence(self.presses, fit)
+        table, *_ = _fit(self.presses.select(self.folds != fold))
         score = score_table(table, self.presses.presses.select(self.folds == fold))
-        return _portable(table), fit, choice, None, score
+        return _portable(table), score
 
 
 def _portable(table: LookupTable) -> LookupTable:
@@ -159,7 +150,7 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
         "press_model": fit.press_model.as_dict(),
         "settings": {
             **asdict(choice.settings),
-            "ring_weights": list(prepared.rules.ring_weights),
+            "ring_weights": list(RULES.ring_weights),
             **asdict(choice.background),
         },
         "drift_share": fit.drift_share,
@@ -227,15 +218,8 @@ def steepest_slope_rad(presses: PressImages, fit: JointFit) -> float:
     steepest = 0.0
     for (_, _, radius), ball_radius_mm in zip(fit.geometry, presses.ball_radius_mm, strict=True):
         r = np.linspace(0.0, float(ball_radius_mm), 400)
-        slope, _ = press_slope(
-            r,
-            np.zeros_like(r),
-            float(radius),
-            float(ball_radius_mm),
-            model.membrane,
-            model.dome_radius_mm,
-        )
-        steepest = max(steepest, float(np.arctan(slope).max()))
+        shape = float(radius), float(ball_radius_mm), model.membrane, model.dome_radius_mm
+        steepest = max(steepest, float(np.arctan(PressedGel(*shape).radial_slope(r)).max()))
     return min(BEYOND_STEEPEST * steepest, math.pi / 2)
 
 

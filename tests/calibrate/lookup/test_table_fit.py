@@ -74,7 +74,7 @@ def test_fit_does_not_depend_on_a_press_order_or_on_the_run():
 @pytest.mark.slow
 def test_the_result_does_not_depend_on_the_number_of_processes():
     presses = virtual_presses(13, count=10)
-    one, two = (calibrate(presses, heldout=True, processes=n) for n in (1, 2))
+    one, two = (calibrate(presses, processes=n) for n in (1, 2))
     assert np.array_equal(one.table.coefficients, two.table.coefficients)
     assert one.heldout.rmse("refined") == two.heldout.rmse("refined")
 
@@ -82,7 +82,7 @@ def test_the_result_does_not_depend_on_the_number_of_processes():
 @pytest.mark.slow
 def test_rings_around_the_contact_are_scored_beside_the_bare_gel():
     presses = virtual_presses(14, count=12)
-    heldout = calibrate(presses, heldout=True).heldout
+    heldout = calibrate(presses).heldout
     contact, rim, beside = heldout.rings()
     assert contact["rmse_labels"] == heldout.rmse("labels")[0]
     assert [rim["from_radii"], rim["to_radii"], beside["to_radii"]] == [1.0, 1.5, 2.5]
@@ -113,7 +113,7 @@ def test_large_images_give_the_same_table():
 def test_measured_presses(measured_data):
     path = measured_data / "taxim_ball_presses" / "dataPack_small_37.npz"
     presses = usable_presses(read_presses(path))
-    heldout = calibrate(presses, heldout=True).heldout
+    heldout = calibrate(presses).heldout
     assert isinstance(heldout, TableScore)
     # The figures that the calibration has to reach, on presses left out of everything.
     assert heldout.rmse("refined")[0] <= 5.8
