@@ -19,16 +19,16 @@ demo: setup
 	@echo "Look at out/quickstart/index.html"
 
 test: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 test-fast: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m "not slow"
 
 coverage: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow" --cov=tacgen --cov-report=term:skip-covered
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m "not slow" --cov=tacgen --cov-report=term:skip-covered
 
 slowest: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --durations 30
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal --durations 30
 
 check: setup
 	$(BIN)/ruff format --check .

@@ -4,7 +4,15 @@ from pathlib import Path
 
 import pytest
 
+from tacgen.core.workers import start_early
+
 MEASURED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def process_to_copy_workers_from() -> None:
+    """It imports what simulations need once; started by a smaller job, it would lack that."""
+    start_early("tacgen.collection.run", "tacgen.collection.perturbed")
 
 
 @pytest.fixture(scope="session")
