@@ -49,6 +49,10 @@ BACKGROUND_MIN_PRESSES = 5
 MOVED_SHARE = 0.4
 """A background with a contact is a press where this share of the presses lies elsewhere."""
 
+PRESS_STRENGTH = 0.3
+"""And where its contact changes the picture at least this much of what theirs do: 0.04 for presses
+that overlap, 0.45 to 3 for a press (rig and three real sensors)."""
+
 
 def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressImages:
     """The presses that a fit or a score can use, each with a circle; the others are listed.
@@ -158,18 +162,10 @@ def _check_background(presses: PressImages) -> None:
             "take it anew with the same gel, light and crop"
         )
         raise PressError(msg)
-    if (
-        printed_dots(presses.background) is not None
-    ):  # they move with the gel, so that the median shows them elsewhere
+    if printed_dots(presses.background) is not None:
+        # They move with the gel, so that the median shows them elsewhere.
         return
-    seen = find_circle(presses.background, _median_image(presses))
-    if not seen.problem and _share_elsewhere(presses, seen) >= MOVED_SHARE:
-        x, y = seen.center_px
-        msg = (
-            f"the background shows a contact at ({x:.0f}, {y:.0f}): it is a press itself; take it "
-            "anew with nothing on the gel"
-        )
-        raise PressError(msg)
+    _refuse_press_as_background(presses)
 
 
 def _apart_grey(image: FloatArray, rest: FloatArray) -> float:
@@ -196,16 +192,31 @@ def _median_image(presses: PressImages) -> NDArray[np.uint8]:
     return np.asarray(np.median(chosen, axis=0), dtype=np.uint8)
 
 
-def _share_elsewhere(presses: PressImages, place: Circle) -> float:
-    """The share of some presses whose contact, against their median, is seen away from a place."""
+def _refuse_press_as_background(presses: PressImages) -> None:
+    """Where presses overlap, the median shows a faint contact too: only one as strong as theirs,
+    while theirs lie elsewhere, is a press.
+    """
     median = _median_image(presses)
-    found = [find_circle(image, median) for image in presses.images[:: max(1, len(presses) // 15)]]
-    seen = [circle for circle in found if not circle.problem]
+    place = find_circle(presses.background, median)
+    if place.problem:
+        return
+    chosen = presses.images[:: max(1, len(presses) // 15)]
+    found = [(find_circle(image, median), image) for image in chosen]
+    seen = [(circle, image) for circle, image in found if not circle.problem]
     elsewhere = [
         np.hypot(*(circle.center_px - place.center_px)) > max(circle.radius_px, place.radius_px)
-        for circle in seen
+        for circle, _ in seen
     ]
-    return float(np.mean(elsewhere)) if elsewhere else 0.0
+    if not seen or np.mean(elsewhere) < MOVED_SHARE:
+        return
+    usual = float(np.median([_change_in(image, median, circle) for circle, image in seen]))
+    if _change_in(presses.background, median, place) > PRESS_STRENGTH * usual:
+        x, y = place.center_px
+        msg = (
+            f"the background shows a contact at ({x:.0f}, {y:.0f}): it is a press itself; take it "
+            "anew with nothing on the gel"
+        )
+        raise PressError(msg)
 
 
 def _press_problem(
@@ -228,7 +239,7 @@ def _press_problem(
     saturated = _saturated_share(presses, k, circle)
     if saturated > MAX_SATURATED:
         return f"{saturated:.0%} of its contact is saturated", "lower the exposure"
-    if labelled and _change_in(presses, k, circle) < 2.0:
+    if labelled and _change_in(presses.images[k], presses.background, circle) < 2.0:
         return "its labelled circle shows no contact", "correct the label or press again"
     return "", ""
 
@@ -242,7 +253,10 @@ def _label_problem(presses: PressImages, k: int, label: Circle, seen: Circle) ->
     """What speaks against a labelled circle where another is clearly seen; empty if nothing."""
     if seen.problem or not _is_elsewhere(label, seen):
         return "", ""
-    if _change_in(presses, k, label) > OWN_CHANGE_SHARE * _change_in(presses, k, seen):
+    own, other = (
+        _change_in(presses.images[k], presses.background, circle) for circle in (label, seen)
+    )
+    if own > OWN_CHANGE_SHARE * other:
         return "", ""
     apart = float(np.hypot(*(label.center_px - seen.center_px)))
     x, y = seen.center_px
@@ -274,9 +288,9 @@ def _saturated_share(presses: PressImages, k: int, circle: Circle) -> float:
     return float(ends.any(axis=1).mean())
 
 
-def _change_in(presses: PressImages, k: int, circle: Circle) -> float:
-    """How much more the circle differs from the background than the rest of the image does."""
-    disc = _disc(circle, presses.shape_px)
-    change = presses.images[k].astype(np.float32) - presses.background
+def _change_in(image: NDArray[np.uint8], rest: NDArray[np.uint8], circle: Circle) -> float:
+    """How much more the circle differs from the gel at rest than the remaining image does."""
+    disc = _disc(circle, rest.shape[:2])
+    change = image.astype(np.float32) - rest
     change = np.abs(change - np.median(change, axis=(0, 1))).mean(axis=2)
     return float(change[disc].mean() - np.median(change[~disc]))

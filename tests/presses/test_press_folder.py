@@ -1,10 +1,13 @@
 """Press folders and dataPacks: what is read, and what is said when they are wrong."""
 
+from contextlib import nullcontext
+
 import cv2
 import numpy as np
 import pytest
 
 from tacgen.core.errors import PressError, TacgenError
+from tacgen.presses.circles import find_circle
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
 from tests.virtual_presses import virtual_presses
@@ -186,6 +189,20 @@ def test_a_background_that_is_not_of_these_presses(background, message):
     usable_presses(made)
     with pytest.raises(PressError, match=message):
         usable_presses(replace(made, background=np.ascontiguousarray(background(made))))
+
+
+def test_a_faint_contact_does_not_make_a_press_of_the_background():
+    """Where presses overlap, their median shows one, and the background differs from it."""
+    from dataclasses import replace
+
+    made = virtual_presses(21, count=12)
+    change = made.images[0].astype(float) - made.background
+    for share, refused in ((0.2, False), (1.0, True)):
+        background = np.rint(made.background + share * change).astype(np.uint8)
+        found = find_circle(background, np.median(made.images, axis=0).astype(np.uint8))
+        assert not found.problem
+        with pytest.raises(PressError, match="press itself") if refused else nullcontext():
+            usable_presses(replace(made, background=background))
 
 
 def test_pictures_of_two_sensors_in_one_folder():
