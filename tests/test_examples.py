@@ -1,5 +1,7 @@
 """Every script in ``examples/`` runs as its first line says, and gives the force that it should."""
 
+import doctest
+import json
 import os
 import re
 import subprocess
@@ -9,6 +11,7 @@ from pathlib import Path
 import cv2
 import pytest
 
+import tacgen
 from tests.dataset.conftest import collect_toy, make_spec
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -46,3 +49,36 @@ def test_training_loop(tmp_path):
     pytest.importorskip("torch")
     collect_toy(tmp_path / "data", make_spec())
     assert "epoch 2" in run("train_in_torch.py", tmp_path / "data", cwd=tmp_path)
+
+
+@pytest.mark.slow
+def test_examples_in_docstrings(tmp_path, monkeypatch):
+    """Of every public name, in the order in which one example needs what another has written."""
+    monkeypatch.chdir(tmp_path)
+    Path("two_grasps.yaml").write_text(
+        "name: two_grasps\nobjects: [tomato_soup_can]\nsensor: gelsight_mini\n"
+        "grid: {force_n: [5, 30], x_mm: 0, y_mm: 0, z_mm: 50}\n"
+    )
+    Path("contact.yaml").write_text(
+        "law: volume_linear\nk_n_mm3_per_n: {value: 5.135}\nk_s_mm_per_n: {value: 1.0}\n"
+    )
+    names = ("load_recipe", "collect", "load_table", "load_law", "Sensor", "read_image", "Dataset")
+    assert {*names, "Predictor", "__version__"} == set(dir(tacgen))
+    finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
+    for name in names:
+        globs = {"tacgen": tacgen, "Path": Path}
+        (examples,) = finder.find(getattr(tacgen, name), name, globs=globs)
+        assert examples.examples, f"{name} has no example"
+        runner.run(examples)
+    assert runner.summarize().failed == 0
+
+
+@pytest.mark.slow
+def test_notebook(tmp_path):
+    cells = json.loads((EXAMPLES / "first_steps.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    (tmp_path / "notebook.py").write_text(f"import matplotlib\nmatplotlib.use('agg')\n{code}\n")
+    said = run(tmp_path / "notebook.py", cwd=tmp_path)
+    volume_mm3, _, force_n, stderr_n = map(float, re.findall(r"\d+\.\d+", said))
+    assert volume_mm3 == pytest.approx(5.135 * 4, rel=0.01)
+    assert force_n == pytest.approx(3.0, abs=max(0.2, 3 * stderr_n))

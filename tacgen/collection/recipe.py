@@ -296,6 +296,12 @@ def load_recipe(name: str | Path) -> Recipe:
     ------
     RecipeError
         Lists everything that is wrong, each with its file, line and the fix.
+
+    Examples
+    --------
+    >>> recipe = tacgen.load_recipe("quickstart")
+    >>> recipe.name, recipe.sensor.name
+    ('quickstart', 'gelsight')
     """
     source = read_yaml(find_recipe(str(name)))
     recipe = validate(Recipe, source)

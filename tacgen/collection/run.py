@@ -102,6 +102,13 @@ def collect(
         If the folder cannot be written to or holds another dataset.
     TacgenError
         If three grasps in a row crash.
+
+    Examples
+    --------
+    >>> recipe = tacgen.load_recipe("two_grasps.yaml")
+    >>> _ = tacgen.collect(recipe, Path("data"), progress=False)
+    >>> len(tacgen.Dataset("data"))
+    2
     """
     planned = plan_recipe(recipe)
     spec = dataset_spec(recipe, len(planned))

@@ -268,6 +268,11 @@ def load_law(path: Path | str) -> ContactLaw:
     ------
     ContactError
         If the file is missing or is not a contact law; the message lists every problem.
+
+    Examples
+    --------
+    >>> tacgen.load_law("contact.yaml").k_n_mm3_per_n.value
+    5.135
     """
     path = Path(path)
     if not path.exists():

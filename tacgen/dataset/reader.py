@@ -45,6 +45,15 @@ class Dataset:
     DatasetError
         If there is no dataset, it is not complete, or shards of different recipes, calibrations
         or sensors are mixed.
+
+    Examples
+    --------
+    >>> dataset = tacgen.Dataset("data")
+    >>> grasp = dataset[0]
+    >>> grasp["rgb"].shape, grasp["label"]
+    ((1, 240, 320, 3), 1)
+    >>> [float(item["force_n"]) for item in dataset[0:2]]
+    [5.0, 30.0]
     """
 
     def __init__(self, root: Path | str, *, partial: bool = False) -> None:

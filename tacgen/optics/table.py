@@ -242,6 +242,12 @@ def load_table(path: Path | str) -> LookupTable:
     ------
     TableError
         If the file is missing, damaged, or not a tacgen table.
+
+    Examples
+    --------
+    >>> table = tacgen.load_table(tacgen.Sensor("digit").description.table)
+    >>> table.shape_px, round(table.mm_per_px, 4)
+    ((320, 240), 0.0594)
     """
     path = Path(path)
     try:
