@@ -20,9 +20,9 @@ from tacgen.core.records import GraspObject, Mesh
 from tacgen.objects.decompose import convex_parts
 from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import collision_error_mm, facet_note, suggest_ranges, suggest_yaw
-from tacgen.objects.load import load_object, write_parts
+from tacgen.objects.load import load_object, write_meshes
 from tacgen.objects.mesh_import import UP_AXES, import_surface
-from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
+from tacgen.objects.meshes import mass_properties, volume_mm3
 
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'
 HERTZ_MM = 3 * np.pi / 16 * 5.0
@@ -112,7 +112,7 @@ def describe(
     ranges: Mapping[str, tuple[float, ...]],
 ) -> dict[str, object]:
     """The content of ``object.yaml`` for an imported mesh."""
-    center = mass_properties([(surface, 1.0)], mass_kg).center_mm
+    center, _ = mass_properties([(surface, 1.0)], mass_kg)
     extent = np.ptp(surface.vertices_mm, axis=0)
     return {
         "name": name,
@@ -207,7 +207,7 @@ def _write(
             fresh = work / folder.name
             fresh.mkdir()
             (fresh / "surface.ply").write_bytes(_ply(surface))
-            write_parts(fresh / "collision.npz", parts)
+            write_meshes(fresh / "collision.npz", parts)
             text = yaml.safe_dump(
                 description, sort_keys=False, allow_unicode=True, default_flow_style=None, width=96
             )

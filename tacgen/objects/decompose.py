@@ -6,7 +6,7 @@ import coacd
 import numpy as np
 
 from tacgen.core.records import Mesh
-from tacgen.objects.shapes.shape import from_manifold, hull, to_manifold
+from tacgen.objects.meshes import from_manifold, hull, to_manifold
 
 MAX_PARTS = 24  # PyBullet's time a step grows with the parts
 MAX_PART_VERTICES = 128  # limits PyBullet's time a step

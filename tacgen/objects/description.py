@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar, get_type_hints
+from typing import Annotated, Generic, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -13,27 +11,32 @@ from pydantic import (
     NonNegativeFloat,
     PositiveFloat,
     StrictFloat,
-    StrictInt,
-    TypeAdapter,
-    ValidationError,
     model_validator,
 )
 
 from tacgen.core.config import Axis, Finite, Section, finite
 from tacgen.core.errors import ObjectError, TacgenError
 from tacgen.core.yaml_source import read_yaml, validate
-from tacgen.objects.shapes import BUILDERS
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 
 Source = Annotated[str, Field(min_length=3)]
 Positive = Annotated[PositiveFloat, AfterValidator(finite)]
 NotNegative = Annotated[NonNegativeFloat, AfterValidator(finite)]
+Dimension = Annotated[StrictFloat, Field(gt=0, le=1000)]
+"""mm; ``tacgen objects add`` refuses larger meshes too."""
 Byte = Annotated[int, Field(ge=0, le=255)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
 
-
+Row = tuple[Finite, Finite, Finite]
 Value = TypeVar("Value")
+
+SOLIDS = {
+    "box": {"x_mm", "y_mm", "z_mm"},
+    "cylinder": {"diameter_mm", "height_mm"},
+    "sphere": {"diameter_mm"},
+}
+"""Parameters of each ``shape.builder``."""
 
 
 class Stated(Section, Generic[Value]):
@@ -65,12 +68,12 @@ class GraspRanges(Section):
 
 
 class ShapeSource(Section):
-    """A procedural builder with its dimensions, or mesh files in the object's folder."""
+    """Mesh files in the object's folder, or a plain solid with its dimensions."""
 
-    builder: str | None = None
-    """Name of a procedural shape, instead of a mesh."""
-    parameters: dict[str, StrictInt | StrictFloat] = Field(default_factory=dict)
-    """Dimensions of the procedural shape."""
+    builder: Literal["box", "cylinder", "sphere"] | None = None
+    """Name of a plain solid, instead of a mesh."""
+    parameters: dict[str, Dimension] = Field(default_factory=dict)
+    """Dimensions of the plain solid."""
     mesh: FileName | None = None
     """Surface, a file in the object's folder."""
     collision: FileName | None = None
@@ -92,35 +95,11 @@ class ShapeSource(Section):
             if self.collision is not None or self.scale != 1.0:
                 msg = "with `builder` takes neither `collision` nor `scale`; remove them"
                 raise ValueError(msg)
-            _check_parameters(self.builder, self.parameters)
+            if set(self.parameters) != SOLIDS[self.builder]:
+                names = ", ".join(sorted(SOLIDS[self.builder]))
+                msg = f"a {self.builder} has the parameters {names}; give exactly these"
+                raise ValueError(msg)
         return self
-
-
-def _check_parameters(builder: str, given: Mapping[str, float]) -> None:
-    """Every parameter must be one that the builder takes, of its type, and none may lack."""
-    if builder not in BUILDERS:
-        msg = f"builder {builder!r} is not known; known: {', '.join(sorted(BUILDERS))}"
-        raise ValueError(msg)
-    function = BUILDERS[builder]
-    known = inspect.signature(function).parameters
-    problems = [
-        f"parameters.{name} is not one of {builder}'s: {', '.join(known)}"
-        for name in given
-        if name not in known
-    ]
-    problems += [
-        f"parameters.{name} is missing"
-        for name, parameter in known.items()
-        if parameter.default is inspect.Parameter.empty and name not in given
-    ]
-    hints = get_type_hints(function)
-    for name in (name for name in given if name in known):
-        try:
-            finite(TypeAdapter(hints[name]).validate_python(given[name]))
-        except (ValidationError, ValueError):
-            problems.append(f"parameters.{name} = {given[name]!r} is not a {hints[name].__name__}")
-    if problems:
-        raise ValueError("; ".join(problems))
 
 
 class ObjectDescription(Section):
@@ -134,8 +113,10 @@ class ObjectDescription(Section):
     """The surface and the convex parts."""
     mass_kg: Stated[Positive]
     """The weighed mass."""
-    center_of_mass_mm: Stated[tuple[Finite, Finite, Finite]]
+    center_of_mass_mm: Stated[Row]
     """Centre of mass in the object's frame: x, y and z."""
+    inertia_kg_mm2: Stated[tuple[Row, Row, Row]] | None = None
+    """Inertia about the centre of mass; without it that of an even filling."""
     dimensions_mm: Stated[tuple[PositiveFloat, PositiveFloat, PositiveFloat]]
     """Extents along x, y and z of the object in its rest pose."""
     friction: Stated[Annotated[NotNegative, Field(le=2.0)]]
@@ -146,13 +127,6 @@ class ObjectDescription(Section):
     """Grasps of recipes that do not give an axis."""
     color_rgb: tuple[Byte, Byte, Byte] = (190, 190, 190)
     """Colour in pictures, 0 to 255."""
-
-    def build_arguments(self) -> dict[str, Any]:
-        """The builder's keyword arguments, each of the type that it asks for."""
-        if self.shape.builder is None:
-            return {}
-        hints = get_type_hints(BUILDERS[self.shape.builder])
-        return {name: hints[name](value) for name, value in self.shape.parameters.items()}
 
 
 def read_description(folder: Path) -> ObjectDescription:

@@ -11,7 +11,7 @@ from tacgen.core.errors import ObjectError
 from tacgen.core.records import GraspObject
 from tacgen.core.resources import object_folders, packaged
 from tacgen.objects.description import ObjectDescription, read_description
-from tacgen.objects.shapes.mass_properties import volume_mm3
+from tacgen.objects.meshes import volume_mm3
 
 COLUMNS = ("name", "mass_g", "size_mm", "friction", "force_n", "from", "description")
 FIGURES = ("mass_kg", "center_of_mass_mm", "dimensions_mm", "friction", "spinning_friction_mm")
@@ -69,9 +69,10 @@ def object_facts(obj: GraspObject, description: ObjectDescription) -> dict[str, 
         stated = getattr(description, key)
         value = list(stated.value) if isinstance(stated.value, tuple) else stated.value
         facts[key] = {"value": value, "source": stated.source}
+    given = description.inertia_kg_mm2
     facts["inertia_kg_mm2"] = {
         "value": [[round(float(value), 4) + 0.0 for value in row] for row in obj.inertia_kg_mm2],
-        "source": "of the shape below, scaled to the mass, about the centre of mass",
+        "source": given.source if given else "of the shape below, evenly filled with the mass",
     }
     facts["shape"] = {
         "value": description.shape.builder or description.shape.mesh,

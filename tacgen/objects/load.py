@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import QhullError
 
 from tacgen.core.errors import ObjectError
 from tacgen.core.records import GraspObject, Mesh, frozen_array
 from tacgen.core.resources import find_object_folder
 from tacgen.core.safe_io import check_archive
 from tacgen.objects.description import ObjectDescription, read_description
-from tacgen.objects.shapes import BUILDERS, Shape
-from tacgen.objects.shapes.mass_properties import mass_properties, volume_mm3
+from tacgen.objects.meshes import mass_properties, volume_mm3
 
 MAX_FILE_BYTES = 512 << 20  # far more than any mesh in use
 MAX_PARTS = 256  # far more than the import makes
@@ -23,7 +22,9 @@ MAX_PARTS = 256  # far more than the import makes
 
 def read_surface(path: Path, scale_mm: float) -> Mesh:
     """The surface in a mesh file, one unit of which is ``scale_mm``."""
-    import trimesh  # slow to import, and not every object has a mesh
+    if path.suffix == ".npz":
+        return read_meshes(path, scale_mm)[0]
+    import trimesh  # slow to import, and shipped objects do not need it
 
     _check_file(path)
     try:
@@ -34,36 +35,37 @@ def read_surface(path: Path, scale_mm: float) -> Mesh:
     return _checked(path, np.asarray(loaded.vertices) * scale_mm, np.asarray(loaded.faces))
 
 
-def read_parts(path: Path, scale_mm: float) -> tuple[Mesh, ...]:
-    """The convex parts written by ``write_parts``."""
+def read_meshes(path: Path, scale_mm: float) -> tuple[Mesh, ...]:
+    """The meshes written by ``write_meshes``."""
     _check_file(path)
     try:
         check_archive(path)
         with np.load(path, allow_pickle=False) as file:
             count = int(file["parts"])
             if not 1 <= count <= MAX_PARTS:
-                msg = f"{path}: holds {count} parts, not 1 to {MAX_PARTS}; import it anew"
+                msg = f"{path}: holds {count} meshes, not 1 to {MAX_PARTS}; import it anew"
                 raise ObjectError(msg)
             return tuple(
                 _checked(path, file[f"vertices_{i}"] * scale_mm, file[f"faces_{i}"])
                 for i in range(count)
             )
     except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-        msg = (
-            f"{path}: cannot be read as convex parts: {error}; "
-            "import it anew with `tacgen objects add --force`"
-        )
+        msg = f"{path}: cannot be read: {error}; import it anew with `tacgen objects add --force`"
         raise ObjectError(msg) from None
 
 
-def write_parts(path: Path, parts: Sequence[Mesh]) -> None:
-    """Write convex parts so that ``read_parts`` reads the same numbers."""
-    arrays: dict[str, np.ndarray] = {"parts": np.array(len(parts))}
-    for i, part in enumerate(parts):
-        arrays[f"vertices_{i}"] = part.vertices_mm
-        arrays[f"faces_{i}"] = part.faces
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+def write_meshes(path: Path, meshes: Sequence[Mesh]) -> None:
+    """Write a compressed .npz that ``read_meshes`` reads to the last bit."""
+    arrays: dict[str, np.ndarray] = {"parts": np.array(len(meshes))}
+    for i, mesh in enumerate(meshes):
+        arrays[f"vertices_{i}"] = mesh.vertices_mm
+        arrays[f"faces_{i}"] = mesh.faces
+    # Like numpy's savez, but LZMA halves what its deflate leaves of a mesh.
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.save(content, array, allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue(), zipfile.ZIP_LZMA)
 
 
 def _check_file(path: Path) -> None:
@@ -95,24 +97,35 @@ SIZE_TOLERANCE = 0.1
 def load_object(name_or_folder: str | Path) -> GraspObject:
     """The object of that name (``./objects`` first, then what tacgen ships) or in that folder.
 
-    The same object gives the same arrays bit for bit. The inertia is that of the solid's own
-    mass distribution, scaled to the measured mass and carried to the stated centre of mass.
+    The same object gives the same arrays bit for bit. Where the description gives no inertia it is
+    that of the evenly filled surface, scaled to the mass and carried to the stated centre of mass.
 
     Raises ``ObjectError`` if there is no such object or its files cannot be used; every problem is
     listed.
     """
     folder = find_object_folder(str(name_or_folder))
     description = read_description(folder)
-    shape = build_shape(description, folder)
-    bodies = [(body.mesh, body.density_kg_m3) for body in shape.bodies]
-    properties = mass_properties(bodies or [(shape.surface, 1.0)], description.mass_kg.value)
+    source, mass_kg = description.shape, description.mass_kg.value
+    if source.builder is None:
+        surface = read_surface(folder / str(source.mesh), source.scale)
+        collision = read_meshes(folder / str(source.collision), source.scale)
+    else:
+        from tacgen.objects.solids import build_solid  # imports trimesh, which is slow
+
+        surface, part = build_solid(source.builder, source.parameters)
+        collision = (part,)
+    _check_shape(surface, description, folder)
+    if description.inertia_kg_mm2 is None:
+        inertia = mass_properties([(surface, 1.0)], mass_kg)[1]
+    else:
+        inertia = np.array(description.inertia_kg_mm2.value)
     return GraspObject(
         name=description.name,
-        surface=shape.surface,
-        collision=shape.collision,
-        mass_kg=description.mass_kg.value,
+        surface=surface,
+        collision=collision,
+        mass_kg=mass_kg,
         center_of_mass_mm=frozen_array(description.center_of_mass_mm.value),
-        inertia_kg_mm2=frozen_array(properties.inertia_kg_mm2),
+        inertia_kg_mm2=frozen_array(inertia),
         friction=description.friction.value,
         spinning_friction_mm=description.spinning_friction_mm.value,
         grasp_ranges=description.grasp_ranges.axes(),
@@ -121,34 +134,12 @@ def load_object(name_or_folder: str | Path) -> GraspObject:
     )
 
 
-def build_shape(description: ObjectDescription, folder: Path) -> Shape:
-    """The shape that a description names: built, or read from the files in its folder."""
-    source = description.shape
-    if source.builder is not None:
-        try:
-            shape = BUILDERS[source.builder](**description.build_arguments())
-        except (ValueError, ArithmeticError, IndexError, MemoryError, QhullError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            msg = (
-                f"{folder / 'object.yaml'}: shape.parameters do not make a {source.builder}: "
-                f"{reason}; check the dimensions"
-            )
-            raise ObjectError(msg) from None
-    else:
-        shape = Shape(
-            read_surface(folder / str(source.mesh), source.scale),
-            read_parts(folder / str(source.collision), source.scale),
-        )
-    _check_shape(shape, description, folder)
-    return shape
-
-
-def _check_shape(shape: Shape, description: ObjectDescription, folder: Path) -> None:
+def _check_shape(surface: Mesh, description: ObjectDescription, folder: Path) -> None:
     """Refuse a shape that is not the solid that its description speaks of."""
     where = folder / "object.yaml"
-    vertices = shape.surface.vertices_mm
-    if not np.isfinite(vertices).all() or volume_mm3(shape.surface) <= 0:
-        msg = f"{where}: shape encloses no volume; check its dimensions or mesh"
+    vertices = surface.vertices_mm
+    if volume_mm3(surface) <= 0:
+        msg = f"{where}: shape encloses no volume; check its mesh"
         raise ObjectError(msg)
     problems = []
     extent = np.ptp(vertices, axis=0)
@@ -164,5 +155,11 @@ def _check_shape(shape: Shape, description: ObjectDescription, folder: Path) -> 
             f"{where}: center_of_mass_mm = {center.tolist()} lies outside the object; "
             "give it in the object's frame, mm"
         )
+    if description.inertia_kg_mm2 is not None:
+        inertia = np.array(description.inertia_kg_mm2.value)
+        if not (np.array_equal(inertia, inertia.T) and np.linalg.eigvalsh(inertia).min() > 0):
+            problems.append(
+                f"{where}: inertia_kg_mm2 is not symmetric with positive moments; correct it"
+            )
     if problems:
         raise ObjectError.from_problems(problems)

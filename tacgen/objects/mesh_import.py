@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.objects.load import MAX_FILE_BYTES
-from tacgen.objects.shapes.mass_properties import volume_mm3
-from tacgen.objects.shapes.shape import from_manifold, to_manifold
+from tacgen.objects.meshes import from_manifold, to_manifold, volume_mm3
 
 UP_AXES = ("x", "y", "z")
 FORMATS = ("obj", "stl", "ply", "glb")

@@ -20,9 +20,9 @@ from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
 from tacgen.objects.add import HERTZ_MM, add_object
 from tacgen.objects.decompose import convex_parts
-from tacgen.objects.load import read_parts
+from tacgen.objects.load import read_meshes
 from tacgen.objects.mesh_import import import_surface
-from tacgen.objects.shapes.mass_properties import volume_mm3
+from tacgen.objects.meshes import volume_mm3
 
 
 @pytest.fixture(autouse=True)
@@ -195,7 +195,7 @@ def test_a_folder_that_cannot_be_written_leaves_nothing(own_folder, monkeypatch)
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tacgen.objects.add.write_parts", full)
+    monkeypatch.setattr("tacgen.objects.add.write_meshes", full)
     with pytest.raises(ObjectError, match="No space left on device"):
         add_object(exported(box(), "thing.stl"), mass_kg=0.1)
     assert os.listdir("objects") == []
@@ -260,7 +260,7 @@ def test_parts_whose_header_lies_about_their_size_are_refused(tmp_path):
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("faces_0.npy", lie.getvalue())
     with pytest.raises(ObjectError, match="which is not what is there"):
-        read_parts(path, 1.0)
+        read_meshes(path, 1.0)
 
 
 def test_the_assumed_moment_is_the_integral_of_a_hertzian_pressure():

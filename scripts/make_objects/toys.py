@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scripts.make_objects.cans import offset_rings
+from scripts.make_objects.profiles import rounded_rectangle
+from scripts.make_objects.shape import Shape, loft, moved, union
 from tacgen.core.records import Mesh
-from tacgen.objects.shapes.cans import offset_rings
-from tacgen.objects.shapes.profiles import rounded_rectangle
-from tacgen.objects.shapes.shape import Shape, hull, loft, mesh, moved, union
+from tacgen.objects.meshes import hull, rounded_mesh
 
 
 def twisty_cube(
@@ -67,7 +68,7 @@ def rounded_cube(half_mm: float, edge_mm: float, edge_steps: int) -> Mesh:
     out = surface - inner
     rounded = inner + edge_mm * out / np.linalg.norm(out, axis=1, keepdims=True)
     rounded, index = np.unique(np.round(rounded, 6), axis=0, return_inverse=True)
-    return mesh(rounded, index.ravel()[np.concatenate(faces)])
+    return rounded_mesh(rounded, index.ravel()[np.concatenate(faces)])
 
 
 def _stickers(half_mm: float, margin_mm: float, thickness_mm: float, pitch_mm: float) -> list[Mesh]:
@@ -106,7 +107,7 @@ def golf_ball(
     vertices = directions * (radius - depth)[:, None]
     lift = np.array([0.0, 0.0, radius])
     ball = hull(radius * icosahedral_points(4) + lift)
-    return Shape(mesh(vertices + lift, sphere.faces), (ball,))
+    return Shape(rounded_mesh(vertices + lift, sphere.faces), (ball,))
 
 
 def _gathered(directions: NDArray[np.float64], strength: float = 0.6) -> NDArray[np.float64]:

@@ -6,28 +6,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from tacgen.core.records import Mesh
-from tacgen.objects.shapes.cans import offset_rings
-from tacgen.objects.shapes.mass_properties import settled
-from tacgen.objects.shapes.profiles import (
+from scripts.make_objects.cans import offset_rings
+from scripts.make_objects.profiles import (
     arc,
     polar,
     rounded_polygon,
     rounded_rectangle,
     superellipse_radius,
 )
-from tacgen.objects.shapes.shape import (
+from scripts.make_objects.resting import settled
+from scripts.make_objects.shape import (
     Shape,
     angles_rad,
-    from_manifold,
-    hull,
     loft,
     moved,
     path_hulls,
     sweep,
-    to_manifold,
     union,
 )
+from tacgen.core.records import Mesh
+from tacgen.objects.meshes import from_manifold, hull, to_manifold
 
 _SPINE = np.array(
     [

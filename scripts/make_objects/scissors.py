@@ -6,31 +6,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from tacgen.core.records import Mesh
-from tacgen.objects.shapes.cans import offset_rings
-from tacgen.objects.shapes.mass_properties import settled
-from tacgen.objects.shapes.profiles import (
+from scripts.make_objects.cans import offset_rings
+from scripts.make_objects.profiles import (
     arc,
     joined,
     polar,
     rounded_rectangle,
     superellipse_radius,
 )
-from tacgen.objects.shapes.shape import (
+from scripts.make_objects.resting import settled
+from scripts.make_objects.shape import (
     Body,
     Shape,
     angles_rad,
-    from_manifold,
     loft,
-    mesh,
     moved,
     path_hulls,
     revolve,
     slab_hulls,
     sweep,
-    to_manifold,
     union,
 )
+from tacgen.core.records import Mesh
+from tacgen.objects.meshes import from_manifold, rounded_mesh, to_manifold
 
 POLYPROPYLENE_KG_M3 = 910.0  # textbook density
 STEEL_KG_M3 = 7850.0  # textbook density
@@ -167,7 +165,7 @@ def _ring_solid(rings: NDArray[np.float64]) -> Mesh:
     a, b = here, np.roll(here, -1, axis=1)
     c, d = np.roll(b, -1, axis=0), np.roll(here, -1, axis=0)
     faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
-    return mesh(rings.reshape(-1, 3), faces.reshape(-1, 3))
+    return rounded_mesh(rings.reshape(-1, 3), faces.reshape(-1, 3))
 
 
 def _screw(diameter_mm: float, pivot_mm: float, middle_mm: float, blade_mm: float) -> Mesh:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from tacgen.objects.shapes.cans import prism
-from tacgen.objects.shapes.profiles import Curve, arc, between, joined, polar, superellipse_radius
-from tacgen.objects.shapes.shape import (
+from scripts.make_objects.cans import prism
+from scripts.make_objects.profiles import Curve, arc, between, joined, polar, superellipse_radius
+from scripts.make_objects.shape import (
     Shape,
     angles_rad,
     loft,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scripts.make_objects.profiles import Curve, arc, between, joined, polar, rounded_rectangle
+from scripts.make_objects.shape import Shape, angles_rad, loft, revolve
 from tacgen.core.records import Mesh
-from tacgen.objects.shapes.profiles import Curve, arc, between, joined, polar, rounded_rectangle
-from tacgen.objects.shapes.shape import Shape, angles_rad, hull, loft, revolve
+from tacgen.objects.meshes import hull
 
 
 def round_can(

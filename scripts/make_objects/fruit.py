@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
-from tacgen.objects.shapes.mass_properties import settled
-from tacgen.objects.shapes.profiles import Curve, arc, between, joined
-from tacgen.objects.shapes.shape import Shape, angles_rad, hull, loft, moved, polar_rings
+from scripts.make_objects.profiles import Curve, arc, between, joined
+from scripts.make_objects.resting import settled
+from scripts.make_objects.shape import Shape, angles_rad, loft, moved, polar_rings
+from tacgen.objects.meshes import hull
 
 GOLDEN_ANGLE_RAD = np.pi * (3 - np.sqrt(5))
 FLESH_ROWS = 160

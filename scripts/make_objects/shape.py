@@ -5,19 +5,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
-from tacgen.core.records import Mesh, frozen_array
+from tacgen.core.records import Mesh
+from tacgen.objects.meshes import from_manifold, hull, rounded_mesh, to_manifold
 
 Points = NDArray[np.float64]
-
-VERTEX_DECIMALS = 6
-"""Vertices are rounded to 1e-6 mm, so that the last bits of a sine do not reach the mesh."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +37,6 @@ class Shape:
     bodies: tuple[Body, ...] = ()
 
 
-def mesh(vertices_mm: Points, faces: NDArray[Any]) -> Mesh:
-    """A read-only mesh with its vertices on the grid of ``VERTEX_DECIMALS``."""
-    rounded = np.round(np.asarray(vertices_mm, dtype=np.float64), VERTEX_DECIMALS) + 0.0
-    return Mesh(frozen_array(rounded), frozen_array(faces, np.int32))
-
-
 def loft(rings_mm: Points) -> Mesh:
     """The closed surface through rings of points, both ends closed by a fan.
 
@@ -65,7 +55,7 @@ def loft(rings_mm: Points) -> Mesh:
     walls = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=1)
     first = np.stack([np.full(n, k * n), after, here], axis=-1)
     last = np.stack([np.full(n, k * n + 1), n * (k - 1) + here, n * (k - 1) + after], axis=-1)
-    return mesh(vertices, np.concatenate([walls.reshape(-1, 3), first, last]))
+    return rounded_mesh(vertices, np.concatenate([walls.reshape(-1, 3), first, last]))
 
 
 def polar_rings(radius_mm: Points, angle_rad: Points, height_mm: Points) -> Points:
@@ -84,18 +74,6 @@ def angles_rad(count: int) -> NDArray[np.float64]:
     return 2 * np.pi * np.arange(count) / count
 
 
-def hull(points_mm: Points) -> Mesh:
-    """The convex hull of points (n, 3), faces outward."""
-    points_mm = np.round(np.asarray(points_mm, dtype=np.float64).reshape(-1, 3), VERTEX_DECIMALS)
-    found = ConvexHull(points_mm)
-    corners = points_mm[found.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("ij,ij->i", normals, found.equations[:, :3]) < 0
-    faces = np.where(inward[:, None], found.simplices[:, ::-1], found.simplices)
-    used, faces = np.unique(faces, return_inverse=True)
-    return mesh(points_mm[used], faces.reshape(-1, 3))
-
-
 def slab_hulls(rings_mm: Points, breaks: Sequence[int], count: int = 32) -> tuple[Mesh, ...]:
     """Convex hulls of the stretches of a loft between the rings ``breaks``.
 
@@ -104,21 +82,6 @@ def slab_hulls(rings_mm: Points, breaks: Sequence[int], count: int = 32) -> tupl
     """
     thinned = rings_mm[:, :: max(1, rings_mm.shape[1] // count)]
     return tuple(hull(thinned[[start, end]]) for start, end in itertools.pairwise(breaks))
-
-
-def to_manifold(solid: Mesh) -> manifold3d.Manifold:
-    """``solid`` for boolean operations, in double precision."""
-    return manifold3d.Manifold(
-        manifold3d.Mesh64(
-            np.array(solid.vertices_mm, dtype=np.float64), np.array(solid.faces, dtype=np.uint64)
-        )
-    )
-
-
-def from_manifold(solid: manifold3d.Manifold) -> Mesh:
-    """The mesh of a boolean's result."""
-    out = solid.to_mesh64()
-    return mesh(np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts))
 
 
 def union(solids: Sequence[Mesh]) -> Mesh:
@@ -134,7 +97,7 @@ def moved(solid: Mesh, *, turn: Points | None = None, shift_mm: Points | None = 
         vertices = vertices @ np.asarray(turn, dtype=np.float64).T
     if shift_mm is not None:
         vertices = vertices + np.asarray(shift_mm, dtype=np.float64)
-    return mesh(vertices, solid.faces)
+    return rounded_mesh(vertices, solid.faces)
 
 
 def sweep(path_mm: Points, across: Points, sections_mm: Points) -> Points:

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from tacgen.core.records import Mesh
-from tacgen.objects.shapes.mass_properties import settled
-from tacgen.objects.shapes.profiles import between, superellipse_radius
-from tacgen.objects.shapes.shape import (
+from scripts.make_objects.profiles import between, superellipse_radius
+from scripts.make_objects.resting import settled
+from scripts.make_objects.shape import (
     Body,
     Shape,
     angles_rad,
@@ -18,6 +17,7 @@ from tacgen.objects.shapes.shape import (
     polar_rings,
     slab_hulls,
 )
+from tacgen.core.records import Mesh
 
 ACETATE_KG_M3 = 1280.0  # cellulose acetate, textbook density
 STEEL_KG_M3 = 7850.0  # textbook density

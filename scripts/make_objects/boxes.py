@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacgen.objects.shapes.cans import offset_rings
-from tacgen.objects.shapes.profiles import arc, between, joined, rounded_rectangle, smooth_step
-from tacgen.objects.shapes.shape import Shape, hull, loft
+from scripts.make_objects.cans import offset_rings
+from scripts.make_objects.profiles import arc, between, joined, rounded_rectangle, smooth_step
+from scripts.make_objects.shape import Shape, loft
+from tacgen.objects.meshes import hull
 
 
 def carton(

@@ -1,0 +1,1 @@
+"""The meshes of the shipped objects, made from their dimensions."""
