@@ -33,6 +33,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection, wait
+from types import ModuleType
 from typing import Any, Literal, TypeVar
 
 from tacgen.core.errors import TacgenError
@@ -358,8 +359,8 @@ def start_early(*modules: str) -> None:
     from multiprocessing import forkserver
 
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["__main__", *modules])
-    with _threads_pinned():
+    context.set_forkserver_preload(list(modules))
+    with _for_workers():
         forkserver.ensure_running()
 
 
@@ -375,7 +376,7 @@ def _start_process(
         process: multiprocessing.process.BaseProcess
         process = context.Process(target=_run, args=given, daemon=True)
         try:
-            with _threads_pinned():
+            with _for_workers():
                 process.start()
         except (EOFError, ConnectionError) as error:
             # The fork server was killed and is not yet seen to be gone; then a new one starts.
@@ -411,13 +412,19 @@ def _end_with_the_process_copied() -> None:
 
 
 @contextlib.contextmanager
-def _threads_pinned() -> Iterator[None]:
-    """Processes started meanwhile inherit ``ONE_THREAD``: libraries look when they are loaded."""
+def _for_workers() -> Iterator[None]:
+    """Processes started meanwhile inherit ``ONE_THREAD``: libraries look when they are loaded.
+
+    The script that runs is hidden from them: they would import it, and with it run it again.
+    """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
+    script = sys.modules["__main__"]
     os.environ.update(ONE_THREAD)
+    sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield
     finally:
+        sys.modules["__main__"] = script
         for name in ONE_THREAD:
             del os.environ[name]
         os.environ.update({name: value for name, value in before.items() if value is not None})

@@ -75,9 +75,8 @@ class Dataset:
     def __len__(self) -> int:
         return sum(line.n_grasps for line in self._lines)
 
-    def __iter__(self) -> Iterator[GraspSample]:
-        for index in self.indices:
-            yield self.read(int(index))
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return (self[place] for place in range(len(self)))
 
     def __repr__(self) -> str:
         outcomes = ", ".join(f"{count} {name}" for name, count in self.counts().items() if count)

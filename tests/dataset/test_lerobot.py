@@ -80,7 +80,8 @@ def test_images_and_forces_are_those_of_the_dataset(exported, toy):
 def test_statistics_are_those_of_all_frames(exported, toy):
     stats = json.loads((exported / "meta/stats.json").read_text())
     dataset = Dataset(toy.root)
-    executed = [sample for sample in dataset if sample.label >= 0]
+    samples = [dataset.read(int(index)) for index in dataset.indices]
+    executed = [sample for sample in samples if sample.label >= 0]
     images = np.concatenate([sample.pads["left"].rgb for sample in executed]) / 255.0
     told = stats["observation.images.gelsight"]
     assert np.shape(told["mean"]) == (3, 1, 1)

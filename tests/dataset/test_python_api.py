@@ -29,6 +29,7 @@ def test_an_item_holds_what_was_written(toy):
 def test_slices_are_lists_of_items(toy):
     dataset, _ = toy
     assert [item["index"] for item in dataset[2:8:3]] == [2, 5]
+    assert [item["index"] for item in dataset] == dataset.indices.tolist()
     with pytest.raises(IndexError):
         dataset[10]
 

@@ -46,8 +46,9 @@ for trial in range(150):
     path.write_bytes(data)
     line_path.write_text(json.dumps(line | {{"sha256": sha256_of(path), "bytes": len(data)}}))
     try:
-        for sample in Dataset(toy.root):
-            pass
+        dataset = Dataset(toy.root)
+        for index in dataset.indices:
+            dataset.read(int(index))
     except TacgenError as error:
         refused += 1
         assert str(toy.root) in str(error)

@@ -52,7 +52,9 @@ def test_manifest_line_of_each_shard(toy, spec):
 
 
 def test_what_was_written_is_read(toy, spec):
-    for sample in Dataset(toy.root):
+    dataset = Dataset(toy.root)
+    for index in dataset.indices:
+        sample = dataset.read(int(index))
         given = make_sample(sample.config.index, spec)
         assert sample.config == given.config
         for name in ("seed", "split", "status", "label", "failure_mode", "reason", "rise_mm"):
