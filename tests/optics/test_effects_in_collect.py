@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
@@ -27,14 +29,21 @@ EFFECTS = {
 }
 
 
-def images(folder, effects, monkeypatch, name="out"):
+def recipe_with(folder, effects):
+    """One grasp, seen by a sensor whose table has these effects."""
+    path = write_world(folder, grid="{force_n: [25], y_mm: [0], z_mm: [90]}")
+    table = folder / "recipes" / "sensors" / "coarse.npz"
+    save_table(replace(load_table(table), effects=effects), table)
+    return load_recipe(path)
+
+
+def images(folder, effects, monkeypatch):
+    """What ``collect`` writes of that grasp, without the dataset."""
     monkeypatch.chdir(folder)
-    recipe = write_world(folder, grid="{force_n: [25], y_mm: [0], z_mm: [90]}")
-    path = folder / "recipes" / "sensors" / "coarse.npz"
-    save_table(replace(load_table(path), effects=effects), path)
-    collect(load_recipe(recipe), folder / name, workers=1, progress=False)
-    dataset = Dataset(folder / name)
-    pads = dataset.read(0).pads
+    recipe = recipe_with(folder, effects)
+    (planned,) = plan_recipe(recipe)
+    with GraspPipeline(recipe) as pipeline:
+        pads = pipeline.sample(planned).pads
     return np.stack([pads[pad].rgb[0] for pad in sorted(pads)])
 
 
@@ -45,11 +54,9 @@ def plain(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_each_effect_changes_what_collect_writes_the_same_way_each_time(
-    name, plain, tmp_path, monkeypatch
-):
+def test_each_effect_changes_the_images_the_same_way_each_time(name, plain, tmp_path, monkeypatch):
     made = images(tmp_path, {name: EFFECTS[name]}, monkeypatch)
-    again = images(tmp_path, {name: EFFECTS[name]}, monkeypatch, "again")
+    again = images(tmp_path, {name: EFFECTS[name]}, monkeypatch)
     np.testing.assert_array_equal(made, again)
     changed = abs(made.astype(int) - plain.astype(int))
     assert changed.max() >= 3
@@ -59,6 +66,13 @@ def test_each_effect_changes_what_collect_writes_the_same_way_each_time(
     if name == "shadow":
         # Nothing but camera noise is ever brighter in shade.
         assert made.mean() < plain.mean()
+
+
+def test_collect_writes_the_images_of_all_effects_together(tmp_path, monkeypatch):
+    made = images(tmp_path, EFFECTS, monkeypatch)
+    collect(recipe_with(tmp_path, EFFECTS), tmp_path / "out", workers=1, progress=False)
+    pads = Dataset(tmp_path / "out").read(0).pads
+    np.testing.assert_array_equal(made, np.stack([pads[pad].rgb[0] for pad in sorted(pads)]))
 
 
 def test_the_effects_are_all_that_the_renderer_applies():
