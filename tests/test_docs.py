@@ -36,7 +36,7 @@ def replaced(text: str, old: str, new: str) -> str:
 
 SHORTER = {
     "train_single_small.yaml": "extends: train_single_small\ntraining: {epochs: 2}\n",
-    "rig_images.yaml": "extends: rig_images\nschedule: {presses: 12}\n",
+    "rig_images.yaml": "extends: rig_images\nsensor: {name: digit}\nschedule: {presses: 12}\n",
 }
 """Recipes that a folder may have in place of the shipped ones of the same names."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -117,6 +118,24 @@ def write_real(folder: Path, n: int = 8, n_frames: int = 3, background: bool = T
     if background:
         cv2.imwrite(str(folder / "background.png"), REFERENCE[..., ::-1])
     return folder
+
+
+@pytest.fixture(scope="module")
+def small_backbone() -> Iterator[None]:
+    """ResNet-18 with narrow layers, one a stage: for tests of what goes on around the network."""
+    from tacgen.learning import backbone, networks  # slow to import; studies' tests need none
+
+    whole = backbone.ResNetConfig
+    widths = {"embedding_size": 16, "hidden_sizes": [16, 16, 16, 32], "depths": [1, 1, 1, 1]}
+
+    def small(**options: object) -> object:
+        return whole(**(options | widths))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backbone, "ResNetConfig", small)
+        patch.setattr(backbone, "FEATURES", 32)
+        patch.setattr(networks, "FEATURES", 32)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -16,21 +16,22 @@ from tacgen.dataset.export import export_dataset
 from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
+from tests.learning.test_train import FASTER
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_backbone")]
 
 
 @pytest.fixture(scope="module")
 def single(toy, tmp_path_factory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "single"
-    train(recipe_of("single", per_object=True, training={"epochs": 5}), toy, run)
+    train(recipe_of("single", per_object=True, training=FASTER | {"epochs": 12}), toy, run)
     return run
 
 
 @pytest.fixture(scope="module")
 def sequence(toy, tmp_path_factory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "sequence"
-    train(recipe_of("sequence", training={"epochs": 4}), toy, run)
+    train(recipe_of("sequence", training=FASTER | {"epochs": 8}), toy, run)
     return run
 
 
@@ -171,7 +172,7 @@ def test_a_run_that_is_not_finished_is_judged_and_it_is_said(run, toy):
     path = run / "models/can/metrics.jsonl"
     path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:2]))
     notes = evaluate(run, data=toy)["notes"]
-    assert notes == ["the model can is NOT trained to its end: 2 of 5 epochs"]
+    assert notes == ["the model can is NOT trained to its end: 2 of 12 epochs"]
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from tacgen.learning.train import train
 
 from .conftest import recipe_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_backbone")]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from tacgen.learning.train import train
 from tests.learning.conftest import recipe_of
 from tests.learning.test_train import metrics_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_backbone")]
 
 
 @pytest.fixture(scope="module")
