@@ -84,7 +84,7 @@ class Predictor:
         with exact_torch(self._threads), torch.inference_mode(), self._device.autocast():
             for grasp in inputs:
                 batch = as_batch([grasp], self._reference, self.spec)
-                logits = self._network(batch.to(self._device.name))
+                logits = self._network(batch.to(self._device.name)) / self._network.temperature
                 found.append(float(logits.double().softmax(1)[0, 1]))
         return np.array(found, np.float64)
 
