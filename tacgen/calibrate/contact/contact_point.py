@@ -12,13 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.core.arrays import FloatArray
 from tacgen.presses.ball import ball_depth_mm, ball_volume_mm3
 from tacgen.presses.press_log import PressLog
 
 MIN_CONTACT_SAMPLES = 6
 """Fewer samples in contact do not carry a slope and a contact point."""
+TAIL_SHARE = (
+    0.02  # of the largest force, beyond which a residual is a tail: several times the noise
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ def free_contact_points(log: PressLog) -> tuple[PressLog, tuple[ContactPoint, ..
                 depth = ball_depth_mm(volume[rows], radius)
             point, volume[rows] = _shift_depth(int(trial), depth, radius, force[rows])
         else:
-            point = _shift_force(int(trial), log.select(log["trial"] == trial))
+            point = _shift_force(int(trial), volume[rows], force[rows])
         force[rows] -= point.force_n
         points.append(point)
     changed = {"volume_mm3": volume, "force_normal_n": force}
@@ -88,9 +90,13 @@ def _shift_depth(
     return ContactPoint(trial, shift, zero_n), volume
 
 
-def _shift_force(trial: int, log: PressLog) -> ContactPoint:
-    """V = k (F − F₀): only the force's zero can move."""
-    fit = fit_slope(
-        log["force_normal_n"], log["volume_mm3"], np.zeros(len(log), dtype=int), free_offset=True
-    )
-    return ContactPoint(trial, 0.0, float(-fit.offsets[0] / fit.value) if fit.value else 0.0)
+def _shift_force(trial: int, volume_mm3: FloatArray, force_n: FloatArray) -> ContactPoint:
+    """Fit F = F₀ + V/k, robust to tails: only the force's zero can move."""
+    scale = np.abs(volume_mm3).max() or 1.0, np.abs(force_n).max() or 1.0
+    volume, force = volume_mm3 / scale[0], force_n / scale[1]
+
+    def misfit(parameters: FloatArray) -> FloatArray:
+        return np.asarray(force - parameters[0] - parameters[1] * volume)
+
+    zero, _ = least_squares(misfit, [0.0, 1.0], loss="soft_l1", f_scale=TAIL_SHARE).x
+    return ContactPoint(trial, 0.0, float(zero * scale[1]))

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import sqrtm
 from scipy.special import stdtrit
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
@@ -29,6 +28,8 @@ SCALE_ITERATIONS = 5
 """The residuals' scale is settled by then; a median that flickers would never let it end."""
 LOADED_SHARE = 0.1
 """Samples below this share of the largest load tell little about the slope or its noise."""
+MIN_REMAINING_LEVERAGE = 0.1
+"""Of a press beside the others: its part of the scatter is enlarged by no more than tenfold."""
 MIN_RELEVANCE = 0.8
 """Neighbours that explain less of the load's square than this are no instrument for it."""
 MAX_OUTLYING_SHARE = 0.2
@@ -44,16 +45,14 @@ class SlopeFit:
 
     ``stderr`` is a 1.96th of half the 95 % interval, so that value ± 1.96 stderr is that interval
     whatever the number of presses; ``dof`` are the degrees of freedom of the scatter between
-    presses that it rests on. ``offsets`` (c,) are the response at no load, 0 where it was not free.
-    ``scatter`` is the robust standard deviation of the loaded samples' residuals; ``r_squared`` is
-    of the samples that kept some weight, ``outliers`` the number of those that kept none, and
-    ``outlying_trials`` are presses most of whose loaded samples kept none.
+    presses that it rests on. ``scatter`` is the robust standard deviation of the loaded samples'
+    residuals; ``r_squared`` is of the samples that kept some weight, ``outliers`` the number of
+    those that kept none, and ``outlying_trials`` are presses most of whose loaded samples did so.
     """
 
     value: float
     stderr: float
     dof: float
-    offsets: FloatArray
     scatter: float
     r_squared: float
     n_samples: int
@@ -81,10 +80,8 @@ class SlopeFit:
         }
 
 
-def fit_slope(
-    load: FloatArray, response: FloatArray, trial: IntArray, *, free_offset: bool = False
-) -> SlopeFit:
-    """Fit response = k · load (+ an offset a component, if ``free_offset``) over presses.
+def fit_slope(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeFit:
+    """Fit response = k · load over presses.
 
     ``load`` and ``response`` are (N,) or (N, c), in time order within each trial, trials (N,) in
     blocks; c components share one k. ``stderr`` is NaN where there is one trial only.
@@ -92,16 +89,15 @@ def fit_slope(
     Source: CR2 and its degrees of freedom: Bell & McCaffrey 2002; Pustejovsky & Tipton 2018.
     """
     load, response = (np.asarray(v, np.float64).reshape(len(trial), -1) for v in (load, response))
-    _, cluster = np.unique(trial, return_inverse=True)
-    n_trials = int(cluster.max()) + 1
-    design = _design(load, free_offset)
-    instruments = _design(_instrument(load, trial), free_offset)
-    y, groups = response.ravel(), np.repeat(cluster, load.shape[1])
-    loaded = np.abs(design[:, 0]) >= LOADED_SHARE * np.abs(design[:, 0]).max()
+    numbers, cluster = np.unique(trial, return_inverse=True)
+    n_trials = len(numbers)
+    x, z, y = load.ravel(), _instrument(load, trial).ravel(), response.ravel()
+    groups = np.repeat(cluster, load.shape[1])
+    loaded = np.abs(x) >= LOADED_SHARE * np.abs(x).max()
 
     for widening in WIDENINGS:
-        beta, scale = _solve_robustly(design, instruments, y, loaded, widening)
-        residual = y - _predicted(design, beta)
+        k, scale = _solve_robustly(x, z, y, loaded, widening)
+        residual = y - k * x
         weight, slope = _tukey(residual, scale * widening)
         kept = weight > 0
         refused = np.bincount(groups, loaded & ~kept, n_trials) / np.maximum(
@@ -109,14 +105,12 @@ def fit_slope(
         )
         if (refused > 0.5).mean() <= MAX_OUTLYING_SHARE:
             break
-    stderr, dof = _clustered_error(design, instruments, residual * weight, slope, groups, n_trials)
+    stderr, dof = _clustered_error(x * slope, z, residual * weight, groups, n_trials)
     spread = ((y[kept] - y[kept].mean()) ** 2).sum()
-    numbers = np.unique(trial)
     return SlopeFit(
-        value=float(beta[0]),
+        value=k,
         stderr=stderr,
         dof=dof,
-        offsets=beta[1:] if free_offset else np.zeros(load.shape[1]),
         scatter=scale,
         r_squared=float(1.0 - (residual[kept] ** 2).sum() / spread) if spread > 0 else np.nan,
         n_samples=len(load),
@@ -124,14 +118,6 @@ def fit_slope(
         outliers=int((~kept).reshape(load.shape).any(axis=1).sum()),
         outlying_trials=tuple(int(number) for number in numbers[refused > 0.5]),
     )
-
-
-def _design(load: FloatArray, free_offset: bool) -> FloatArray:
-    """(N·c, p): the load, then one indicator a component where the offset is free."""
-    n_samples, n_components = load.shape
-    if not free_offset:
-        return load.reshape(-1, 1)
-    return np.column_stack([load.ravel(), np.tile(np.eye(n_components), (n_samples, 1))])
 
 
 def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
@@ -152,51 +138,23 @@ def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
 
 
 def _solve_robustly(
-    design: FloatArray, instruments: FloatArray, y: FloatArray, loaded: BoolArray, widening: float
-) -> tuple[FloatArray, float]:
-    """Coefficients (p,) and the residuals' scale, by reweighting from an L1 start."""
-    beta: FloatArray = np.zeros(design.shape[1])
-    beta[0] = _weighted_median(y[loaded] / design[loaded, 0], np.abs(design[loaded, 0]))
-    if design.shape[1] > 1:
-        beta = _least_absolute(design, y, beta)
+    x: FloatArray, z: FloatArray, y: FloatArray, loaded: BoolArray, widening: float
+) -> tuple[float, float]:
+    """The slope of y on x by the instrument z, and the residuals' scale; from an L1 start."""
+    ratio, share = y[loaded] / x[loaded], np.abs(x[loaded])
+    order = np.argsort(ratio)
+    cumulated = np.cumsum(share[order])
+    k = float(ratio[order][np.searchsorted(cumulated, 0.5 * cumulated[-1])])
     scale = 0.0
     for iteration in range(MAX_ITERATIONS):
-        residual = y - _predicted(design, beta)
+        residual = y - k * x
         if iteration < SCALE_ITERATIONS:
             scale = float(1.4826 * np.median(np.abs(residual[loaded])))
-        weighted = instruments * _tukey(residual, scale * widening)[0][:, None]
-        updated = np.linalg.solve(_gram(weighted, design), _gram(weighted, y[:, None])[:, 0])
-        done = np.abs(updated - beta).max() <= TOLERANCE * np.abs(updated).max()
-        beta = updated
-        if done:
+        weighted = z * _tukey(residual, scale * widening)[0]
+        before, k = k, float((weighted * y).sum() / (weighted * x).sum())
+        if abs(k - before) <= TOLERANCE * abs(k):
             break
-    return beta, scale
-
-
-def _predicted(design: FloatArray, beta: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("np,p->n", design, beta))
-
-
-def _gram(left: FloatArray, right: FloatArray) -> FloatArray:
-    """leftᵀ right of tall matrices; a BLAS would wake all its threads for so little work."""
-    return np.asarray(np.einsum("ni,nj->ij", left, right))
-
-
-def _least_absolute(design: FloatArray, y: FloatArray, beta: FloatArray) -> FloatArray:
-    """A few reweighted steps towards the smallest absolute residuals."""
-    for _ in range(20):
-        residual = np.abs(y - _predicted(design, beta))
-        floor = max(1e-3 * float(np.median(residual)), 1e-12)
-        weighted = design / np.maximum(residual, floor)[:, None]
-        gram, moment = _gram(weighted, design), _gram(weighted, y[:, None])[:, 0]
-        beta = np.linalg.lstsq(gram, moment, rcond=None)[0]
-    return beta
-
-
-def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
-    order = np.argsort(values)
-    cumulated = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(cumulated, 0.5 * cumulated[-1])])
+    return k, scale
 
 
 def _tukey(residual: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
@@ -210,39 +168,21 @@ def _tukey(residual: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _clustered_error(
-    design: FloatArray,
-    instruments: FloatArray,
+    regressor: FloatArray,
+    instrument: FloatArray,
     influence: FloatArray,
-    slope: FloatArray,
     groups: IntArray,
     n_groups: int,
 ) -> tuple[float, float]:
-    """Standard error of the first coefficient and its degrees of freedom."""
+    """Standard error of the slope, and its degrees of freedom."""
     if n_groups < 2:
         return np.nan, 0.0
-    width = design.shape[1]
-    outer = (instruments * slope[:, None])[:, :, None] * design[:, None, :]
-    bread_by_group = np.empty((n_groups, width, width))
-    score = np.empty((n_groups, width))
-    for i in range(width):
-        score[:, i] = np.bincount(groups, instruments[:, i] * influence, n_groups)
-        for j in range(width):
-            bread_by_group[:, i, j] = np.bincount(groups, outer[:, i, j], n_groups)
-    bread = bread_by_group.sum(axis=0)
-    inverse = np.linalg.inv(bread)
-    roots = [_leverage_root(np.eye(width) - part @ inverse) for part in bread_by_group]
-    adjusted = np.stack([root @ one for root, one in zip(roots, score, strict=True)])
-    variance = float(((adjusted @ inverse.T)[:, 0] ** 2).sum())
-    dof = _degrees_of_freedom(instruments[:, 0], influence, groups, n_groups, score[:, 0])
-    factor = float(stdtrit(dof, 0.975)) / NORMAL_975
-    return float(np.sqrt(variance) * factor), dof
-
-
-def _leverage_root(remaining: FloatArray) -> FloatArray:
-    """(I − H)^−½ of one press; its leverage is bounded so that one press cannot blow up."""
-    if remaining.size == 1:
-        return np.array([[1.0 / np.sqrt(max(float(remaining[0, 0]), 0.1))]])
-    return np.real(np.linalg.pinv(sqrtm(remaining)))
+    bread = np.bincount(groups, instrument * regressor, n_groups)
+    score = np.bincount(groups, instrument * influence, n_groups)
+    remaining = np.maximum(1.0 - bread / bread.sum(), MIN_REMAINING_LEVERAGE)
+    variance = float((score**2 / remaining).sum()) / bread.sum() ** 2
+    dof = _degrees_of_freedom(instrument, influence, groups, n_groups, score)
+    return float(np.sqrt(variance)) * float(stdtrit(dof, 0.975)) / NORMAL_975, dof
 
 
 def _degrees_of_freedom(

@@ -23,7 +23,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
-from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
+from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
 from tacgen.diagnose.contact.oscillation import find_oscillations
@@ -146,9 +146,7 @@ class CandidateSets:
 
     def linear(self) -> FittedSet:
         """The law without effects."""
-        data = self.data
-        rough_k = linear_compliance(data.history.load(data.channel), data.target)
-        return self._fitted((), Model(rough_k or 1e-6))
+        return self._fitted((), Model(self.data.compliance))
 
     def _fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
         """Fit ``members`` from ``start``, once, and cross-validate around the fit."""

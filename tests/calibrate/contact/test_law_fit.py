@@ -230,6 +230,19 @@ def test_a_free_contact_point_is_found(tmp_path):
     assert fit.normal.pooled.value == pytest.approx(0.3, rel=0.01)
 
 
+def test_without_a_ball_the_force_begins_where_the_imprint_does(tmp_path):
+    """Gauges that are 0.3 N above zero and 0.2 N below it; noise of 0.02 N and 0.1 mm³."""
+    frame, rng = session(n_trials=4), np.random.default_rng(0)
+    zero = np.array([0.3, -0.2, 0.3, -0.2])[frame["trial"]]
+    frame["volume_mm3"] = 5.0 * frame["force_normal_n"] + 0.1 * rng.standard_normal(len(frame))
+    frame["force_normal_n"] += zero + 0.02 * rng.standard_normal(len(frame))
+    log = read_press_log(write(frame.drop(columns="radius_mm"), tmp_path))
+    fit = fit_contact(log, free_contact_point=True)
+    found = [point.force_n for point in fit.contact_points]
+    np.testing.assert_allclose(found, (0.3, -0.2, 0.3, -0.2), atol=0.02)
+    assert fit.normal.pooled.value == pytest.approx(5.0, rel=0.01)
+
+
 def test_measured_ball_indentations(measured_data, tmp_path):
     path = measured_data / "asmi_ball_indentation" / "press_log.csv"
     fit = fit_contact(read_press_log(path))

@@ -28,13 +28,6 @@ def test_exact_data_gives_the_exact_slope():
     assert fit.r_squared == pytest.approx(1.0)
 
 
-def test_an_offset_is_found_where_it_is_free():
-    load, response, trial = presses(1, noise=0.0)
-    fit = fit_slope(load, response + 2.0, trial, free_offset=True)
-    assert fit.value == pytest.approx(5.0, rel=1e-9)
-    assert fit.offsets == pytest.approx([2.0], rel=1e-9)
-
-
 def test_two_components_share_one_slope():
     load, response, trial = presses(2, noise=0.0)
     fit = fit_slope(np.column_stack([load, -load]), np.column_stack([response, -response]), trial)
