@@ -23,18 +23,10 @@ _DEPTH_POINTS = 200
 
 @dataclass(frozen=True, slots=True)
 class Membrane:
-    """How the gel leaves the ball at the rim of the contact.
+    """How the gel leaves the ball at the rim of the contact."""
 
-    Attributes
-    ----------
-    decay_mm : float
-        The slope falls off by 1/e over this distance outside the contact.
-    sharpness : float
-        How sharply the two pieces meet; large is a kink, 2 is a wide round shoulder.
-    """
-
-    decay_mm: float
-    sharpness: float = 8.0
+    decay_mm: float  # over which the slope falls off by 1/e outside the contact
+    sharpness: float = 8.0  # of the joint of the two pieces: large is a kink, 2 a wide shoulder
 
 
 def rest_slope(

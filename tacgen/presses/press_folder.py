@@ -53,30 +53,15 @@ _DATAPACK = ("f0", "imgs", "touch_center", "touch_radius")
 
 @dataclass(frozen=True, slots=True)
 class PressFolder:
-    """A folder of press images, read and checked; pictures are loaded on demand.
-
-    Attributes
-    ----------
-    path : Path
-    table : DataFrame
-        ``presses.csv``, one row a press: known columns as numbers, others as text.
-    background : (H, W, 3) uint8
-        RGB, the gel with nothing on it.
-    mm_per_px : float
-    dome_radius_mm : float
-        0 for a flat gel.
-    sensor : str
-    dot_pitch_mm : float
-        0 where it is not known.
-    """
+    """A folder of press images, read and checked; pictures are loaded on demand."""
 
     path: Path
-    table: pd.DataFrame
-    background: NDArray[np.uint8]
+    table: pd.DataFrame  # presses.csv, one row a press: known columns as numbers, others as text
+    background: NDArray[np.uint8]  # (H, W, 3), RGB, the gel with nothing on it
     mm_per_px: float
-    dome_radius_mm: float = 0.0
+    dome_radius_mm: float = 0.0  # 0 for a flat gel
     sensor: str = ""
-    dot_pitch_mm: float = 0.0
+    dot_pitch_mm: float = 0.0  # 0 where it is not known
 
     def numbers(self, name: str) -> FloatArray:
         """A column (N,); NaN where it is empty or absent."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,61 +28,28 @@ class DroppedPress:
 
 @dataclass(frozen=True, slots=True)
 class PressImages:
-    """Ball presses on one sensor.
+    """Ball presses on one sensor: N pictures, RGB; what is not known of a press is NaN."""
 
-    Attributes
-    ----------
-    images : (N, H, W, 3) uint8
-        RGB.
-    background : (H, W, 3) uint8
-        RGB, the gel with nothing on it.
-    names : tuple of str
-    center_px : (N, 2) float
-        Column and row of the contact's centre, pixel centres at integers; NaN where unknown.
-    radius_px : (N,) float
-        Radius of the contact circle; NaN where unknown.
-    ball_radius_mm : (N,) float
-    mm_per_px : float
-    dome_radius_mm : float
-        Radius of curvature of the gel at rest, 0 for a flat one.
-    seen_px : (N, 3) float, optional
-        Column, row and radius of the circle that is seen in each picture, labelled or not; NaN
-        where none is.
-    stage_mm : (N, 2) float, optional
-        Where a stage says that each press was, mm; NaN where it does not.
-    dot_pitch_mm : float
-        Pitch of the printed dots, 0 where it is not known.
-    found : (N,) bool
-        Whether centre and radius are found in the image instead of labelled; by default where a
-        label is missing.
-    dots : (H, W) bool, optional
-        Pixels of the background that printed dots cover; None where there are none.
-    hidden : (N, H, W) bool, optional
-        The same for each press: pixels that show a dot and not the gel.
-    dropped : tuple of DroppedPress
-    warnings : tuple of str
-    sha256 : mapping
-        Hash of each file read, by name.
-    """
-
-    images: NDArray[np.uint8]
-    background: NDArray[np.uint8]
+    images: NDArray[np.uint8]  # (N, H, W, 3)
+    background: NDArray[np.uint8]  # (H, W, 3), the gel with nothing on it
     names: tuple[str, ...]
-    center_px: FloatArray
-    radius_px: FloatArray
-    ball_radius_mm: FloatArray
+    center_px: FloatArray  # (N, 2), the contact's column and row, pixel centres at integers
+    radius_px: FloatArray  # (N,) of the contact circle
+    ball_radius_mm: FloatArray  # (N,)
     mm_per_px: float
-    dome_radius_mm: float = 0.0
+    dome_radius_mm: float = 0.0  # of the gel at rest, 0 for a flat one
     sensor: str = ""
-    seen_px: FloatArray | None = None
-    stage_mm: FloatArray | None = None
-    dot_pitch_mm: float = 0.0
-    found: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    dots: BoolArray | None = None
-    hidden: BoolArray | None = None
+    seen_px: FloatArray | None = None  # (N, 3), column, row, radius of the circle seen, labelled or
+    # not
+    stage_mm: FloatArray | None = None  # (N, 2), where a stage says that each press was
+    dot_pitch_mm: float = 0.0  # of printed dots, 0 where it is not known
+    found: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,), whether the
+    # circle is found in the image instead of labelled; by default where a label is missing
+    dots: BoolArray | None = None  # (H, W), what printed dots cover in the background, if any
+    hidden: BoolArray | None = None  # (N, H, W), the same in each press
     dropped: tuple[DroppedPress, ...] = ()
     warnings: tuple[str, ...] = ()
-    sha256: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    sha256: Mapping[str, str] = field(default_factory=dict)  # of each file read, by its name
 
     def __post_init__(self) -> None:
         """Fill in ``found``."""

@@ -80,33 +80,18 @@ class DroppedTrial:
 class PressLog:
     """A checked press log: equally long, read-only columns, whole trials in one block each.
 
-    Attributes
-    ----------
-    columns : mapping of str to (N,) array
-        ``trial`` int64; numbers float64; text as str. The required columns are finite. The
-        optional numbers of the contract and numeric covariates are NaN where the file is empty;
-        the shear columns are NaN for all samples of a trial or for none.
-    path : Path
-        The file it was read from.
-    rows : (N,) int64
-        Row in the file of each sample, counted as a spreadsheet does: the header is row 1.
-    dropped : tuple of DroppedTrial
-        Presses that are not used, and why.
-    warnings : tuple of str
-        What the reader of any result should know about this log.
-    session_clock : bool
-        Whether ``time_s`` runs on from trial to trial, so that drift has a meaning.
-    sha256 : str
-        Of the file's bytes.
+    ``trial`` is int64, other numbers float64, text str. The required columns are finite. Optional
+    numbers and numeric covariates are NaN where the file is empty; the shear columns are NaN for
+    all samples of a trial or for none.
     """
 
     columns: Columns
     path: Path
-    rows: IntArray
+    rows: IntArray  # (N,), each sample's row in the file as a spreadsheet counts: the header is 1
     dropped: tuple[DroppedTrial, ...] = ()
-    warnings: tuple[str, ...] = ()
-    session_clock: bool = True
-    sha256: str = ""
+    warnings: tuple[str, ...] = ()  # what the reader of any result should know about this log
+    session_clock: bool = True  # whether time_s runs on from trial to trial: drift has a meaning
+    sha256: str = ""  # of the file's bytes
 
     def __len__(self) -> int:
         return len(self.rows)

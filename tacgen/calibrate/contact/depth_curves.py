@@ -139,18 +139,14 @@ def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = Non
 
 
 def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
-    radii = _radius_grid(radius_mm, 121)
-    best = np.inf
-    parameters: FloatArray = np.zeros(3)
-    for radius in radii:
-        cost, k_log, shift = _fit_at_radius(curve, float(radius))
-        if cost < best:
-            best, parameters = cost, np.array([np.log(radius), k_log, shift])
+    radii = map(float, _radius_grid(radius_mm, 121))
+    profile = [(float(np.log(radius)), *_fit_at_radius(curve, radius)) for radius in radii]
+    log_r, best, k_log, shift = min(profile, key=lambda one: one[1])
+    parameters: FloatArray = np.array([log_r, k_log, shift])
     if radius_mm is None:
         parameters = _polish(curve, parameters)
         best = _squares(curve, parameters)
     limit = best * (1.0 + 3.841 / max(len(curve.depth_mm) - 3, 1))
-    profile = [(float(np.log(r)), *_fit_at_radius(curve, float(r))) for r in radii]
     inside = [(log_r, k) for log_r, cost, k, _ in profile if cost <= limit]
     inside.append((float(parameters[0]), float(parameters[1])))
     in_contact = (curve.depth_mm > 0) & (curve.force_n > 0)

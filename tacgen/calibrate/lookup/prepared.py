@@ -43,28 +43,15 @@ too few presses leave bare."""
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """Some pixels of one image.
+    """Some pixels of one image."""
 
-    Attributes
-    ----------
-    rows, columns : (n,) int
-    x_mm, y_mm : (n,) float
-        Place on the gel, from the image's centre, along columns and rows.
-    position : (n, 6) float
-        The table's features.
-    grey : (n, 3) float
-        RGB grey levels of the image.
-    inside : (n,) bool
-        Within the labelled (or found) contact circle.
-    """
-
-    rows: IntArray
-    columns: IntArray
-    x_mm: FloatArray
-    y_mm: FloatArray
-    position: FloatArray
-    grey: FloatArray
-    inside: BoolArray
+    rows: IntArray  # (n,)
+    columns: IntArray  # (n,)
+    x_mm: FloatArray  # (n,), place on the gel from the image's centre, along columns
+    y_mm: FloatArray  # (n,), and along rows
+    position: FloatArray  # (n, 6), the table's features
+    grey: FloatArray  # (n, 3), RGB grey levels of the image
+    inside: BoolArray  # (n,), within the labelled (or found) contact circle
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -139,49 +126,26 @@ def disc_pixels(
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The pixels of one press and what the fit needs with them.
-
-    Attributes
-    ----------
-    position : (n, f) float
-        Features of position of the highest degree.
-    change : (n, 3) float
-        Grey levels less the background's.
-    weight : (n,) float
-    label : (3,) float
-        Labelled centre and radius, mm.
-    """
+    """The pixels of one press and what the fit needs with them."""
 
     pixels: Pixels
-    position: FloatArray
-    change: FloatArray
-    weight: FloatArray
-    label: FloatArray
+    position: FloatArray  # (n, f), features of position of the highest degree
+    change: FloatArray  # (n, 3), grey levels less the background's
+    weight: FloatArray  # (n,)
+    label: FloatArray  # (3,), labelled centre and radius, mm
     ball_radius_mm: float
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedPresses:
-    """Ball presses with all that the fits derive from their pictures, derived once.
-
-    Attributes
-    ----------
-    presses : PressImages
-    bare_changes : (N, h, w, 3) float32
-        Image − reference where no press touches, coarse; NaN near the contacts.
-    drift : (N, 3) float
-        What each picture's bare gel is brighter by than that of the others, grey levels.
-    backgrounds : mapping of BackgroundRecipe to (H, W, 3) float32
-        Every candidate of the choice.
-    light : (H, W, 3) float32
-        Brightness of the reference image, smoothed, relative to its mean.
-    """
+    """Ball presses with all that the fits derive from their pictures, derived once."""
 
     presses: PressImages
-    bare_changes: FloatArray
-    drift: FloatArray
-    backgrounds: Mapping[BackgroundRecipe, FloatArray]
-    light: FloatArray
+    bare_changes: FloatArray  # (N, h, w, 3), image − reference where no press touches, coarse; NaN
+    # near the contacts
+    drift: FloatArray  # (N, 3), what each picture's bare gel is brighter by, grey levels
+    backgrounds: Mapping[BackgroundRecipe, FloatArray]  # (H, W, 3) of every candidate
+    light: FloatArray  # (H, W, 3), the reference's smoothed brightness, relative to its mean
     _pixels: dict[int, list[tuple[Pixels, FloatArray, FloatArray]]] = field(
         default_factory=dict, repr=False
     )

@@ -53,17 +53,12 @@ _TEN_MM = 10.0  # an image's size: over this a label's shift grows by what it is
 class LabelModel:
     """How labelled centres and radii relate to the true ones, learnt from the presses.
 
-    Attributes
-    ----------
-    shift_mm : (3, 2) float
-        Mean of (true − labelled centre) along x and y: a constant, and what it grows by in 10 mm
-        along x and along y.
-    contact_radius_mm, reference_radius_mm, radius_slope : float
-        The expected contact radius is ``contact_radius_mm`` + ``radius_slope`` × (label −
-        ``reference_radius_mm``): a slope below 1 where labels scatter more than the presses do.
+    The expected contact radius is ``contact_radius_mm`` + ``radius_slope`` × (label −
+    ``reference_radius_mm``): a slope below 1 where labels scatter more than the presses do.
     """
 
-    shift_mm: FloatArray
+    shift_mm: FloatArray  # (3, 2), mean of (true − labelled centre) along x and y: a constant, and
+    # what it grows by in 10 mm along x and along y
     contact_radius_mm: float
     reference_radius_mm: float
     radius_slope: float
@@ -323,21 +318,10 @@ def place_press(
 ) -> FloatArray:
     """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected.
 
-    Parameters
-    ----------
-    grey : callable
-        Grey levels (n, 3) of the press at a place.
-    target : (n, 3) float
-        What they should be.
-    expected, scatter : (3,) float
-        The prior's mean, mm, and its standard deviations in label radii.
-    weight : (n,) float
-        Of each pixel.
-    radii_mm : (float, float)
-        The label's radius and the ball's.
-    nudge, tolerance : float
-        By which a place is moved for derivatives, and the step at which the search ends; both in
-        label radii.
+    ``grey`` gives the press's grey levels (n, 3) at a place, ``target`` (n, 3) is what they should
+    be, ``weight`` (n,) that of each pixel. ``expected`` (3,), mm, and ``scatter`` (3,), label
+    radii, are the prior's mean and deviations, ``radii_mm`` those of the label and of the ball. A
+    place is moved by ``nudge`` for derivatives and settled below ``tolerance``, label radii both.
     """
     label_mm, ball_mm = radii_mm
     moves_mm = nudge * label_mm * np.eye(3)

@@ -85,27 +85,17 @@ class TableScore:
 
 @dataclass(frozen=True, slots=True)
 class PressScore:
-    """One press: squared errors summed over its pixels, and the geometry that was found.
+    """One press: squared errors summed over its pixels, and the place that was found.
 
-    Attributes
-    ----------
-    squares : (n_rings, 3, 3) float
-        By ring (the contact first), by ``PICTURES``, RGB.
-    counts : (n_rings,) int
-        Pixels in each ring.
-    refined_mm : (3,) float
-        Centre and contact radius.
-    likeness : mapping
-        ``ssim_…`` and ``psnr_db_…`` (dB) of the picture within the outermost ring's square,
-        at the place as labelled and refined; where it was asked for ``gradient_error_deg``, the
-        mean angle, inside the circle, between the surface normal read from the photograph with the
-        table and that of the refined press.
+    ``likeness`` holds ``ssim_…`` and ``psnr_db_…`` of the picture within the outermost ring's
+    square, as labelled and refined; where it was asked for, ``gradient_error_deg``: the mean angle,
+    inside the circle, between the normals read from the photograph and those of the refined press.
     """
 
     name: str
-    squares: FloatArray
-    counts: IntArray
-    refined_mm: FloatArray
+    squares: FloatArray  # (n_rings, 3, 3), by ring (the contact first), by ``PICTURES``, RGB
+    counts: IntArray  # (n_rings,), pixels
+    refined_mm: FloatArray  # (3,), centre and contact radius
     likeness: Mapping[str, float]
 
     def rmse(self, picture: str) -> float:

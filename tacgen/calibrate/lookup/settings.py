@@ -7,21 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """The smooth model that cross-validation chooses.
+    """The smooth model that cross-validation chooses."""
 
-    Attributes
-    ----------
-    degree : int
-        Of the polynomial in the surface normal.
-    position_degree : int
-        Of the polynomial in image position.
-    ridge : float
-        Strength of the penalty on rough terms, relative to the mean of the squared features.
-    """
-
-    degree: int = 5
-    position_degree: int = 4
-    ridge: float = 1e-4
+    degree: int = 5  # of the polynomial in the surface normal
+    position_degree: int = 4  # of the polynomial in image position
+    ridge: float = 1e-4  # penalty on rough terms, relative to the mean of the squared features
 
     def __str__(self) -> str:
         return (

@@ -146,16 +146,9 @@ def weighed(terms: FloatArray, at_places: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class SmoothModel:
-    """A fitted smooth model.
+    """A fitted smooth model."""
 
-    Attributes
-    ----------
-    weights : (n_light_terms, n_features, 3) float64
-        Grey levels, RGB, for each of ``light_terms`` and position feature.
-    degree : int
-    """
-
-    weights: FloatArray
+    weights: FloatArray  # (n_light_terms, n_features, 3), RGB grey levels of each term and feature
     degree: int
 
     def at_places(self, position: FloatArray) -> FloatArray:
