@@ -59,10 +59,7 @@ def import_presses(
 ) -> PressSet:
     """Write the presses of ``source`` as a press folder ``out``, whole or not at all.
 
-    Raises
-    ------
-    PressError
-        Listing what the source lacks; nothing is written then.
+    Raises ``PressError`` listing what the source lacks; nothing is written then.
     """
     found = PRESS_FORMATS[format_name](Path(source), options or Options())
     if not found.presses:

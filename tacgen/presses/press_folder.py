@@ -72,10 +72,7 @@ class PressFolder:
     def picture(self, index: int) -> NDArray[np.uint8]:
         """One picture (H, W, 3), RGB.
 
-        Raises
-        ------
-        PressError
-            Where it cannot be read or is of another size than the background.
+        Raises ``PressError`` where it cannot be read or is of another size than the background.
         """
         path, row = self.path / self.table["file"].iloc[index], index + 2
         image = _read_image(path, f"row {row} of presses.csv")
@@ -101,10 +98,7 @@ def read_press_folder(
     ``required`` are the columns that the list must have; ``mm_per_px`` and ``ball_radius_mm``
     replace what the files hold.
 
-    Raises
-    ------
-    PressError
-        Lists everything that is missing or wrong.
+    Raises ``PressError`` that lists everything that is missing or wrong.
     """
     path, problems = Path(path), []
     files = {
@@ -139,10 +133,7 @@ def read_presses(
     ``mm_per_px`` and ``ball_radius_mm`` replace what the files hold; for a dataPack, which holds
     neither, the default is Taxim's own sensor and ball.
 
-    Raises
-    ------
-    PressError
-        Lists everything that keeps the set from being read.
+    Raises ``PressError`` that lists everything that keeps the set from being read.
     """
     path = Path(path)
     for name, value in (("mm_per_px", mm_per_px), ("ball_radius_mm", ball_radius_mm)):

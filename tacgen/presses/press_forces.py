@@ -16,8 +16,8 @@ from tacgen.core.errors import PressError
 from tacgen.optics.dots import MIN_TRACKED, Image, dots_at_rest, dots_in, find_spots, follow
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.table import LookupTable
-from tacgen.presses.ball import cap_volume_from_circle_mm3
 from tacgen.presses.circles import find_circle
+from tacgen.presses.geometry import cap_volume_from_circle_mm3
 from tacgen.presses.press_folder import COORDINATES, PressFolder
 
 
@@ -34,17 +34,11 @@ class MeasuredLog:
 def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> MeasuredLog:
     """Turn press images with forces into a press log.
 
-    Parameters
-    ----------
-    folder : PressFolder
-    table : LookupTable, optional
-        Of this sensor: volumes then come from the reconstructed shape. Without it they come from
-        the contact circle, and ``radius_mm`` is needed.
+    With a ``table`` of this sensor volumes come from the reconstructed shape, without it from the
+    contact circle, and ``radius_mm`` is needed.
 
-    Raises
-    ------
-    PressError
-        If there is neither a table nor a ball's radius, or no picture shows a contact.
+    Raises ``PressError`` if there is neither a table nor a ball's radius, or no picture shows a
+    contact.
     """
     warnings: list[str] = []
     rows, listing = folder.table, folder.path / "presses.csv"

@@ -139,21 +139,13 @@ class PressLog:
 
 
 def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
-    """Read and check a press log.
+    """Read and check a press log: CSV, or Parquet by its suffix (``.parquet``, ``.pq``).
 
-    Parameters
-    ----------
-    path : Path
-        CSV, or Parquet by its suffix (``.parquet``, ``.pq``).
-    force_unit : str, optional
-        Unit of the force columns (a key of ``FORCE_UNITS_N``). By default newtons, and forces
-        that cannot be newtons are an error; a unit that is given is not checked.
+    ``force_unit`` is that of the force columns (a key of ``FORCE_UNITS_N``). By default newtons,
+    and forces that cannot be newtons are an error; a unit that is given is not checked.
 
-    Raises
-    ------
-    PressError
-        With every problem of the file at once: unreadable or empty, missing or doubled columns,
-        cells that are not numbers, forces in another unit, no usable press.
+    Raises ``PressError`` with every problem of the file at once: unreadable or empty, missing or
+    doubled columns, cells that are not numbers, forces in another unit, no usable press.
     """
     path = Path(path)
     frame = read_table(path)
@@ -185,10 +177,8 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
 def read_table(path: Path) -> pd.DataFrame:
     """A CSV (as text) or Parquet file as a DataFrame with stripped column names.
 
-    Raises
-    ------
-    PressError
-        Where the file is missing, empty, not a table, or has two columns of one name.
+    Raises ``PressError`` where the file is missing, empty, not a table, or has two columns of one
+    name.
     """
     path = Path(path)
     if not path.is_file():

@@ -59,10 +59,8 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
 
     Printed dots are found and masked.
 
-    Raises
-    ------
-    PressError
-        If the background does not match the presses or fewer than ``least`` are left.
+    Raises ``PressError`` if the background does not match the presses or fewer than ``least`` are
+    left.
     """
     _check_background(presses)
     presses = _with_dots_masked(presses)
@@ -125,10 +123,7 @@ def _with_dots_masked(presses: PressImages) -> PressImages:
 def _check_background(presses: PressImages) -> None:
     """Refuse pictures of two sensors, and a background that is not of these presses' gel at rest.
 
-    Raises
-    ------
-    PressError
-        With what is wrong and the fix.
+    Raises ``PressError`` with what is wrong and the fix.
     """
     height, width = presses.shape_px
     size = (COMPARED_WIDTH_PX, max(8, round(COMPARED_WIDTH_PX * height / width)))

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tacgen.core.arrays import FloatArray
-from tacgen.presses.ball import ball_depth_mm, ball_volume_mm3
+from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3
 from tacgen.presses.press_log import PressLog
 
 MIN_CONTACT_SAMPLES = 6

@@ -17,7 +17,7 @@ from scipy.special import fdtrc
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
-from tacgen.presses.ball import ball_volume_mm3
+from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.press_log import column_names, column_problems, numeric_columns, read_table
 
 RADII_MM = (0.1, 100.0)

@@ -19,7 +19,7 @@ from tacgen.calibrate.contact.summary import (
     half_width,
     summary_dict,
 )
-from tacgen.presses.ball import ball_volume_mm3
+from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.press_log import PressLog
 from tacgen.report import figures as plots
 from tacgen.report import write_page

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.friction.fit import FrictionFit
-from tacgen.calibrate.friction.sweep import Key, friction_json
+from tacgen.calibrate.friction.sweep import FrictionFit, Key, friction_json
 from tacgen.collection.perturbed import Outcome
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.report import figures as plots

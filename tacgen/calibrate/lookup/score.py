@@ -155,10 +155,7 @@ def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = F
 
     ``gradients`` also reads the surface normals back from the photographs, half a second a press.
 
-    Raises
-    ------
-    PressError
-        If the presses are not of the table's resolution.
+    Raises ``PressError`` if the presses are not of the table's resolution.
     """
     if table.shape_px != presses.shape_px:
         msg = (
@@ -215,9 +212,8 @@ def psnr_db(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) -> float:
 def structural_similarity(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) -> float:
     """Mean structural similarity of 8-bit pictures (H, W, 3), over pixels and channels.
 
-    Source
-    ------
-    Wang et al. 2004, Image quality assessment, Eq. 13: Gaussian window of 1.5 px, K = 0.01, 0.03.
+    Source: Wang et al. 2004, Image quality assessment, Eq. 13: Gaussian window of 1.5 px, K = 0.01,
+    0.03.
     """
     x, y = real.astype(np.float64), rendered.astype(np.float64)
 

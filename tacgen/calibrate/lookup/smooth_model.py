@@ -66,13 +66,8 @@ def position_features(u: FloatArray, v: FloatArray, light: FloatArray, degree: i
     """Features (n, n_position_features) of places in the image.
 
     Products of Legendre polynomials in 2u and 2v, lowest total degree first, then the light.
-
-    Parameters
-    ----------
-    u, v : (n,) float
-        Position in the image, −½ to ½.
-    light : (H, W, 3) float
-        The bare gel's smoothed brightness, relative to its mean.
+    ``u``, ``v`` (n,) are −½ to ½ in the image, ``light`` (H, W, 3) the bare gel's smoothed
+    brightness, relative to its mean.
     """
     along_u, along_v = legendre.legvander(2 * u, degree), legendre.legvander(2 * v, degree)
     products = [along_u[:, k - j] * along_v[:, j] for k in range(degree + 1) for j in range(k + 1)]
@@ -184,12 +179,8 @@ class SmoothModel:
 def solve_ridge(gram: FloatArray, moment: FloatArray, settings: FitSettings) -> SmoothModel:
     """The weights that minimise mean squared error plus ``settings.ridge`` × the terms' costs.
 
-    Parameters
-    ----------
-    gram : (k, k) float
-        Designᵀ·design, mean over the pixels; k = n_light_terms · n_features.
-    moment : (k, 3) float
-        Designᵀ·grey level change, mean over the pixels.
+    ``gram`` (k, k) is designᵀ·design, ``moment`` (k, 3) designᵀ·grey level change, both means over
+    the pixels; k = n_light_terms · n_features.
     """
     degree, position_degree = settings.degree, settings.position_degree
     penalty = np.diag(settings.ridge * ridge_costs(degree, position_degree))

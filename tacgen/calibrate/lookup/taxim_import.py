@@ -29,24 +29,14 @@ CHANNELS_RGB = ("grad_b", "grad_g", "grad_r")
 def import_polycalib(path: Path, background: Path, mm_per_px: float) -> LookupTable:
     """The table in Taxim's ``polycalib.npz`` with a background image in its resolution.
 
-    Parameters
-    ----------
-    path : Path
-        ``bins`` and ``grad_r``, ``grad_g``, ``grad_b`` (bins, bins, 6), features x², y², xy, x,
-        y, 1 in raw pixels, row index ⌊atan|∇h| / (½π/(bins − 1))⌋, column index
-        ⌊(direction + π) / (2π/(bins − 1))⌋.
-    background : Path
-        .npy (BGR, as Taxim keeps it) or an image file.
-    mm_per_px : float
+    It holds ``bins`` and ``grad_r``, ``grad_g``, ``grad_b`` (bins, bins, 6), features x², y², xy,
+    x, y, 1 in raw pixels, row index ⌊atan|∇h| / (½π/(bins − 1))⌋, column index
+    ⌊(direction + π) / (2π/(bins − 1))⌋. ``background`` is .npy (BGR, as Taxim keeps it) or an image
+    file.
 
-    Raises
-    ------
-    TableError
-        If either file is not what it should be.
+    Raises ``TableError`` if either file is not what it should be.
 
-    Source
-    ------
-    Taxim, branch data-collection: its calibration and rendering formulas.
+    Source: Taxim, branch data-collection: its calibration and rendering formulas.
     """
     if not (math.isfinite(mm_per_px) and mm_per_px > 0):
         msg = f"mm_per_px = {mm_per_px:g} must be a positive number"

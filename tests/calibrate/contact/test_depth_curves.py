@@ -14,7 +14,7 @@ from tacgen.calibrate.contact.depth_curves import DepthCurve, explain_curves, re
 from tacgen.calibrate.contact.summary import depth_warnings
 from tacgen.cli import app
 from tacgen.core.errors import PressError
-from tacgen.presses.ball import ball_volume_mm3
+from tacgen.presses.geometry import ball_volume_mm3
 
 
 def curve(name, radius_mm, k_n, deepest_mm, *, late_mm=0.0, seed=0):

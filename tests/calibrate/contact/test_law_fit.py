@@ -17,7 +17,7 @@ from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.cli import app
 from tacgen.contact.law import load_law
 from tacgen.core.errors import PressError
-from tacgen.presses.ball import ball_depth_mm, ball_volume_mm3, cap_volume_from_circle_mm3
+from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3, cap_volume_from_circle_mm3
 from tacgen.presses.press_log import read_press_log
 
 K_N, K_S = 5.0, 0.8
