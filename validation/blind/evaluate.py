@@ -25,8 +25,7 @@ import numpy as np
 import pandas as pd
 
 from tacgen.diagnose.contact.command import diagnose
-from tacgen.diagnose.contact.notes import log_notes
-from tacgen.diagnose.contact.result import diagnosis_record
+from tacgen.diagnose.contact.result import diagnosis_record, log_notes
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import read_press_log
 from validation.blind.blind_forms import ALL_NORMAL, ALL_SHEAR, ALL_UNLISTED

@@ -178,7 +178,7 @@ def _clustered_error(
     if n_groups < 2:
         return np.nan, 0.0
     bread = np.bincount(groups, instrument * regressor, n_groups)
-    score = np.bincount(groups, instrument * influence, n_groups)
+    score: FloatArray = np.bincount(groups, instrument * influence, n_groups).astype(np.float64)
     remaining = np.maximum(1.0 - bread / bread.sum(), MIN_REMAINING_LEVERAGE)
     variance = float((score**2 / remaining).sum()) / bread.sum() ** 2
     dof = _degrees_of_freedom(instrument, influence, groups, n_groups, score)

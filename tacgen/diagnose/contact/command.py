@@ -30,15 +30,15 @@ from tacgen.diagnose.contact.channel import (
     Columns,
     noise_floor,
 )
-from tacgen.diagnose.contact.gp_baseline import gp_rmse
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
-from tacgen.diagnose.contact.notes import channel_notes, log_notes
 from tacgen.diagnose.contact.residuals import Dependence, dependences
 from tacgen.diagnose.contact.result import (
     ChannelDiagnosis,
     Diagnosis,
+    channel_notes,
     diagnosis_record,
+    log_notes,
     shown_parameters,
 )
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
@@ -195,7 +195,7 @@ class _Channel:
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
         data, rows = fitted.thinned(self._rules.gp_rows_per_trial), test.every_sample()
         left, test_left = (d.target - linear.law_response(d) for d in (data, rows))
-        return gp_rmse(data, left, rows, test_left, self._rng)
+        return heldout.gp_rmse(data, left, rows, test_left, self._rng)
 
 
 def _refitted(data: ChannelData, start: Model) -> Fit:

@@ -43,15 +43,15 @@ class GraspDiagnosis:
     """What the mislabels were traced to.
 
     ``real`` (N,) are the labels; ``simulated_before`` those as declared (−1 where a grasp could
-    not be executed); ``heldout`` the probability of success by a choice and fit without a grasp's
-    own fold; ``final`` that with everything that was found.
+    not be executed); ``heldout`` those predicted by a choice and fit without a grasp's own fold;
+    ``final`` those with everything that was found.
     """
 
     steps: tuple[Choice, ...]
     real: IntArray
     simulated_before: IntArray
-    heldout: FloatArray
-    final: FloatArray
+    heldout: IntArray
+    final: IntArray
     dependences: tuple[Dependence, ...]
     notes: tuple[str, ...]
     reading: str = ""
@@ -69,16 +69,12 @@ class GraspDiagnosis:
     @property
     def rate_after(self) -> float:
         """Mislabel rate on grasps that had no part in choosing or fitting."""
-        if not self.found:
-            return self.rate_before
-        return float(((self.heldout > 0.5) != (self.real == 1)).mean())
+        return float((self.heldout != self.real).mean())
 
     @property
     def n_remaining(self) -> int:
         """Remaining mislabels with everything that was found."""
-        if not self.found:
-            return int((self.simulated_before != self.real).sum())
-        return int(((self.final > 0.5) != (self.real == 1)).sum())
+        return int((self.final != self.real).sum())
 
     @property
     def too_many_remaining(self) -> bool:
@@ -159,15 +155,17 @@ def diagnose_labels(
     """
     real = labels.success.astype(np.int64)
     accepted = [step for step in steps if step.accepted]
-    heldout = heldout_success(comparison, labels, accepted, _folds(real, rng))
+    folds, heldout, final = _folds(real, rng), simulated, simulated
     probability: FloatArray = np.clip(simulated, 0, 1).astype(np.float64)
     if accepted:
+        heldout = (heldout_success(comparison, labels, accepted, folds) > 0.5).astype(np.int64)
         for step in accepted:
             comparison = comparison.given(step.scores[0])
         probability = comparison.declared.success_probability(labels)
+        final = (probability > 0.5).astype(np.int64)
     dependences = _dependences(real, probability, covariates, rng)
     return GraspDiagnosis(
-        tuple(steps), real, simulated, heldout, probability, dependences, tuple(notes), reading
+        tuple(steps), real, simulated, heldout, final, dependences, tuple(notes), reading
     )
 
 

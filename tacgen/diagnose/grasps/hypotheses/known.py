@@ -9,6 +9,7 @@ from tacgen.core.records import GraspObject
 from tacgen.diagnose.grasps.hypotheses.registry import Hypothesis, Parameter, Prediction, register
 
 FORCE_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 2.0)
+"""On the grip force: to three deviations of its prior, closer together near 1."""
 BALANCE = "balance the object on an edge"
 
 
