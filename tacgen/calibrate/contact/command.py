@@ -11,12 +11,13 @@ import numpy as np
 
 from tacgen.calibrate.contact.depth_curves import (
     DepthReport,
+    depth_text,
+    depth_warnings,
     explain_curves,
     is_depth_table,
     read_depth_curves,
 )
-from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact
-from tacgen.calibrate.contact.summary import depth_text, depth_warnings, summary_dict, summary_text
+from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of

@@ -7,9 +7,10 @@ are fitted to every curve, and one k_n to all curves together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -19,11 +20,14 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.press_log import column_names, column_problems, numeric_columns, read_table
+from tacgen.report.page import templates
 
 RADII_MM = (0.1, 100.0)
 """Indenters outside this range are no balls that a gel is pressed with."""
 MIN_SAMPLES = 8  # two for each of the four parameters of a curve
 N_STARTS = 13  # contact points tried along a curve: its loss has several minima
+SYSTEMATIC_CORRELATION = 0.5
+"""Correlation of neighbouring residuals above which they are shape, not noise."""
 MIN_SHARED_P = 0.05
 """p of the F test below which one k_n for all curves is given up; the usual 5 %."""
 
@@ -262,3 +266,33 @@ def _best_radius(curve: DepthCurve, k_log: float, radius_mm: float | None) -> tu
         low, high = radii[max(best - 1, 0)], radii[min(best + 1, len(radii) - 1)]
         radii = np.geomspace(low, high, 9)
     return result
+
+
+def depth_text(result: Mapping[str, Any]) -> str:
+    """The content of a ``DepthReport`` in a few lines for a terminal; the last is the verdict."""
+    template = templates(escaped=False).get_template("depth_curves.txt")
+    return template.render(result=result).rstrip()
+
+
+def depth_warnings(path: Path, report: DepthReport) -> tuple[str, ...]:
+    """What the reader has to know before using the law."""
+    texts = [
+        f"{path}: depths and no volumes: the volume is that of a ball whose radius was fitted with "
+        "k_n, and a radius and k_n that grow together fit almost as well; measure the ball or "
+        "log volume_mm3"
+    ]
+    for name, fit in report.curves.items():
+        if fit.radius_interval_mm[1] >= 0.99 * RADII_MM[1]:
+            texts.append(f"{path}: curve {name}: the radius has no upper bound")
+        if fit.residual_correlation > SYSTEMATIC_CORRELATION:
+            texts.append(
+                f"{path}: curve {name}: neighbouring residuals correlate by "
+                f"{fit.residual_correlation:.2f}, so the residual is not noise: this was not "
+                "exactly a ball on a linear gel, and the intervals are too narrow"
+            )
+    if not report.one_k_n_will_do:
+        texts.append(
+            f"{path}: one constant k_n does not explain these curves; contact.yaml holds the best "
+            "shared one with an error as wide as the curves are apart"
+        )
+    return tuple(texts)

@@ -1,4 +1,7 @@
-"""The contact law of a press log: k_n, k_s, whether indenters agree, and the held-out error."""
+"""The contact law of a press log: k_n, k_s, whether indenters agree, and the held-out error.
+
+``summary_dict`` is all of it as data, ``summary_text`` for a terminal.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,8 @@ from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
 from tacgen.core.version import __version__
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
-from tacgen.report.formatting import unit_text
+from tacgen.report.formatting import p_value, percent, unit_text
+from tacgen.report.page import templates
 
 MIN_TRIALS = 3
 """Two presses give no scatter to tell an outlier by."""
@@ -36,6 +40,12 @@ MIN_SAMPLES_FOR_NOISE = 10
 """In shorter presses neighbouring samples are too far apart to show a sample's own noise."""
 BLOCKS_OF_A_TRIAL = 8
 """Parts into which a group of one single trial is cut, as its samples are not independent."""
+
+SYMBOLS = {"normal": "k_n", "shear": "k_s"}
+AGREEMENT_LEVEL = 0.05
+"""Welch's p below which groups are said to differ."""
+MAX_GROUPS_SHOWN = 12
+"""Groups that a terminal's text lists; the page has all."""
 
 PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
 """Of the response and of the compliance."""
@@ -211,8 +221,8 @@ def agreement_of(groups: Mapping[str, SlopeFit], pooled: float) -> Agreement | N
     between = (weight * (k - mean) ** 2).sum() / (n - 1)
     statistic = float(between / (1.0 + 2.0 * (n - 2) / (n**2 - 1) * unevenness))
     dof_within = float((n**2 - 1) / (3.0 * unevenness))
-    p_value = float(fdtrc(n - 1, dof_within, statistic))
-    return Agreement(statistic, (n - 1.0, dof_within), p_value, float(np.ptp(k) / pooled))
+    p = float(fdtrc(n - 1, dof_within, statistic))
+    return Agreement(statistic, (n - 1.0, dof_within), p, float(np.ptp(k) / pooled))
 
 
 def _fit_group(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeFit:
@@ -304,8 +314,8 @@ def _provenance(fit: ContactFit) -> dict[str, Any]:
             name: {key: group.summary()[key] for key in ("value", "stderr", "trials", "r_squared")}
             for name, group in one.groups.items()
         }
-        p_value = one.agreement.p_value if one.agreement else None
-        groups[one.channel] = {"by": one.by, "agree_p_value": p_value, "values": values}
+        agree = one.agreement.p_value if one.agreement else None
+        groups[one.channel] = {"by": one.by, "agree_p_value": agree, "values": values}
     return {
         "data": {fit.log.path.name: fit.log.sha256},
         "versions": {
@@ -322,3 +332,61 @@ def _provenance(fit: ContactFit) -> dict[str, Any]:
         "groups": groups,
         "warnings": list(fit.warnings),
     }
+
+
+def summary_dict(fit: ContactFit) -> dict[str, Any]:
+    """The result as plain data: what ``--json`` prints and the page shows."""
+    limits = limits_of(fit.log)
+    return {
+        "channels": {channel.channel: _channel_dict(channel) for channel in fit.channels},
+        "contact_points": [asdict(point) for point in fit.contact_points],
+        "trials": {"fit": len(fit.log.trials), "left_out": len(fit.log.dropped)},
+        "left_out": [
+            {key: getattr(trial, key) for key in ("trial", "rows", "reason", "fix")}
+            for trial in fit.log.dropped
+        ],
+        "warnings": list(fit.warnings),
+        "cannot_tell": [limit.cannot_tell for limit in limits],
+        "press_next": [limit.press_next for limit in limits],
+    }
+
+
+def _channel_dict(channel: ChannelFit) -> dict[str, Any]:
+    agreement = channel.agreement
+    return {
+        SYMBOLS[channel.channel]: channel.pooled.summary(),
+        "unit": PLAIN_UNITS[channel.channel][1],
+        "by": channel.by,
+        "groups": {name: group.summary() for name, group in channel.groups.items()},
+        "agreement": agreement and {"p_value": agreement.p_value, "spread": agreement.spread},
+        "held_out": asdict(channel.held_out),
+    }
+
+
+def summary_text(result: Mapping[str, Any]) -> str:
+    """The result of ``summary_dict`` in a few lines for a terminal."""
+    template = templates(escaped=False).get_template("contact_calibration.txt")
+    return template.render(
+        result=result,
+        symbols=SYMBOLS,
+        most_groups=MAX_GROUPS_SHOWN,
+        half_width=half_width,
+        agreement_text=agreement_text,
+    ).rstrip()
+
+
+def half_width(slope: Mapping[str, Any]) -> float | None:
+    """Half of a compliance's 95 % interval; None where it has no error."""
+    return None if slope["stderr"] is None else 1.96 * float(slope["stderr"])
+
+
+def agreement_text(name: str, channel: Mapping[str, Any]) -> str:
+    """Whether the groups share one compliance, in one sentence."""
+    symbol, by, agreement = SYMBOLS[name], channel["by"], channel["agreement"]
+    if agreement is None:
+        return f"whether {symbol} depends on {by} is unknown: only one group has an error"
+    verdict = "agree on" if agreement["p_value"] >= AGREEMENT_LEVEL else "do not agree on"
+    return (
+        f"the values of {by} {verdict} one {symbol} (Welch p = {p_value(agreement['p_value'])}, "
+        f"largest difference {percent(agreement['spread'], 2)})"
+    )

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.contact.depth_curves import DepthCurve, DepthReport
-from tacgen.calibrate.contact.law_fit import ContactFit, channel_arrays
-from tacgen.calibrate.contact.summary import (
+from tacgen.calibrate.contact.depth_curves import DepthCurve, DepthReport, depth_text
+from tacgen.calibrate.contact.law_fit import (
     SYMBOLS,
+    ContactFit,
     agreement_text,
-    depth_text,
+    channel_arrays,
     half_width,
     summary_dict,
 )

@@ -130,17 +130,13 @@ def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
     power = float((np.abs(stage) ** 2).sum())
     if power <= 0:
         return None
-    best: tuple[float, float] | None = None
-    for turned in (stage, stage.conj()):
-        px_per_mm = (turned.conj() @ place) / power
-        left = float((np.abs(place - px_per_mm * turned) ** 2).sum())
-        if best is None or left < best[0]:
-            best = (left, abs(px_per_mm))
-    if best is None or best[1] <= 0:
+    px_per_mm = max(abs(np.vdot(axes, place)) for axes in (stage, stage.conj())) / power
+    if px_per_mm <= 0:
         return None
-    scatter = np.sqrt(best[0] / (2 * len(place) - 4) / power) / best[1]
+    left = max(float((np.abs(place) ** 2).sum()) - px_per_mm**2 * power, 0.0)
+    scatter = np.sqrt(left / (2 * len(place) - 4) / power) / px_per_mm
     middle, either = _of_contact_or_ball(presses)
-    value = middle / best[1]
+    value = middle / px_per_mm
     error = value * float(np.sqrt(scatter**2 + UNEVEN_LIGHT**2 + either**2))
     return Ruler("the stage's places", value, error, len(place))
 

@@ -9,10 +9,9 @@ the place of every sum of squares that is judged.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +22,14 @@ from tacgen.contact.effects import Channel, LoadHistory
 from tacgen.contact.effects.kernels import moving_mean
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
+from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
 TARGETS: dict[Channel, tuple[str, ...]] = {
     "normal": ("volume_mm3",),
-    "shear": ("shear_x_mm", "shear_y_mm"),
+    "shear": SHEAR_MOTIONS,
 }
-UNITS: dict[Channel, str] = {"normal": "mm3", "shear": "mm"}
 _MEDIAN_OF_CHI2 = 0.455
 """Median of a squared standard normal number."""
-
-Columns: TypeAlias = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)

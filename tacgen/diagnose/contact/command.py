@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tacgen.calibrate.contact.law_fit import PLAIN_UNITS
 from tacgen.contact.effects import CHANNELS, Channel
-from tacgen.contact.effects.history import SHEAR_FORCE
 from tacgen.contact.law import ContactLaw, FittedEffect, save_law
 from tacgen.core.arrays import BoolArray
 from tacgen.core.errors import PressError
@@ -24,10 +24,8 @@ from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import heldout
 from tacgen.diagnose.contact.channel import (
     TARGETS,
-    UNITS,
     ChannelData,
     ChannelSamples,
-    Columns,
     noise_floor,
 )
 from tacgen.diagnose.contact.heldout import Errors
@@ -43,7 +41,7 @@ from tacgen.diagnose.contact.result import (
 )
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.diagnose.contact.selection import Attribution, Selection
-from tacgen.presses.press_log import read_press_log
+from tacgen.presses.press_log import SHEAR_FORCES, Columns, read_press_log
 
 SEED = 20220804  # any; results are repeatable
 
@@ -243,7 +241,7 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
     compliance = {"normal": Estimate(1.0), "shear": Estimate(float("nan"), float("nan"), "mm/N")}
     for name, found in channels.items():
         model, errors = found.final.model, found.final_errors
-        unit = f"{UNITS[found.data.channel]}/N"
+        unit = PLAIN_UNITS[found.data.channel][1]
         compliance[name] = Estimate(model.compliance, errors.compliance, unit)
         for term in model.terms:
             parameters = {
@@ -276,7 +274,7 @@ def _usable_columns(
     columns: Columns, channel: Channel, rules: SelectionRules
 ) -> tuple[dict[str, NDArray[Any]] | None, str]:
     """Rows in which the channel was measured, and how many are not; or None and why."""
-    forces = ("force_normal_n",) if channel == "normal" else SHEAR_FORCE
+    forces = ("force_normal_n",) if channel == "normal" else SHEAR_FORCES
     targets = TARGETS[channel]
     refusal = f"{channel} channel: not diagnosed,"
     lacking = [name for name in (*targets, *forces) if name not in columns]

@@ -16,9 +16,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.diagnose.contact.channel import ChannelData, Columns
+from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.rules import SelectionRules
+from tacgen.presses.press_log import Columns
 
 _MAX_ROWS = 700
 """Of the training set: its kernel matrix is factored nine times."""

@@ -10,10 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tacgen.calibrate.contact.law_fit import PLAIN_UNITS
 from tacgen.contact.effects import separating_measurement
 from tacgen.contact.law import ContactLaw
 from tacgen.diagnose.contact.candidates import follows_load, known_columns
-from tacgen.diagnose.contact.channel import UNITS, ChannelData
+from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import max_levels
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
@@ -77,7 +78,7 @@ class ChannelDiagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one plain sentence."""
-        unit, what = unit_text(UNITS[self.data.channel]), _LAW_WORDS[self.data.channel]
+        unit, what = unit_text(PLAIN_UNITS[self.data.channel][0]), _LAW_WORDS[self.data.channel]
         before, after, floor = self.before.rmse, self.after.rmse, self.floor
         held = "held-out trials" if self.n_test else "the fitted trials"
         names = " and ".join(name.replace("_", " ") for name in self.effect_names)
@@ -118,7 +119,7 @@ def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
-    unit = UNITS[found.data.channel]
+    unit, per_newton = PLAIN_UNITS[found.data.channel]
     chosen = found.attribution.chosen
     terms = {term.name: term for term in found.final.model.terms}
     return {
@@ -139,7 +140,7 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "trials": {"fit": found.n_fit, "test": found.n_test},
         "held_out": found.how,
         "compliance": {
-            when: _estimate(fit.model.compliance, errors.compliance, f"{unit}/N")
+            when: _estimate(fit.model.compliance, errors.compliance, per_newton)
             for when, fit, errors in (
                 ("before", found.base, found.base_errors),
                 ("after", found.final, found.final_errors),

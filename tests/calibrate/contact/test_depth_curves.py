@@ -10,8 +10,12 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from tacgen.calibrate.contact.depth_curves import DepthCurve, explain_curves, read_depth_curves
-from tacgen.calibrate.contact.summary import depth_warnings
+from tacgen.calibrate.contact.depth_curves import (
+    DepthCurve,
+    depth_warnings,
+    explain_curves,
+    read_depth_curves,
+)
 from tacgen.cli import app
 from tacgen.core.errors import PressError
 from tacgen.presses.geometry import ball_volume_mm3
