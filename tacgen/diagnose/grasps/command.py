@@ -81,7 +81,7 @@ def diagnose_grasps(
     configs = tuple(grasp.config for grasp in real.grasps)
     simulations = PerturbedSimulations(recipe, configs, out, workers, show)
     comparison = simulations.comparison()
-    reading, about = force_from_images(recipe, real, out / "imprints.json", show("images"))
+    reading, about = force_from_images(recipe, real, show("images"))
     labels = replace(labels_of(real.grasps), reading=reading)
     comparison = refine(simulations, comparison, labels)
     rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(0x67,)))

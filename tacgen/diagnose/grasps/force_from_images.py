@@ -7,8 +7,6 @@ one is compared with simulated images of the same grasp at several forces.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -17,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.collection.grid import PlannedGrasp
-from tacgen.collection.perturbed import declared_entry, declared_sha256, place_of
+from tacgen.collection.perturbed import declared_entry
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec
 from tacgen.collection.recipe import Randomize, Recipe
 from tacgen.core.arrays import FloatArray
-from tacgen.core.files import sha256_of, write_text
 from tacgen.core.safe_io import read_bgr
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
@@ -31,19 +28,18 @@ Image = NDArray[np.uint8]
 
 
 def force_from_images(
-    recipe: Recipe, real: RealGrasps, kept: Path, show: Callable[[int, int], None]
+    recipe: Recipe, real: RealGrasps, show: Callable[[int, int], None]
 ) -> tuple[ForceReading, str]:
     """The delivered force over the declared one by images, and a sentence about it.
 
-    Successful grasps are read first: where an object slides, its imprint changes. The
-    strengths are kept in the file ``kept``, and not simulated again.
+    Successful grasps are read first: where an object slides, its imprint changes.
     """
     grasps = sorted((g for g in real.grasps if g.images), key=lambda grasp: -grasp.label)[
         : RULES.images_read
     ]
     if len(grasps) < RULES.least_images:
         return NO_READING, "no images to read the force from: labels alone decide"
-    measured, simulated = _kept_strengths(kept, recipe, real.folder, grasps, show)
+    measured, simulated = imprint_strengths(recipe, real.folder, grasps, show)
     readings = [
         float(np.interp(one, curve, np.log(RULES.image_forces)))
         for one, curve in zip(measured, simulated, strict=True)
@@ -62,40 +58,6 @@ def force_from_images(
         f"the imprints of {len(readings)} grasps are those of {np.exp(middle):.2f} times the "
         f"declared force, to {100 * stderr:.0f} % (the gel's compliance included)"
     )
-
-
-def _kept_strengths(
-    kept: Path,
-    recipe: Recipe,
-    folder: Path,
-    grasps: Sequence[RealGrasp],
-    show: Callable[[int, int], None],
-) -> tuple[FloatArray, FloatArray]:
-    """``imprint_strengths``, read from ``kept`` if they are of the same input."""
-    made_of = _hash_of_all(recipe, folder, grasps)
-    try:
-        found = json.loads(kept.read_text(encoding="utf-8"))
-        if found["made_of"] == made_of:
-            return np.array(found["measured"], float), np.array(found["simulated"], float)
-    except (OSError, ValueError, KeyError, TypeError):
-        pass  # none yet, or cut short
-    measured, simulated = imprint_strengths(recipe, folder, grasps, show)
-    found = {"made_of": made_of, "measured": measured.tolist(), "simulated": simulated.tolist()}
-    write_text(kept, json.dumps(found) + "\n")
-    return measured, simulated
-
-
-def _hash_of_all(recipe: Recipe, folder: Path, grasps: Sequence[RealGrasp]) -> str:
-    """A hash of everything that the strengths of imprints depend on."""
-    names = dict.fromkeys(grasp.config.object for grasp in grasps)
-    images = [path for grasp in grasps for path in grasp.images]
-    parts = [
-        str(dataset_spec(recipe, len(grasps)).calibration),
-        *(declared_sha256(recipe, name) for name in names),
-        *(str(place_of(grasp.config)) for grasp in grasps),
-        *(sha256_of(path) for path in (folder / "background.png", *images) if path.is_file()),
-    ]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def imprint_strengths(
