@@ -91,14 +91,14 @@ def find_circle(
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
     seen, rest = coarse(image, size, hidden), coarse(background, size, hidden)
     change = _without_drift(np.asarray(cv2.GaussianBlur(seen - rest, (0, 0), 1.0)))
-    nothing = Circle(np.full(2, np.nan), float("nan"))
+    nothing = Circle(np.full(2, np.nan), float("nan"), "shows no contact")
     if _scatter_and_top(np.linalg.norm(change, axis=2))[2] < MIN_CHANGE_GREY:
-        return _with(nothing, "shows no contact")
+        return nothing
     light = cv2.GaussianBlur(rest, (0, 0), 0.05 * size[0])
     strength = np.linalg.norm(change / (light + DARK_GREY), axis=2)
     middle, scatter, top = _scatter_and_top(strength)
     if top < CLEAR_SIGMAS * scatter:
-        return _with(nothing, "shows no contact")
+        return nothing
     strength = np.maximum(strength - middle, 0.0)
     patch, others = _largest_patch(strength > max(PATCH_SHARE * top, 4.0 * scatter))
     center, radius, edge, problem = _circle_around(patch, strength, 4.0 * scatter)
@@ -126,10 +126,6 @@ def _without_drift(change: FloatArray) -> FloatArray:
         weighted = basis * weight[:, None]
         rest = values - basis @ np.linalg.solve(weighted.T @ basis, weighted.T @ values)
     return rest.reshape(change.shape)
-
-
-def _with(circle: Circle, problem: str) -> Circle:
-    return Circle(circle.center_px, circle.radius_px, problem)
 
 
 def _scatter_and_top(strength: FloatArray) -> tuple[float, float, float]:

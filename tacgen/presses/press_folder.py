@@ -213,25 +213,19 @@ def _names_of(archive: np.lib.npyio.NpzFile, count: int) -> tuple[str, ...]:
 
 
 def _datapack_problems(path: Path, arrays: dict[str, NDArray[Any]]) -> list[str]:
-    images, reference = arrays["imgs"], arrays["f0"]
-    problems = []
+    images = arrays["imgs"]
     if images.ndim != 4 or images.shape[-1] != 3:
         return [f"{path}: imgs has shape {images.shape}, not (N, H, W, 3)"]
-    if reference.shape != images.shape[1:]:
-        problems.append(
-            f"{path}: f0 has shape {reference.shape}, the images {images.shape[1:]}: the "
-            "background must be of the same size"
-        )
-    if arrays["touch_center"].shape != (len(images), 2):
-        problems.append(
-            f"{path}: touch_center has shape {arrays['touch_center'].shape}, not ({len(images)}, 2)"
-        )
-    if arrays["touch_radius"].size != len(images):
-        problems.append(
-            f"{path}: touch_radius has {arrays['touch_radius'].size} entries for "
-            f"{len(images)} images"
-        )
-    return problems
+    count = len(images)
+    wanted = {"f0": images.shape[1:], "touch_center": (count, 2), "touch_radius": (count,)}
+    found = {name: arrays[name].shape for name in wanted}
+    found["touch_radius"] = (arrays["touch_radius"].size,)
+    return [
+        f"{path}: {name} has shape {found[name]}, not {shape}: every press needs an image of the "
+        "background's size, a centre and a radius"
+        for name, shape in wanted.items()
+        if found[name] != shape
+    ]
 
 
 def _images_of(folder: PressFolder) -> PressImages:

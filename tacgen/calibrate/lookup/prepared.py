@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -59,15 +59,6 @@ class Pixels:
     def select(self, mask: BoolArray) -> Pixels:
         """The pixels where ``mask`` (n,) holds."""
         return Pixels(*(getattr(self, name)[mask] for name in self.__slots__))
-
-    def with_these(self, others: Sequence[Pixels]) -> Pixels:
-        """These pixels and those of ``others``, one after the other."""
-        return Pixels(
-            *(
-                np.concatenate([getattr(part, name) for part in (self, *others)])
-                for name in self.__slots__
-            )
-        )
 
     @property
     def window(self) -> Window:
@@ -168,10 +159,6 @@ class PreparedPresses:
         """The presses that a mask picks; drift and backgrounds are estimated from them alone."""
         return PreparedPresses.of(self.presses.select(which), self.bare_changes[which])
 
-    def with_balls(self, ball_radius_mm: FloatArray) -> PreparedPresses:
-        """The same presses by balls of other radii (N,), mm."""
-        return replace(self, presses=replace(self.presses, ball_radius_mm=ball_radius_mm))
-
     def samples(self, background: FloatArray, limit: int = RULES.pixels_per_press) -> list[Sample]:
         """A sample of every press against ``background`` (H, W, 3), with up to ``limit`` pixels."""
         if limit not in self._pixels:
@@ -196,7 +183,9 @@ class PreparedPresses:
             most = max(1, int(share * limit))
             parts.append(disc_pixels(self.presses, k, reach=reach, limit=most, inner=inner))
             inner = reach
-        pixels = parts[0].with_these(parts[1:])
+        pixels = Pixels(
+            *(np.concatenate([getattr(p, name) for p in parts]) for name in Pixels.__slots__)
+        )
         weight = np.repeat(RULES.ring_weights, [len(part) for part in parts])
         height, width = self.presses.shape_px
         u, v = (pixels.columns + 0.5) / width - 0.5, (pixels.rows + 0.5) / height - 0.5

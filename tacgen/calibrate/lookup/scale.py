@@ -190,10 +190,11 @@ def ball_ratios(prepared: PreparedPresses, fit: JointFit) -> tuple[BallRatio, ..
 def _ratio(prepared: PreparedPresses, fit: JointFit, radius: float, reference: float) -> BallRatio:
     """Profile of the held-out error over the ball's radius; scatter by bootstrap over presses."""
     stated = prepared.presses.ball_radius_mm
-    profile = [
-        _squares(prepared.with_balls(np.where(stated == radius, factor * radius, stated)), fit)
-        for factor in RADIUS_FACTORS
-    ]
+    profile = []
+    for factor in RADIUS_FACTORS:
+        balls = np.where(stated == radius, factor * radius, stated)
+        presses = replace(prepared.presses, ball_radius_mm=balls)
+        profile.append(_squares(replace(prepared, presses=presses), fit))
     squares, count = np.array(profile), len(prepared)
     rng = np.random.default_rng(count)
     draws = [rng.integers(0, count, count) for _ in range(BOOTSTRAPS)]

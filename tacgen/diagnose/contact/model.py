@@ -194,7 +194,7 @@ def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     covariance = factor * inverse @ (sums.T @ sums) @ inverse
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * space.natural_scale(space.start)
     effects: dict[str, dict[str, float]] = {term.name: {} for term in fit.model.terms}
-    for (index, name), error in zip(space.slot_names, spread[1:], strict=False):
+    for (index, name, *_), error in zip(space.slots, spread[1:], strict=False):
         effects[fit.model.terms[index].name][name] = float(error)
     return StandardErrors(float(spread[0]), effects)
 
@@ -204,7 +204,8 @@ class _Space:
 
     def __init__(self, data: ChannelData, model: Model) -> None:
         self._data, self._template = data, model
-        self._slots: list[tuple[int, str, float, bool]] = []
+        # Of each number after the first: term, parameter, size, whether it is a logarithm.
+        self.slots: list[tuple[int, str, float, bool]] = []
         self._compliance_scale = abs(model.compliance) or 1.0
         bounds, reach = [(1.0, 1e-3, np.inf)], [np.inf]
         for index, term in enumerate(model.terms):
@@ -214,7 +215,7 @@ class _Space:
                 scale = 1.0 if logarithmic else _probed(term, name)
                 low, high = parameter.bounds_on(data.history, term.values)
                 value = float(np.clip(term.values[name], low, high))
-                self._slots.append((index, name, scale, logarithmic))
+                self.slots.append((index, name, scale, logarithmic))
                 start = [np.log(v) if logarithmic else v / scale for v in (value, low, high)]
                 bounds.append((start[0], start[1], start[2]))
                 reach.append(_MAX_LOG_STEP if logarithmic else np.inf)
@@ -223,16 +224,11 @@ class _Space:
         self.start, self._low, self._high = np.array(bounds).T
         self.reach = np.array(reach + [np.inf] * len(coefficients))
 
-    @property
-    def slot_names(self) -> list[tuple[int, str]]:
-        """Term and parameter of each number after the first."""
-        return [(index, name) for index, name, _, _ in self._slots]
-
     def natural_scale(self, vector: FloatArray) -> FloatArray:
         """d(parameter)/d(number) at ``vector``, in the parameters' own units."""
         scale = np.ones(vector.size)
         scale[0] = self._compliance_scale
-        for i, (_, _, size, logarithmic) in enumerate(self._slots, start=1):
+        for i, (_, _, size, logarithmic) in enumerate(self.slots, start=1):
             scale[i] = np.exp(vector[i]) if logarithmic else size
         return scale
 
@@ -249,12 +245,12 @@ class _Space:
     def model(self, vector: FloatArray) -> Model:
         """The model that ``vector`` stands for."""
         values = [dict(term.values) for term in self._template.terms]
-        for number, (index, name, scale, logarithmic) in zip(vector[1:], self._slots, strict=False):
+        for number, (index, name, scale, logarithmic) in zip(vector[1:], self.slots, strict=False):
             values[index][name] = float(np.exp(number) if logarithmic else number * scale)
         terms = tuple(
             replace(term, values=v) for term, v in zip(self._template.terms, values, strict=True)
         )
-        numbers = iter(vector[1 + len(self._slots) :])
+        numbers = iter(vector[1 + len(self.slots) :])
         covariates = tuple(
             replace(term, coefficients=tuple(float(next(numbers)) for _ in term.coefficients))
             for term in self._template.covariates
@@ -265,7 +261,7 @@ class _Space:
         """d(reduced response)/d(vector) (R, P) by forward differences, inwards at a bound."""
         columns = []
         for i in range(vector.size):
-            step = 1e-4 * max(1.0, abs(vector[i])) if i <= len(self._slots) else 1e-3
+            step = 1e-4 * max(1.0, abs(vector[i])) if i <= len(self.slots) else 1e-3
             moved = vector.copy()
             moved[i] += step if vector[i] + step <= self._high[i] else -step
             changed = self._data.reduce(self.model(moved).response(self._data))

@@ -144,11 +144,7 @@ class CandidateSets:
         self._shuffled = scores.shuffles(data.n_units, rules.n_shuffles, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
 
-    def linear(self) -> FittedSet:
-        """The law without effects."""
-        return self._fitted((), Model(self.data.compliance))
-
-    def _fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
+    def fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
         """Fit ``members`` from ``start``, once, and cross-validate around the fit."""
         key = tuple(sorted(member.label for member in members))
         if key not in self._fits:
@@ -191,13 +187,13 @@ class CandidateSets:
             elif candidate.covariate is not None:
                 added = CovariateTerm(candidate.covariate, tuple(float(v) for v in part))
                 model = replace(model, covariates=(*model.covariates, added))
-        return self._fitted((*current.members, *more), model)
+        return self.fitted((*current.members, *more), model)
 
     def without(self, full: FittedSet, member: Candidate) -> FittedSet:
         """``full`` without ``member``, refitted."""
         members = tuple(m for m in full.members if m.label != member.label)
         model = full.fit.model
-        return self._fitted(members, model.without(member.name, member.covariate))
+        return self.fitted(members, model.without(member.name, member.covariate))
 
     def pool(self, current: FittedSet, *, new_oscillations: bool = False) -> Pool:
         """Candidates beside ``current`` and the losses that each leaves on held-out units."""
@@ -362,7 +358,7 @@ class Selection:
 
     def run(self) -> Attribution:
         """Select forward by singles and pairs, then drop, swap and name the runners-up."""
-        base = current = self.sets.linear()
+        base = current = self.sets.fitted((), Model(self.data.compliance))
         ranking, best_covariate = None, ("", 0.0)
         visited = {base.names}
         while len(current.members) < self._max_members:
