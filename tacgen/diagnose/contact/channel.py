@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.contact.effects import Channel, LoadHistory
 from tacgen.contact.effects.kernels import moving_mean
 from tacgen.core.arrays import BoolArray, FloatArray
@@ -37,8 +36,7 @@ class ChannelData:
     """Rows of one channel, ready to fit.
 
     ``target`` (N, C) is the measured volume (C = 1) or shear motion (C = 2) in the history's order;
-    ``compliance`` what ``tacgen calibrate contact`` fits to it, where a search begins; ``noise``
-    the standard deviation of one sample's noise, from the high-frequency content;
+    ``noise`` the standard deviation of one sample's noise, from the high-frequency content;
     ``n_samples`` how many samples of the log the rows were averaged from; ``weight`` (N,) the
     number of samples times their relative precision, 0 for what sticks out of its trial. ``pairs``
     (2, M) are rows of half A and of half B, neighbours in the same trial, and ``pair_unit`` (M,)
@@ -50,7 +48,6 @@ class ChannelData:
     history: LoadHistory
     columns: Columns
     target: FloatArray
-    compliance: float
     noise: float
     n_samples: int
     weight: FloatArray
@@ -122,11 +119,10 @@ class ChannelSamples:
         self.columns, self.channel, self.rules = columns, channel, rules
         self.history = history = LoadHistory(columns)
         target, load = self._target(history), history.load(channel)
-        self.compliance = fit_slope(load, target, history.trial_index).value
         # Smoothed, since weights that follow a sample's own noise would bias every fit.
         parts = [moving_mean(np.ascontiguousarray(axis), history.starts, 4) for axis in load.T]
         size = np.linalg.norm(np.stack(parts, axis=1), axis=1)
-        residual = target - self.compliance * load
+        residual = target - linear_compliance(load, target) * load
         self.noise, self.precision = noise_and_weight(residual, size, history.starts, rules)
         self._kept: dict[int, ChannelData] = {}
 
@@ -174,7 +170,6 @@ class ChannelSamples:
             thinned,
             columns,
             self._target(thinned),
-            self.compliance,
             self.noise,
             history.n_samples,
             weight,
@@ -184,6 +179,11 @@ class ChannelSamples:
     def every_sample(self) -> ChannelData:
         """A row a sample."""
         return self.thinned(int(np.diff(self.history.starts).max()))
+
+
+def linear_compliance(load: FloatArray, target: FloatArray) -> float:
+    """Least-squares compliance of ``target`` on ``load``, both (N, C): where a fit starts."""
+    return float((load * target).sum() / max(float((load**2).sum()), 1e-12))
 
 
 def _pairs(

@@ -23,7 +23,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
-from tacgen.diagnose.contact.channel import ChannelData
+from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
 from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
 from tacgen.diagnose.contact.oscillation import find_oscillations
@@ -358,7 +358,9 @@ class Selection:
 
     def run(self) -> Attribution:
         """Select forward by singles and pairs, then drop, swap and name the runners-up."""
-        base = current = self.sets.fitted((), Model(self.data.compliance))
+        data = self.data
+        rough_k = linear_compliance(data.history.load(data.channel), data.target)
+        base = current = self.sets.fitted((), Model(rough_k or 1e-6))
         ranking, best_covariate = None, ("", 0.0)
         visited = {base.names}
         while len(current.members) < self._max_members:
