@@ -5,19 +5,27 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
+import cv2
 import numpy as np
+import trimesh
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 import tacgen
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
+from tacgen.contact.gap import gap_map
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.core.resources import object_folders
+from tacgen.learning.inputs import augmented
+from tacgen.learning.training_recipe import Augmentation
 from tacgen.objects import load_object
 from tacgen.objects.shading import shaded_view
+from tacgen.optics.deform import deform
 
 FIGURES = Path(__file__).parent / "figures"
 MAX_KB = 100
@@ -26,8 +34,8 @@ MAX_KB = 100
 def main() -> None:
     """Write every picture."""
     FIGURES.mkdir(exist_ok=True)
-    for name, figure in (("grasp", grasp()), ("objects", objects()), ("press", press())):
-        print(save(figure, FIGURES / f"{name}.png"))  # noqa: T201
+    for draw in (grasp, objects, press, stages, frames, reading, augmentation):
+        print(save(draw(), FIGURES / f"{draw.__name__}.png"))  # noqa: T201
 
 
 def grasp() -> Figure:
@@ -70,8 +78,6 @@ def objects() -> Figure:
 
 def press() -> Figure:
     """A ball pressed into three sensors with 5 N: image and depth."""
-    import trimesh
-
     ball = trimesh.creation.icosphere(subdivisions=6, radius=4.0)
     mesh = Mesh(frozen_array(ball.vertices), frozen_array(ball.faces, np.int32))
     pose = np.eye(4)
@@ -88,6 +94,98 @@ def press() -> Figure:
         figure.colorbar(shown, ax=column[1], label="depth (mm)", shrink=0.8)
         for axis in column:
             axis.set_axis_off()
+    return figure
+
+
+def stages() -> Figure:
+    """A tilted ring pressed into a GelSight Mini: the maps from gap to image."""
+    sensor = tacgen.Sensor("gelsight_mini", shadows=True)
+    ring = trimesh.creation.annulus(r_min=2.0, r_max=4.0, height=3.0)
+    pose = trimesh.transformations.rotation_matrix(np.radians(15.0), (1, 0, 0))
+    frame = sensor.render(ring, pose, force_n=4.0)
+    gap_mm = gap_map(ring.vertices, ring.faces, pose, sensor.description)
+    gap_mm = gap_mm - gap_mm.min()
+    surface_mm = deform(frame.depth_mm, sensor.description.mm_per_px)
+    figure = Figure(figsize=(11.0, 2.4), layout="constrained")
+    axes = figure.subplots(1, 4)
+    maps = {
+        "gap (mm)": np.where(gap_mm < 4, gap_mm, np.nan),
+        "indentation (mm)": frame.depth_mm,
+        "deformation (mm)": surface_mm,
+    }
+    for axis, (title, values) in zip(axes[:3], maps.items(), strict=True):
+        figure.colorbar(axis.imshow(values, cmap="viridis"), ax=axis, shrink=0.8)
+        axis.set_title(title, fontsize=9)
+    axes[3].imshow(frame.rgb)
+    axes[3].set_title("image", fontsize=9)
+    for axis in axes:
+        axis.set_axis_off()
+    return figure
+
+
+def frames() -> Figure:
+    """Axes of the world, seen from above, and of the gel on its image."""
+    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    world, gel = figure.subplots(1, 2)
+    world.add_patch(Circle((0, 0), 20, color="0.85"))
+    for side in (-1, 1):
+        world.add_patch(Rectangle((side * 24 - 4, -8), 8, 16, color="tab:blue"))
+        world.annotate("", (side * 21, 14), (side * 33, 14), arrowprops={"arrowstyle": "->"})
+    world.text(
+        0, -32, "from above; at yaw_rad 0 the fingers close along x", ha="center", fontsize=8
+    )
+    _axes(world, 16.0, "x_mm", "y_mm")
+    world.set(xlim=(-42, 42), ylim=(-36, 26), aspect="equal", title="world (z up)")
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    gel.imshow(tacgen.Sensor("gelsight_mini").render(ball, np.eye(4), force_n=3.0).rgb,
+               extent=(-9.28, 9.28, 6.96, -6.96))  # fmt: skip
+    _axes(gel, 4.0, "x: columns", "y: rows")
+    gel.set_title("gel (z out of the gel)")
+    for axis in (world, gel):
+        axis.set_axis_off()
+    return figure
+
+
+def _axes(axis: Axes, length: float, x_name: str, y_name: str) -> None:
+    for end, name in (((length, 0), x_name), ((0, length), y_name)):
+        axis.annotate("", end, (0, 0), arrowprops={"arrowstyle": "->", "color": "red", "lw": 2})
+        axis.text(1.05 * end[0] + 0.02 * length, 1.15 * end[1], name, color="red", fontsize=8)
+
+
+def reading() -> Figure:
+    """The image of a hexagonal nut's face, and the depth that is read from it."""
+    nut = trimesh.creation.cylinder(radius=3.0, height=4.0, sections=6)
+    sensor = tacgen.Sensor("gelsight_mini")
+    image = sensor.render(nut, np.eye(4), force_n=2.0)
+    found = tacgen.read_image(image.rgb, sensor)
+    figure = Figure(figsize=(9.0, 2.6), layout="constrained")
+    axes = figure.subplots(1, 3)
+    axes[0].imshow(image.rgb)
+    axes[0].set_title("image, 2 N", fontsize=9)
+    text = f"read: {found.force_n[2]:.2f} ± {found.force_stderr_n[2]:.2f} N"
+    for axis, depth_mm, title in ((axes[1], image.depth_mm, "true depth (mm)"),
+                                  (axes[2], found.depth_mm, text)):  # fmt: skip
+        shown = axis.imshow(depth_mm, vmin=0, vmax=float(image.depth_mm.max()))
+        figure.colorbar(shown, ax=axis, shrink=0.8)
+        axis.set_title(title, fontsize=9)
+    for axis in axes:
+        axis.set_axis_off()
+    return figure
+
+
+def augmentation() -> Figure:
+    """A training image, and what five epochs see of it."""
+    sensor, rng = tacgen.Sensor("gelsight_mini"), np.random.default_rng(0)
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    size = (80, 60)
+    images = [sensor.render(ball, np.eye(4), force_n=3.0).rgb, sensor.at_rest_rgb()]
+    image, rest = (cv2.resize(rgb, size, interpolation=cv2.INTER_AREA) for rgb in images)
+    figure = Figure(figsize=(9.0, 1.5), layout="constrained")
+    for k, axis in enumerate(figure.subplots(1, 6)):
+        shown = image if not k else augmented(image[None], rest, Augmentation(on=True), rng)[0]
+        axis.imshow(shown)
+        axis.set_title("as simulated" if not k else f"epoch {k}", fontsize=8)
+        axis.set_axis_off()
     return figure
 
 

@@ -42,6 +42,7 @@ flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
 SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
+AT_STEEPEST = 0.97  # of the steepest slope: a step of the search grid below it
 REFINEMENTS = 3  # of each slope between the grid's nodes
 CONTACT_PASSES = 3
 """Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large
@@ -70,11 +71,15 @@ class Shape:
     slope_stderr : float
         Standard error of the slopes in the contact, from what the table does not explain of the
         picture; NaN where nothing is deeper than the gel at rest.
+    steepest_share : float
+        Share of the contact's pixels at the steepest slope that the table holds: walls may be
+        steeper, and the depth inside them is then too small.
     """
 
     depth_mm: FloatArray
     mm_per_px: float
     slope_stderr: float = math.nan
+    steepest_share: float = 0.0
 
     def indentation_mm(self, least_mm: float) -> FloatArray:
         """What the object indents (h, w), 0 where the deepest point is below ``least_mm``.
@@ -136,8 +141,8 @@ class Reconstructor:
         self._shape = height // self._step, width // self._step
         self.mm_per_px = table.mm_per_px * self._step
         self._seen = _averaged(background.astype(np.float32), self._step, self._shape)
-        self._steepest = float(np.tan(min(table.max_slope_rad, STEEPEST_RAD)))
-        self._grid = _cartesian(table, self._steepest)
+        self.steepest = float(np.tan(min(table.max_slope_rad, STEEPEST_RAD)))
+        self._grid = _cartesian(table, self.steepest)
         self._rest = _rest_slopes(self._shape, self.mm_per_px, dome_radius_mm)
         self._rest_colors = self._colors_at(self._rest)[0]
         self._trees = {tile: self._tree_of(tile) for tile in self._tiles()}
@@ -157,8 +162,11 @@ class Reconstructor:
             surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
             depth = _rest_level(surface) - surface
             change = seen - self._contact_light(found, depth)
-        stderr = self._slope_stderr(found, change, (depth > 0.1 * depth.max()) & (known > 0))
-        return Shape(depth, self.mm_per_px, stderr)
+        contact = (depth > 0.1 * depth.max()) & (known > 0)
+        stderr = self._slope_stderr(found, change, contact)
+        steep = np.hypot(found[..., 0], found[..., 1]) >= AT_STEEPEST * self.steepest
+        share = float((steep & contact).sum() / max(contact.sum(), 1))
+        return Shape(depth, self.mm_per_px, stderr, share)
 
     def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Grey levels (h, w, 3) that a contact of these slopes and depths adds."""
@@ -186,7 +194,7 @@ class Reconstructor:
         """(h, w, 2) slopes that explain a change of grey levels from the gel at rest."""
         wanted = change + self._rest_colors
         slopes = np.empty((*self._shape, 2))
-        axis = np.linspace(-self._steepest, self._steepest, self._grid.shape[0])
+        axis = np.linspace(-self.steepest, self.steepest, self._grid.shape[0])
         for tile, (tree, nodes) in self._trees.items():
             rows, columns = tile
             part = wanted[rows[0] : rows[1], columns[0] : columns[1]].reshape(-1, 3)
@@ -197,7 +205,7 @@ class Reconstructor:
             )
         for _ in range(REFINEMENTS):
             slopes += self._newton_step(slopes, wanted)
-            np.clip(slopes, -self._steepest, self._steepest, out=slopes)
+            np.clip(slopes, -self.steepest, self.steepest, out=slopes)
         return slopes
 
     def _newton_step(self, slopes: FloatArray, wanted: FloatArray) -> FloatArray:
@@ -212,7 +220,7 @@ class Reconstructor:
         )
         determinant = xx * yy - xy * xy
         step = np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[..., None]
-        longest = LONGEST_STEP_NODES * 2.0 * self._steepest / (GRID_NODES - 1)
+        longest = LONGEST_STEP_NODES * 2.0 * self.steepest / (GRID_NODES - 1)
         return np.asarray(np.clip(step, -longest, longest))
 
     def _colors_at(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -220,7 +228,7 @@ class Reconstructor:
         with ∂h/∂x and with ∂h/∂y.
         """
         colors = np.empty((3, *self._shape, 3))
-        _interpolate(self._grid, self._steepest, slopes, colors)
+        _interpolate(self._grid, self.steepest, slopes, colors)
         return colors[0], colors[1], colors[2]
 
     def _tiles(self) -> list[Tile]:
@@ -237,9 +245,9 @@ class Reconstructor:
         (top, bottom), (left, right) = tile
         middle = np.array([top + bottom, left + right]) / 2 / np.array(self._shape)
         row, column = np.rint(middle * (np.array(self._grid.shape[2:4]) - 1)).astype(int)
-        axis = np.linspace(-self._steepest, self._steepest, self._grid.shape[0])
+        axis = np.linspace(-self.steepest, self.steepest, self._grid.shape[0])
         steepness = np.hypot(axis[:, None], axis[None, :])
-        nodes = np.argwhere(steepness <= self._steepest)
+        nodes = np.argwhere(steepness <= self.steepest)
         colors = self._grid[nodes[:, 0], nodes[:, 1], row, column]
         flatness = SEARCH_PRIOR_GREY * steepness[nodes[:, 0], nodes[:, 1]]
         return cKDTree(np.column_stack([colors, flatness])), nodes

@@ -32,6 +32,9 @@ MOST_CHANGE_GREY = 12.0
 where pictures of another sensor differ by tens."""
 MARKER_STDERR_PX = 0.1
 """How well the centre of one dot is found, with what its motion loses where it is interpolated."""
+MOST_AT_STEEPEST = 0.01
+"""Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
+were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
 LARGEST_FORCE_N = 1000.0
 """No gel survives this; a law that needs more for a volume is saturated."""
 
@@ -48,7 +51,7 @@ class Reading(Frame):
     shear_sum_mm : (2,) float64
         Sum of the printed dots' motion; NaN without them.
     message : str
-        What the user should know (no contact, picture cut off); empty where all is well.
+        What the user should know (no contact, walls too steep); empty where all is well.
     """
 
     force_stderr_n: NDArray[np.float64]
@@ -140,7 +143,16 @@ class ImageReader:
         if not touched.any():
             none = f"no contact: the gel is nowhere deeper than {LEAST_DEPTH_MM} mm"
             return replace(reading, message=none)
-        return _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px)
+        reading = _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px)
+        if shape.steepest_share <= MOST_AT_STEEPEST:
+            return reading
+        limit_deg = math.degrees(math.atan(self._reconstructor.steepest))
+        steep = (
+            f"{shape.steepest_share:.0%} of the contact is at the steepest slope of the table, "
+            f"{limit_deg:.0f}°: behind steeper walls depth, volume and force are too low; press "
+            "less deep"
+        )
+        return replace(reading, message="; ".join(filter(None, (reading.message, steep))))
 
     def _shear(
         self, rgb: NDArray[np.uint8]
@@ -270,7 +282,7 @@ def reading_line(row: dict[str, Any]) -> str:
     text += f"force {row['force_normal_n']:.2f} ± {row['force_normal_stderr_n']:.2f} N"
     if row["force_shear_x_n"] is not None:
         text += f", shear {row['force_shear_x_n']:.2f}, {row['force_shear_y_n']:.2f} N"
-    return text
+    return f"{text}; {row['message']}" if row["message"] else text
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 import tacgen
@@ -73,6 +74,19 @@ def test_depth_volume_and_force_of_a_ball(rig, reader, radius_mm, force_n):
     # Without dots no shear is known.
     assert np.isnan(found.force_n[:2]).all()
     assert 0 < found.force_stderr_n[2] < 0.1 * force_n
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force_n", "steep"), [(0.5, False), (6.0, True)])
+def test_walls_steeper_than_the_table_are_reported(force_n, steep):
+    """A flat punch's walls are vertical; the shipped table, made of balls, ends at 48°."""
+    sensor = tacgen.Sensor("gelsight_mini")
+    punch = trimesh.creation.cylinder(radius=3.0, height=4.0, sections=64)
+    frame = sensor.render(punch, np.eye(4), force_n=force_n)
+    found = read_image(frame.rgb, sensor)
+    assert ("at the steepest slope of the table" in found.message) == steep
+    is_right = found.volume_mm3 == pytest.approx(frame.volume_mm3, rel=0.05)
+    assert is_right != steep
 
 
 @pytest.mark.slow
