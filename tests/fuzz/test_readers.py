@@ -17,23 +17,30 @@ MAX_EXTRA_MB = 250
 """On top of a sound file's: an image of the largest size allowed takes 200 MB."""
 
 
+def fuzzed(module, folder, *arguments):
+    """What ``module`` prints of all readers, in a process of its own."""
+    names = [name for name in READERS if name not in LEARNED or find_spec("torch")]
+    command = [sys.executable, "-W", "ignore", "-m", module, str(folder), *map(str, arguments)]
+    run = subprocess.run(
+        [*command, *names], cwd=CHECKOUT, capture_output=True, text=True, timeout=600, check=False
+    )
+    assert run.returncode == 0, run.stderr[-3000:]
+    return json.loads(run.stdout)
+
+
+@pytest.fixture(scope="module")
+def spoiled(tmp_path_factory):
+    """What each reader made of spoiled files, and whether it took too much memory or time."""
+    return fuzzed("tests.fuzz.spoil", tmp_path_factory.mktemp("spoiled"), 1, SECONDS)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", READERS)
-def test_a_spoiled_file_is_read_or_refused(tmp_path, name):
+def test_a_spoiled_file_is_read_or_refused(spoiled, name):
     """In a process of its own, with a limit on its memory and on the time of each file."""
-    if name in LEARNED:
-        pytest.importorskip("torch")
-    command = [sys.executable, "-W", "ignore", "-m", "tests.fuzz.spoil", name, str(tmp_path)]
-    run = subprocess.run(
-        [*command, "1", str(SECONDS)],
-        cwd=CHECKOUT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr[-2000:]
-    told = json.loads(run.stdout)
+    if name not in spoiled:
+        pytest.skip("PyTorch is not installed")
+    told = spoiled[name]
     assert not told["failure"], told["failure"]
     assert told["read"] + told["refused"] > 10
     assert told["extra_mb"] < MAX_EXTRA_MB
@@ -43,14 +50,8 @@ def test_a_spoiled_file_is_read_or_refused(tmp_path, name):
 def led(tmp_path_factory):
     """Where atheris' logs are, and how each reader's runs ended."""
     pytest.importorskip("atheris", reason="atheris is not installed")
-    names = [name for name in READERS if name not in LEARNED or find_spec("torch")]
     folder = tmp_path_factory.mktemp("led")
-    command = [sys.executable, "-W", "ignore", "-m", "tests.fuzz.led", str(folder), str(RUNS)]
-    run = subprocess.run(
-        [*command, *names], cwd=CHECKOUT, capture_output=True, text=True, timeout=600, check=False
-    )
-    assert run.returncode == 0, run.stderr[-3000:]
-    return folder, json.loads(run.stdout)
+    return folder, fuzzed("tests.fuzz.led", folder, RUNS)
 
 
 @pytest.mark.slow
