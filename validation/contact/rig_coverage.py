@@ -1,6 +1,6 @@
 """How often the true compliances are inside their 95 % intervals, on sessions of the rig.
 
-python tests/rig/coverage.py --recipe rig --sessions 1000
+python -m validation.contact.rig_coverage --recipe rig --sessions 1000
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CHANNELS = {
 
 def main() -> int:
     """Print a line a compliance: coverage, mean and spread of (estimate − truth) / stderr."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recipe", default="rig")
     parser.add_argument("--sessions", type=int, default=200)
     parser.add_argument("--presses", type=int)
