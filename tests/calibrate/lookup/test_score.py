@@ -35,7 +35,7 @@ def test_similarity_of_equal_and_of_inverted_pictures():
 
 @pytest.mark.slow
 def test_a_score_names_similarity_and_the_error_of_normals():
-    table = fit_lookup(virtual_presses(31, count=12))
+    table = fit_lookup(virtual_presses(31, count=8))
     score = score_table(table, virtual_presses(32, count=3), gradients=True)
     found = json.loads(score_text(score, json_output=True))
     assert 0.9 < found["ssim_refined"] <= 1

@@ -48,11 +48,11 @@ def change_in_contact(presses):
 @pytest.mark.parametrize("labels", [True, False])
 @pytest.mark.parametrize("name", SENSORS)
 def test_unseen_balls_are_rendered(name, labels, tmp_path):
-    """Nine tenths of the change at least, 24 presses, found or roughly labelled circles."""
-    sensor = SENSORS[name]
-    train = read(draw_presses(sensor, 41), tmp_path / "a", labels=labels, scatter_px=0.7)
-    test = read(draw_presses(sensor, 42, count=8), tmp_path / "b", labels=labels, scatter_px=0.7)
-    assert len(train) == 24, [str(press) for press in train.dropped]
+    """Nine tenths of the change at least, 12 presses, found or roughly labelled circles."""
+    sensor, rough = SENSORS[name], {"labels": labels, "scatter_px": 0.7}
+    train = read(draw_presses(sensor, 41, count=12), tmp_path / "a", **rough)
+    test = read(draw_presses(sensor, 42, count=6), tmp_path / "b", **rough)
+    assert len(train) == 12, [str(press) for press in train.dropped]
     error = score_table(fit_lookup(train), test).rmse("refined")[0]
     assert error < 0.25 * change_in_contact(test)
 

@@ -15,16 +15,16 @@ from tests.virtual_presses import virtual_presses, virtual_sensor
 
 @pytest.mark.slow
 def test_renders_unseen_balls_of_the_virtual_sensor():
-    table = fit_lookup(virtual_presses(1, count=24, noise=0.5))
-    score = score_table(table, virtual_presses(2, count=8, noise=0.0))
+    table = fit_lookup(virtual_presses(1, count=12, noise=0.5))
+    score = score_table(table, virtual_presses(2, count=6, noise=0.0))
     assert score.rmse("labels")[0] < 1.5
     assert score.rmse("refined")[0] < 1.5
 
 
 @pytest.mark.slow
 def test_labels_that_are_off_are_mended():
-    table = fit_lookup(virtual_presses(3, count=24, noise=0.5, center_scatter_px=1.0))
-    clean = virtual_presses(4, count=8, noise=0.0)
+    table = fit_lookup(virtual_presses(3, count=14, noise=0.5, center_scatter_px=1.0))
+    clean = virtual_presses(4, count=6, noise=0.0)
     moved = replace(clean, center_px=clean.center_px + np.array([1.5, -1.0]))
     score = score_table(table, moved)
     assert score.rmse("refined")[0] < 2.0
@@ -33,7 +33,7 @@ def test_labels_that_are_off_are_mended():
 
 @pytest.mark.slow
 def test_gel_at_rest_renders_the_reference():
-    presses = virtual_presses(6, count=16, noise=0.0)
+    presses = virtual_presses(6, count=8, noise=0.0)
     table = fit_lookup(presses)
     rest = render_rgb(np.zeros(presses.shape_px), table)
     assert np.abs(rest.astype(float) - presses.background).mean() < 1.0
@@ -41,7 +41,7 @@ def test_gel_at_rest_renders_the_reference():
 
 @pytest.mark.slow
 def test_a_domed_gel_at_rest_renders_the_reference():
-    presses = virtual_presses(7, count=24, noise=0.0, dome_mm=40.0)
+    presses = virtual_presses(7, count=12, noise=0.0, dome_mm=40.0)
     table = fit_lookup(presses)
     height, width = presses.shape_px
     rows, columns = np.mgrid[:height, :width]
@@ -65,24 +65,31 @@ def test_circles_are_found_where_none_are_labelled():
 
 @pytest.mark.slow
 def test_fit_does_not_depend_on_a_press_order_or_on_the_run():
-    presses = virtual_presses(9, count=12)
+    presses = virtual_presses(9, count=6)
     first, again = fit_lookup(presses), fit_lookup(presses)
     assert np.array_equal(first.coefficients, again.coefficients)
     assert np.array_equal(first.background, again.background)
 
 
+@pytest.fixture(scope="module")
+def calibrated():
+    """Twelve presses and their calibration in one process."""
+    presses = virtual_presses(14, count=12)
+    return presses, calibrate(presses, processes=1)
+
+
 @pytest.mark.slow
-def test_the_result_does_not_depend_on_the_number_of_processes():
-    presses = virtual_presses(13, count=10)
-    one, two = (calibrate(presses, processes=n) for n in (1, 2))
+def test_the_result_does_not_depend_on_the_number_of_processes(calibrated):
+    presses, one = calibrated
+    two = calibrate(presses, processes=2)
     assert np.array_equal(one.table.coefficients, two.table.coefficients)
     assert one.heldout.rmse("refined") == two.heldout.rmse("refined")
 
 
 @pytest.mark.slow
-def test_rings_around_the_contact_are_scored_beside_the_bare_gel():
-    presses = virtual_presses(14, count=12)
-    heldout = calibrate(presses).heldout
+def test_rings_around_the_contact_are_scored_beside_the_bare_gel(calibrated):
+    presses, result = calibrated
+    heldout = result.heldout
     contact, rim, beside = heldout.rings()
     assert contact["rmse_labels"] == heldout.rmse("labels")[0]
     assert [rim["from_radii"], rim["to_radii"], beside["to_radii"]] == [1.0, 1.5, 2.5]
@@ -94,7 +101,7 @@ def test_rings_around_the_contact_are_scored_beside_the_bare_gel():
 
 @pytest.mark.slow
 def test_a_table_survives_its_file(tmp_path):
-    presses = virtual_presses(10, count=12)
+    presses = virtual_presses(10, count=6)
     table = fit_lookup(presses)
     save_table(table, tmp_path / "table.npz")
     read = load_table(tmp_path / "table.npz")
@@ -104,7 +111,7 @@ def test_a_table_survives_its_file(tmp_path):
 @pytest.mark.slow
 def test_large_images_give_the_same_table():
     sensor = virtual_sensor(shape=(288, 384), mm_per_px=0.14 / 3)
-    table = fit_lookup(virtual_presses(11, count=16, sensor=sensor, noise=0.5))
+    table = fit_lookup(virtual_presses(11, count=10, sensor=sensor, noise=0.5))
     score = score_table(table, virtual_presses(12, count=4, sensor=sensor, noise=0.0))
     assert score.rmse("refined")[0] < 1.5
 
