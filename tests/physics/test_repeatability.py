@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen.physics import FrameRequest, GraspSimulator
+from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 
 from .conftest import SEQUENCE, block, dumbbell, grasp
 
@@ -67,11 +67,12 @@ class TestRepeatability:
 
         if not Path("/proc/self/statm").exists():
             pytest.skip("needs /proc")
+        short = PhysicsSettings(tactile_pads="both", lift_mm=10.0, success_rise_mm=5.0)
         with GraspSimulator() as simulator:
             for _ in range(20):
-                grasp(simulator, dumbbell(), z_mm=30.0)
+                grasp(simulator, dumbbell(), z_mm=30.0, settings=short)
             before = resident_kb()
             for _ in range(60):
-                grasp(simulator, dumbbell(), z_mm=30.0)
+                grasp(simulator, dumbbell(), z_mm=30.0, settings=short)
             # 10 kB a grasp would be 10 MB over a thousand; PyBullet itself keeps about 0.3 kB.
             assert resident_kb() - before < 60 * 10

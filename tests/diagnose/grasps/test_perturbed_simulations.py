@@ -26,7 +26,9 @@ from tacgen.diagnose.grasps.result import describe
 from tacgen.diagnose.grasps.slip_margin import crossings
 
 BOX = "sugar_box"
-RECIPE = Recipe.model_validate({"name": "perturbed", "objects": [BOX]})
+# A short lift decides between held and slipped as a long one does, in half the time.
+LIFT = {"lift_mm": 40.0, "success_rise_mm": 30.0}
+RECIPE = Recipe.model_validate({"name": "perturbed", "objects": [BOX], "physics": LIFT})
 CANDIDATES = {one.parameter.key: one for one in candidates_for((BOX,))}
 
 
