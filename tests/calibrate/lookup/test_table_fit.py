@@ -111,7 +111,7 @@ def test_a_table_survives_its_file(tmp_path):
 @pytest.mark.slow
 def test_large_images_give_the_same_table():
     sensor = virtual_sensor(shape=(288, 384), mm_per_px=0.14 / 3)
-    table = fit_lookup(virtual_presses(11, count=10, sensor=sensor, noise=0.5))
+    table = fit_lookup(virtual_presses(11, count=16, sensor=sensor, noise=0.5))
     score = score_table(table, virtual_presses(12, count=4, sensor=sensor, noise=0.0))
     assert score.rmse("refined")[0] < 1.5
 
