@@ -16,9 +16,10 @@ from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
-RECIPE = Recipe.model_validate({"name": "perturbed", "objects": [BOX]})
+RECIPE = Recipe.model_validate({"name": "perturbed", "objects": [BOX], "physics": SHORT_LIFT})
 HEIGHT_MM = 87.5
 
 

@@ -13,6 +13,7 @@ from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.dataset.real_grasps import read_real_grasps
+from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
 MU_STAR = 0.4
@@ -37,7 +38,7 @@ def real_folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def swept(real_folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep")
-    recipe = Recipe.model_validate({"name": "sweep", "objects": [BOX]})
+    recipe = Recipe.model_validate({"name": "sweep", "objects": [BOX], "physics": SHORT_LIFT})
     real = read_real_grasps(real_folder)
     mus = mu_range("0.2:0.6:0.1")
     return out, recipe, real, mus, sweep_friction(recipe, real, mus, out, workers=1)

@@ -16,12 +16,11 @@ from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
 from tacgen.diagnose.grasps.force_from_images import imprint_strength
 from tacgen.diagnose.grasps.report import write_grasp_report
+from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
-# A short lift decides between held and slipped as a long one does, in half the time.
-LIFT = {"lift_mm": 40.0, "success_rise_mm": 30.0}
 RECIPE = Recipe.model_validate(
-    {"name": "declared", "objects": [BOX], "grid": {"sample": 6}, "physics": LIFT}
+    {"name": "declared", "objects": [BOX], "grid": {"sample": 6}, "physics": SHORT_LIFT}
 )
 HEADER = "grasp_id,object,force_n,x_mm,y_mm,z_mm,label"
 

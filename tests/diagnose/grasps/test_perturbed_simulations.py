@@ -24,11 +24,10 @@ from tacgen.diagnose.grasps.perturbed_simulations import (
 )
 from tacgen.diagnose.grasps.result import describe
 from tacgen.diagnose.grasps.slip_margin import crossings
+from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
-# A short lift decides between held and slipped as a long one does, in half the time.
-LIFT = {"lift_mm": 40.0, "success_rise_mm": 30.0}
-RECIPE = Recipe.model_validate({"name": "perturbed", "objects": [BOX], "physics": LIFT})
+RECIPE = Recipe.model_validate({"name": "perturbed", "objects": [BOX], "physics": SHORT_LIFT})
 CANDIDATES = {one.parameter.key: one for one in candidates_for((BOX,))}
 
 
