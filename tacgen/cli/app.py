@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperGroup
 
 from tacgen.core.errors import DatasetError
@@ -33,8 +34,7 @@ ANYWHERE = ("-v", "--verbose", "-q", "--quiet")
 """Options of ``tacgen`` that may also follow a command."""
 
 
-_OUTPUT = {"json": False}
-"""Whether a program reads the output of the command line that runs."""
+_OUTPUT = {"json": False}  # whether a program reads the output of the command line that runs
 
 
 class _InOrderOfWork(TyperGroup):
@@ -96,19 +96,12 @@ app.add_typer(objects_app, rich_help_panel=DATASETS)
 def options(
     verbose: Annotated[
         bool,
-        typer.Option(
-            "-v", "--verbose", help="Print the traceback of an error; also after a command."
-        ),
+        Option("-v", "--verbose", help="Print the traceback of an error; also after a command."),
     ] = False,
-    quiet: Annotated[
-        bool,
-        typer.Option("-q", "--quiet", help="No progress, notes, next commands."),
-    ] = False,
+    quiet: Annotated[bool, Option("-q", "--quiet", help="No progress or notes.")] = False,
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print tacgen's version."
-        ),
+        Option("--version", callback=_print_version, is_eager=True, help="Print tacgen's version."),
     ] = False,
 ) -> None:
     """Accept the options before a command; ``-v`` and ``-q`` also stand after it."""
@@ -127,45 +120,38 @@ def object_names() -> list[str]:
 
 RecipeArgument = Annotated[
     str,
-    typer.Argument(
+    Argument(
         help="Path of a recipe (YAML), or the name of one that tacgen ships.",
         autocompletion=recipe_names,
     ),
 ]
-ForceFlag = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
-DatasetArgument = Annotated[
-    Path, typer.Argument(help="Folder of a dataset that `tacgen collect` wrote.")
-]
+ForceFlag = Annotated[bool, Option("--force", help="Replace existing results.")]
+DatasetArgument = Annotated[Path, Argument(help="Folder of a dataset that `tacgen collect` wrote.")]
 PressesArgument = Annotated[
-    Path,
-    typer.Argument(help="Folder of press images with presses.csv, or Taxim's dataPack.npz."),
+    Path, Argument(help="Folder of press images with presses.csv, or Taxim's dataPack.npz.")
 ]
 _REAL_GRASPS = "Folder of real grasps: grasps.csv and, optionally, images/."
-RealGraspsArgument = Annotated[Path, typer.Argument(help=_REAL_GRASPS)]
-RealGraspsOption = Annotated[Path, typer.Option("--real", help=_REAL_GRASPS)]
+RealGraspsArgument = Annotated[Path, Argument(help=_REAL_GRASPS)]
+RealGraspsOption = Annotated[Path, Option("--real", help=_REAL_GRASPS)]
 ResultsOption = Annotated[
-    Path, typer.Option("--out", help="Folder for the results; an interrupted run is resumed.")
+    Path, Option("--out", help="Folder for the results; an interrupted run is resumed.")
 ]
 MmPerPxOption = Annotated[
     float | None,
-    typer.Option(
-        "--mm-per-px", help="Pixel size on the gel, mm; needed if the presses do not state it."
-    ),
+    Option("--mm-per-px", help="Pixel size on the gel, mm; needed if the presses do not state it."),
 ]
 BallRadiusOption = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--ball-radius-mm", help="Radius of the ball, mm; needed if the presses do not state it."
     ),
 ]
 MarkerPitchOption = Annotated[
     float | None,
-    typer.Option(help="Spacing of the gel's markers, whose summed motion the log holds, mm."),
+    Option(help="Spacing of the gel's markers, whose summed motion the log holds, mm."),
 ]
-WorkersOption = Annotated[int, typer.Option(min=1, help="Number of parallel processes.")]
-JsonFlag = Annotated[
-    bool, typer.Option("--json", help="Print the result as JSON on standard output.")
-]
+WorkersOption = Annotated[int, Option(min=1, help="Number of parallel processes.")]
+JsonFlag = Annotated[bool, Option("--json", help="Print the result as JSON on standard output.")]
 
 
 def print_result(record: object, text: str | Iterable[str], json_output: bool) -> None:
@@ -222,13 +208,7 @@ def table_lines(path: Path) -> list[str]:
 
 
 def refuse_existing(force: bool, *paths: Path) -> None:
-    """Refuse to overwrite results.
-
-    Raises
-    ------
-    DatasetError
-        If one of ``paths`` exists and not ``force``.
-    """
+    """Raise a ``DatasetError`` if one of ``paths`` exists and not ``force``."""
     there = [path for path in paths if path.exists()]
     if there and not force:
         msg = f"{there[0]}: exists already; pass --force to replace it, or another --out"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from tacgen.cli.app import (
     CALIBRATION,
@@ -32,22 +33,22 @@ from tacgen.cli.app import (
     warn,
 )
 
-ReportOption = Annotated[Path | None, typer.Option(help="Folder for a report (HTML).")]
-TableOutput = Annotated[Path, typer.Option("--out", help="Table file to write (table.npz).")]
+ReportOption = Annotated[Path | None, Option(help="Folder for a report (HTML).")]
+TableOutput = Annotated[Path, Option("--out", help="Table file to write (table.npz).")]
 
 
 @app.command("import", rich_help_panel=CALIBRATION)
 def import_(
     format_name: Annotated[
         str,
-        typer.Argument(
+        Argument(
             metavar="FORMAT",
             help="gs-sdk, py3dcal, 9dtact or gelsight-mini-pretrain (ball presses); poseit or "
             "feeling-of-success (real grasps).",
         ),
     ],
-    source: Annotated[Path, typer.Argument(metavar="SRC", help="Folder or file in that format.")],
-    out: Annotated[Path, typer.Option(help="Folder to write; it must not exist yet.")],
+    source: Annotated[Path, Argument(metavar="SRC", help="Folder or file in that format.")],
+    out: Annotated[Path, Option(help="Folder to write; it must not exist yet.")],
     mm_per_px: MmPerPxOption = None,
     ball_radius_mm: BallRadiusOption = None,
     json_output: JsonFlag = False,
@@ -84,7 +85,7 @@ def calibrate_lookup(
     ball_radius_mm: BallRadiusOption = None,
     without_dots: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--without-dots",
             help="Remove the gel's printed dots from the background (for optics.markers: true).",
         ),
@@ -111,7 +112,7 @@ def calibrate_lookup(
 
 @calibrate_app.command("score")
 def calibrate_score(
-    table: Annotated[Path, typer.Argument(help="Table file (table.npz).")],
+    table: Annotated[Path, Argument(help="Table file (table.npz).")],
     presses: PressesArgument,
     mm_per_px: MmPerPxOption = None,
     ball_radius_mm: BallRadiusOption = None,
@@ -130,11 +131,9 @@ def calibrate_score(
 
 @calibrate_app.command("import")
 def calibrate_import(
-    polycalib: Annotated[Path, typer.Argument(help="Taxim's polycalib.npz.")],
-    background: Annotated[
-        Path, typer.Option(help="Image of the gel without contact: .npy (BGR) or an image file.")
-    ],
-    mm_per_px: Annotated[float, typer.Option(help="Pixel size on the gel, mm.")],
+    polycalib: Annotated[Path, Argument(help="Taxim's polycalib.npz.")],
+    background: Annotated[Path, Option(help="Gel without contact: .npy (BGR) or an image file.")],
+    mm_per_px: Annotated[float, Option(help="Pixel size on the gel, mm.")],
     out: TableOutput,
     force: ForceFlag = False,
 ) -> None:
@@ -152,42 +151,32 @@ def calibrate_import(
 def calibrate_contact(
     log: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             help="Press log (CSV, Parquet), force-depth curves, or folder of press images "
             "with forces."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", help="Contact law to write (contact.yaml).")],
+    out: Annotated[Path, Option(help="Contact law to write (contact.yaml).")],
     report: ReportOption = None,
     by: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Compare k between the values of this column, or `trial`; default: the indenters "
             "or the first text column."
         ),
     ] = None,
     contact_point: Annotated[
         str,
-        typer.Option(
+        Option(
             help="Depth at first contact: fixed (as logged), free (fitted for each press), or auto "
             "(free where the volume was computed from the depth of a ball)."
         ),
     ] = "auto",
-    force_unit: Annotated[
-        str | None,
-        typer.Option(help="Unit of the force columns, if not newtons: n, mn, gf or kgf."),
-    ] = None,
+    force_unit: Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")] = None,
     marker_pitch_mm: MarkerPitchOption = None,
-    radius_mm: Annotated[
-        float | None, typer.Option(help="Radius of the ball, for force-depth curves, mm.")
-    ] = None,
-    table: Annotated[
-        Path | None,
-        typer.Option(help="The sensor's table.npz, to reconstruct volumes from press images."),
-    ] = None,
-    save_log: Annotated[
-        Path | None, typer.Option(help="Also write the press log measured in the images here.")
-    ] = None,
+    radius_mm: Annotated[float | None, Option(help="Ball of force-depth curves, mm.")] = None,
+    table: Annotated[Path | None, Option(help="table.npz, to read volumes in images.")] = None,
+    save_log: Annotated[Path | None, Option(help="Also write the measured press log here.")] = None,
     force: ForceFlag = False,
     json_output: JsonFlag = False,
 ) -> None:
@@ -213,13 +202,12 @@ def friction(
     recipe: RecipeArgument,
     real: RealGraspsOption,
     out: ResultsOption,
-    mu: Annotated[str, typer.Option(help="Friction coefficients to try: start:stop:step.")] = (
+    mu: Annotated[str, Option(help="Friction coefficients to try: start:stop:step.")] = (
         "0:1:0.05"
     ),
     workers: WorkersOption = 2,
     write_objects: Annotated[
-        bool,
-        typer.Option("--write-objects", help="Also write object.yaml files with the fitted μ."),
+        bool, Option("--write-objects", help="Also write object.yaml files with the fitted μ.")
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:
@@ -259,23 +247,17 @@ def friction(
 
 @app.command(rich_help_panel=CALIBRATION)
 def read(
-    images: Annotated[list[Path], typer.Argument(help="Images of the sensor (PNG or JPEG).")],
-    sensor: Annotated[str, typer.Option(help="Name of the sensor, or the path of its YAML.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for readings.csv and depth maps.")],
-    table: Annotated[
-        Path | None, typer.Option(help="Table of `tacgen calibrate lookup`, for your own sensor.")
-    ] = None,
-    contact: Annotated[
-        Path | None, typer.Option(help="contact.yaml of `tacgen calibrate contact`.")
-    ] = None,
-    background: Annotated[
-        Path | None,
-        typer.Option(help="Image of the gel at rest, of the same session; else the table's own."),
-    ] = None,
+    images: Annotated[list[Path], Argument(help="Images of the sensor (PNG or JPEG).")],
+    sensor: Annotated[str, Option(help="Name of the sensor, or the path of its YAML.")],
+    out: Annotated[Path, Option(help="Folder for readings.csv and depth maps.")],
+    table: Annotated[Path | None, Option(help="Table of `tacgen calibrate lookup`.")] = None,
+    contact: Annotated[Path | None, Option(help="Law of `tacgen calibrate contact`.")] = None,
+    background: Annotated[Path | None, Option(help="Gel at rest; else the table's own.")] = None,
     json_output: JsonFlag = False,
 ) -> None:
     """Read depth, contact, volume and force from images of a calibrated sensor."""
-    from tacgen.sensor.read_image import ImageReader, read_files, read_rgb, reading_line
+    from tacgen.core.safe_io import read_rgb
+    from tacgen.sensor.read_image import ImageReader, read_files, reading_line
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)
@@ -289,11 +271,8 @@ def read(
 @app.command(rich_help_panel=CALIBRATION)
 def rig(
     recipe: RecipeArgument,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the press log and the images.")],
-    seed: Annotated[
-        int | None,
-        typer.Option(help="Seed that replaces the recipe's, for another session.", min=0),
-    ] = None,
+    out: Annotated[Path, Option(help="Folder for the press log and the images.")],
+    seed: Annotated[int | None, Option(help="Seed instead of the recipe's.", min=0)] = None,
     force: ForceFlag = False,
 ) -> None:
     """Simulate a ball-press rig: press log, press images or both, with known effects."""

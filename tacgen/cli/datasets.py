@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import sys
 from dataclasses import asdict
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from tacgen.cli.app import (
     DATASETS,
@@ -29,32 +29,25 @@ from tacgen.cli.app import (
 @app.command(rich_help_panel=DATASETS)
 def collect(
     recipe: RecipeArgument,
-    out: Annotated[
-        Path, typer.Option(help="Folder of the dataset; an interrupted collection is resumed.")
-    ],
+    out: Annotated[Path, Option(help="Folder of the dataset; a stopped collection resumes.")],
     workers: WorkersOption = 1,
     shard: Annotated[
         str,
-        typer.Option(
+        Option(
             help="I/N: collect only part I of N (from 0); auto: the part of this job-array task."
         ),
     ] = "0/1",
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the plan and collect nothing.")
-    ] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="Print the plan, collect nothing.")] = False,
     repair: Annotated[
-        bool,
-        typer.Option("--repair", help="Verify the dataset first and collect damaged shards again."),
+        bool, Option("--repair", help="Verify the dataset first and collect damaged shards again.")
     ] = False,
-    grasp_limit_s: Annotated[
-        float, typer.Option(min=1.0, help="Time after which a grasp is recorded as crashed, s.")
-    ] = 120.0,
+    grasp_limit_s: Annotated[float, Option(min=1.0, help="Time limit of a grasp, s.")] = 120.0,
     json_output: JsonFlag = False,
 ) -> None:
     """Simulate the grasps of a recipe and write images, labels and forces as a dataset."""
     from tacgen.core.workers import start_early
 
-    if not (dry_run or _looks_whole(out)):
+    if not dry_run:
         start_early("tacgen.collection.run", "trimesh.creation")
     from tacgen.collection.job_array import parse_share
     from tacgen.collection.recipe import load_recipe
@@ -74,14 +67,9 @@ def collect(
         typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
     redo = [number for number in check(out).bad_shards if number in share] if repair else []
     result = run(
-        loaded,
-        out,
-        workers=workers,
-        shards=share,
-        redo=redo,
-        item_limit_s=grasp_limit_s,
+        loaded, out, workers=workers, shards=share, redo=redo, item_limit_s=grasp_limit_s,
         progress=not json_output,
-    )
+    )  # fmt: skip
     print_record(result.summary(), json_output)
     if not (result.made or result.found):
         return
@@ -123,7 +111,7 @@ def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
 @app.command(rich_help_panel=DATASETS)
 def verify(
     folder: DatasetArgument,
-    decode: Annotated[bool, typer.Option("--decode", help="Also decompress every image.")] = False,
+    decode: Annotated[bool, Option("--decode", help="Also decompress every image.")] = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Check every hash, shape and label; lists damaged shards and exits 1 if there are any."""
@@ -162,25 +150,18 @@ def merge(folder: DatasetArgument) -> None:
 @app.command(rich_help_panel=DATASETS)
 def export(
     folder: DatasetArgument,
-    out: Annotated[Path, typer.Option(help="Folder to write; it must not exist yet.")],
+    out: Annotated[Path, Option(help="Folder to write; it must not exist yet.")],
     format_name: Annotated[
         str,
-        typer.Option(
+        Option(
             "--format",
             help="lerobot, images (PNG and CSV), webdataset, robomimic, or real-grasps (the layout "
             "of real grasps, without forces and depth).",
         ),
     ] = "lerobot",
-    split: Annotated[
-        str | None, typer.Option(help="Export only the train or the test grasps.")
-    ] = None,
-    per_object: Annotated[
-        int | None,
-        typer.Option(min=1, help="Maximum number of grasps of each object (the first ones)."),
-    ] = None,
-    no_images: Annotated[
-        bool, typer.Option("--no-images", help="Export no images (real-grasps only).")
-    ] = False,
+    split: Annotated[str | None, Option(help="Export only the train or the test grasps.")] = None,
+    per_object: Annotated[int | None, Option(min=1, help="First grasps of each object.")] = None,
+    no_images: Annotated[bool, Option("--no-images", help="No images (real-grasps only).")] = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Write the executed grasps of a dataset in another format."""
@@ -195,12 +176,8 @@ def export(
 @app.command(rich_help_panel=DATASETS)
 def view(
     folder: DatasetArgument,
-    grasp: Annotated[
-        int | None, typer.Option("--grasp", help="Show this grasp alone, with depth and forces.")
-    ] = None,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the page's path and open nothing.")
-    ] = False,
+    grasp: Annotated[int | None, Option(help="Show one grasp, with depth and forces.")] = None,
+    no_browser: Annotated[bool, Option("--no-browser", help="Only print the page's path.")] = False,
 ) -> None:
     """Open the gallery of a dataset, or a page of one grasp, in the browser."""
     import webbrowser
@@ -215,6 +192,7 @@ def view(
         msg = f"{page}: there is no gallery; `tacgen collect` writes it when it has finished"
         raise DatasetError(msg)
     typer.echo(str(page))
+    hand_over(f"tacgen verify {folder}" if grasp is None else f"tacgen view {folder}")
     if not no_browser:
         webbrowser.open(page.resolve().as_uri())
 
@@ -222,8 +200,8 @@ def view(
 @app.command(rich_help_panel=DATASETS)
 def render(
     recipe: RecipeArgument,
-    out: Annotated[Path, typer.Option("--gif", help="Animation (GIF) to write.")],
-    grasp: Annotated[int, typer.Option("--grasp", min=0, help="Number of the grasp.")] = 0,
+    out: Annotated[Path, Option("--gif", help="Animation (GIF) to write.")],
+    grasp: Annotated[int, Option(min=0, help="Number of the grasp.")] = 0,
 ) -> None:
     """Simulate one grasp of a recipe and write its tactile images as an animation."""
     from tacgen.collection.grasp_gif import write_gif
@@ -231,12 +209,4 @@ def render(
 
     outcome = write_gif(load_recipe(recipe), grasp, out)
     typer.echo(f"{out}: grasp {grasp}, {outcome}")
-
-
-def _looks_whole(out: Path) -> bool:
-    """Whether the dataset looks complete, so that no workers need to start early."""
-    try:
-        plan = json.loads((out / "dataset.json").read_text(encoding="utf-8"))
-        return len(list(out.glob("shards/shard-*.json"))) >= int(plan["n_shards"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return False
+    hand_over(f"tacgen collect {recipe} --out data")

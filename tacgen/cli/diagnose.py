@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from tacgen.cli.app import (
     BallRadiusOption,
@@ -31,10 +31,8 @@ from tacgen.cli.app import (
 
 @diagnose_app.command("contact")
 def diagnose_contact(
-    log: Annotated[Path, typer.Argument(help="Press log: CSV or Parquet.")],
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder for diagnosis.json, contact.yaml, report.html.")
-    ],
+    log: Annotated[Path, Argument(help="Press log: CSV or Parquet.")],
+    out: Annotated[Path, Option(help="Folder for diagnosis.json, contact.yaml, report.html.")],
     marker_pitch_mm: MarkerPitchOption = None,
     force: ForceFlag = False,
     json_output: JsonFlag = False,
@@ -55,15 +53,8 @@ def diagnose_contact(
 @diagnose_app.command("optics")
 def diagnose_optics(
     presses: PressesArgument,
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder for diagnosis.json, table.npz, report.html.")
-    ],
-    table: Annotated[
-        Path | None,
-        typer.Option(
-            "--table", help="Table to test; if not given, one is fitted to these presses."
-        ),
-    ] = None,
+    out: Annotated[Path, Option(help="Folder for diagnosis.json, table.npz, report.html.")],
+    table: Annotated[Path | None, Option(help="Table to test; else one is fitted.")] = None,
     mm_per_px: MmPerPxOption = None,
     ball_radius_mm: BallRadiusOption = None,
     force: ForceFlag = False,
@@ -84,9 +75,7 @@ def diagnose_optics(
 @diagnose_app.command("grasps")
 def diagnose_grasps_command(
     real: RealGraspsArgument,
-    recipe: Annotated[
-        str, typer.Option("--recipe", help="Recipe that describes the robot's set-up.")
-    ],
+    recipe: Annotated[str, Option(help="Recipe that describes the robot's set-up.")],
     out: ResultsOption,
     workers: WorkersOption = 2,
     json_output: JsonFlag = False,

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from tacgen.core.errors import PhysicsError
 
-MIN_FREE_GB = 2.0
-"""Some 3000 grasps of eight frames of 320×240 px, at 80 kB a compressed frame."""
+MIN_FREE_GB = 2.0  # some 3000 grasps of eight frames of 320×240 px, at 80 kB a compressed frame
 GL_PROBE_TIMEOUT_S = 60.0
 """A software renderer on a loaded machine responds within ten seconds; drivers may hang."""
 
@@ -63,25 +62,20 @@ def _pybullet() -> Finding:
     except PhysicsError as error:
         problem, _, fix = str(error).partition("; ")
         return Finding("pybullet", False, True, problem, fix)
-    version = importlib.metadata.version("pybullet")
-    return Finding("pybullet", True, True, f"{version}, with numpy")
+    return Finding("pybullet", True, True, f"{importlib.metadata.version('pybullet')}, with numpy")
 
 
 def _gl_platform(name: str, platform: str, fix: str) -> Finding:
     """Whether pyrender can open a context; tried in a process of its own, as GL may abort it."""
     code = "import pyrender; pyrender.OffscreenRenderer(8, 8).delete()"
     fix += "; only needed for camera: pyrender"
+    environment = os.environ | {"PYOPENGL_PLATFORM": platform}
+    command, limit_s = [sys.executable, "-c", code], GL_PROBE_TIMEOUT_S
     try:
-        result = subprocess.run(
-            [sys.executable, "-c", code],
-            env=os.environ | {"PYOPENGL_PLATFORM": platform},
-            capture_output=True,
-            timeout=GL_PROBE_TIMEOUT_S,
-            check=False,
-        )
+        subprocess.run(command, env=environment, capture_output=True, timeout=limit_s, check=True)
     except subprocess.TimeoutExpired:
         return Finding(name, False, False, "did not answer", fix)
-    if result.returncode:
+    except subprocess.CalledProcessError:
         return Finding(name, False, False, "not available", fix)
     return Finding(name, True, False, "works")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from tacgen.cli.app import NETWORKS, JsonFlag, WorkersOption, app, hand_over, print_result
 from tacgen.core.errors import LearningError
@@ -13,16 +13,10 @@ from tacgen.core.errors import LearningError
 
 @app.command(rich_help_panel=NETWORKS)
 def train(
-    recipe: Annotated[
-        str, typer.Argument(help="Training recipe (YAML), or a shipped one: train_single, …")
-    ],
-    data: Annotated[Path, typer.Option("--data", help="Dataset that `tacgen collect` wrote.")],
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder of the run; an interrupted training is resumed.")
-    ],
-    workers: Annotated[
-        int, typer.Option(min=1, help="Models to train in parallel (one model per object).")
-    ] = 1,
+    recipe: Annotated[str, Argument(help="Training recipe: YAML, or a shipped one's name.")],
+    data: Annotated[Path, Option(help="Dataset that `tacgen collect` wrote.")],
+    out: Annotated[Path, Option(help="Folder of the run; an interrupted training is resumed.")],
+    workers: Annotated[int, Option(min=1, help="Models to train in parallel.")] = 1,
     json_output: JsonFlag = False,
 ) -> None:
     """Train networks that predict from tactile images whether a grasp will hold."""
@@ -40,21 +34,14 @@ def train(
 
 @app.command("eval", rich_help_panel=NETWORKS)
 def evaluate(
-    run: Annotated[
-        Path | None, typer.Argument(help="Folder of a run that `tacgen train` wrote.")
-    ] = None,
-    data: Annotated[
-        Path | None, typer.Option("--data", help="Test on the test grasps of this dataset.")
-    ] = None,
-    real: Annotated[
-        Path | None, typer.Option("--real", help="Test on the real grasps in this folder.")
-    ] = None,
+    run: Annotated[Path | None, Argument(help="Folder of a run that `tacgen train` wrote.")] = None,
+    data: Annotated[Path | None, Option(help="Test on the test grasps of this dataset.")] = None,
+    real: Annotated[Path | None, Option(help="Test on the real grasps in this folder.")] = None,
     baseline: Annotated[
         str | None,
-        typer.Option(
-            "--baseline",
+        Option(
             help="parameters: instead of a RUN, cross-validate decision trees on the force and "
-            "position (no image) of each training grasp in --data.",
+            "position (no image) of each training grasp in --data."
         ),
     ] = None,
     json_output: JsonFlag = False,
@@ -78,24 +65,22 @@ def evaluate(
 
     result = evaluate_run(run, data, real)
     print_result(result, evaluation_lines(result), json_output)
-    hand_over(f"tacgen eval {run} --real REAL_GRASPS", f"tacgen predict {run} IMAGE")
+    on_real = [f"tacgen eval {run} --real REAL_GRASPS"] if real is None else []
+    hand_over(*on_real, f"tacgen predict {run} IMAGE …")
 
 
 @app.command(rich_help_panel=NETWORKS)
 def predict(
-    run: Annotated[Path, typer.Argument(help="Folder of a run that `tacgen train` wrote.")],
+    run: Annotated[Path, Argument(help="Folder of a run that `tacgen train` wrote.")],
     images: Annotated[
         list[Path],
-        typer.Argument(
-            help="Images, or folders of them; for a sequence network the frames of a grasp."
-        ),
+        Argument(help="Images, or folders of them; for a sequence network the frames of a grasp."),
     ],
     object_name: Annotated[
-        str | None, typer.Option("--object", help="Object whose model to use, if there are more.")
+        str | None, Option("--object", help="Object whose model to use, if there are more.")
     ] = None,
     background: Annotated[
-        Path | None,
-        typer.Option(help="Image of your gel at rest; else that of the training data."),
+        Path | None, Option(help="Image of your gel at rest; else that of the training data.")
     ] = None,
     json_output: JsonFlag = False,
 ) -> None:
@@ -103,7 +88,8 @@ def predict(
     from tacgen.learning import require_learning_extra
 
     require_learning_extra()
-    from tacgen.learning.predictor import Predictor, predict_files, read_rgb
+    from tacgen.core.safe_io import read_rgb
+    from tacgen.learning.predictor import Predictor, predict_files
 
     at_rest = None if background is None else read_rgb(background)
     rows = predict_files(Predictor(run, object_name, at_rest), images)
@@ -114,31 +100,16 @@ def predict(
 
 @app.command(rich_help_panel=NETWORKS)
 def study(
-    recipe: Annotated[
-        str, typer.Argument(help="Study (YAML), or a shipped one: paper_table, paper_ablation, …")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for datasets, runs and the table.")],
-    real: Annotated[
-        Path | None, typer.Option("--real", help="Folder of real grasps to test on as well.")
-    ] = None,
+    recipe: Annotated[str, Argument(help="Study: YAML, or a shipped one, such as paper_table.")],
+    out: Annotated[Path, Option(help="Folder for datasets, runs and the table.")],
+    real: Annotated[Path | None, Option(help="Folder of real grasps to test on as well.")] = None,
     calibrate_on: Annotated[
         Path | None,
-        typer.Option(
-            "--calibrate-on",
-            help="Folder of other real grasps, for rows that fit friction to real labels.",
-        ),
+        Option(help="Folder of other real grasps, for rows that fit friction to real labels."),
     ] = None,
-    contact: Annotated[
-        Path | None,
-        typer.Option("--contact", help="contact.yaml of the real sensor, for rows that use it."),
-    ] = None,
-    row: Annotated[
-        list[str] | None,
-        typer.Option("--row", help="Run only the row of this name; may be repeated."),
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Run the reduced version that the study defines.")
-    ] = False,
+    contact: Annotated[Path | None, Option(help="contact.yaml, for rows that use it.")] = None,
+    row: Annotated[list[str] | None, Option(help="Run this row only; may be repeated.")] = None,
+    quick: Annotated[bool, Option("--quick", help="Run the study's reduced version.")] = False,
     workers: WorkersOption = 1,
     json_output: JsonFlag = False,
 ) -> None:

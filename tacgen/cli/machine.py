@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from tacgen.cli.app import MACHINE, JsonFlag, app, hand_over, print_result
 
@@ -26,9 +27,9 @@ def doctor(json_output: JsonFlag = False) -> None:
 @app.command(rich_help_panel=MACHINE)
 def bench(
     recipe: Annotated[
-        str | None, typer.Option(help="Also estimate how long this recipe takes here.")
+        str | None, Option(help="Also estimate how long this recipe takes here.")
     ] = None,
-    repeats: Annotated[int, typer.Option(min=5, help="Repetitions of each measurement.")] = 30,
+    repeats: Annotated[int, Option(min=5, help="Repetitions of each measurement.")] = 30,
     json_output: JsonFlag = False,
 ) -> None:
     """Measure the time of frames and grasps on this machine: medians, one thread."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from tacgen.cli.app import JsonFlag, hand_over, note, object_names, objects_app, print_result
 
@@ -23,11 +23,9 @@ def objects_list(json_output: JsonFlag = False) -> None:
 @objects_app.command("show")
 def objects_show(
     name: Annotated[
-        str, typer.Argument(help="Name of an object, or its folder.", autocompletion=object_names)
+        str, Argument(help="Name of an object, or its folder.", autocompletion=object_names)
     ],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Also write a picture of the object (PNG).")
-    ] = None,
+    out: Annotated[Path | None, Option(help="Also write a picture of the object (PNG).")] = None,
     json_output: JsonFlag = False,
 ) -> None:
     """Show the properties of an object, each with its source."""
@@ -46,27 +44,21 @@ def objects_show(
 
 @objects_app.command("add")
 def objects_add(
-    mesh: Annotated[Path, typer.Argument(help="Mesh file: OBJ, STL, PLY or GLB.")],
-    mass_kg: Annotated[float, typer.Option("--mass", help="Mass of the object, kg.")],
+    mesh: Annotated[Path, Argument(help="Mesh file: OBJ, STL, PLY or GLB.")],
+    mass_kg: Annotated[float, Option("--mass", help="Mass of the object, kg.")],
     scale: Annotated[
-        float, typer.Option("--scale", help="Millimetres per unit of the mesh: 1000 for metres.")
+        float, Option(help="Millimetres per unit of the mesh: 1000 for metres.")
     ] = 1.0,
     name: Annotated[
-        str | None,
-        typer.Option("--name", help="Name of the object; default: the mesh file's name."),
+        str | None, Option(help="Name of the object; default: the mesh file's name.")
     ] = None,
-    friction: Annotated[
-        float, typer.Option("--friction", help="Coulomb friction coefficient against the gel.")
-    ] = 0.4,
-    up: Annotated[
-        str, typer.Option("--up", help="Axis of the mesh that points up: x, y or z.")
-    ] = "z",
+    friction: Annotated[float, Option(help="Coulomb friction coefficient against the gel.")] = 0.4,
+    up: Annotated[str, Option(help="Axis of the mesh that points up: x, y or z.")] = "z",
     yaw_rad: Annotated[
-        float,
-        typer.Option("--yaw", help="Angle about z along which the fingers shall close, rad."),
+        float, Option("--yaw", help="Angle about z along which the fingers shall close, rad.")
     ] = 0.0,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace an existing object with this name.")
+        bool, Option("--force", help="Replace an existing object with this name.")
     ] = False,
     json_output: JsonFlag = False,
 ) -> None:

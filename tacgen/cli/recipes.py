@@ -12,8 +12,17 @@ from typing import Annotated, Any
 import typer
 import yaml
 from pydantic import BaseModel
+from typer import Argument
 
-from tacgen.cli.app import DATASETS, JsonFlag, RecipeArgument, app, hand_over, recipe_app
+from tacgen.cli.app import (
+    DATASETS,
+    JsonFlag,
+    RecipeArgument,
+    app,
+    hand_over,
+    print_result,
+    recipe_app,
+)
 from tacgen.core.errors import RecipeError
 
 PROJECT_FILES = {
@@ -49,13 +58,8 @@ def recipe_show(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     kinds = {model.__name__: (name, load) for name, (model, load) in recipe_kinds().items()}
     name, load = kinds.get(kind_of(read_yaml(path).data), kinds["Recipe"])
     settings = load(str(path)).model_dump(mode="json")
-    if json_output:
-        typer.echo(json.dumps(settings, indent=2, ensure_ascii=False))
-    else:
-        typer.echo(
-            yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None),
-            nl=False,
-        )
+    text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    print_result(settings, text.rstrip("\n"), json_output)
     options = {"collect": "--out data", "train": "--data data --out run"}
     hand_over(f"tacgen {name} {recipe} {options.get(name, f'--out {name}')}")
 
@@ -63,7 +67,7 @@ def recipe_show(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
 @recipe_app.command("schema")
 def recipe_schema(
     kind: Annotated[
-        str, typer.Argument(help="collect, rig, train or study: the command that runs the recipe.")
+        str, Argument(help="collect, rig, train or study: the command that runs the recipe.")
     ] = "collect",
 ) -> None:
     """Print the JSON schema of a kind of recipe, with which editors complete and check keys."""
@@ -76,13 +80,7 @@ def recipe_schema(
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """The JSON schema of the recipes that ``tacgen <kind>`` runs.
-
-    Raises
-    ------
-    RecipeError
-        If there is no such kind.
-    """
+    """The JSON schema of the recipes that ``tacgen <kind>`` runs; ``RecipeError`` if none does."""
     kinds = recipe_kinds()
     if kind not in kinds:
         msg = f"{kind!r} is not a kind of recipe; give one of {', '.join(kinds)}"
@@ -98,9 +96,7 @@ def schema_of(kind: str) -> dict[str, Any]:
 
 
 @app.command(rich_help_panel=DATASETS)
-def init(
-    name: Annotated[str, typer.Argument(help="Name of the project and of its new folder.")],
-) -> None:
+def init(name: Annotated[str, Argument(help="Name of the project and of its new folder.")]) -> None:
     """Write a project to start from: a commented recipe, an object and a README."""
     folder = Path(name)
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", folder.name):

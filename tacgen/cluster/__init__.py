@@ -2,7 +2,6 @@
 
 from tacgen.cluster.states import Status, job_states, jobs_text, status, status_text
 from tacgen.cluster.submission import (
-    COMMANDS,
     Submitted,
     require_command,
     submit,
@@ -12,7 +11,6 @@ from tacgen.cluster.submission import (
 )
 
 __all__ = [
-    "COMMANDS",
     "Status",
     "Submitted",
     "job_states",

@@ -66,28 +66,28 @@ class JobsFolder:
         return folder
 
     def submissions(self) -> dict[Path, Submission]:
-        """Every submission by its folder, in order; empty where nothing was submitted."""
-        paths = (folder / "submission.json" for folder in self._folders())
-        return {path.parent: read_submission(path) for path in paths if path.is_file()}
+        """Every submission by its folder, in order; empty where nothing was submitted.
+
+        Raises ``ClusterError`` if the record of one cannot be read.
+        """
+        found = {}
+        for folder in self._folders():
+            path = folder / "submission.json"
+            try:
+                if path.is_file():
+                    found[folder] = TypeAdapter(Submission).validate_json(path.read_bytes())
+            except ValidationError as error:
+                msg = f"{path}: not the record of a submission; delete the folder {folder}"
+                raise ClusterError(msg) from error
+        return found
 
     def _folders(self) -> list[Path]:
-        if not self.root.is_dir():
-            return []
-        return sorted(path for path in self.root.iterdir() if path.name.isdecimal())
+        return sorted(path for path in self.root.glob("*") if path.name.isdecimal())
 
 
 def write_submission(folder: Path, submission: Submission) -> None:
     """Write or replace ``folder/submission.json``."""
     write_text(folder / "submission.json", json.dumps(asdict(submission)))
-
-
-def read_submission(path: Path) -> Submission:
-    """What ``write_submission`` wrote; raises ``ClusterError`` if the file does not hold that."""
-    try:
-        return TypeAdapter(Submission).validate_json(path.read_bytes())
-    except ValidationError as error:
-        msg = f"{path}: not the record of a submission; delete the folder {path.parent}"
-        raise ClusterError(msg) from error
 
 
 def note_path(folder: Path, task: int) -> Path:
@@ -106,8 +106,3 @@ def read_note(path: Path) -> Note | None:
         return TypeAdapter(Note).validate_json(path.read_bytes())
     except (OSError, ValidationError):
         return None
-
-
-def log_path(folder: Path, job_id: str) -> Path:
-    """Where submitit sends what a task writes to standard error."""
-    return folder / f"{job_id}_0_log.err"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import socket
 import subprocess
@@ -40,12 +41,8 @@ def live_jobs(submissions: Iterable[Submission]) -> dict[str, tuple[str, str]] |
 
 def site_array_limit() -> int:
     """The most tasks of one array that this site's Slurm takes."""
-    text = _ask(["scontrol", "show", "config"])
-    for line in text.splitlines():
-        name, _, value = line.partition("=")
-        if name.strip() == "MaxArraySize" and value.strip().isdecimal():
-            return max(1, int(value))
-    return _DEFAULT_MAX_ARRAY
+    found = re.search(r"^MaxArraySize\s*=\s*(\d+)\s*$", _ask(["scontrol", "show", "config"]), re.M)
+    return max(1, int(found[1])) if found else _DEFAULT_MAX_ARRAY
 
 
 def _slurm_jobs() -> dict[str, tuple[str, str]]:

@@ -7,15 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.records import (
-    JobsFolder,
-    Note,
-    Submission,
-    Task,
-    log_path,
-    note_path,
-    read_note,
-)
+from tacgen.cluster.records import JobsFolder, Note, Submission, Task, note_path, read_note
 from tacgen.cluster.scheduler import live_jobs
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.manifest import ShardLine
@@ -172,11 +164,10 @@ def _task_states(
         for task in submission.tasks:
             note = read_note(note_path(folder, task.number))
             done = sum(shard in lines for shard in task.shards)
-            whole = done == len(task.shards) > 0
-            state, reason = _verdict(task, note, live, whole=whole)
-            log, attempt = str(log_path(folder, task.job_id)), note.attempt if note else 0
-            facts = (folder.name, task.number, task.job_id, state, reason, log, attempt)
-            found.append(TaskState(*facts, task.shards, done))
+            state, reason = _verdict(task, note, live, whole=done == len(task.shards) > 0)
+            log = str(folder / f"{task.job_id}_0_log.err")  # where submitit sends standard error
+            facts = (folder.name, task.number, task.job_id, state, reason, log)
+            found.append(TaskState(*facts, note.attempt if note else 0, task.shards, done))
     return tuple(found)
 
 
@@ -189,17 +180,15 @@ def _verdict(
     if whole:
         return "done", ""
     if note is not None and note.state == "done":
-        return "done", "left shards to other processes" if task.shards else ""
+        return "done", "other processes made the rest" if task.shards else ""
     if note is not None and note.state == "failed":
         return "failed", note.reason
     if live is None:
         return "unknown", "ask on the machine that it was submitted from"
-    if note is None:
-        reason = "ended before it began: cancelled, or its node could not start it"
-    elif note.state == "interrupted":
-        reason = note.reason
-    else:
-        reason = f"ended without a message on {note.host}: killed, or out of memory"
+    reason = "ended before it began: cancelled, or its node could not start it"
+    if note is not None:
+        killed = f"ended without a message on {note.host}: killed, or out of memory"
+        reason = note.reason if note.state == "interrupted" else killed
     return "failed", reason
 
 

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,16 +19,16 @@ from typing import Any
 from tacgen.cluster.records import JobsFolder, Submission, Task, note_path, write_submission
 from tacgen.cluster.scheduler import site_array_limit
 from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
-from tacgen.cluster.task import CollectTask, CommandTask
+from tacgen.cluster.task import Job
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, Recipe
+from tacgen.collection.run import collect
 from tacgen.core.errors import ClusterError
 from tacgen.dataset import DatasetFolder
 
 EXECUTORS = ("local", "slurm")
-COMMANDS = ("friction", "train")
-"""Long commands that write into ``--out`` and, run again, resume."""
+COMMANDS = ("friction", "train")  # long commands that write into ``--out`` and, run again, resume
 
 SIGNAL_DELAY_S = 60  # time to finish and write a shard before the limit
 _A_WEEK_MIN = 7 * 24 * 60
@@ -56,34 +57,36 @@ def submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool = Fals
     planned = plan_recipe(recipe)
     DatasetFolder(out).prepare(dataset_spec(recipe, len(planned)))
     found = status(out)
-    shards = _shards_to_submit(found, failed_only=failed_only)
+    if not failed_only and (alive := _alive(found.tasks)):
+        msg = (
+            f"{out}: jobs {alive} of this dataset still run or wait; wait for them (`tacgen "
+            "status`), or give --failed to submit only what none of them will make"
+        )
+        raise ClusterError(msg)
+    shards = sorted(found.failed + found.missing)
     if not shards:
         return Submitted(str(out), executor, 0, (), 0)
     cluster = recipe.cluster
     limit = 1 if executor == "local" else cluster.max_array or site_array_limit()
     folder = JobsFolder(out.resolve()).create()
+    count = -(-len(shards) // cluster.shards_per_task)
+    if executor == "local":  # no more than the processors can run at once
+        count = min(count, max(1, (os.cpu_count() or 1) // cluster.cpus_per_task))
     # Every n-th shard: objects differ in what they cost, neighbours are alike.
-    count = _task_count(len(shards), executor, cluster)
+    shares = [tuple(shards[number::count]) for number in range(count)]
+    run = partial(collect, recipe, out.resolve(), workers=cluster.cpus_per_task, progress=False)
     tasks = [
-        CollectTask(
-            recipe,
-            out.resolve(),
-            tuple(shards[number::count]),
-            cluster.cpus_per_task,
-            note_path(folder, number),
-        )
-        for number in range(count)
+        Job(partial(run, shards=share), note_path(folder, number), share)
+        for number, share in enumerate(shares)
     ]
     jobs = _hand_over(tasks, folder, _engine(folder, executor, cluster, recipe.name), limit)
     return Submitted(str(folder), executor, len(shards), jobs, -(-len(jobs) // limit))
 
 
-def wait_for(root: Path, show: Callable[[Status], None] = lambda _: None) -> Status:
-    """Wait until no job of the dataset runs or waits; ``show`` gets each status on the way."""
+def wait_for(root: Path) -> Status:
+    """Wait until no job of the dataset runs or waits."""
     while (found := status(root)).alive:
-        show(found)
         time.sleep(_POLL_S)
-    show(found)
     return found
 
 
@@ -104,23 +107,19 @@ def submit_command(
     """
     require_command(command)
     require_executor(executor)
-    alive = [task.job_id for task in job_states(out) if task.state in ALIVE]
-    if alive:
-        ids = ", ".join(alive)
-        msg = f"{out}: job {ids} still runs or waits; wait for it (`tacgen status {out}`)"
+    if alive := _alive(job_states(out)):
+        msg = f"{out}: job {alive} still runs or waits; wait for it (`tacgen status {out}`)"
         raise ClusterError(msg)
     folder = JobsFolder(out.resolve()).create()
-    task = CommandTask(tuple(command), run, Path.cwd(), note_path(folder, 0))
+    task = Job(partial(_run_in, Path.cwd(), run, tuple(command)), note_path(folder, 0))
     jobs = _hand_over([task], folder, _engine(folder, executor, cluster, command[0]), 1)
     return Submitted(str(folder), executor, 0, jobs, 1)
 
 
 def wait_for_command(out: Path) -> tuple[TaskState, ...]:
     """Wait until no job of ``out`` runs or waits, and return their states."""
-    tasks = job_states(out)
-    while any(task.state in ALIVE for task in tasks):
+    while _alive(tasks := job_states(out)):
         time.sleep(_POLL_S)
-        tasks = job_states(out)
     return tasks
 
 
@@ -155,29 +154,18 @@ def require_executor(executor: str) -> None:
         raise ClusterError.from_problems(problems)
 
 
-def _shards_to_submit(found: Status, *, failed_only: bool) -> list[int]:
-    if found.alive and not failed_only:
-        alive = [task.job_id for task in found.tasks if task.state in ALIVE]
-        msg = (
-            f"{found.root}: jobs {', '.join(alive[:5])} of this dataset still run or "
-            "wait; wait for them (`tacgen status`), or give --failed to submit only what none of "
-            "them will make"
-        )
-        raise ClusterError(msg)
-    return sorted(found.failed + found.missing)
+def _run_in(folder: Path, run: Callable[[Sequence[str]], None], command: Sequence[str]) -> None:
+    """Run the command as if typed in ``folder``; what it prints goes to the job's log."""
+    os.chdir(folder)
+    run(command)
 
 
-def _task_count(n_shards: int, executor: str, cluster: Cluster) -> int:
-    """Jobs of ``shards_per_task`` each; here, no more than the processors can run at once."""
-    wanted = -(-n_shards // cluster.shards_per_task)
-    if executor == "local":
-        return min(wanted, max(1, (os.cpu_count() or 1) // cluster.cpus_per_task))
-    return wanted
+def _alive(tasks: Sequence[TaskState]) -> str:
+    """The first jobs that run or wait; empty if none does."""
+    return ", ".join([task.job_id for task in tasks if task.state in ALIVE][:5])
 
 
-def _hand_over(
-    tasks: Sequence[CollectTask | CommandTask], folder: Path, engine: Any, limit: int
-) -> tuple[str, ...]:
+def _hand_over(tasks: Sequence[Job], folder: Path, engine: Any, limit: int) -> tuple[str, ...]:
     """Submit the tasks, an array at a time, and record each array as soon as it is accepted."""
     from submitit.core.utils import FailedJobError, FailedSubmissionError
 

@@ -5,61 +5,33 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tacgen.cluster.records import Note, read_note, write_note
-from tacgen.collection.recipe import Recipe
-from tacgen.collection.run import collect
 from tacgen.core.errors import TacgenError
 
 
-class _Resumable:
-    def checkpoint(self: Any) -> Any:
-        """What submitit queues instead of this task when it is preempted: the same again."""
-        from submitit.helpers import DelayedSubmission
-
-        return DelayedSubmission(self)
-
-
 @dataclass(frozen=True)
-class CollectTask(_Resumable):
-    """Collects its shards; called again after a preemption, it resumes."""
+class Job:
+    """A job that resumes when it is called again: collects ``shards``, or runs a command."""
 
-    recipe: Recipe
-    out: Path
-    shards: tuple[int, ...]
-    workers: int
-    note: Path
-
-    def __call__(self) -> dict[str, int]:
-        """Collect, and keep a note of the state for ``tacgen status``."""
-        with _noted(self.note):
-            return collect(
-                self.recipe, self.out, workers=self.workers, shards=self.shards, progress=False
-            ).summary()
-
-
-@dataclass(frozen=True)
-class CommandTask(_Resumable):
-    """Runs a command of tacgen that resumes, as ``train`` and ``friction`` do.
-
-    ``run`` runs a command, given as the arguments after ``tacgen``.
-    """
-
-    command: tuple[str, ...]
-    run: Callable[[Sequence[str]], None]
-    folder: Path
+    run: Callable[[], object]
     note: Path
     shards: tuple[int, ...] = ()
 
     def __call__(self) -> None:
-        """Run the command as if typed in ``folder``; what it prints goes to the job's log."""
-        os.chdir(self.folder)
+        """Run, and keep a note of the state for ``tacgen status``."""
         with _noted(self.note):
-            self.run(self.command)
+            self.run()
+
+    def checkpoint(self) -> Any:
+        """What submitit queues instead of this job when it is preempted: the same again."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self)
 
 
 @contextlib.contextmanager

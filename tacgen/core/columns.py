@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from types import MappingProxyType
 
 import numpy as np
 
@@ -13,64 +12,54 @@ from tacgen.core.arrays import FloatArray
 
 SHORTEST_LIKELY_Z_MM = 1.0
 """A pad is 21 mm high: its centre is never so low, a height in metres always is."""
-LARGEST_LIKELY_YAW_RAD = 2 * np.pi
-"""A full turn; larger angles are in degrees."""
-SIMILAR = 0.7
-"""Least similarity of two names (difflib's ratio): `yaw_deg` and `yaw_rad` have 0.71."""
+LARGEST_LIKELY_YAW_RAD = 2 * np.pi  # a full turn; larger angles are in degrees
+SIMILAR = 0.7  # least similarity of two names (difflib's ratio): `yaw_deg` and `yaw_rad` have 0.71
 
 _FORCES = {
     "force_normal_n": "normal force, N",
     "force_shear_x_n": "shear force along x, N",
     "force_shear_y_n": "shear force along y, N",
 }
-PRESS_LOG: Mapping[str, str] = MappingProxyType(
-    {
-        "trial": "number of the press, one integer a press",
-        "time_s": "time on the session's clock, s",
-        **_FORCES,
-        "volume_mm3": "indented volume, mm³",
-        "indenter": "name of the indenter",
-        "radius_mm": "radius of the ball, mm; empty if the indenter is no ball",
-        "x_mm": "centre of the contact along x, gel frame, mm",
-        "y_mm": "centre of the contact along y, gel frame, mm",
-        "shear_x_mm": "sum of the markers' motion along x, mm",
-        "shear_y_mm": "sum of the markers' motion along y, mm",
-    }
-)
-PRESSES: Mapping[str, str] = MappingProxyType(
-    {
-        "file": "name of the press's image",
-        "radius_mm": "radius of the ball, mm",
-        "center_x_px": "centre of the contact, column, px; found in the image if not given",
-        "center_y_px": "centre of the contact, row, px; found in the image if not given",
-        "contact_radius_px": "radius of the contact, px; found in the image if not given",
-        "x_mm": "position of the stage along x, mm",
-        "y_mm": "position of the stage along y, mm",
-        "trial": "number of the press, for several images of one press",
-        "time_s": "time on the session's clock, s",
-        **_FORCES,
-    }
-)
-GRASPS: Mapping[str, str] = MappingProxyType(
-    {
-        "grasp_id": "name of the grasp, and of its folder in images/",
-        "object": "name of the object",
-        "label": "1 success, 0 failure",
-        "force_n": "force of each finger, N",
-        "x_mm": "gripper's centre along world x, from the centre of the footprint, mm",
-        "y_mm": "gripper's centre along world y, from the centre of the footprint, mm",
-        "z_mm": "height of the pads' centre above the table, mm",
-        "yaw_rad": "angle of the gripper about z, rad; 0 if not given",
-        "failure_mode": "translational_slip, rotational_slip or empty",
-    }
-)
-DEPTH_CURVES: Mapping[str, str] = MappingProxyType(
-    {
-        "depth_mm": "indentation, mm",
-        "force_normal_n": "normal force, N",
-        "curve": "name of the curve; one curve if not given",
-    }
-)
+PRESS_LOG: Mapping[str, str] = {
+    "trial": "number of the press, one integer a press",
+    "time_s": "time on the session's clock, s",
+    **_FORCES,
+    "volume_mm3": "indented volume, mm³",
+    "indenter": "name of the indenter",
+    "radius_mm": "radius of the ball, mm; empty if the indenter is no ball",
+    "x_mm": "centre of the contact along x, gel frame, mm",
+    "y_mm": "centre of the contact along y, gel frame, mm",
+    "shear_x_mm": "sum of the markers' motion along x, mm",
+    "shear_y_mm": "sum of the markers' motion along y, mm",
+}
+PRESSES: Mapping[str, str] = {
+    "file": "name of the press's image",
+    "radius_mm": "radius of the ball, mm",
+    "center_x_px": "centre of the contact, column, px; found in the image if not given",
+    "center_y_px": "centre of the contact, row, px; found in the image if not given",
+    "contact_radius_px": "radius of the contact, px; found in the image if not given",
+    "x_mm": "position of the stage along x, mm",
+    "y_mm": "position of the stage along y, mm",
+    "trial": "number of the press, for several images of one press",
+    "time_s": "time on the session's clock, s",
+    **_FORCES,
+}
+GRASPS: Mapping[str, str] = {
+    "grasp_id": "name of the grasp, and of its folder in images/",
+    "object": "name of the object",
+    "label": "1 success, 0 failure",
+    "force_n": "force of each finger, N",
+    "x_mm": "gripper's centre along world x, from the centre of the footprint, mm",
+    "y_mm": "gripper's centre along world y, from the centre of the footprint, mm",
+    "z_mm": "height of the pads' centre above the table, mm",
+    "yaw_rad": "angle of the gripper about z, rad; 0 if not given",
+    "failure_mode": "translational_slip, rotational_slip or empty",
+}
+DEPTH_CURVES: Mapping[str, str] = {
+    "depth_mm": "indentation, mm",
+    "force_normal_n": "normal force, N",
+    "curve": "name of the curve; one curve if not given",
+}
 
 
 def similar_columns(columns: Iterable[str], known: Iterable[str], where: str) -> list[str]:

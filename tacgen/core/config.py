@@ -77,20 +77,21 @@ def _axis_values(given: Any) -> Any:
         raise ValueError(msg)
     kind, arguments = next(iter(given.items()))
     is_triple = isinstance(arguments, list) and len(arguments) == 3
-    if not (is_triple and all(isinstance(value, (int, float)) for value in arguments)):
+    if not (is_triple and all(isinstance(x, (int, float)) and math.isfinite(x) for x in arguments)):
         msg = f"{kind} takes three numbers, got {arguments!r}"
         raise ValueError(msg)
-    start, stop, third = (float(argument) for argument in arguments)
-    if not np.isfinite([start, stop, third]).all():
-        msg = f"{kind} takes finite numbers, got {arguments!r}"
-        raise ValueError(msg)
+    start, stop, third = map(float, arguments)
     if kind == "geomspace" and min(start, stop) <= 0:
         msg = f"geomspace goes by equal factors between values above 0, got {arguments!r}"
         raise ValueError(msg)
-    count = _steps(start, stop, third) if kind == "range" else int(third)
     if kind == "range":
+        if third == 0 or (stop - start) / third < 0:
+            msg = f"range from {start:g} to {stop:g} cannot be divided into steps of {third:g}"
+            raise ValueError(msg)
+        # A small tolerance keeps the end value in, whatever 0.05 is in binary.
+        count = int(np.floor((stop - start) / third + 1e-9)) + 1
         stop = start + (count - 1) * third
-    elif count < 1 or count != third:
+    elif (count := int(third)) < 1 or count != third:
         msg = f"{kind} takes a whole number of values, at least 1, got {arguments[2]!r}"
         raise ValueError(msg)
     if count > MAX_AXIS_VALUES:
@@ -98,15 +99,6 @@ def _axis_values(given: Any) -> Any:
         raise ValueError(msg)
     spaced = np.geomspace if kind == "geomspace" else np.linspace
     return [round(float(value), 9) for value in spaced(start, stop, count)]
-
-
-def _steps(start: float, stop: float, step: float) -> int:
-    """How many values a range has."""
-    if step == 0 or (stop - start) / step < 0:
-        msg = f"range from {start:g} to {stop:g} cannot be walked in steps of {step:g}"
-        raise ValueError(msg)
-    # A little slack keeps the end value in, whatever 0.05 is in binary.
-    return int(np.floor((stop - start) / step + 1e-9)) + 1
 
 
 def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:

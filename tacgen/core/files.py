@@ -30,7 +30,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield partial
         sync_file(partial)
         os.replace(partial, path)
-        sync_directory(path.parent)
+        sync_file(path.parent)
     finally:
         partial.unlink(missing_ok=True)
 
@@ -53,23 +53,18 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         for file in partial.rglob("*"):
             sync_file(file)
         os.replace(partial, path)
-        sync_directory(path.parent)
+        sync_file(path.parent)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
 
 def sync_file(path: Path) -> None:
-    """Make the content of ``path`` durable."""
+    """Make the content of ``path`` durable; of a folder, the names in it."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def sync_directory(path: Path) -> None:
-    """Make the names in the folder ``path`` durable."""
-    sync_file(path)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -89,14 +84,11 @@ def is_file(path: Path) -> bool:
 def read_small_text(path: Path, most_bytes: int) -> str:
     """The text of a file that somebody else may have put there; what is not UTF-8 is marked.
 
-    Raises ``ValueError`` if it is no regular file (a pipe would never end), or larger than
+    Raises ``ValueError`` if it is no regular file (a pipe would never end) of at most
     ``most_bytes``.
     """
-    if not path.is_file():
-        msg = "missing, or not a file"
-        raise ValueError(msg)
-    if path.stat().st_size > most_bytes:
-        msg = f"larger than {most_bytes} bytes"
+    if not path.is_file() or path.stat().st_size > most_bytes:
+        msg = f"missing, or not a file of at most {most_bytes} bytes"
         raise ValueError(msg)
     return path.read_text(encoding="utf-8", errors="replace")
 
@@ -104,7 +96,7 @@ def read_small_text(path: Path, most_bytes: int) -> str:
 def sha256_of(path: Path) -> str:
     """Hex digest of the file's bytes."""
     digest = hashlib.sha256()
-    with Path(path).open("rb") as file:
+    with path.open("rb") as file:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()

@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import TacgenError
 
-Image = NDArray[np.uint8]
-"""RGB, (H, W, 3)."""
+Image = NDArray[np.uint8]  # RGB, (H, W, 3)
 
-JPEG_QUALITY = 82
-"""No artefact is seen in a tactile image at the sizes that a gallery shows."""
+JPEG_QUALITY = 82  # no artefact is seen in a tactile image at the sizes that a gallery shows
 MIDDLE_GREY = 128  # shown for no difference
-GAP_PX = 4
-"""White between images of a strip."""
+GAP_PX = 4  # white between images of a strip
 
 
 def encode_png(rgb: Image) -> bytes:

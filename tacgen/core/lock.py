@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import itertools
 import os
 import socket
 import time
@@ -55,8 +56,7 @@ def open_locked(path: Path) -> tuple[int, bool | None]:
 
     Raises ``TacgenError`` if ``path`` is a symbolic link.
     """
-    tries = _LOCK_TRIES
-    while True:
+    for left in itertools.count(_LOCK_TRIES - 1, -1):
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
         except OSError as error:
@@ -65,17 +65,15 @@ def open_locked(path: Path) -> tuple[int, bool | None]:
             msg = f"{path}: is a symbolic link where a lock file should be; remove it"
             raise TacgenError(msg) from error
         held = _lock(descriptor)
-        tries -= 1
-        if held is False and tries:
+        if held is False and left > 0:
             # It may be `holder_of`, checking whether a lock is held, which lasts an instant, or a
             # worker of a run that was killed, which ends within a second on a busy machine.
-            os.close(descriptor)
             time.sleep(_LOCK_PAUSE_S)
-            continue
         # The holder removes the file when it is through: a lock on a removed file is no lock.
-        if not held or _is_same_file(descriptor, path):
-            return descriptor, held
+        elif not held or _is_same_file(descriptor, path):
+            break
         os.close(descriptor)
+    return descriptor, held
 
 
 def _lock(descriptor: int) -> bool | None:

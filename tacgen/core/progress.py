@@ -15,11 +15,9 @@ from collections.abc import Callable, Iterator
 from tqdm import tqdm
 
 LOG = logging.getLogger("tacgen")
-LINE_EVERY_S = 60.0
-"""Interval of progress lines in logs."""
+LINE_EVERY_S = 60.0  # interval of progress lines in logs
 
-Show = Callable[..., None]
-"""``show(done, total, note="")``: the state of some work."""
+Show = Callable[..., None]  # ``show(done, total, note="")``: the state of some work
 
 
 def is_quiet() -> bool:

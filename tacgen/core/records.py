@@ -8,7 +8,7 @@ the gel towards the object. Poses are 4×4 homogeneous matrices with translation
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -184,12 +184,3 @@ class Estimate:
     value: float
     stderr: float = float("nan")
     unit: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Provenance:
-    """Where a fitted file comes from."""
-
-    data_sha256: Mapping[str, str] = field(default_factory=dict)
-    versions: Mapping[str, str] = field(default_factory=dict)
-    notes: Mapping[str, object] = field(default_factory=dict)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 import zipfile
 from pathlib import Path
@@ -12,9 +13,10 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from tacgen.core.errors import TacgenError
+
 MAX_SIDE_PX = 8192  # larger than any tactile camera's image
-MAX_ARCHIVE_BYTES = 4 << 30
-"""What the arrays of an archive may take together."""
+MAX_ARCHIVE_BYTES = 4 << 30  # what the arrays of an archive may take together
 
 
 def read_bgr(path: Path) -> NDArray[np.uint8] | None:
@@ -37,6 +39,16 @@ def read_bgr(path: Path) -> NDArray[np.uint8] | None:
     return None if found is None else np.asarray(found, np.uint8)
 
 
+def read_rgb(path: Path, error: type[TacgenError] = TacgenError) -> NDArray[np.uint8]:
+    """An image file as RGB (H, W, 3) uint8; raises ``error`` if it is missing or no image."""
+    bgr = read_bgr(path) if path.is_file() else None
+    if bgr is None:
+        problem = "cannot be read as an image" if path.is_file() else "no such file"
+        msg = f"{path}: {problem}; give PNG or JPEG"
+        raise error(msg)
+    return np.ascontiguousarray(bgr[..., ::-1])
+
+
 def check_archive(path: Path) -> None:
     """See that every array of a .npz is as large as it says, and all of them not too large.
 
@@ -48,7 +60,8 @@ def check_archive(path: Path) -> None:
             for member in archive.infolist():
                 with archive.open(member) as file:
                     total += _array_bytes(file, member)
-                    _read_to_the_end(file)
+                    while file.read(1 << 20):  # the checksum is that of the whole
+                        pass
                 if total > MAX_ARCHIVE_BYTES:
                     msg = f"its arrays take more than {MAX_ARCHIVE_BYTES >> 30} GiB"
                     raise ValueError(msg)
@@ -59,19 +72,11 @@ def check_archive(path: Path) -> None:
         raise ValueError(msg) from None
 
 
-def _read_to_the_end(file: IO[bytes]) -> None:
-    """The checksum is that of the whole, and reading may fail anywhere."""
-    while file.read(1 << 20):
-        pass
-
-
 def _array_bytes(file: IO[bytes], member: zipfile.ZipInfo) -> int:
     version = npy.read_magic(file)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read(file)
-    n_bytes = dtype.itemsize
-    for length in shape:
-        n_bytes *= int(length)
+    n_bytes = dtype.itemsize * math.prod(map(int, shape))
     # Objects are pickled and refused by whoever reads them; they have no size of their own.
     if not dtype.hasobject and n_bytes != member.file_size - file.tell():
         msg = f"{member.filename} says {shape} of {dtype}, which is not what is there"

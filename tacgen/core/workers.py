@@ -185,8 +185,8 @@ def run_tasks(
             for worker in crew:
                 if worker.task is None and progress.queue:
                     _assign(worker, progress)
-            signals = [(worker.connection, worker.process.sentinel) for worker in crew]
-            wait(list(itertools.chain.from_iterable(signals)), timeout=_POLL_S)
+            signals = [on for worker in crew for on in (worker.connection, worker.process.sentinel)]
+            wait(signals, timeout=_POLL_S)
             progress.clock.look()
             for k, worker in enumerate(crew):
                 # Looked at once: a worker may die at any line below, and is then found dead next
@@ -373,11 +373,13 @@ def _start_process(
     # The process that is copied may have been started under another environment.
     given = (target, dict(os.environ) | ONE_THREAD, *arguments)
     for left in reversed(range(_START_TRIES)):
-        process: multiprocessing.process.BaseProcess
-        process = context.Process(target=_run, args=given, daemon=True)
+        process: multiprocessing.process.BaseProcess = context.Process(
+            target=_run, args=given, daemon=True
+        )
         try:
             with _for_workers():
                 process.start()
+            break
         except (EOFError, ConnectionError) as error:
             # The fork server was killed and is not yet seen to be gone; then a new one starts.
             if not left:
@@ -388,8 +390,6 @@ def _start_process(
                 )
                 raise TacgenError(msg) from error
             time.sleep(_START_PAUSE_S)
-        else:
-            break
     return process
 
 
@@ -398,17 +398,11 @@ def _run(target: Callable[..., None], environment: Mapping[str, str], *arguments
     os.environ.update(environment)
     if "cv2" in sys.modules:
         sys.modules["cv2"].setNumThreads(1)
-    _end_with_the_process_copied()
-    target(*arguments)
-
-
-def _end_with_the_process_copied() -> None:
-    """Die with the fork server: once it is gone, the supervisor sees its copies as dead too.
-
-    One that worked on would hold the lock of a shard that nobody waits for.
-    """
     if sys.platform == "linux":
+        # End with the fork server: once it is gone, the supervisor sees its copies as dead too,
+        # and one that worked on would hold the lock of a shard that nobody waits for.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    target(*arguments)
 
 
 @contextlib.contextmanager
@@ -417,14 +411,12 @@ def _for_workers() -> Iterator[None]:
 
     The script that runs is hidden from them: they would import it, and with it run it again.
     """
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    script = sys.modules["__main__"]
+    before, script = dict(os.environ), sys.modules["__main__"]
     os.environ.update(ONE_THREAD)
     sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield
     finally:
         sys.modules["__main__"] = script
-        for name in ONE_THREAD:
-            del os.environ[name]
-        os.environ.update({name: value for name, value in before.items() if value is not None})
+        os.environ.clear()
+        os.environ.update(before)

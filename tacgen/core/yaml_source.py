@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -15,8 +15,7 @@ from tacgen.core.config import set_folders
 from tacgen.core.errors import RecipeError, TacgenError, did_you_mean
 
 MAX_BYTES = 1 << 20  # no recipe has as much text
-MAX_NODES = 200_000
-"""Bounds on a file's size and on what its aliases may unfold to."""
+MAX_NODES = 200_000  # bounds on a file's size and on what its aliases may unfold to
 
 _STANDARD_TAG = "tag:yaml.org,2002:"
 
@@ -32,24 +31,15 @@ class YamlSource:
     data: dict[str, Any]
     origins: dict[KeyPath, tuple[Path, int]] = field(default_factory=dict)
 
-    def where(self, key_path: KeyPath) -> str:
-        """``file:line`` of ``key_path``, or of the nearest part around it that is written down."""
-        for length in range(len(key_path), 0, -1):
-            if key_path[:length] in self.origins:
-                file, line = self.origins[key_path[:length]]
-                return f"{file}:{line}"
-        return str(self.path)
-
-    def file(self, key_path: KeyPath) -> Path:
-        """The file that gives ``key_path`` or the nearest part around it."""
-        for length in range(len(key_path), 0, -1):
-            if key_path[:length] in self.origins:
-                return self.origins[key_path[:length]][0]
-        return self.path
+    def origin(self, key_path: KeyPath) -> tuple[Path, int]:
+        """File and line of ``key_path`` or the nearest key around it; line 0 if there is none."""
+        keys = (key_path[:length] for length in range(len(key_path), 0, -1))
+        return next((self.origins[key] for key in keys if key in self.origins), (self.path, 0))
 
     def problem(self, key_path: KeyPath, text: str) -> str:
-        """One line that says where ``key_path`` stands, its dotted name, and ``text``."""
-        return f"{self.where(key_path)}: {dotted(key_path)} {text}"
+        """One line: the file and line of ``key_path``, its dotted name, and ``text``."""
+        file, line = self.origin(key_path)
+        return f"{file}{f':{line}' if line else ''}: {dotted(key_path)} {text}"
 
 
 def dotted(key_path: KeyPath) -> str:
@@ -61,7 +51,7 @@ def dotted(key_path: KeyPath) -> str:
 
 
 def read_yaml(path: Path) -> YamlSource:
-    """Read one YAML mapping; whatever it extends is merged below it.
+    """Read one YAML mapping, merged over what it extends.
 
     Raises ``RecipeError`` if the file cannot be read, is not a mapping, repeats a key, or extends
     itself.
@@ -70,14 +60,13 @@ def read_yaml(path: Path) -> YamlSource:
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """The content of one YAML mapping within the same bounds, ``extends`` and all.
-
-    Raises ``RecipeError`` if the file cannot be read, is not a mapping, or repeats a key.
-    """
+    """The content of one YAML mapping, ``extends`` included; same limits and errors."""
     return _parse(path).data
 
 
 def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
+    from tacgen.core.resources import find_recipe
+
     if path.resolve() in extended_by:
         msg = f"{path}: extends itself; take it out of `extends:`"
         raise RecipeError(msg)
@@ -89,8 +78,6 @@ def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
         msg = f"{path}: extends = {bases!r} is no name of a recipe and no list of names"
         raise RecipeError(msg)
     for name in bases:
-        from tacgen.core.resources import find_recipe
-
         base = _read(find_recipe(str(name), extended_by=path), (*extended_by, path.resolve()))
         _merge(merged, base)
     _merge(merged, own)
@@ -129,7 +116,7 @@ def _parse(path: Path) -> YamlSource:
 
 
 class _NodeReader:
-    """Turns nodes into plain data, noting lines and refusing what grows without bound."""
+    """Plain data of nodes; notes lines, refuses custom tags, repeated keys and too many nodes."""
 
     def __init__(self, source: YamlSource) -> None:
         self._source = source
@@ -143,34 +130,26 @@ class _NodeReader:
             raise RecipeError(msg)
         self._source.origins.setdefault(key_path, (self._source.path, node.start_mark.line + 1))
         if not node.tag.startswith(_STANDARD_TAG) or node.tag.startswith(f"{_STANDARD_TAG}python"):
-            line = node.start_mark.line + 1
-            msg = (
-                f"{self._source.path}:{line}: {dotted(key_path)} has the tag {node.tag}; remove it"
-            )
-            raise RecipeError(msg)
-        if isinstance(node, yaml.MappingNode):
-            return self._mapping(node, key_path)
+            self._refuse(key_path, f"has the tag {node.tag}; remove it")
         if isinstance(node, yaml.SequenceNode):
             return [self.read(item, (*key_path, i)) for i, item in enumerate(node.value)]
+        if isinstance(node, yaml.MappingNode):
+            result: dict[str, Any] = {}
+            for key_node, value_node in node.value:
+                key = str(key_node.value)
+                here = (*key_path, key)
+                self._source.origins[here] = (self._source.path, key_node.start_mark.line + 1)
+                if key in result:
+                    self._refuse(here, "is given twice; keep one")
+                result[key] = self.read(value_node, here)
+            return result
         try:
             return self._constructor.construct_object(node)
         except (yaml.YAMLError, ValueError) as error:
-            line = node.start_mark.line + 1
-            msg = f"{self._source.path}:{line}: {dotted(key_path)} cannot be read: {error}"
-            raise RecipeError(msg) from None
+            return self._refuse(key_path, f"cannot be read: {error}")
 
-    def _mapping(self, node: yaml.MappingNode, key_path: KeyPath) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for key_node, value_node in node.value:
-            key = str(key_node.value)
-            here = (*key_path, key)
-            if key in result:
-                line = key_node.start_mark.line + 1
-                msg = f"{self._source.path}:{line}: {dotted(here)} is given twice; keep one"
-                raise RecipeError(msg)
-            self._source.origins[here] = (self._source.path, key_node.start_mark.line + 1)
-            result[key] = self.read(value_node, here)
-        return result
+    def _refuse(self, key_path: KeyPath, text: str) -> NoReturn:
+        raise RecipeError(self._source.problem(key_path, text)) from None
 
 
 def _merge(below: YamlSource, above: YamlSource) -> None:
@@ -207,43 +186,42 @@ def validate(
     except ValidationError as error:
         problems = [_describe(source, model, details) for details in error.errors()]
         raise error_type.from_problems(list(dict.fromkeys(problems))) from None
-    set_folders(checked, lambda key_path: source.file(key_path).parent)
+    set_folders(checked, lambda key_path: source.origin(key_path)[0].parent)
     return checked
 
 
-@dataclass(frozen=True)
-class FileKind:
+class FileKind(NamedTuple):
     """A kind of YAML file: its purpose, and keys that no other kind has."""
 
     use: str
-    keys: frozenset[str]
+    keys: set[str]
 
 
 FILE_KINDS = {
     "Recipe": FileKind(
         "a recipe for `tacgen collect`",
-        frozenset(("grid", "robot", "physics", "frames", "randomize", "dataset", "contact")),
+        {"grid", "robot", "physics", "frames", "randomize", "dataset", "contact"},
     ),
     "TrainRecipe": FileKind(
         "a training recipe, for `tacgen train`",
-        frozenset(("model", "input", "training", "augmentation", "per_object")),
+        {"model", "input", "training", "augmentation", "per_object"},
     ),
     "RigRecipe": FileKind(
         "a rig recipe, for `tacgen rig`",
-        frozenset(("indenters", "schedule", "temperature", "images", "output")),
+        {"indenters", "schedule", "temperature", "images", "output"},
     ),
-    "Study": FileKind("a study, for `tacgen study`", frozenset(("rows", "quick", "data", "train"))),
+    "Study": FileKind("a study, for `tacgen study`", {"rows", "quick", "data", "train"}),
     "_SensorYaml": FileKind(
         "a sensor, which a recipe names as `sensor: PATH`",
-        frozenset(("height_px", "width_px", "gel_depth_mm", "leds")),
+        {"height_px", "width_px", "gel_depth_mm", "leds"},
     ),
     "ObjectDescription": FileKind(
         "an object, whose folder a recipe names under `objects:`",
-        frozenset(("shape", "mass_kg", "center_of_mass_mm", "grasp_ranges")),
+        {"shape", "mass_kg", "center_of_mass_mm", "grasp_ranges"},
     ),
     "contact law": FileKind(
         "a contact law, which a recipe names as `contact: {file: PATH}`",
-        frozenset(("k_n_mm3_per_n", "k_s_mm_per_n", "marker_pitch_mm", "provenance")),
+        {"k_n_mm3_per_n", "k_s_mm_per_n", "marker_pitch_mm", "provenance"},
     ),
 }
 """Kinds of files by the name of their model; an object file of the wrong kind is named by it."""
@@ -288,7 +266,7 @@ _WORDS = {
     "less_than_equal": "must be at most {le}",
     "finite_number": "must be a finite number",
     "literal_error": "must be {expected}",
-    "too_short": "must have at least {min_length} entries",
+    "too_short": "must have {min_length} or more entries",
     "too_long": "must have at most {max_length} entries",
     "string_too_short": "must not be empty",
     "string_pattern_mismatch": "must match the pattern {pattern}",

@@ -20,17 +20,9 @@ def write_card(root: Path | str) -> Path:
     summary = summarize(folder.root)
     dataset = Dataset(folder.root, partial=True)
     height, width = dataset.shape_px
-    text = (
-        templates("tacgen.dataset", escaped=False)
-        .get_template("card.md")
-        .render(
-            summary=summary,
-            arrays=list(dataset.layout.arrays()),
-            height=height,
-            width=width,
-            first=int(dataset.indices[0]),
-        )
-    )
+    card = templates("tacgen.dataset", escaped=False).get_template("card.md")
+    arrays, first = list(dataset.layout.arrays()), int(dataset.indices[0])
+    text = card.render(summary=summary, arrays=arrays, height=height, width=width, first=first)
     dataset.close()
     write_text(folder.card_path, text)
     return folder.card_path

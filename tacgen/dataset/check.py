@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -22,28 +21,20 @@ from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_sh
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
 
 
-Outcome = tuple[int, str, str, str, str]
-"""Of a grasp: label, status, failure mode, split, object."""
+Outcome = tuple[int, str, str, str, str]  # of a grasp: label, status, failure mode, split, object
 
 
 def tally(grasps: Iterable[Outcome]) -> dict[str, Any]:
     """The counts of a shard's line, by the names of its fields."""
     none = dict.fromkeys(OUTCOME.values(), 0)
-    counts, status, modes, splits = Counter(none), Counter[str](), Counter[str](), Counter[str]()
-    objects: dict[str, Counter[str]] = {}
-    for label, state, mode, split, name in grasps:
-        counts[OUTCOME[label]] += 1
-        status[state] += 1
-        splits[split] += 1
-        modes.update([mode] if mode else [])
-        objects.setdefault(name, Counter(none))[OUTCOME[label]] += 1
-    return {
-        "counts": dict(counts),
-        "status": dict(status),
-        "failure_modes": dict(modes),
-        "splits": dict(splits),
-        "objects": {name: dict(own) for name, own in objects.items()},
-    }
+    found: dict[str, Any] = {"counts": dict(none), "status": {}, "failure_modes": {}, "splits": {}}
+    objects: dict[str, dict[str, int]] = {}
+    for label, *own, name in grasps:
+        objects.setdefault(name, dict(none))[OUTCOME[label]] += 1
+        for counts, key in zip(found.values(), (OUTCOME[label], *own), strict=True):
+            counts[key] = counts.get(key, 0) + 1
+    found["failure_modes"].pop("", None)
+    return found | {"objects": objects}
 
 
 Decode = Literal["none", "first", "all"]
@@ -133,7 +124,7 @@ def _image_problems(
         n_frames = dataset.shape[1] if per_frame else 1
         rows: Iterable[int] = executed if array.shape[0] == "N" else (-1,)
         for row, frame in itertools.product(rows, range(n_frames)):
-            place = () if row < 0 else (int(row), frame) if per_frame else (int(row),)
+            place = () if row < 0 else (int(row), frame)[: 1 + per_frame]
             first = row in (-1, *executed[:1]) and frame == (moments[row] if per_frame else 0)
             if not is_image_sound(dataset, place):
                 if array.path != "/scene/picture":
@@ -146,7 +137,7 @@ def _image_problems(
 
 def _named(path: str, wrong: NDArray[np.bool_], words: str) -> Iterator[str]:
     """One problem that names the first rows at which ``wrong`` is true."""
-    rows = np.unique(np.nonzero(wrong)[0]) if wrong.any() else np.empty(0, int)
+    rows = np.unique(np.nonzero(wrong)[0])
     if rows.size:
         more = "" if rows.size <= _MAX_NAMED else f" and {rows.size - _MAX_NAMED} more"
         yield f"{path}: row {', '.join(map(str, rows[:_MAX_NAMED]))}{more} {words}"

@@ -28,14 +28,11 @@ from numpy.typing import NDArray
 
 from tacgen.dataset.schema import ArraySpec
 
-ZSTD_LEVEL = 3
-"""Of images without noise."""
+ZSTD_LEVEL = 3  # of images without noise
 
-END_BYTES = 160
-"""More than the heads that are looked at take."""
+END_BYTES = 160  # more than the heads that are looked at take
 
-_SHUFFLE, _BYTEDELTA, _ZSTD = 1, 35, 5
-"""Blosc2's numbers for the two filters and the codec."""
+_SHUFFLE, _BYTEDELTA, _ZSTD = 1, 35, 5  # Blosc2's numbers for the two filters and the codec
 _FRAME_BYTES, _CHUNK_BYTES = 97, 32
 _INDEX = struct.pack("<4B3i", 5, 1, 7, 8, 8, 8, 40) + bytes([0, 0, 0, 0, 0, 1]) + bytes(18)
 _TRAILER = bytes.fromhex("9401 93cd0006de0000dc0000 ce00000023 d800") + bytes(16)
@@ -120,8 +117,8 @@ def ends_of(dataset: h5py.Dataset, place: tuple[int, ...]) -> ChunkEnds | None:
         return ChunkEnds(b"", b"", -1)
     handle = h5py.h5i.get_file_id(dataset.id).get_vfd_handle()
     n_bytes = min(END_BYTES, found.size)
-    head = os.pread(handle, n_bytes, found.byte_offset)
-    tail = os.pread(handle, n_bytes, found.byte_offset + found.size - n_bytes)
+    starts = (found.byte_offset, found.byte_offset + found.size - n_bytes)
+    head, tail = (os.pread(handle, n_bytes, start) for start in starts)
     return ChunkEnds(head, tail, found.size)
 
 

@@ -1,4 +1,7 @@
-"""The folder of a dataset: all its paths, who may write to it, and how a shard gets there."""
+"""The folder of a dataset: all its paths, who may write to it, and how a shard gets there.
+
+``dataset.json``, the plan, holds what all shards of a folder have in common.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from typing import Any
 import yaml
 
 from tacgen.core.errors import DatasetError, RecipeError
-from tacgen.core.files import atomic_path, write_text
+from tacgen.core.files import atomic_path, read_small_text, write_text
 from tacgen.core.lock import holder_of, locked
 from tacgen.core.version import __version__
 from tacgen.core.yaml_source import read_mapping
@@ -28,15 +31,16 @@ from tacgen.dataset.manifest import (
     read_part,
     shard_file,
 )
-from tacgen.dataset.plan import create_whole, differences, holds, plan_of, read_plan
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.writer import write_shard_file
+
+MAX_PLAN_BYTES = 1 << 20  # a plan has some kilobytes
 
 
 class DatasetFolder:
     """Every path of a dataset, and the steps that change it.
 
-    A writer calls ``prepare`` once, then for each shard of its share::
+    A writer calls ``prepare`` once, then for each of its shards::
 
         with folder.claim(shard) as mine:
             if mine:
@@ -76,18 +80,19 @@ class DatasetFolder:
         """
         with disk_errors(self.root):
             (self.root / "shards").mkdir(parents=True, exist_ok=True)
-            plan = plan_of(spec)
-            plan_text = json.dumps(plan, indent=1, sort_keys=True)
-            recipe_text = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
-            if self._plan_there() is None:
+            plan = _plan_of(spec)
+            try:
+                made = self.plan()
+            except DatasetError:
                 self._refuse_other_shards(spec)
-            # The first to create the plan decides; everyone else compares with it.
-            if not create_whole(self.plan_path, plan_text):
-                if self._plan_there() is None:
-                    write_text(self.plan_path, plan_text)
-                self._refuse_another(plan, spec.recipe)
-            if not holds(self.recipe_path, recipe_text):
-                write_text(self.recipe_path, recipe_text)
+                write_text(self.plan_path, json.dumps(plan, indent=1, sort_keys=True))
+                made = self.plan()
+            if made != plan:
+                self._refuse_another(made, plan, spec.recipe)
+            recipe = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
+            there = self.recipe_path
+            if not (there.is_file() and there.read_bytes() == recipe.encode()):
+                write_text(there, recipe)
 
     def line(self, shard: int) -> ShardLine | None:
         """The manifest's line of one shard, or None while it is not finished."""
@@ -129,10 +134,12 @@ class DatasetFolder:
     ) -> ShardLine:
         """Write one shard, whole or not at all, and then its line of the manifest.
 
-        Raises ``DatasetError`` if a grasp does not fit, the folder was never prepared or is gone,
-        or the disk is full or may not be written to.
+        Raises ``DatasetError`` if a grasp does not fit, the folder is gone or not prepared for
+        this recipe, or the disk is full or may not be written to.
         """
-        self.plan()
+        if self.plan().get("recipe_sha256") != spec.recipe_sha256:
+            msg = f"{self.root}: now holds a dataset of another recipe; give another --out"
+            raise DatasetError(msg)
         with disk_errors(self.root):
             self.line_path(shard).unlink(missing_ok=True)
             path = self.shard_path(shard)
@@ -155,7 +162,16 @@ class DatasetFolder:
 
     def plan(self) -> dict[str, Any]:
         """What ``dataset.json`` says; raises ``DatasetError`` if the folder is not a dataset's."""
-        return read_plan(self.plan_path)
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+            plan: dict[str, Any] = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
+            numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
+            if all(isinstance(number, int) and number > 0 for number in numbers):
+                return plan
+        msg = (
+            f"{self.root} is not a dataset: {self.plan_path.name} is missing or broken; "
+            "give the folder that `tacgen collect --out` made"
+        )
+        raise DatasetError(msg)
 
     def recipe(self) -> dict[str, Any]:
         """What ``recipe.yaml`` says; raises ``RecipeError`` if it is missing or broken."""
@@ -177,32 +193,25 @@ class DatasetFolder:
             self._merged_seen = (key, read_lines(self.manifest_path))
         return self._merged_seen[1]
 
-    def _plan_there(self) -> dict[str, Any] | None:
-        try:
-            return self.plan()
-        except DatasetError:
-            return None
-
     def _refuse_other_shards(self, spec: DatasetSpec) -> None:
         """Where no plan says what the shards are of that are there, they say it themselves."""
+        wanted = (spec.recipe_sha256, dict(spec.calibration), __version__)
         for path in part_paths(self.root):
+            here: tuple[object, ...] = wanted
             with contextlib.suppress(DatasetError):
                 line = read_part(path)
                 here = (line.recipe_sha256, line.calibration, line.versions.get("tacgen"))
-                if here != (spec.recipe_sha256, dict(spec.calibration), __version__):
-                    break
-        else:
-            return
-        msg = (
-            f"{self.root}: {path.name} is of another recipe, calibration or version, and "
-            f"{self.plan_path.name} is missing or broken; give another --out, or delete the folder"
-        )
-        raise DatasetError(msg)
+            if here != wanted:
+                msg = (
+                    f"{self.root}: {path.name} is of another recipe, calibration or version, and "
+                    f"{self.plan_path.name} is missing or broken; give another --out, or delete "
+                    "the folder"
+                )
+                raise DatasetError(msg)
 
-    def _refuse_another(self, plan: Mapping[str, Any], recipe: Mapping[str, Any]) -> None:
-        made = self.plan()
-        if made == plan:
-            return
+    def _refuse_another(
+        self, made: Mapping[str, Any], plan: Mapping[str, Any], recipe: Mapping[str, Any]
+    ) -> None:
         lines = list(differences(made, plan))
         if made.get("recipe_sha256") != plan["recipe_sha256"]:
             # Without a recipe to compare with, the hashes are shown.
@@ -210,10 +219,30 @@ class DatasetFolder:
                 settings = differences(self.recipe(), json.loads(json.dumps(recipe)))
                 others = [text for text in lines if not text.startswith("recipe_sha256")]
                 lines = [*settings, *others]
-        raise DatasetError.from_problems(
-            [
-                f"{self.root} holds another dataset; these differ:",
-                *(f"  {text}" for text in lines),
-                "give another --out, set these back to what made it, or delete the folder",
-            ]
-        )
+        first = f"{self.root} holds another dataset; these differ:"
+        fix = "give another --out, set these back to what made it, or delete the folder"
+        raise DatasetError.from_problems([first, *(f"  {text}" for text in lines), fix])
+
+
+def _plan_of(spec: DatasetSpec) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "tacgen_version": __version__,
+        "recipe": spec.recipe.get("name", ""),
+        "recipe_sha256": spec.recipe_sha256,
+        "calibration": dict(sorted(spec.calibration.items())),
+        "sensor": spec.sensor.name,
+        "pads": list(spec.pads),
+        "n_grasps": spec.n_grasps,
+        "shard_size": spec.shard_size,
+        "n_shards": spec.n_shards,
+    }
+
+
+def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """One line for each setting that differs: where, what it was, what it would be."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in dict.fromkeys([*old, *new]):
+            yield from differences(old.get(key), new.get(key), f"{where}.{key}" if where else key)
+    elif old != new:
+        yield f"{where}: {json.dumps(old)} there, {json.dumps(new)} now"

@@ -21,12 +21,10 @@ from tacgen.dataset.reader import Dataset
 from tacgen.dataset.summary import summarize
 from tacgen.report.page import templates
 
-MAX_PAGE_BYTES = 15_000_000
-"""What a browser opens at once."""
+MAX_PAGE_BYTES = 15_000_000  # what a browser opens at once
 MAX_CARDS, MAX_SHARDS, MAX_STRIP = 200, 200, 8
 IMAGE_WIDTH_PX, STRIP_WIDTH_PX = 280, 110
-CARD_TEXT_BYTES = 2000
-"""Of a card's markup, beside its images."""
+CARD_TEXT_BYTES = 2000  # of a card's markup, beside its images
 OUTCOMES = {
     "success": "success",
     "translational_slip": "translational slip",
@@ -55,25 +53,11 @@ class CardMaker:
         self.rows = evenly(len(self.points), MAX_CARDS)
 
     def _point(self, row: int) -> dict[str, Any]:
-        label, mode, frame, index, name, force_n, split = (
-            self._columns[key][row].item()
-            for key in (
-                "label",
-                "failure_mode",
-                "grasp_frame",
-                "index",
-                "object",
-                "force_n",
-                "split",
-            )
-        )
-        outcome = "not_executed" if label < 0 else "success" if label else mode or "failure"
-        return {
-            "index": index,
-            "object": name,
+        keys = ("label", "failure_mode", "grasp_frame", "force_n", "index", "object", "split")
+        label, mode, frame, force_n, *same = (self._columns[key][row].item() for key in keys)
+        return dict(zip(keys[4:], same, strict=True)) | {
             "force": round(force_n, 3),
-            "outcome": outcome,
-            "split": split,
+            "outcome": "not_executed" if label < 0 else "success" if label else mode or "failure",
             "normal": round(float(self._columns["force_normal_n"][row, frame]), 3),
             "shear": round(float(self._shear_n[row].max()), 3),
         }
@@ -141,14 +125,11 @@ def _curves(
 ) -> dict[str, str]:
     """SVG points of each force over time, in a box of 100 × 30."""
     x = 100 * (time_s - time_s[0]) / max(1e-9, float(time_s[-1] - time_s[0]))
-    heights = {
-        name: 29 - 28 * np.maximum(0.0, force_n) / max(1e-9, top_n)
-        for name, force_n in forces_n.items()
-    }
-    return {
-        name: " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
-        for name, y in heights.items()
-    }
+    curves = {}
+    for name, force_n in forces_n.items():
+        y = 29 - 28 * np.maximum(0.0, force_n) / max(1e-9, top_n)
+        curves[name] = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+    return curves
 
 
 def _jpeg(rgb: NDArray[np.uint8]) -> str:

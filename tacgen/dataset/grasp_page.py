@@ -8,13 +8,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.report.figures import new_figure
-from tacgen.report.page import (
-    Section,
-    facts_section,
-    figure_section,
-    pictures_section,
-    write_page,
-)
+from tacgen.report.page import Section, facts_section, figure_section, pictures_section, write_page
 
 
 def write_grasp_page(root: Path, index: int, path: Path) -> None:

@@ -71,16 +71,15 @@ def read_poseit(source: Path, notes: list[str]) -> Iterator[ImportedGrasp]:
         try:
             stages = _two_columns(folder / "stages.csv")
             results = {result.lower() for _, result in _two_columns(folder / "label.csv")}
+            if not results or not results <= {"pass", "slip", "drop"}:
+                msg = f"label.csv says {', '.join(sorted(results)) or 'nothing'}"
+                raise ValueError(msg)
+            images = tuple(_poseit_frames(folder / "gelsight", stages))
+            if not images:
+                msg = "no readable picture of the grasp in gelsight/"
+                raise ValueError(msg)
         except (OSError, ValueError) as error:
             notes.append(f"{folder}: not imported: {error}")
-            continue
-        if not results or not results <= {"pass", "slip", "drop"}:
-            found = ", ".join(sorted(results)) or "nothing"
-            notes.append(f"{folder}: not imported: label.csv says {found}")
-            continue
-        images = tuple(_poseit_frames(folder / "gelsight", stages))
-        if not images:
-            notes.append(f"{folder}: not imported: no readable picture of the grasp in gelsight/")
             continue
         columns: dict[str, float | int | str] = {
             "object": match["object"],

@@ -81,10 +81,7 @@ class ShardLine:
 
 
 def parse_line(text: str, where: str, fix: str = FIX_MERGED) -> ShardLine:
-    """The record that ``text`` holds; ``where`` names the place in the error, ``fix`` what helps.
-
-    Raises ``DatasetError`` if it is no such record.
-    """
+    """The record that ``text`` holds; a ``DatasetError`` names its place ``where`` and ``fix``."""
     try:
         return TypeAdapter(ShardLine).validate_json(text)
     except ValidationError as error:
@@ -184,10 +181,7 @@ def read_lines(path: Path) -> dict[int, ShardLine]:
 
 
 def part_paths(folder: Path) -> list[Path]:
-    """The lines that stand beside the shards.
-
-    Raises ``DatasetError`` if the folder is there, but may not be looked into.
-    """
+    """The lines beside the shards; raises ``DatasetError`` if their folder may not be read."""
     shards = folder / "shards"
     if shards.is_dir() and not os.access(shards, os.R_OK | os.X_OK):
         msg = f"{shards}: permission denied; ask its owner for the right to read it"
@@ -209,8 +203,7 @@ def read_part(path: Path) -> ShardLine:
     try:
         text = read_small_text(path, MAX_LINE_BYTES)
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        msg = f"{path}: {reason}; {FIX_PART}"
+        msg = f"{path}: {getattr(error, 'strerror', None) or error}; {FIX_PART}"
         raise DatasetError(msg) from error
     line = parse_line(text, str(path), FIX_PART)
     if line.shard != part_number(path):

@@ -28,23 +28,14 @@ _MAX_OPEN = 8  # shards kept open; far below any limit on open files
 
 
 class Dataset:
-    """The grasps of a folder that ``tacgen collect`` made.
+    """The grasps of a folder that ``tacgen collect`` made; ``partial``: of its finished shards.
 
     Grasps are named by their index in the recipe's grid: ``indices`` lists those there are. Each
     shard is hashed once before it is first opened, so damage is reported rather than trained on.
     The object can be pickled and used after a fork; every process opens files of its own.
 
-    Parameters
-    ----------
-    root : Path
-    partial : bool
-        Take what is finished; otherwise a dataset with missing shards is an error.
-
-    Raises
-    ------
-    DatasetError
-        If there is no dataset, it is not complete, or shards of different recipes, calibrations
-        or sensors are mixed.
+    Raises ``DatasetError`` if there is no dataset, it is not complete (unless ``partial``), or
+    shards of different recipes, calibrations or sensors are mixed.
 
     Examples
     --------
@@ -171,9 +162,8 @@ class Dataset:
         ``shards`` limits it to those places in ``lines``; ``contact`` adds what the first pad's
         contact arrays hold, (N, T) or (N, T, 2).
         """
-        places = range(len(self._lines)) if shards is None else shards
         parts: dict[str, list[NDArray[Any]]] = {}
-        for place in places:
+        for place in range(len(self._lines)) if shards is None else shards:
             paths = {name: f"/grasp/{name}" for name in GRASP_NAMES}
             if contact:
                 layout = self._shard(place).layout
@@ -210,18 +200,17 @@ class Dataset:
         """Everything there is about one grasp."""
         row = self._row(index)
         axes = ("index", "object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
-        same = ("seed", "split", "status", "label", "failure_mode", "rise_mm", "turn_rad", "reason")
-        executed = row["status"] == "executed"
-        limits = row["margin_translational"], row["margin_rotational"]
-        slip = row["first_slip_time_s"], row["first_slip_direction"]
+        config = GraspConfig(**{name: row.pop(name) for name in axes})
+        limits = row.pop("margin_translational"), row.pop("margin_rotational")
+        slip = row.pop("first_slip_time_s"), row.pop("first_slip_direction")
+        pads = self.pads if row["status"] == "executed" else ()
         return GraspSample(
-            config=GraspConfig(**{name: row[name] for name in axes}),
-            pads={pad: self._pad_sample(index, pad) for pad in self.pads} if executed else {},
+            config=config,
+            pads={pad: self._pad_sample(index, pad) for pad in pads},
             object_pose=self._read(index, "/object/pose"),
             margin=None if np.isnan(limits).all() else SlipMargin(*limits, *slip),
             picture=self.picture(index),
-            grasp_frame=row["grasp_frame"],
-            **{name: row[name] for name in same},
+            **row,
         )
 
     def close(self) -> None:
@@ -231,9 +220,9 @@ class Dataset:
 
     def _row(self, index: int) -> dict[str, Any]:
         """The columns of one grasp as plain values, its directions as arrays."""
-        row = {name: _as_text(self._read(index, f"/grasp/{name}")) for name in GRASP_NAMES}
+        row = {name: self._read(index, f"/grasp/{name}") for name in GRASP_NAMES}
         return {
-            name: value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value
+            name: _as_text(value) if np.ndim(value) else _as_text(np.asarray(value)).item()
             for name, value in row.items()
         }
 
@@ -301,10 +290,7 @@ def planned_grasps(root: Path) -> int | None:
     return folder.plan()["n_grasps"] if folder.plan_path.is_file() else None
 
 
-def _as_text(values: Any) -> Any:
+def _as_text(values: NDArray[Any]) -> NDArray[Any]:
     """Bytes become text; everything else stays."""
-    if isinstance(values, bytes):
-        return values.decode("utf-8", errors="replace")
-    if isinstance(values, np.ndarray) and values.dtype.kind == "S":
-        return np.char.decode(values, "utf-8", errors="replace")
-    return values
+    is_text = values.dtype.kind == "S"
+    return np.char.decode(values, "utf-8", errors="replace") if is_text else values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,8 +20,7 @@ REQUIRED = ("grasp_id", "object", "label")
 CONFIGURATION = ("force_n", "x_mm", "y_mm", "z_mm")
 """What a grasp must say to be simulated again; networks do without."""
 FAILURE_MODES: tuple[FailureMode, ...] = ("", "translational_slip", "rotational_slip")
-BACKGROUND = "background.png"
-"""Image of the undeformed gel, where there is one."""
+BACKGROUND = "background.png"  # image of the undeformed gel, where there is one
 ABOUT = "about.json"
 """Says ``simulated: true`` where no robot made the grasps; a robot's folder needs none."""
 MAX_BYTES = 256 << 20  # some million grasps
@@ -84,23 +84,23 @@ def read_real_grasps(
         if len(problems) > len(shown):
             shown.append(f"{path}: and {len(problems) - len(shown)} more")
         raise DatasetError.from_problems(shown)
-    grasps = tuple(
-        _grasp(folder, number, row) for number, row in enumerate(table.to_dict("records"))
-    )
-    columns = similar_columns(table.columns, GRASPS, str(path))
-    warnings = (*columns, *_unit_warnings(table, path), *_warnings(grasps, path))
-    return RealGrasps(folder, grasps, warnings, _simulated_with(folder))
+    records = enumerate(table.to_dict("records"))
+    grasps = tuple(_grasp(folder, number, row) for number, row in records)
+    warnings = similar_columns(table.columns, GRASPS, str(path))
+    for name in ("z_mm", "yaw_rad"):
+        if problem := unit_problems(name, np.array(list(map(_number, table.get(name, ()))))):
+            warnings.append(f"{path}: {name} is {problem}")
+    warnings += _warnings(grasps, path)
+    return RealGrasps(folder, grasps, tuple(warnings), _simulated_with(folder))
 
 
 def _simulated_with(folder: Path) -> str | None:
     """The recipe's hash that a folder of simulated grasps names; None for a robot's."""
-    try:
+    with contextlib.suppress(OSError, ValueError, RecursionError):
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(about, dict) or about.get("simulated") is not True:
-        return None
-    return str(about.get("recipe_sha256", ""))
+        if isinstance(about, dict) and about.get("simulated") is True:
+            return str(about.get("recipe_sha256", ""))
+    return None
 
 
 def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:
@@ -136,52 +136,34 @@ def _problems(
     table: pd.DataFrame, path: Path, known_objects: Sequence[str], needs: Sequence[str]
 ) -> list[str]:
     problems = []
+
+    def add(row: int, text: str) -> None:
+        problems.append(f"{path}:{row + 2}: {text}")
+
     numbers = [name for name in (*CONFIGURATION, "yaw_rad") if name in table]
     for row, record in enumerate(table.to_dict("records")):
-        where = f"{path}:{row + 2}"
         for name in numbers:
             empty = record[name] == "" and name not in needs
             if not empty and not np.isfinite(_number(record[name])):
-                problems.append(
-                    f"{where}: {name} = {record[name]!r} is no number; give it or drop the row"
-                )
+                add(row, f"{name} = {record[name]!r} is no number; give it or drop the row")
         if _number(record.get("force_n", "")) <= 0:
-            problems.append(f"{where}: force_n = {record['force_n']} is no force to grip with")
+            add(row, f"force_n = {record['force_n']} is no force to grip with")
         if _number(record["label"]) not in (0.0, 1.0):
-            problems.append(
-                f"{where}: label = {record['label']!r} is neither 1 (success) nor 0 (failure); "
-                "write one of them or drop the row"
-            )
-        if record.get("failure_mode", "") not in FAILURE_MODES:
-            known = ", ".join(mode for mode in FAILURE_MODES if mode)
-            problems.append(
-                f"{where}: failure_mode = {record['failure_mode']!r} is none of {known}"
-            )
+            wrong = f"label = {record['label']!r} is neither 1 (success) nor 0 (failure)"
+            add(row, f"{wrong}; write one of them or drop the row")
+        if (mode := record.get("failure_mode", "")) not in FAILURE_MODES:
+            add(row, f"failure_mode = {mode!r} is none of {', '.join(FAILURE_MODES[1:])}")
     for name in table["object"].unique() if known_objects else ():
         if name not in known_objects:
-            row = int(np.flatnonzero(table["object"] == name)[0])
-            count = int((table["object"] == name).sum())
-            where = "1 row" if count == 1 else f"{count} rows, the first"
-            problems.append(
-                f"{path}:{row + 2}: object = {name!r} ({where}) is not an object here"
-                f"{unknown_object_hint(name, known_objects)}"
-            )
+            rows = np.flatnonzero(table["object"] == name)
+            where = "1 row" if len(rows) == 1 else f"{len(rows)} rows, the first"
+            hint = unknown_object_hint(name, known_objects)
+            add(rows[0], f"object = {name!r} ({where}) is not an object here{hint}")
     for grasp_id in table["grasp_id"][table["grasp_id"].duplicated()].unique():
-        rows = np.flatnonzero(table["grasp_id"] == grasp_id) + 2
-        problems.append(
-            f"{path}:{rows[1]}: grasp_id {grasp_id!r} stands on line {rows[0]} already; "
-            "give each grasp its own"
-        )
+        first, second = np.flatnonzero(table["grasp_id"] == grasp_id)[:2]
+        known = f"grasp_id {grasp_id!r} stands on line {first + 2} already"
+        add(second, f"{known}; give each grasp its own")
     return problems
-
-
-def _unit_warnings(table: pd.DataFrame, path: Path) -> list[str]:
-    found = []
-    for name in ("z_mm", "yaw_rad"):
-        values = np.array([_number(text) for text in table.get(name, ())])
-        if problem := unit_problems(name, values):
-            found.append(f"{path}: {name} is {problem}")
-    return found
 
 
 def _number(text: str) -> float:

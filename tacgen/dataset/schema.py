@@ -16,8 +16,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from tacgen.core.records import Sensor
-
 FORMAT_VERSION = 1
 PADS = ("left", "right")
 SPLITS = ("train", "test")
@@ -140,11 +138,3 @@ class Layout:
 
     def _pad_name(self, pad: str) -> str:
         return self.sensor if len(self.pads) == 1 else f"{self.sensor}_{pad}"
-
-
-def array_sizes(
-    n_grasps: int, n_frames: int, sensor: Sensor, picture_px: tuple[int, int] | None
-) -> dict[str, int]:
-    """What the letters of the layout stand for."""
-    (height, width), (h, w) = sensor.shape_px, picture_px or (0, 0)
-    return {"N": n_grasps, "T": n_frames, "H": height, "W": width, "h": h, "w": w}

@@ -8,10 +8,10 @@ checks use h5py's low-level interface, which takes a tenth of the time.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import h5py
 import numpy as np
@@ -39,8 +39,8 @@ class Shard:
     file: h5py.File
     layout: Layout
     arrays: Mapping[str, h5py.Dataset]
-    index_range: tuple[int, int] = (0, 0)
-    recipe_sha256: str = ""
+    index_range: tuple[int, int]
+    recipe_sha256: str
 
     def __enter__(self) -> Shard:
         return self
@@ -84,14 +84,10 @@ def open_shard(path: Path) -> Shard:
     with broken_as_error(path):
         file = h5py.File(path, "r")
         try:
-            shard, problems = _checked(path, file)
+            return _checked(path, file)
         except BaseException:
             file.close()
             raise
-    if problems:
-        file.close()
-        raise DatasetError.from_problems([f"{path}: {text}" for text in problems])
-    return shard
 
 
 def read_image(dataset: h5py.Dataset, place: tuple[int, ...]) -> NDArray[Any]:
@@ -117,25 +113,26 @@ def is_image_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
     return ends is not None
 
 
-def _checked(path: Path, file: h5py.File) -> tuple[Shard, list[str]]:
+def _checked(path: Path, file: h5py.File) -> Shard:
     finder = _Finder(file)
-    layout, problems = _layout_of(file, finder)
-    shard = Shard(path, file, layout, {})
-    if problems:
-        return shard, problems
-    sizes, problems = _sizes_of(file, layout, finder)
-    if problems:
-        return shard, problems
+    layout = _layout_of(path, file, finder)
+    span = _attribute(file, "index_range", "i", (2,))
+    start, stop = (0, -1) if span is None else map(int, span)
+    sizes = _sizes_of(path, layout, finder, start, stop)
     found = {array.path: finder.dataset(array.path) for array in layout.arrays()}
     problems = [
         text
         for array in layout.arrays()
         for text in _array_problems(found[array.path], array, array.resolve(sizes))
     ]
-    arrays = {name: h5py.Dataset(ident) for name, ident in found.items() if ident is not None}
-    span = _attribute(file, "index_range", "i", (2,))
-    index_range = (0, 0) if span is None else (int(span[0]), int(span[1]))
-    return Shard(path, file, layout, arrays, index_range, _text(file, "recipe_sha256")), problems
+    if problems:
+        _refuse(path, problems)
+    arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
+    return Shard(path, file, layout, arrays, (start, stop), _text(file, "recipe_sha256"))
+
+
+def _refuse(path: Path, problems: Sequence[str]) -> NoReturn:
+    raise DatasetError.from_problems([f"{path}: {text}" for text in problems])
 
 
 class _Finder:
@@ -161,21 +158,18 @@ class _Finder:
         return h5o.open(parent, name.encode()) if is_hard else None
 
 
-def _layout_of(file: h5py.File, finder: _Finder) -> tuple[Layout, list[str]]:
+def _layout_of(path: Path, file: h5py.File, finder: _Finder) -> Layout:
     kind, sensor, pads = (_text(file, name) for name in ("format", "sensor", "pads"))
     version, names = _attribute(file, "format_version", "i", ()), tuple(pads.split(","))
-    problem = ""
     if kind != "tacgen" or version is None:
-        problem = "not a shard of tacgen"
+        _refuse(path, ["not a shard of tacgen"])
     elif version != FORMAT_VERSION:
-        problem = f"format {version} is not {FORMAT_VERSION}, which this version of tacgen reads"
+        _refuse(path, [f"format {version} is not {FORMAT_VERSION}, which this version reads"])
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
-        problem = f"sensor {sensor!r} with pads {pads!r} is not known"
+        _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     plain = Layout(sensor, names, depth=False, picture=False)
-    if problem:
-        return plain, [problem]
     depth = finder.dataset(plain.tactile(names[0], "depth_mm")) is not None
-    return Layout(sensor, names, depth, finder.dataset("/scene/picture") is not None), []
+    return Layout(sensor, names, depth, finder.dataset("/scene/picture") is not None)
 
 
 def _text(file: h5py.File, name: str) -> str:
@@ -199,28 +193,23 @@ def _attribute(
     return values
 
 
-def _sizes_of(file: h5py.File, layout: Layout, finder: _Finder) -> tuple[dict[str, int], list[str]]:
+def _sizes_of(path: Path, layout: Layout, finder: _Finder, start: int, stop: int) -> dict[str, int]:
     """What the letters of the layout stand for here, within the limits."""
-    path = layout.tactile(layout.pads[0], "rgb")
-    rgb, scene = finder.dataset(path), finder.dataset("/scene/picture")
-    shape: tuple[int, ...] = () if rgb is None else rgb.shape
-    picture: tuple[int, ...] = () if scene is None else scene.shape
-    if len(shape) != 5:
-        return {}, [f"{path} is missing, or a link, or not of five axes"]
-    sizes = dict(zip("NTHW", shape, strict=False)) | {"h": 0, "w": 0}
-    if layout.picture and len(picture) == 4:
-        sizes["h"], sizes["w"] = picture[1:3]
+    name = layout.tactile(layout.pads[0], "rgb")
+    rgb, scene = finder.dataset(name), finder.dataset("/scene/picture")
+    if rgb is None or rgb.rank != 5:
+        _refuse(path, [f"{name} is missing, or a link, or not of five axes"])
+    picture = scene.shape[1:3] if scene is not None and scene.rank == 4 else (0, 0)
+    sizes = dict(zip("NTHWhw", (*rgb.shape[:4], *picture), strict=True))
     limits = {"N": MAX_GRASPS, "T": MAX_FRAMES} | dict.fromkeys("HWhw", MAX_SIDE_PX)
     problems = [
-        f"{name} = {sizes[name]} exceeds {limit}"
-        for name, limit in limits.items()
-        if sizes[name] > limit
+        f"{k} = {sizes[k]} exceeds {limit}" for k, limit in limits.items() if sizes[k] > limit
     ]
-    span = _attribute(file, "index_range", "i", (2,))
-    start, stop = (0, -1) if span is None else (int(span[0]), int(span[1]))
     if stop - start != sizes["N"]:
         problems.append(f"index range {start} to {stop} does not go with {sizes['N']} grasps")
-    return sizes, problems
+    if problems:
+        _refuse(path, problems)
+    return sizes
 
 
 def _array_problems(

@@ -31,35 +31,27 @@ def summarize(root: Path | str) -> dict[str, Any]:
         msg = f"{folder.root} has no finished shard; `tacgen collect --out` makes a dataset"
         raise DatasetError(msg)
     plan = folder.plan() if folder.plan_path.is_file() else {}
-    first, counts = lines[0], total(lines, "counts")
     n_bytes, raw = sum(line.bytes for line in lines), sum(line.raw_bytes for line in lines)
     n_grasps = sum(line.n_grasps for line in lines)
     objects: dict[str, Counter[str]] = {}
     for line in lines:
         for name, tally in line.objects.items():
             objects.setdefault(name, Counter(dict.fromkeys(OUTCOME.values(), 0))).update(tally)
+    totals = {name: total(lines, name) for name in ("counts", "status", "failure_modes", "splits")}
+    same = ("recipe", "recipe_sha256", "sensor", "pads", "frames", "calibration", "versions")
     return {
         "root": str(folder.root),
-        "recipe": first.recipe,
-        "recipe_sha256": first.recipe_sha256,
-        "sensor": first.sensor,
-        "pads": first.pads,
-        "frames": first.frames,
+        **{name: getattr(lines[0], name) for name in same},
         "shards": len(lines),
         "shards_planned": plan.get("n_shards", len(lines)),
         "grasps": n_grasps,
         "grasps_planned": plan.get("n_grasps", n_grasps),
-        "counts": counts,
-        "status": total(lines, "status"),
-        "failure_modes": total(lines, "failure_modes"),
-        "splits": total(lines, "splits"),
+        **totals,
         "objects": {name: dict(tally) for name, tally in sorted(objects.items())},
-        "success_rate": success_rate(counts),
+        "success_rate": success_rate(totals["counts"]),
         "bytes": n_bytes,
         "raw_bytes": raw,
         "ratio": raw / max(n_bytes, 1),
-        "calibration": first.calibration,
-        "versions": first.versions,
         "not_executed": _reasons(folder, lines),
     }
 

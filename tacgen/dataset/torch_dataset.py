@@ -34,10 +34,8 @@ class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
     """
 
     def __init__(self, dataset: Grasps, split: str | None, frames: str) -> None:
-        for name, value, known in (
-            ("split", split, (None, "train", "test")),
-            ("frames", frames, ("grasp", "sequence")),
-        ):
+        choices = {"split": (split, None, "train", "test"), "frames": (frames, "grasp", "sequence")}
+        for name, (value, *known) in choices.items():
             if value not in known:
                 msg = f"{name} = {value!r} is none of {', '.join(map(repr, known))}"
                 raise DatasetError(msg)

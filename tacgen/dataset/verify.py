@@ -84,12 +84,9 @@ def verify(
             problems += [Problem(line.file, reason, line.shard) for reason in reasons]
             progress(line.bytes)
     problems += _whole_problems(folder, lines)
-    return Verification(
-        problems=tuple(problems),
-        n_shards=len(lines),
-        n_grasps=sum(line.n_grasps for line in lines.values()),
-        bytes=sum(line.bytes for line in lines.values()),
-    )
+    n_grasps = sum(line.n_grasps for line in lines.values())
+    n_bytes = sum(line.bytes for line in lines.values())
+    return Verification(tuple(problems), len(lines), n_grasps, n_bytes)
 
 
 def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Problem]]:
@@ -126,12 +123,10 @@ def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[
             problems += _plan_problems(folder, plan, list(lines.values()))
         except DatasetError as error:
             problems.append(Problem(folder.plan_path.name, str(error)))
-    known = {line.file for line in lines.values()}
-    problems += [
-        Problem(name, "is not in the manifest: unfinished, or not of this dataset")
-        for path in sorted(folder.root.glob("shards/*.h5"))
-        if (name := path.relative_to(folder.root).as_posix()) not in known
-    ]
+    files = {f"shards/{path.name}" for path in folder.root.glob("shards/*.h5")}
+    strays = sorted(files - {line.file for line in lines.values()})
+    reason = "is not in the manifest: unfinished, or not of this dataset"
+    problems += [Problem(name, reason) for name in strays]
     found = manifest_problems(list(lines.values()), n_grasps)
     return problems + [Problem("manifest.jsonl", reason) for reason in found]
 
@@ -140,10 +135,11 @@ def _plan_problems(
     folder: DatasetFolder, plan: dict[str, Any], lines: list[ShardLine]
 ) -> list[Problem]:
     """Where ``dataset.json`` or ``recipe.yaml`` differ from the shards."""
-    wrong = []
-    size, n_grasps = plan["shard_size"], plan["n_grasps"]
+    problems = []
+    size, n_grasps, name = plan["shard_size"], plan["n_grasps"], folder.plan_path.name
     if plan["n_shards"] != -(-n_grasps // size):
-        wrong.append(f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard")
+        reason = f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard"
+        problems.append(Problem(name, reason))
     for line in lines:
         due = (line.shard * size, min(n_grasps, (line.shard + 1) * size))
         recorded = {
@@ -154,11 +150,11 @@ def _plan_problems(
             "tacgen_version": line.versions.get("tacgen"),
         }
         differing = ["index_range"] if due != line.index_range else []
-        differing += [name for name, there in recorded.items() if plan.get(name) != there]
+        differing += [key for key, there in recorded.items() if plan.get(key) != there]
         if differing:
-            wrong.append(f"differs from {line.file} in {', '.join(differing)}")
+            reason = f"differs from {line.file} in {', '.join(differing)}"
+            problems.append(Problem(name, reason))
             break
-    problems = [Problem(folder.plan_path.name, reason) for reason in wrong]
     try:
         if sha256_of_content(folder.recipe()) == plan.get("recipe_sha256"):
             return problems

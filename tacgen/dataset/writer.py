@@ -21,27 +21,14 @@ from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
-from tacgen.dataset.schema import (
-    CONTACT_NAMES,
-    FORMAT_VERSION,
-    MAX_REASON_BYTES,
-    Layout,
-    array_sizes,
-)
+from tacgen.dataset.schema import CONTACT_NAMES, FORMAT_VERSION, MAX_REASON_BYTES, Layout
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
 LIBRARIES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "opencv-python-headless",
-    "pybullet",
-    "h5py",
-    "hdf5plugin",
-    "zstandard",
+    *("numpy", "scipy", "numba", "opencv-python-headless", "pybullet"),
+    *("h5py", "hdf5plugin", "zstandard"),
 )
-
 HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 32015, Zstandard)."
 
 
@@ -66,7 +53,8 @@ def write_shard_file(
     """
     indices = spec.shard_range(shard)
     layout = Layout(spec.sensor.name, spec.pads, spec.depth, spec.picture_px is not None)
-    sizes = array_sizes(len(indices), len(spec.time_s), spec.sensor, spec.picture_px)
+    lengths = (len(indices), len(spec.time_s), *spec.sensor.shape_px, *(spec.picture_px or (0, 0)))
+    sizes = dict(zip("NTHWhw", lengths, strict=True))
     outcomes: list[Outcome] = []
     with DiskFile(path) as disk:
         with h5py.File(disk, "w", libver=LIBRARY_VERSION) as file:
@@ -74,9 +62,8 @@ def write_shard_file(
             small = _create_arrays(file, layout, sizes)
             noisy = {array.path for array in layout.arrays() if array.noisy}
             for row, sample in enumerate(_expected(samples, indices, spec)):
-                name = sample.config.object
-                outcome = (sample.label, sample.status, sample.failure_mode, sample.split, name)
-                outcomes.append(outcome)
+                outcome = (sample.label, sample.status, sample.failure_mode, sample.split)
+                outcomes.append((*outcome, sample.config.object))
                 for place, values in grasp_values(sample, layout):
                     if place in small:
                         small[place][row] = values
@@ -123,9 +110,8 @@ def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, obj
         yield f"/grasp/{name}", getattr(sample, name).encode()
     reason = sample.reason.encode()[:MAX_REASON_BYTES]
     yield "/grasp/reason", reason.decode(errors="ignore").encode()
-    limits = (margin.translational, margin.rotational) if margin else (np.nan, np.nan)
-    yield "/grasp/margin_translational", limits[0]
-    yield "/grasp/margin_rotational", limits[1]
+    yield "/grasp/margin_translational", margin.translational if margin else np.nan
+    yield "/grasp/margin_rotational", margin.rotational if margin else np.nan
     yield "/grasp/first_slip_time_s", margin.first_slip_time_s if margin else np.nan
     if margin:
         yield "/grasp/first_slip_direction", margin.first_slip_direction

@@ -19,8 +19,7 @@ from transformers import ResNetConfig, ResNetModel
 from tacgen.core.errors import LearningError
 from tacgen.core.files import is_file
 
-FEATURES = 512
-"""Width of ResNet-18's last stage."""
+FEATURES = 512  # width of ResNet-18's last stage
 HUB_NAME = "microsoft/resnet-18"
 TORCHVISION_FILE = "resnet18-f37072fd.pth"
 NO_WEIGHTS = "none"
@@ -47,14 +46,9 @@ class Backbone(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
+        sizes, depths = [64, 128, 256, FEATURES], [2, 2, 2, 2]
         self.network = ResNetModel(
-            ResNetConfig(
-                embedding_size=64,
-                hidden_sizes=[64, 128, 256, FEATURES],
-                depths=[2, 2, 2, 2],
-                layer_type="basic",
-                hidden_act="relu",
-            )
+            ResNetConfig(embedding_size=64, hidden_sizes=sizes, depths=depths, layer_type="basic")
         )
         self.origin = NO_WEIGHTS
 
@@ -101,28 +95,22 @@ def make_backbone(weights: str) -> Backbone:
     Raises ``LearningError`` if the named weights are not at hand or not a ResNet-18's.
     """
     backbone = Backbone()
-    if weights == NO_WEIGHTS:
-        return backbone
-    if weights in ("auto", "imagenet"):
-        path = cached_imagenet_file()
-        if path is not None:
-            backbone.load(read_weights(path), f"imagenet ({path.name})")
-        elif weights == "imagenet":
-            msg = (
-                f"no ImageNet weights on this machine: neither {HUB_NAME} in the cache of the "
-                f"Hugging Face hub nor {TORCHVISION_FILE} in that of torch; download one and name "
-                "its path in model.weights, or set model.weights: none"
-            )
-            raise LearningError(msg)
-        return backbone
-    path = Path(weights).expanduser()
-    if not is_file(path):
+    imagenet = cached_imagenet_file() if weights in ("auto", "imagenet") else None
+    if imagenet is not None:
+        backbone.load(read_weights(imagenet), f"imagenet ({imagenet.name})")
+    elif weights == "imagenet":
         msg = (
-            f"model.weights = {weights!r} is no file; give a ResNet-18 weight file, "
-            "or auto, imagenet or none"
+            f"no ImageNet weights on this machine: neither {HUB_NAME} in the cache of the "
+            f"Hugging Face hub nor {TORCHVISION_FILE} in that of torch; download one and name "
+            "its path in model.weights, or set model.weights: none"
         )
         raise LearningError(msg)
-    backbone.load(read_weights(path), str(path))
+    elif weights not in ("auto", NO_WEIGHTS):
+        path = Path(weights).expanduser()
+        if not is_file(path):
+            msg = f"model.weights = {weights!r} is no file; give one, or auto, imagenet or none"
+            raise LearningError(msg)
+        backbone.load(read_weights(path), str(path))
     return backbone
 
 

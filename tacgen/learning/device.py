@@ -12,8 +12,6 @@ import torch
 from tacgen.core.errors import LearningError
 from tacgen.learning.training_recipe import TrainingOptions
 
-_CUBLAS_SETTING = "CUBLAS_WORKSPACE_CONFIG"
-
 
 @dataclass(frozen=True, slots=True)
 class Device:
@@ -54,7 +52,7 @@ def exact_torch(threads: int) -> Iterator[None]:
         torch.are_deterministic_algorithms_enabled(),
         torch.is_deterministic_algorithms_warn_only_enabled(),
     )
-    os.environ.setdefault(_CUBLAS_SETTING, ":4096:8")
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True, warn_only=torch.cuda.is_available())
     try:

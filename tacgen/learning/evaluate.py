@@ -50,12 +50,13 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     folder = RunFolder(run)
     plan, recipe = folder.plan(), folder.recipe()
     source: GraspSource
-    source_name, where, notes = "sim", str(data or real), []
+    where, notes = str(data or real), []
     if data is not None:
         source = SimulatedGrasps(data, recipe.input.pad)
     elif real is not None:
-        source_name, source = "real", RealGraspImages(real)
+        source = RealGraspImages(real)
         notes = list(source.warnings)
+    source_name = "sim" if real is None else "real"
     unseen, about_unseen = unseen_tests(plan, source, where)
     notes += about_unseen
     test = _Test(folder, plan, recipe, source, where, choose_device(recipe.training), notes)
@@ -89,8 +90,8 @@ def scores_by_value(
         edges = np.unique(np.quantile(values, np.linspace(0, 1, MAX_GROUPS // 2 + 1)))
         places = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
         names = [f"{low} to {high}" for low, high in itertools.pairwise(_distinct_texts(edges))]
-    found = ((name, places == k) for k, name in enumerate(names))
-    return {name: score(labels[g], probabilities[g]) for name, g in found if g.any()}
+    groups = {name: places == k for k, name in enumerate(names)}
+    return {name: score(labels[g], probabilities[g]) for name, g in groups.items() if g.any()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,35 +108,30 @@ class _Test:
 
     def predict_all(self, unseen: NDArray[np.bool_]) -> tuple[list[Predictions], list[ModelCard]]:
         """The predictions of each model for the ``unseen`` (N,) grasps of its objects."""
-        self._check_objects()
-        predictions, cards = [], []
-        for name, model in self.plan["models"].items():
-            mine = np.isin(self.source.table.objects, model["objects"])
-            rows = np.flatnonzero(mine & unseen)
-            if not len(rows):
-                where = self.where
-                self._note(f"the model {name} was NOT tested: {where} has no test grasps for it")
-                continue
-            predicted, card = self._predict(name, rows)
-            predictions.append(predicted)
-            cards.append(card)
-        if not predictions:
-            msg = f"{self.where}: has no test grasps; collect it with split.test_fraction above 0"
-            raise LearningError(msg)
-        return predictions, cards
-
-    def _check_objects(self) -> None:
-        wanted = [name for model in self.plan["models"].values() for name in model["objects"]]
+        wanted = {name: model["objects"] for name, model in self.plan["models"].items()}
+        known = [one for objects in wanted.values() for one in objects]
         names = self.source.table.object_names()
-        if not set(wanted) & set(names):
+        unknown = [name for name in names if name not in known]
+        if unknown == names:
             msg = (
                 f"{self.where}: has grasps of {', '.join(names)}; the models of {self.folder.root} "
-                f"are for {', '.join(wanted)}; train on the same objects"
+                f"are for {', '.join(known)}; train on the same objects"
             )
             raise LearningError(msg)
-        unknown = [name for name in names if name not in wanted]
         if unknown:
             self._note(f"NOT tested, since no model is for them: {', '.join(unknown)}")
+        found = []
+        for name, objects in wanted.items():
+            rows = np.flatnonzero(np.isin(self.source.table.objects, objects) & unseen)
+            if len(rows):
+                found.append(self._predict(name, rows))
+            else:
+                where = self.where
+                self._note(f"the model {name} was NOT tested: {where} has no test grasps for it")
+        if not found:
+            msg = f"{self.where}: has no test grasps; collect it with split.test_fraction above 0"
+            raise LearningError(msg)
+        return [predicted for predicted, _ in found], [card for _, card in found]
 
     def _predict(self, name: str, rows: NDArray[np.int64]) -> tuple[Predictions, ModelCard]:
         folder, kind = self.folder.model(name), self.recipe.model.kind
@@ -145,10 +141,8 @@ class _Test:
         if done < epochs:
             self._note(f"the model {name} is NOT trained to its end: {done} of {epochs} epochs")
         if (card.input.kind, card.name) != (kind, name):
-            msg = (
-                f"{folder.model_path}: is the {card.input.kind} model {card.name!r}, where the "
-                f"run has the {kind} model {name!r}; restore the run's own file, or train again"
-            )
+            there = f"{folder.model_path}: is the {card.input.kind} model {card.name!r}"
+            msg = f"{there}, where the run has the {kind} model {name!r}; train again"
             raise LearningError(msg)
         check_source(card.input, self.source, rows, self.where)
         batches = self._batches(rows, card, reference)
@@ -164,8 +158,7 @@ class _Test:
                 f"OUTSIDE of the training images of the model {name}; its probabilities are "
                 "uncertain there: check the background, or train with stronger augmentation"
             )
-        read = partial(read_input, self.source, spec=card.input)
-        frames = [partial(read, int(row)) for row in rows]
+        frames = [partial(read_input, self.source, int(row), card.input) for row in rows]
         return Predictions(self.source.table.take(rows), probabilities, frames), card
 
     def _batches(
@@ -184,8 +177,10 @@ class _Test:
             which = "first image with 95 % of the largest change from the gel at rest"
             if spec.grasp_fraction is not None:
                 which = f"image {spec.grasp_fraction:.0%} through, as in the training data,"
-            what = "of grasps with several images"
-            self._note(f"{self.where}: {what} the {which} is taken as the moment of grasp")
+            self._note(
+                f"{self.where}: of grasps with several images the {which} is taken as the moment "
+                "of grasp"
+            )
         inputs = DecodedInputs(source, rows, spec, options.cache_mb)
         batch_size = self.recipe.training.batch_size
         return Batches(inputs, spec, reference, batch_size, options.loader_workers)
@@ -203,12 +198,12 @@ def _summary(
     notes: list[str],
 ) -> dict[str, Any]:
     labels, probabilities = Predictions.joined(predictions)
-
-    def column(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(part.table, name) for part in predictions])
-
-    objects = column("objects")
+    objects, force_n, z_mm = (
+        np.concatenate([getattr(part.table, name) for part in predictions])
+        for name in ("objects", "force_n", "z_mm")
+    )
     weights = sorted({card.weights for card in cards})
+    wrong = [(part.table, part.probabilities, i) for part in predictions for i in part.wrong()]
     return {
         "source": source,
         **score(labels, probabilities),
@@ -216,8 +211,8 @@ def _summary(
             str(name): score(labels[objects == name], probabilities[objects == name])
             for name in np.unique(objects)
         },
-        "by_force_n": scores_by_value(column("force_n"), labels, probabilities),
-        "by_z_mm": scores_by_value(column("z_mm"), labels, probabilities),
+        "by_force_n": scores_by_value(force_n, labels, probabilities),
+        "by_z_mm": scores_by_value(z_mm, labels, probabilities),
         "data": where,
         "kind": cards[0].input.kind,
         "weights": ", ".join(weights),
@@ -225,13 +220,12 @@ def _summary(
         "auroc_note": _AUROC_NOTE if len(cards) > 1 else "",
         "misclassified": [
             {
-                "object": str(part.table.objects[i]),
-                "grasp_id": str(part.table.ids[i]),
-                "label": int(part.table.label[i]),
-                "probability": float(part.probabilities[i]),
+                "object": str(table.objects[i]),
+                "grasp_id": str(table.ids[i]),
+                "label": int(table.label[i]),
+                "probability": float(chances[i]),
             }
-            for part in predictions
-            for i in part.wrong()
+            for table, chances, i in wrong
         ],
         "notes": notes,
     }
@@ -251,11 +245,10 @@ def _add_gap(folder: RunFolder, result: dict[str, Any]) -> None:
     simulated = read_json(path, "run `tacgen eval RUN --data DIR` again").get("by_object", {})
     shared = sorted(set(simulated) & set(result["by_object"]))
     if shared:
-        accuracy = _pooled_accuracy(simulated, shared)
-        gap = accuracy - _pooled_accuracy(result["by_object"], shared)
-        result |= {"sim_accuracy": accuracy, "sim_to_real_gap": gap, "gap_objects": shared}
-
-
-def _pooled_accuracy(by_object: Mapping[str, Any], names: Sequence[str]) -> float:
-    n_right = sum(by_object[name]["accuracy"] * by_object[name]["n"] for name in names)
-    return float(n_right / sum(by_object[name]["n"] for name in names))
+        accuracy, real = (
+            sum(scores[name]["accuracy"] * scores[name]["n"] for name in shared)
+            / sum(scores[name]["n"] for name in shared)
+            for scores in (simulated, result["by_object"])
+        )
+        gap = {"sim_to_real_gap": accuracy - real, "gap_objects": shared}
+        result |= {"sim_accuracy": accuracy, **gap}

@@ -119,12 +119,8 @@ class Fit:
                 for name, value in line.items():
                     if isinstance(value, float):
                         board.add_scalar(name.replace("_", "/", 1), value, self.epoch)
-                accuracy = line["validation_accuracy"]
-                show(
-                    self.epoch,
-                    epochs,
-                    f"loss {line['train_loss']:.3f}, accuracy {accuracy:.3f}",
-                )
+                loss, accuracy = line["train_loss"], line["validation_accuracy"]
+                show(self.epoch, epochs, f"loss {loss:.3f}, accuracy {accuracy:.3f}")
         return self.metrics
 
     def _run_epoch(self, epoch: int) -> dict[str, Any]:
@@ -208,13 +204,10 @@ class Fit:
     def _temperature(self) -> float:
         """Of the validation grasps as other cameras might have seen them, where there is such."""
         changes, batches = self.job.recipe.augmentation, self.job.validation
-        seeds = [
-            self._seed(_STREAM_CALIBRATION, k)
-            for k in range(CALIBRATION_PASSES if changes.on else 1)
-        ]
-        found = [
-            predict(self._kept, batches.shuffled(seed, 0, changes), self.device) for seed in seeds
-        ]
+        passes = range(CALIBRATION_PASSES if changes.on else 1)
+        seeds = [self._seed(_STREAM_CALIBRATION, k) for k in passes]
+        views = (batches.shuffled(seed, 0, changes) for seed in seeds)
+        found = [predict(self._kept, view, self.device) for view in views]
         probabilities, labels = (np.concatenate(part) for part in zip(*found, strict=True))
         return calibrated_temperature(probabilities, labels, self.job.class_weights)
 
@@ -223,11 +216,8 @@ class Fit:
         """Lowest and highest of each input statistic in one augmented pass over the training."""
         seed = self._seed(_STREAM_CALIBRATION)
         batches = self.job.fit.shuffled(seed, 0, self.job.recipe.augmentation)
-        statistics = np.concatenate([input_statistics(images) for images, _, _ in batches])
-        return tuple(
-            (float(low), float(high))
-            for low, high in zip(statistics.min(0), statistics.max(0), strict=True)
-        )
+        found = np.concatenate([input_statistics(images) for images, _, _ in batches])
+        return tuple(zip(found.min(0).tolist(), found.max(0).tolist(), strict=True))
 
     def _card(self) -> ModelCard:
         return ModelCard(
@@ -236,7 +226,7 @@ class Fit:
             input=self.job.spec,
             sensor=self.job.sensor,
             weights=self.network.backbone.origin,
-            epoch=int(self.best["epoch"]),
+            epoch=self.epoch,
             validation_loss=self.best["loss"],
             validation_balanced_accuracy=self.best["balanced_accuracy"],
             recipe_sha256=self.job.recipe.sha256(),
@@ -264,8 +254,7 @@ class Fit:
 
     def _check_moments(self, state: Mapping[str, Any]) -> None:
         """Check shapes, which Adam's fused step does not: it would write out of bounds."""
-        parameters = [p for group in self.optimizer.param_groups for p in group["params"]]
-        for k, parameter in enumerate(parameters):
+        for k, parameter in enumerate(p for g in self.optimizer.param_groups for p in g["params"]):
             for name in ("exp_avg", "exp_avg_sq"):
                 if state["state"][k][name].shape != parameter.shape:
                     msg = f"the optimizer's {name} {k} has another shape"
@@ -297,8 +286,7 @@ def _stop_if_orphaned(name: str) -> None:
     """Stop where the process that started this training has been killed."""
     parent = multiprocessing.parent_process()
     if parent is not None and not parent.is_alive():
-        problem = "the process that started this training was killed"
-        msg = f"{name}: {problem}; run the same command again to resume"
+        msg = f"{name}: the process that started this training was killed; run it again to resume"
         raise LearningError(msg)
 
 

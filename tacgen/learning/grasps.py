@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
 from tacgen.core.records import LABEL_NOT_EXECUTED
-from tacgen.core.safe_io import read_bgr
+from tacgen.core.safe_io import read_rgb
 from tacgen.dataset import Dataset
-from tacgen.dataset.real_grasps import BACKGROUND, RealGrasp, read_real_grasps
+from tacgen.dataset.real_grasps import BACKGROUND, read_real_grasps
 
 CONFIGURATION_DIGITS = 6
 """Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
@@ -22,29 +22,16 @@ FRAME_UNKNOWN = -1
 AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
 _DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXES, np.float64)
-MAX_IMAGE_BYTES = 64 << 20
-"""More than any tactile camera gives; a larger file is not an image of one."""
-MAX_NAMED = 5
-"""Grasps without images that a message names; it counts the others."""
+MAX_NAMED = 5  # grasps without images that a message names; it counts the others
 
 
 @dataclass(frozen=True, slots=True)
 class GraspTable:
     """One row a grasp; every field has length N.
 
-    Attributes
-    ----------
-    ids : (N,) str
-        Name of the grasp where it comes from.
-    objects : (N,) str
-    label : (N,) int64
-        1 success, 0 failure.
-    split : (N,) str
-        ``train`` or ``test``.
-    force_n, x_mm, y_mm, z_mm, yaw_rad : (N,) float64
-        The configuration; see ``GraspConfig``.
-    grasp_frame : (N,) int64
-        Frame of the moment of grasp; ``FRAME_UNKNOWN`` where it was not recorded.
+    ``ids`` are its names where it comes from, ``label`` 1 for success and 0 for failure, ``split``
+    ``train`` or ``test``, ``grasp_frame`` the frame of the moment of grasp (``FRAME_UNKNOWN`` where
+    it was not recorded), the numbers its configuration; see ``GraspConfig``.
     """
 
     ids: NDArray[np.str_]
@@ -70,10 +57,8 @@ class GraspTable:
         """A text for each grasp, equal for grasps of the same configuration."""
         numbers = np.stack([getattr(self, axis) for axis in AXES], axis=1)
         rounded = np.round(numbers, CONFIGURATION_DIGITS) + 0.0  # no "-0"
-        return [
-            f"{name} " + " ".join(f"{value:g}" for value in row)
-            for name, row in zip(self.objects, rounded, strict=True)
-        ]
+        rows = (" ".join(f"{value:g}" for value in row) for row in rounded)
+        return [f"{name} {row}" for name, row in zip(self.objects, rows, strict=True)]
 
     def object_names(self) -> list[str]:
         """The objects, sorted."""
@@ -179,23 +164,25 @@ class RealGraspImages:
             )
             raise LearningError(msg)
         self._grasps = found.grasps
-        self.table = _table_of_real(found.grasps)
+        self.table = GraspTable.of(
+            ids=[grasp.grasp_id for grasp in found.grasps],
+            objects=[grasp.config.object for grasp in found.grasps],
+            label=[grasp.label for grasp in found.grasps],
+            split=["test"] * len(found.grasps),
+            grasp_frame=[FRAME_UNKNOWN] * len(found.grasps),
+            **{name: [getattr(grasp.config, name) for grasp in found.grasps] for name in AXES},
+        )
+        first = read_rgb(found.grasps[0].images[0], LearningError)
+        self.shape_px: tuple[int, int] = first.shape[:2]
         background = self.folder / BACKGROUND
-        self._background = _read_image(background) if background.is_file() else None
-        self.shape_px: tuple[int, int] = _read_image(found.grasps[0].images[0]).shape[:2]
-        if self._background is not None:
-            self._check_size(self._background, background)
+        self._background = self._read(background) if background.is_file() else None
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some images of one grasp, (len(frames), H, W, 3) RGB.
 
         Raises ``LearningError`` if one cannot be read, or is not of the size of the others.
         """
-        paths = [self._grasps[row].images[frame] for frame in frames]
-        images = [_read_image(path) for path in paths]
-        for path, image in zip(paths, images, strict=True):
-            self._check_size(image, path)
-        return np.stack(images)
+        return np.stack([self._read(self._grasps[row].images[frame]) for frame in frames])
 
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""
@@ -205,7 +192,8 @@ class RealGraspImages:
         """``background.png``, where there is one."""
         return self._background
 
-    def _check_size(self, image: NDArray[np.uint8], path: Path) -> None:
+    def _read(self, path: Path) -> NDArray[np.uint8]:
+        image = read_rgb(path, LearningError)
         if image.shape[:2] != self.shape_px:
             (height, width), (h, w) = image.shape[:2], self.shape_px
             msg = (
@@ -213,27 +201,4 @@ class RealGraspImages:
                 "take all images with the same sensor and size"
             )
             raise LearningError(msg)
-
-
-def _table_of_real(grasps: Sequence[RealGrasp]) -> GraspTable:
-    axes = {name: [getattr(grasp.config, name) for grasp in grasps] for name in AXES}
-    return GraspTable.of(
-        ids=[grasp.grasp_id for grasp in grasps],
-        objects=[grasp.config.object for grasp in grasps],
-        label=[grasp.label for grasp in grasps],
-        split=["test"] * len(grasps),
-        grasp_frame=[FRAME_UNKNOWN] * len(grasps),
-        **axes,
-    )
-
-
-def _read_image(path: Path) -> NDArray[np.uint8]:
-    """An 8-bit image file as RGB (H, W, 3)."""
-    if path.stat().st_size > MAX_IMAGE_BYTES:
-        msg = f"{path}: larger than {MAX_IMAGE_BYTES >> 20} MB; save a smaller image"
-        raise LearningError(msg)
-    image = read_bgr(path)
-    if image is None:
-        msg = f"{path}: cannot be read as an image; save it again as 8-bit PNG"
-        raise LearningError(msg)
-    return np.ascontiguousarray(image[..., ::-1])
+        return image

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,8 +15,7 @@ from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspSource
 from tacgen.learning.training_recipe import Augmentation
 
-MIN_STD = 1e-3
-"""Grey levels; a channel that never changes is not amplified beyond this."""
+MIN_STD = 1e-3  # grey levels; a channel that never changes is not amplified beyond this
 PRESSED_FRACTION = 0.95
 """Of the largest change; the simulation's moment of grasp is at this fraction of the force."""
 
@@ -80,12 +79,11 @@ def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], wher
 
 def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
     """(T, H, W, 3) images at (height, width); shrunk by averaging areas."""
-    height, width = size_px
     if images.shape[1:3] == size_px:
         return images
-    smaller = height <= images.shape[1] and width <= images.shape[2]
+    smaller = size_px[0] <= images.shape[1] and size_px[1] <= images.shape[2]
     how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-    return np.stack([cv2.resize(image, (width, height), interpolation=how) for image in images])
+    return np.stack([cv2.resize(image, size_px[::-1], interpolation=how) for image in images])
 
 
 def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
@@ -140,7 +138,8 @@ def with_normalisation(
         count += len(images)
     mean = total / count
     std = np.sqrt(np.maximum(squares / count - mean**2, MIN_STD**2))
-    return replace(spec, mean=_three(mean), std=_three(std))
+    (r, g, b), (r_std, g_std, b_std) = mean.tolist(), std.tolist()
+    return replace(spec, mean=(r, g, b), std=(r_std, g_std, b_std))
 
 
 def augmented(
@@ -169,8 +168,3 @@ def augmented(
     if blur_px > 0:
         imprint = gaussian_filter(imprint, (0, blur_px, blur_px, 0), mode="nearest")
     return np.clip(np.rint(gain * (rest + imprint) + noise), 0, 255).astype(np.uint8)
-
-
-def _three(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float, float]:
-    red, green, blue = (float(value) for value in values)
-    return red, green, blue

@@ -75,8 +75,7 @@ class Batches:
 
     def in_order(self) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in the order of the rows."""
-        order = np.arange(len(self._inputs))
-        yield from self._batches(self._divide(order), None, None)
+        yield from self._batches(self._divide(np.arange(len(self._inputs))))
 
     def shuffled(
         self, seed: int, epoch: int, augmentation: Augmentation
@@ -87,7 +86,7 @@ class Batches:
         # Batch normalisation cannot learn from one image: it goes with the batch before.
         if len(order) > 1 and len(order[-1]) == 1:
             order[-2:] = [np.concatenate(order[-2:])]
-        yield from self._batches(order, augmentation if augmentation.on else None, (seed, epoch))
+        yield from self._batches(order, augmentation, (seed, epoch))
 
     def _divide(self, order: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         return np.split(order, range(self._batch_size, len(order), self._batch_size))
@@ -95,8 +94,8 @@ class Batches:
     def _batches(
         self,
         order: list[NDArray[np.int64]],
-        augmentation: Augmentation | None,
-        key: tuple[int, int] | None,
+        augmentation: Augmentation | None = None,
+        key: tuple[int, int] = (0, 0),
     ) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
         loader = DataLoader(
             self._inputs,
@@ -107,13 +106,10 @@ class Batches:
         )
         start_s = time.perf_counter()
         for items, frames in zip(order, loader, strict=True):
-            if augmentation is not None and key is not None:
-                frames = [
-                    augmented(
-                        f, self._reference, augmentation, _rng(*key, _STREAM_AUGMENT, int(item))
-                    )
-                    for item, f in zip(items, frames, strict=True)
-                ]
+            if augmentation is not None and augmentation.on:
+                rngs = [_rng(*key, _STREAM_AUGMENT, int(item)) for item in items]
+                pairs = zip(frames, rngs, strict=True)
+                frames = [augmented(f, self._reference, augmentation, rng) for f, rng in pairs]
             images = as_batch(frames, self._reference, self._spec)
             labels = torch.from_numpy(self._inputs.labels[items])
             self.waited_s += time.perf_counter() - start_s

@@ -19,7 +19,7 @@ from tacgen.learning.training_recipe import TrainingOptions
 CLASSES = 2
 DROPOUT = 0.2
 LSTM_LAYERS, LSTM_UNITS, SEQUENCE_HIDDEN = 3, 128, 64
-SINGLE_HIDDEN = 256  # the paper's
+SINGLE_HIDDEN = 256
 
 
 class StabilityNet(nn.Module):
@@ -49,6 +49,11 @@ class StabilityNet(nn.Module):
         self.load_state_dict(weights, strict=False)
 
 
+def _head(features: int, hidden: int) -> nn.Sequential:
+    first, last = nn.Linear(features, hidden), nn.Linear(hidden, CLASSES)
+    return nn.Sequential(first, nn.ReLU(), nn.Dropout(DROPOUT), last)
+
+
 class SingleImageNet(StabilityNet):
     """One image (B, 1, 3, H, W) to two logits (B, 2): ResNet-18, then 512-256-2."""
 
@@ -56,12 +61,7 @@ class SingleImageNet(StabilityNet):
 
     def __init__(self, weights: str = "none") -> None:
         super().__init__(weights)
-        self.head = nn.Sequential(
-            nn.Linear(FEATURES, SINGLE_HIDDEN),
-            nn.ReLU(),
-            nn.Dropout(DROPOUT),
-            nn.Linear(SINGLE_HIDDEN, CLASSES),
-        )
+        self.head = _head(FEATURES, SINGLE_HIDDEN)
 
     def forward(self, images: Tensor) -> Tensor:
         """Normalised images to logits of failure and success."""
@@ -80,12 +80,7 @@ class SequenceNet(StabilityNet):
     def __init__(self, weights: str = "none") -> None:
         super().__init__(weights)
         self.lstm = nn.LSTM(FEATURES, LSTM_UNITS, LSTM_LAYERS, batch_first=True)
-        self.head = nn.Sequential(
-            nn.Linear(LSTM_UNITS, SEQUENCE_HIDDEN),
-            nn.ReLU(),
-            nn.Dropout(DROPOUT),
-            nn.Linear(SEQUENCE_HIDDEN, CLASSES),
-        )
+        self.head = _head(LSTM_UNITS, SEQUENCE_HIDDEN)
 
     def forward(self, images: Tensor) -> Tensor:
         """Normalised images to logits of failure and success."""

@@ -18,10 +18,8 @@ from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import AXES, GraspTable, SimulatedGrasps
 
 NAME = "parameters"
-FOLDS = 5
-"""The usual number; four fifths of 150 grasps are 120, about what a network learns from."""
-N_TREES = 300
-"""Enough that the vote of the trees no longer depends on their seed."""
+FOLDS = 5  # the usual number; four fifths of 150 grasps are 120, about what a network learns from
+N_TREES = 300  # enough that the vote of the trees no longer depends on their seed
 
 
 def evaluate_baseline(
@@ -48,10 +46,8 @@ def baseline_scores(table: GraspTable, seed: int = 0) -> dict[str, Any]:
     predicting the more common outcome) and ``tree_accuracy`` by the names of the axes that the
     trees see (empty where an outcome has fewer grasps than there are folds).
     """
-    return {
-        name: _of_object(table.take(table.rows(objects=(name,), split="train")), seed)
-        for name in table.object_names()
-    }
+    rows = {name: table.rows(objects=(name,), split="train") for name in table.object_names()}
+    return {name: _of_object(table.take(own), seed) for name, own in rows.items()}
 
 
 def baseline_lines(scores: Mapping[str, Any]) -> Iterator[str]:

@@ -62,11 +62,9 @@ def outside_training(
     """Which grasps (N,) have an input statistic far outside of those of the training images."""
     low, high = np.array(input_range).T
     low, high = low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
-    found = [np.empty(0, dtype=np.bool_)]
-    for images, _, _ in batches:
-        statistics = input_statistics(images)
-        found.append(((statistics < low) | (statistics > high)).any(axis=1))
-    return np.concatenate(found)
+    found = np.concatenate([input_statistics(images) for images, _, _ in batches])
+    strange: NDArray[np.bool_] = ((found < low) | (found > high)).any(axis=1)
+    return strange
 
 
 def calibrated_temperature(

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
-from tacgen.core.safe_io import read_bgr
+from tacgen.core.safe_io import read_rgb
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.inputs import InputSpec, chosen_frames, resized
@@ -22,27 +22,13 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 class Predictor:
-    """One model of a training run, ready for images.
+    """One model of the training run in the folder ``run``, ready for images.
 
-    Parameters
-    ----------
-    run : path
-        Folder that ``tacgen train --out`` wrote.
-    object_name : str, optional
-        Whose model to use, in a run with one model an object.
-    background_rgb : (H, W, 3) uint8, optional
-        The gel at rest, which the network's input is compared with; by default that of the
-        training data.
+    ``object_name`` chooses the model in a run with one an object. ``background_rgb`` (H, W, 3)
+    uint8 is the gel at rest, with which images are compared; by default that of the training data.
+    Raises ``LearningError`` if the folder is not a run, or which model to use is not clear.
 
-    Raises
-    ------
-    LearningError
-        If the folder is not a run, or which model to use is not clear.
-
-    Examples
-    --------
-    >>> predictor = tacgen.Predictor("run", object_name="can")      # doctest: +SKIP
-    >>> predictor.predict(images)                                   # doctest: +SKIP
+    >>> tacgen.Predictor("run", object_name="can").predict(images)      # doctest: +SKIP
     array([0.93, 0.12])
     """
 
@@ -68,16 +54,9 @@ class Predictor:
     ) -> NDArray[np.float64]:
         """Probability of success (N,) of each grasp.
 
-        Parameters
-        ----------
-        images : (N, H, W, 3) uint8, or N of (H, W, 3)
-            RGB, one image a grasp, of the size that the network was trained on. A network for
-            sequences needs N of (T, H, W, 3), the frames of each grasp in time order.
-
-        Raises
-        ------
-        LearningError
-            If an image is of another size or type, or a sequence is needed.
+        ``images`` are N of (H, W, 3) uint8 RGB, one a grasp, of the size that the network was
+        trained on; for a sequence network N of (T, H, W, 3), the frames of each grasp in time
+        order. Raises ``LearningError`` if they are of another size or type.
         """
         inputs = [self._input(np.asarray(grasp)) for grasp in images]
         found = []
@@ -110,25 +89,20 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
 
     For a network of single images every image is a grasp. For one of sequences the images of a
     folder, or else all images that are given, are the frames of one grasp, in order of their names
-    and of the command line respectively.
-
-    Raises
-    ------
-    LearningError
-        If a file is no image, or a folder has none.
+    and of the command line respectively. Raises ``LearningError`` if a file is no image, or a
+    folder has none.
     """
-    groups: list[tuple[str, list[Path]]] = []
+    groups = [(path, _images_of(path)) for path in paths if path.is_dir()]
     loose = [path for path in paths if not path.is_dir()]
     if predictor.spec.kind == "sequence":
-        groups = [(str(path), _images_of(path)) for path in paths if path.is_dir()]
-        groups += [(str(loose[0]), loose)] if loose else []
+        groups += [(loose[0], loose)] if loose else []
     else:
-        listed = [p for path in paths for p in (_images_of(path) if path.is_dir() else [path])]
-        groups = [(str(path), [path]) for path in listed]
-    images = [np.stack([read_rgb(path) for path in files]) for _, files in groups]
+        listed = dict(groups)
+        groups = [(one, [one]) for path in paths for one in listed.get(path, [path])]
+    images = [np.stack([read_rgb(path, LearningError) for path in files]) for _, files in groups]
     return [
-        {"images": name, "probability": float(p)}
-        for (name, _), p in zip(groups, predictor.predict(images), strict=True)
+        {"images": str(path), "probability": float(p)}
+        for (path, _), p in zip(groups, predictor.predict(images), strict=True)
     ]
 
 
@@ -139,18 +113,6 @@ def _images_of(folder: Path) -> list[Path]:
         raise LearningError(msg)
     # 10.png comes after 9.png.
     return sorted(found, key=lambda path: (len(path.stem), path.stem))
-
-
-def read_rgb(path: Path) -> NDArray[np.uint8]:
-    """An image file as RGB (H, W, 3) uint8.
-
-    Raises ``LearningError`` if it is missing or no image.
-    """
-    bgr = read_bgr(path) if path.is_file() else None
-    if bgr is None:
-        msg = f"{path}: {'not an image' if path.is_file() else 'no such file'}; give PNG or JPEG"
-        raise LearningError(msg)
-    return np.ascontiguousarray(bgr[..., ::-1]).astype(np.uint8)
 
 
 def _model_for(models: dict[str, Any], object_name: str | None, run: str) -> str:

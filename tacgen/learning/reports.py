@@ -26,10 +26,8 @@ from tacgen.report import (
 from tacgen.report import figures as plots
 from tacgen.report.formatting import number, percent
 
-MAX_SHOWN = 24
-"""Misclassified grasps that the page shows, the most certain first."""
-MAX_FRAMES, FRAME_WIDTH_PX = 8, 160
-"""Of the strip of images of a misclassified grasp."""
+MAX_SHOWN = 24  # misclassified grasps that the page shows, the most certain first
+MAX_FRAMES, FRAME_WIDTH_PX = 8, 160  # of the strip of images of a misclassified grasp
 CLASS_NAMES = ("failure", "success")
 SCORE_HEADER = ("accuracy", "95 % interval", "balanced", "AUROC", "ECE", "n")
 
@@ -43,37 +41,31 @@ def write_training_report(
 ) -> None:
     """Curves, scores on the validation grasps, and what the model started from."""
     validation = result["validation"]
+    curves = plots.training_curves(metrics, result["best_epoch"])
+    about_curves = "Training: during the epoch. Validation: the averaged weights, which are kept."
+    about_scores = (
+        "These grasps chose the best epoch, so the scores are optimistic; tacgen eval scores the "
+        "test grasps."
+    )
+    facts = [
+        ("network", recipe.model.kind),
+        ("objects", ", ".join(result["objects"])),
+        ("pre-trained weights", started_from(result["weights"])),
+        ("training grasps", result["grasps_fit"]),
+        ("of these successes", result["successes_fit"]),
+        ("validation grasps", result["grasps_validation"]),
+        ("best epoch", result["best_epoch"]),
+        ("epochs over which weights are averaged", recipe.training.average_epochs),
+        ("time per epoch, median", f"{number(result['epoch_s'], 3)} s"),
+        ("share of it in the data loader, median", percent(result["loader_share"])),
+        ("time to decode the images once", f"{number(result['decode_s'], 3)} s"),
+    ]
+    title, rows = "Validation grasps", [score_row(validation)]
     sections = [
-        figure_section(
-            "Curves",
-            plots.training_curves(metrics, result["best_epoch"]),
-            "Training: the network during the epoch. Validation: the averaged weights, which are "
-            "kept.",
-        ),
-        _confusion("Validation grasps: confusion", validation["confusion"]),
-        table_section(
-            "Validation grasps: scores",
-            SCORE_HEADER,
-            [score_row(validation)],
-            "These grasps chose the best epoch, so the scores are optimistic; tacgen eval scores "
-            "the test grasps.",
-        ),
-        facts_section(
-            "What was trained",
-            [
-                ("network", recipe.model.kind),
-                ("objects", ", ".join(result["objects"])),
-                ("pre-trained weights", started_from(result["weights"])),
-                ("training grasps", result["grasps_fit"]),
-                ("of these successes", result["successes_fit"]),
-                ("validation grasps", result["grasps_validation"]),
-                ("best epoch", result["best_epoch"]),
-                ("epochs over which weights are averaged", recipe.training.average_epochs),
-                ("time per epoch, median", f"{number(result['epoch_s'], 3)} s"),
-                ("share of it in the data loader, median", percent(result["loader_share"])),
-                ("time to decode the images once", f"{number(result['decode_s'], 3)} s"),
-            ],
-        ),
+        figure_section("Curves", curves, about_curves),
+        _confusion(f"{title}: confusion", validation["confusion"]),
+        table_section(f"{title}: scores", SCORE_HEADER, rows, about_scores),
+        facts_section("What was trained", facts),
     ]
     summary = (
         f"Validation accuracy {validation['accuracy']:.3f} at epoch {result['best_epoch']} "
@@ -87,34 +79,23 @@ def write_evaluation_report(
 ) -> None:
     """Scores overall and in parts, calibration, and the grasps that were misclassified."""
     bins = reliability(*Predictions.joined(predictions))
-    parts = (
-        ("By object", "object", result["by_object"], result["auroc_note"]),
-        ("By force", "force, N", result["by_force_n"], ""),
-        ("By height", "height of the pad, mm", result["by_z_mm"], ""),
+    counts = dict(zip((bins["lo"] + bins["hi"]) / 2, bins["n"], strict=True))
+    diagram = plots.reliability_diagram(
+        bins["predicted"].tolist(), bins["succeeded"].tolist(), counts
     )
     sections = [
         _confusion("Confusion", result["confusion"]),
-        figure_section(
-            "Calibration",
-            plots.reliability_diagram(
-                bins["predicted"].tolist(),
-                bins["succeeded"].tolist(),
-                dict(zip((bins["lo"] + bins["hi"]) / 2, bins["n"], strict=True)),
-            ),
-            f"Expected calibration error {result['ece']:.3f}.",
-        ),
+        figure_section("Calibration", diagram, f"Expected calibration error {result['ece']:.3f}."),
         _overview(result),
-        *(
-            table_section(
-                title,
-                (column, *SCORE_HEADER),
-                [(name, *score_row(scores)) for name, scores in rows.items()],
-                note,
-            )
-            for title, column, rows, note in parts
-        ),
-        _misclassified(predictions),
     ]
+    for title, column, scores_by, note in (
+        ("By object", "object", result["by_object"], result["auroc_note"]),
+        ("By force", "force, N", result["by_force_n"], ""),
+        ("By height", "height of the pad, mm", result["by_z_mm"], ""),
+    ):
+        rows = [(name, *score_row(scores)) for name, scores in scores_by.items()]
+        sections.append(table_section(title, (column, *SCORE_HEADER), rows, note))
+    sections.append(_misclassified(predictions))
     title = "Evaluation on simulated grasps" if result["source"] == "sim" else "Evaluation"
     lo, hi = result["accuracy_interval"]
     summary = (

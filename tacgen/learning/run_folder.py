@@ -6,15 +6,15 @@ import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from tacgen.core.errors import LearningError
 from tacgen.core.files import read_small_text, write_text
 from tacgen.core.lock import holder_of, locked
-from tacgen.dataset.plan import differences
+from tacgen.dataset.folder import differences
 from tacgen.learning.training_recipe import TrainRecipe
 
 SCHEMA = 1
@@ -50,7 +50,7 @@ class ModelFolder:
             raise LearningError(msg) from error
 
     def write_metrics(self, metrics: Sequence[Mapping[str, Any]]) -> None:
-        """All lines, whole or not at all."""
+        """Write all lines, whole or not at all."""
         write_text(self.metrics_path, "".join(f"{json.dumps(line)}\n" for line in metrics))
 
     @contextlib.contextmanager
@@ -70,6 +70,18 @@ class ModelFolder:
                 for partial in self.root.glob(".*.part"):
                     partial.unlink(missing_ok=True)
             yield
+
+
+class _Model(BaseModel):
+    objects: list[str]
+    configurations: list[str]
+
+
+class _Plan(BaseModel):
+    schema_: Literal[1] = Field(alias="schema")
+    recipe: TrainRecipe
+    dataset: dict[str, Any]
+    models: dict[str, _Model]
 
 
 class RunFolder:
@@ -112,19 +124,16 @@ class RunFolder:
     def plan(self) -> dict[str, Any]:
         """The content of ``run.json``; raises ``LearningError`` if the folder is not a run's."""
         plan = read_json(self.plan_path, "give the folder that `tacgen train --out` made")
-        if plan.get("schema") != SCHEMA or not _is_plan(plan):
-            raise LearningError(self._not_of_this_version())
+        try:
+            _Plan.model_validate(plan)
+        except ValidationError as error:
+            msg = f"{self.plan_path}: not of this version of tacgen; train the models again"
+            raise LearningError(msg) from error
         return plan
 
     def recipe(self) -> TrainRecipe:
-        """The run's recipe; raises ``LearningError`` if it is not one of this version."""
-        try:
-            return TrainRecipe.model_validate(self.plan().get("recipe"))
-        except ValidationError as error:
-            raise LearningError(self._not_of_this_version()) from error
-
-    def _not_of_this_version(self) -> str:
-        return f"{self.plan_path}: not of this version of tacgen; train the models again"
+        """The run's recipe; raises ``LearningError`` if the folder is not a run's."""
+        return TrainRecipe.model_validate(self.plan()["recipe"])
 
     def _refuse_another(self, plan: Mapping[str, Any]) -> None:
         made = self.plan()
@@ -154,16 +163,3 @@ def read_json(path: Path, fix: str) -> dict[str, Any]:
         msg = f"{path}: is not a JSON object as tacgen writes it; {fix}"
         raise LearningError(msg)
     return content
-
-
-def _is_plan(plan: Mapping[str, Any]) -> bool:
-    models = plan.get("models")
-    return (
-        isinstance(plan.get("dataset"), dict)
-        and isinstance(models, dict)
-        and all(
-            isinstance(model, dict) and isinstance(model.get(key), list)
-            for model in models.values()
-            for key in ("objects", "configurations")
-        )
-    )

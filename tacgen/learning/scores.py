@@ -10,8 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-CALIBRATION_BINS = 10
-"""As usual for the expected calibration error; twelve grasps a bin of 120."""
+CALIBRATION_BINS = 10  # as usual for the expected calibration error; twelve grasps a bin of 120
 
 
 def wilson_interval(n_right: int, n: int) -> tuple[float, float]:
@@ -53,23 +52,13 @@ def expected_calibration_error(
 
 
 def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict[str, Any]:
-    """All scores of some predictions.
+    """All scores of some predictions: labels (N,) and probabilities (N,) of success.
 
-    Parameters
-    ----------
-    labels : (N,) int
-        1 success, 0 failure.
-    probabilities : (N,) float
-        Predicted probability of success; 0.5 and above counts as success.
-
-    Returns
-    -------
-    dict
-        ``accuracy`` with ``accuracy_interval`` (Wilson, 95 %), ``balanced_accuracy``, ``auroc``
-        (None where only one class is there), ``ece``, ``confusion`` (rows: true
-        failure, success; columns: predicted failure, success), ``n``.
+    ``accuracy`` with ``accuracy_interval`` (Wilson, 95 %), ``balanced_accuracy``, ``auroc`` (None
+    where only one class is there), ``ece``, ``confusion`` (rows: true failure, success; columns:
+    predicted failure, success), ``n``. A probability of 0.5 counts as success.
     """
-    from sklearn.metrics import accuracy_score, confusion_matrix, roc_auc_score
+    from sklearn.metrics import confusion_matrix, roc_auc_score
 
     predicted = (probabilities >= 0.5).astype(np.int64)
     confusion = confusion_matrix(labels, predicted, labels=[0, 1])
@@ -77,7 +66,7 @@ def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict
     recall = confusion.diagonal()[present] / confusion.sum(axis=1)[present]
     n_right = int(confusion.trace())
     return {
-        "accuracy": float(accuracy_score(labels, predicted)),
+        "accuracy": n_right / len(labels),
         "accuracy_interval": list(wilson_interval(n_right, len(labels))),
         "balanced_accuracy": float(recall.mean()),
         "auroc": float(roc_auc_score(labels, probabilities)) if present.all() else None,

@@ -15,8 +15,7 @@ from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import GraspSource, GraspTable, SimulatedGrasps
 from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
-MIN_OF_A_CLASS = 2
-"""Grasps of each outcome to fit to; fewer teach a network nothing about it."""
+MIN_OF_A_CLASS = 2  # grasps of each outcome to fit to; fewer teach a network nothing about it
 _STREAM_SUBSET, _STREAM_VALIDATION = 0, 1  # keep the random numbers of one seed apart
 
 
@@ -37,10 +36,8 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
     is unknown, or has too few grasps of one class, and a configuration that is in both splits.
     """
     objects = _chosen_objects(recipe, table, where)
-    leaks = shared_configurations(
-        table.take(table.rows(objects=objects, split="train")),
-        table.take(table.rows(objects=objects, split="test")),
-    )
+    sides = [table.take(table.rows(objects=objects, split=side)) for side in ("train", "test")]
+    leaks = sorted(set(sides[0].configurations()) & set(sides[1].configurations()))
     if leaks:
         msg = (
             f"{where}: {len(leaks)} configurations are in both train and test, such as "
@@ -59,11 +56,6 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
     return plans
 
 
-def shared_configurations(one: GraspTable, other: GraspTable) -> list[str]:
-    """Configurations that both tables have."""
-    return sorted(set(one.configurations()) & set(other.configurations()))
-
-
 def unseen_tests(
     plan: Mapping[str, Any], source: GraspSource, where: str
 ) -> tuple[NDArray[np.bool_], list[str]]:
@@ -78,10 +70,8 @@ def unseen_tests(
     tests = table.split == "test"
     trained = {text for model in plan["models"].values() for text in model["configurations"]}
     seen = tests & np.array([text in trained for text in table.configurations()], bool)
-    same_recipe = source.made_with is not None and (
-        source.made_with == plan["dataset"].get("recipe_sha256")
-    )
-    if same_recipe and seen.any():
+    recipe_sha256 = plan["dataset"].get("recipe_sha256")
+    if seen.any() and source.made_with is not None and source.made_with == recipe_sha256:
         first = min(table.take(np.flatnonzero(seen)).configurations())
         msg = (
             f"{where}: {int(seen.sum())} test configurations were trained on, such as {first}; "
@@ -103,16 +93,15 @@ def class_weights(labels: NDArray[np.int64]) -> NDArray[np.float64]:
 
 def _chosen_objects(recipe: TrainRecipe, table: GraspTable, where: str) -> tuple[str, ...]:
     known = table.object_names()
-    if recipe.objects is None:
-        return tuple(known)
-    unknown = [name for name in recipe.objects if name not in known]
+    chosen = tuple(known) if recipe.objects is None else recipe.objects
+    unknown = [name for name in chosen if name not in known]
     if unknown:
         msg = (
             f"{where}: has no executed grasps of {', '.join(unknown)}; let `objects` in the "
             f"training recipe name only {', '.join(known)}"
         )
         raise LearningError(msg)
-    return recipe.objects
+    return chosen
 
 
 def _plan_model(
@@ -171,11 +160,13 @@ def _validation_rows(
 
 def _rng(seed: int, name: str, stream: int) -> np.random.Generator:
     """Random numbers of one object: the same whichever other objects there are."""
-    key = (zlib.crc32(name.encode()), stream)
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+    return np.random.default_rng(_sequence(seed, name, stream))
 
 
 def seed_of(seed: int, name: str, parts: Sequence[int]) -> int:
     """A 63-bit seed for torch, from the recipe's seed, the model and further numbers."""
-    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), *parts))
-    return int(sequence.generate_state(1, np.uint64)[0] >> 1)
+    return int(_sequence(seed, name, *parts).generate_state(1, np.uint64)[0] >> 1)
+
+
+def _sequence(seed: int, name: str, *parts: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), *parts))

@@ -23,7 +23,7 @@ from tacgen.learning.inputs import InputSpec, check_source, resized, with_normal
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import predict
 from tacgen.learning.reports import write_training_report
-from tacgen.learning.run_folder import SCHEMA, ModelFolder, RunFolder
+from tacgen.learning.run_folder import SCHEMA, RunFolder
 from tacgen.learning.scores import score
 from tacgen.learning.splits import ModelPlan, class_weights, plan_models
 from tacgen.learning.training_recipe import TrainRecipe
@@ -50,8 +50,7 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     for plan in plans:
         check_source(spec, source, plan.fit_rows, str(data))
     run = RunFolder(out)
-    resumed = run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved())
-    if resumed:
+    if run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved()):
         print_status(f"{out}: resumes the run that is there")
     job = partial(_train_one, recipe, source, spec, run, device)
     done = map_in_processes(job, plans, workers, method="spawn")
@@ -70,17 +69,15 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
 
 
 def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
-    sequence = recipe.model.kind == "sequence"
-    wanted = recipe.input.frames or source.n_frames
-    table = source.table
-    last = max(source.n_frames - 1, 1)
+    kind, options, n_frames = recipe.model.kind, recipe.input, source.n_frames
+    moment = float(np.median(source.table.grasp_frame))
     return InputSpec(
-        kind=recipe.model.kind,
-        size_px=recipe.input.size_px,
-        n_frames=min(wanted, source.n_frames) if sequence else 1,
-        image=recipe.input.image,
+        kind=kind,
+        size_px=options.size_px,
+        n_frames=min(options.frames or n_frames, n_frames) if kind == "sequence" else 1,
+        image=options.image,
         source_shape_px=source.shape_px,
-        grasp_fraction=float(np.median(table.grasp_frame)) / last if source.n_frames > 1 else None,
+        grasp_fraction=moment / (n_frames - 1) if n_frames > 1 else None,
     )
 
 
@@ -122,65 +119,47 @@ def _train_one(
     """Train one model, or finish it; its entry in ``train.json``."""
     folder = run.model(plan.name)
     with folder.locked(), exact_torch(recipe.training.threads):
-        return _fitted(recipe, source, spec, folder, device, plan)
-
-
-def _fitted(
-    recipe: TrainRecipe,
-    source: SimulatedGrasps,
-    spec: InputSpec,
-    folder: ModelFolder,
-    device: Device,
-    plan: ModelPlan,
-) -> dict[str, Any]:
-    options, batch_size = recipe.input, recipe.training.batch_size
-    fit_inputs = DecodedInputs(source, plan.fit_rows, spec, options.cache_mb)
-    validation_inputs = DecodedInputs(source, plan.validation_rows, spec, options.cache_mb)
-    reference = resized(source.reference()[None], spec.size_px)[0]
-    every = (fit_inputs[item] for item in range(len(fit_inputs)))
-    spec = with_normalisation(spec, every, reference)
-    weights = class_weights(fit_inputs.labels)
-    fit_batches, validation = (
-        Batches(inputs, spec, reference, batch_size, options.loader_workers)
-        for inputs in (fit_inputs, validation_inputs)
-    )
-    job = FitJob(
-        name=plan.name,
-        objects=plan.objects,
-        recipe=recipe,
-        spec=spec,
-        sensor=source.dataset.sensor,
-        fit=fit_batches,
-        validation=validation,
-        class_weights=weights,
-        reference=reference,
-    )
-    fit = Fit(job, folder, device)
-    if fit.network.backbone.origin == NO_WEIGHTS:
-        print_status(f"{plan.name}: {NO_WEIGHTS_WARNING}")
-    metrics = fit.run()
-    network, card, _ = load_model(folder.model_path)
-    network.to(device.name)
-    probabilities, labels = predict(network, validation.in_order(), device)
-    epochs = metrics[-1]["epoch"]
-    result: dict[str, Any] = {
-        "objects": list(plan.objects),
-        "grasps_fit": len(plan.fit_rows),
-        "grasps_validation": len(plan.validation_rows),
-        "successes_fit": int(fit_inputs.labels.sum()),
-        "class_weights": weights.tolist(),
-        "weights": card.weights,
-        "best_epoch": card.epoch,
-        "epochs": epochs,
-        "validation": score(labels, probabilities),
-        "decode_s": fit_inputs.decode_s + validation_inputs.decode_s,
-        "cached": fit_inputs.cached,
-    }
-    for name in ("epoch_s", "fit_s", "loader_share"):
-        result[name] = float(np.median([line[name] for line in metrics]))
-    write_training_report(folder.report_path, recipe, plan.name, metrics, result)
+        options, batch_size = recipe.input, recipe.training.batch_size
+        reference = resized(source.reference()[None], spec.size_px)[0]
+        parts = [
+            DecodedInputs(source, rows, spec, options.cache_mb)
+            for rows in (plan.fit_rows, plan.validation_rows)
+        ]
+        every = (parts[0][item] for item in range(len(parts[0])))
+        spec = with_normalisation(spec, every, reference)
+        weights = class_weights(parts[0].labels)
+        batches, validation = (
+            Batches(inputs, spec, reference, batch_size, options.loader_workers) for inputs in parts
+        )
+        sensor = source.dataset.sensor
+        job = FitJob(
+            plan.name, plan.objects, recipe, spec, sensor, batches, validation, weights, reference
+        )
+        fit = Fit(job, folder, device)
+        if fit.network.backbone.origin == NO_WEIGHTS:
+            print_status(f"{plan.name}: {NO_WEIGHTS_WARNING}")
+        metrics = fit.run()
+        network, card, _ = load_model(folder.model_path)
+        probabilities, labels = predict(network.to(device.name), validation.in_order(), device)
+        epochs, scores = metrics[-1]["epoch"], score(labels, probabilities)
+        result: dict[str, Any] = {
+            "objects": list(plan.objects),
+            "grasps_fit": len(plan.fit_rows),
+            "grasps_validation": len(plan.validation_rows),
+            "successes_fit": int(parts[0].labels.sum()),
+            "class_weights": weights.tolist(),
+            "weights": card.weights,
+            "best_epoch": card.epoch,
+            "epochs": epochs,
+            "validation": scores,
+            "decode_s": sum(inputs.decode_s for inputs in parts),
+            "cached": parts[0].cached,
+        }
+        for name in ("epoch_s", "fit_s", "loader_share"):
+            result[name] = float(np.median([line[name] for line in metrics]))
+        write_training_report(folder.report_path, recipe, plan.name, metrics, result)
     print_status(
         f"{plan.name}: best epoch {card.epoch} of {epochs}, validation accuracy "
-        f"{result['validation']['accuracy']:.3f} on {len(labels)} grasps"
+        f"{scores['accuracy']:.3f} on {len(labels)} grasps"
     )
     return result

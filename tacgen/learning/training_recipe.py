@@ -22,8 +22,7 @@ from tacgen.core.yaml_source import read_yaml, validate
 
 MIN_INPUT_PX, MAX_INPUT_PX = 32, 2048
 """ResNet-18 halves an image five times; no tactile camera has more pixels."""
-POOLED = "pooled"
-"""Name of the one model for all objects."""
+POOLED = "pooled"  # name of the one model for all objects
 
 
 def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
@@ -119,7 +118,7 @@ class TrainRecipe(Section):
     """One sentence on it."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of every random number."""
-    objects: tuple[str, ...] | None = None
+    objects: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """Objects of the dataset to train on; all if not given."""
     per_object: bool = True
     """One model per object, as in the paper, or one for all of them."""

@@ -15,7 +15,7 @@ import trimesh
 import yaml
 
 from tacgen.core.errors import ObjectError
-from tacgen.core.files import sha256_of, sync_directory, sync_file
+from tacgen.core.files import sha256_of, sync_file
 from tacgen.core.records import GraspObject, Mesh
 from tacgen.objects.decompose import convex_parts
 from tacgen.objects.description import NAME_PATTERN
@@ -215,11 +215,11 @@ def _write(
             load_object(fresh)
             for path in fresh.iterdir():
                 sync_file(path)
-            sync_directory(fresh)
+            sync_file(fresh)
             if force and folder.exists():
                 os.replace(folder, work / "replaced")
             os.replace(fresh, folder)
-            sync_directory(folder.parent)
+            sync_file(folder.parent)
         finally:
             shutil.rmtree(work, ignore_errors=True)
     except OSError as error:

@@ -18,14 +18,10 @@ INK, ACCENT, MUTED, GOOD, BAD = "#1c2430", "#0b6e99", "#8a94a3", "#2a7d4f", "#b3
 GROUP_COLORS = (
     "#0b6e99", "#c8553d", "#588157", "#8d6a9f", "#e09f3e", "#5c677d", "#9c6644", "#2b2d42",
 )  # fmt: skip
-MAX_POINTS = 20_000
-"""Samples drawn in a scatter plot; more only make the page heavy."""
-MEAN_BINS = 14
-"""Bins of equal count whose means a residual plot shows."""
-MAX_ZEROS_SHOWN = 9
-"""Cells of a confusion matrix up to which zeros are written too."""
-MAX_TICKS = 24
-"""Names of bars that fit beside each other."""
+MAX_POINTS = 20_000  # samples drawn in a scatter plot; more only make the page heavy
+MEAN_BINS = 14  # bins of equal count whose means a residual plot shows
+MAX_ZEROS_SHOWN = 9  # cells of a confusion matrix up to which zeros are written too
+MAX_TICKS = 24  # names of bars that fit beside each other
 
 
 def new_figure(

@@ -7,20 +7,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-MISSING = "–"
-"""Shown where there is no number."""
+MISSING = "–"  # shown where there is no number
 
 _POWER = re.compile(r"\b(mm|cm|m|px)([234])\b")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_UNIT_NAMES = {
-    "1": "",
-    "c": "°C",
-    "degc": "°C",
-    "um": "µm",
-    "deg": "°",
-    "grey": "grey levels",
-    "mislabel_rate": "",
-}
+_UNIT_NAMES = {"1": "", "c": "°C", "degc": "°C", "um": "µm", "deg": "°", "grey": "grey levels"}
+_UNIT_NAMES["mislabel_rate"] = ""
 
 
 def typeset(text: str) -> str:
@@ -47,13 +39,12 @@ def number(value: float | None, digits: int = 4) -> str:
     if value == 0:
         return "0"
     power = math.floor(math.log10(abs(value)))
-    if -4 <= power < 6:
-        decimals = max(0, digits - 1 - power)
-        text = f"{value:.{decimals}f}"
-        return (text.rstrip("0").rstrip(".") if "." in text else text).replace("-", "−")
-    mantissa, _, exponent = f"{value:.{max(digits - 1, 0)}e}".partition("e")
-    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-    return f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPTS)}".replace("-", "−")
+    text, exponent = f"{value:.{max(0, digits - 1 - power)}f}", ""
+    if not -4 <= power < 6:
+        text, _, exponent = f"{value:.{max(digits - 1, 0)}e}".partition("e")
+        exponent = f"·10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{text}{exponent}".replace("-", "−")
 
 
 def fixed(value: float | None, decimals: int) -> str:

@@ -159,9 +159,7 @@ def _shared_decimals(values: Sequence[float]) -> int | None:
 
 def _cell(value: object, decimals: int | None) -> tuple[str, bool]:
     if isinstance(value, (float, np.floating)):
-        text = number(float(value)) if decimals is None else fixed(float(value), decimals)
-        return text, True
+        return number(float(value)) if decimals is None else fixed(float(value), decimals), True
     text = typeset(str(value))
-    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
-        return text, True
-    return text, _NUMBER_TEXT.fullmatch(text) is not None
+    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return text, is_whole or _NUMBER_TEXT.fullmatch(text) is not None

@@ -19,7 +19,7 @@ from tacgen.core.errors import SensorError
 from tacgen.core.files import atomic_path
 from tacgen.core.images import encode_png
 from tacgen.core.records import ContactFrame
-from tacgen.core.safe_io import read_bgr
+from tacgen.core.safe_io import read_rgb
 from tacgen.optics.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, follow
 from tacgen.optics.reconstruct import Reconstructor, Shape
 from tacgen.sensor.gel_response import gel_loads
@@ -250,7 +250,7 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
     readings = []
     for path in paths:
         try:
-            readings.append(reader.read(read_rgb(path)))
+            readings.append(reader.read(read_rgb(path, SensorError)))
         except SensorError as error:
             msg = f"{path}: {error}"
             raise SensorError(msg) from None
@@ -283,21 +283,6 @@ def reading_line(row: dict[str, Any]) -> str:
     if row["force_shear_x_n"] is not None:
         text += f", shear {row['force_shear_x_n']:.2f}, {row['force_shear_y_n']:.2f} N"
     return f"{text}; {row['message']}" if row["message"] else text
-
-
-def read_rgb(path: Path) -> NDArray[np.uint8]:
-    """An image file as RGB (H, W, 3) uint8.
-
-    Raises
-    ------
-    SensorError
-        If it is missing or no image.
-    """
-    bgr = read_bgr(path) if path.is_file() else None
-    if bgr is None:
-        msg = f"{path}: {'not an image' if path.is_file() else 'no such file'}; give PNG or JPEG"
-        raise SensorError(msg)
-    return np.ascontiguousarray(bgr[..., ::-1]).astype(np.uint8)
 
 
 def _volume_stderr(shape: Shape, depth: NDArray[np.float64], volume_mm3: float) -> float:

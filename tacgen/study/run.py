@@ -105,10 +105,7 @@ class _StudyRun:
         found = _title(table.get("study"), table.get("quick") is True)
         wanted = _title(self.study.name, self.quick)
         if found != wanted:
-            msg = (
-                f"{self.out}: holds {found}, this is {wanted}; give another --out, or remove the "
-                "folder"
-            )
+            msg = f"{self.out}: holds {found}, this is {wanted}; give another --out, or remove it"
             raise LearningError(msg)
         current = {self._settings_sha256(row): row.name for row in self.study.rows}
         kept = {str(row.get("settings_sha256")): row for row in rows}
@@ -223,10 +220,6 @@ def _title(name: object, quick: bool) -> str:
 
 
 def _with_friction(recipe: Recipe, friction: Mapping[str, Any]) -> Recipe:
-    objects = tuple(
-        entry.model_copy(update={"friction": friction[entry.name]["mu"]})
-        if entry.name in friction
-        else entry
-        for entry in recipe.objects
-    )
-    return recipe.model_copy(update={"objects": objects})
+    fitted = {name: {"friction": fit["mu"]} for name, fit in friction.items()}
+    objects = [one.model_copy(update=fitted.get(one.name, {})) for one in recipe.objects]
+    return recipe.model_copy(update={"objects": tuple(objects)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import product
 from pathlib import Path
@@ -76,19 +76,20 @@ class Study(Section):
 
     def data_recipe(self, row: Row, *, quick: bool) -> Recipe:
         """The recipe of the row's dataset."""
-        parts = (self.data, row.data, self.quick.data if quick else {})
         objects = list(row.objects or self.objects)
         if quick and self.quick.objects is not None and row.objects is None:
-            chosen = object_names(self.quick.objects)
-            objects = [entry for entry in objects if object_names([entry])[0] in chosen]
-        merged: dict[str, Any] = reduce(merged_mapping, parts, {})
-        return Recipe.model_validate({"name": self.name, **merged, "objects": objects})
+            chosen = [_object_name(entry) for entry in self.quick.objects]
+            objects = [entry for entry in objects if _object_name(entry) in chosen]
+        merged = self._merged(self.data, row.data, self.quick.data if quick else {})
+        return Recipe.model_validate(merged | {"objects": objects})
 
     def train_recipe(self, row: Row, *, quick: bool) -> TrainRecipe:
         """The training recipe of the row."""
-        parts = (self.train, row.train, self.quick.train if quick else {})
-        merged: dict[str, Any] = reduce(merged_mapping, parts, {})
-        return TrainRecipe.model_validate({"name": self.name, **merged})
+        merged = self._merged(self.train, row.train, self.quick.train if quick else {})
+        return TrainRecipe.model_validate(merged)
+
+    def _merged(self, *parts: Mapping[str, Any]) -> dict[str, Any]:
+        return reduce(merged_mapping, parts, {"name": self.name})
 
 
 def load_study(name: str | Path) -> Study:
@@ -99,13 +100,9 @@ def load_study(name: str | Path) -> Study:
     """
     source = read_yaml(find_recipe(str(name)))
     study = validate(Study, source)
-    problems = [
-        *_misplaced(study, source),
-        *_name_problems(study, source),
-        *_row_problems(study, source),
-    ]
-    if problems:
-        raise RecipeError.from_problems(list(dict.fromkeys(problems)))
+    checks = (_misplaced, _name_problems, _row_problems)
+    if problems := dict.fromkeys(text for check in checks for text in check(study, source)):
+        raise RecipeError.from_problems(list(problems))
     return study
 
 
@@ -169,18 +166,15 @@ def merged_mapping(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[s
     return merged
 
 
-def _misplaced(study: Study, source: YamlSource) -> list[str]:
-    parts: list[tuple[tuple[str | int, ...], Mapping[str, Any]]] = [
-        (("data",), study.data),
-        (("train",), study.train),
-    ]
-    for i, row in enumerate(study.rows):
-        parts += [(("rows", i, "data"), row.data), (("rows", i, "train"), row.train)]
+def _misplaced(study: Study, source: YamlSource) -> Iterable[str]:
+    owners: list[tuple[tuple[str | int, ...], Study | Row]] = [((), study)]
+    owners += [(("rows", i), row) for i, row in enumerate(study.rows)]
     return [
-        source.problem((*path, key), "belongs to the study or its row; move it there")
-        for path, part in parts
+        source.problem((*path, part, key), "belongs to the study or its row; move it there")
+        for path, owner in owners
+        for part in ("data", "train")
         for key in _OWN_KEYS
-        if key in part
+        if key in getattr(owner, part)
     ]
 
 
@@ -189,15 +183,11 @@ def _name_problems(study: Study, source: YamlSource) -> Iterator[str]:
     first: dict[str, str] = {}
     for i, row in enumerate(study.rows):
         folder = run_folder_name(row.name)
-        if first.get(folder) == row.name:
-            problem = f"= {row.name!r} is given twice; rename one"
-            yield source.problem(("rows", i, "name"), problem)
-        elif folder in first:
-            problem = (
-                f"= {row.name!r} would be kept in the folder of {first[folder]!r}, {folder}; give "
-                "names that differ in letters or digits"
-            )
-            yield source.problem(("rows", i, "name"), problem)
+        if folder in first:
+            problem = f"would be kept in the folder of {first[folder]!r}, {folder}; rename one"
+            if first[folder] == row.name:
+                problem = "is given twice; rename one"
+            yield source.problem(("rows", i, "name"), f"= {row.name!r} {problem}")
         first.setdefault(folder, row.name)
 
 
@@ -214,6 +204,6 @@ def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
                 yield source.problem(("rows", i), problem)
 
 
-def object_names(objects: Sequence[Any]) -> list[str]:
-    """The names of a study's object entries, which are names or mappings with one."""
-    return [str(entry.get("name") if isinstance(entry, Mapping) else entry) for entry in objects]
+def _object_name(entry: Any) -> str:
+    """The name of a study's object entry, which is a name or a mapping with one."""
+    return str(entry.get("name") if isinstance(entry, Mapping) else entry)

@@ -8,7 +8,7 @@ from typing import Any
 
 from tacgen.core.files import write_text
 from tacgen.learning.reports import started_from
-from tacgen.report import Section, table_section, text_section, write_page
+from tacgen.report import table_section, text_section, write_page
 from tacgen.report.formatting import MISSING
 
 OTHER_SIMULATION = "other simulation"
@@ -30,11 +30,11 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
         "\n".join(f"* {text}" for text in remarks),
     ]
     write_text(out / "table.md", "\n\n".join(part for part in parts if part) + "\n")
-    sections: list[Section] = [
+    sections = (
         table_section("Accuracy", header, rows),
         table_section("By object", object_header, object_rows),
         text_section("How the figures were made", *remarks),
-    ]
+    )
     write_page(out / "table.html", result["study"], sections, summary=result["description"])
 
 
@@ -48,14 +48,13 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
     if weights:
         names = ", ".join(started_from(name) for name in weights)
         remarks.append(f"Pre-trained weights: {names} (the paper: ImageNet).")
-    sizes = sorted({tuple(row["input_px"]) for row in rows})
+    sizes = ", ".join(f"{w}×{h} px" for h, w in sorted({tuple(row["input_px"]) for row in rows}))
+    epochs, averaged = (_listed(row[key] for row in rows) for key in ("epochs", "average_epochs"))
     counts = _listed(n for row in rows for n in row["training_grasps"].values())
     remarks += [
-        f"Input {', '.join(f'{w}×{h} px' for h, w in sizes)}; epochs: "
-        f"{_listed(row['epochs'] for row in rows)}; training grasps a model (of which some choose "
-        f"the epoch): {counts or 'none'}.",
-        f"Weights averaged over about {_listed(row['average_epochs'] for row in rows)} epochs "
-        "(the paper: 1).",
+        f"Input {sizes}; epochs: {epochs}; training grasps a model (of which some choose the "
+        f"epoch): {counts or 'none'}.",
+        f"Weights averaged over about {averaged} epochs (the paper: 1).",
         f"Running time {result['took_s'] / 60:.1f} minutes, without rows of earlier runs.",
         *_where_tested(result),
     ]
@@ -68,9 +67,8 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
             what = "tested" if row["weights"] else "trained"
             remarks.append(f"{row['name']}: NOT {what}. {row['problem']}")
         if row["real_problem"]:
-            column = _tested_on(result)
-            problem = row["real_problem"]
-            remarks.append(f"{row['name']}: NOT tested for the column {column}. {problem}")
+            column = f"NOT tested for the column {_tested_on(result)}"
+            remarks.append(f"{row['name']}: {column}. {row['real_problem']}")
     remarks += [f"{r['name']}: contact law from {f}." for r in rows if (f := r["contact_file"])]
     return [*remarks, *result["notes"]]
 

@@ -11,7 +11,7 @@ from tacgen.core.resources import packaged
 
 def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    recipe = load_recipe("worlds/other")
+    recipe = load_recipe("perturbed/other")
     assert contact_law(recipe.contact).effects
     assert set(dataset_spec(recipe, 10).calibration) == {"table", "contact_law"}
 

@@ -1,4 +1,3 @@
-import errno
 import json
 import multiprocessing
 import os
@@ -56,7 +55,7 @@ def test_another_recipe_is_refused_key_by_key(toy, spec, change, words):
 
 
 def test_another_version_is_refused(toy, spec, monkeypatch):
-    monkeypatch.setattr("tacgen.dataset.plan.VERSION", "9.9.9")
+    monkeypatch.setattr("tacgen.dataset.folder.__version__", "9.9.9")
     with pytest.raises(DatasetError, match=r'tacgen_version: "0.*" there, "9.9.9" now'):
         DatasetFolder(toy.root).prepare(spec)
 
@@ -120,16 +119,11 @@ def test_without_locks_two_may_work_and_neither_corrupts(tmp_path, spec, monkeyp
     assert not verify(tmp_path).problems[0].shard >= 0
 
 
-def test_where_there_are_no_hard_links_the_plan_is_still_written_once(tmp_path, spec, monkeypatch):
-    def no_links(*_: object) -> None:
-        raise OSError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr(os, "link", no_links)
-    DatasetFolder(tmp_path).prepare(spec)
-    DatasetFolder(tmp_path).prepare(spec)
-    with pytest.raises(DatasetError, match="n_grasps: 10 there, 12 now"):
-        DatasetFolder(tmp_path).prepare(replace(spec, n_grasps=12))
-    assert not list(tmp_path.glob(".*"))
+def test_of_two_recipes_that_begin_at_once_one_writes(toy, spec):
+    plan = json.loads(toy.plan_path.read_text())
+    toy.plan_path.write_text(json.dumps(plan | {"recipe_sha256": "77"}))
+    with pytest.raises(DatasetError, match="now holds a dataset of another recipe"):
+        toy.write_shard(0, (make_sample(i, spec) for i in range(4)), spec)
 
 
 def test_merge_is_the_same_however_often_and_keeps_lines_without_a_file(toy):

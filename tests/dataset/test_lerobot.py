@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.core.errors import DatasetError
+from tacgen.core.errors import DatasetError, TacgenError
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
 
@@ -107,7 +107,7 @@ def test_two_pads_are_two_cameras(tmp_path):
 def test_refusals_leave_nothing(toy, tmp_path):
     with pytest.raises(DatasetError, match="--format zarr: not known"):
         export_dataset(toy.root, tmp_path / "out", "zarr")
-    with pytest.raises(DatasetError, match="exists already; give a new folder"):
+    with pytest.raises(TacgenError, match="exists already; give a new folder"):
         export_dataset(toy.root, toy.root, "lerobot")
     toy.shard_path(1).unlink()
     with pytest.raises(DatasetError, match="shard is missing"):

@@ -110,7 +110,8 @@ def test_the_quick_version_is_smaller():
 
 
 @pytest.mark.parametrize(
-    ("name", "world"), [("paper_transfer", "worlds/other"), ("paper_ablation", "worlds/ablation")]
+    ("name", "world"),
+    [("paper_transfer", "perturbed/other"), ("paper_ablation", "perturbed/ablation")],
 )
 def test_the_second_world_grasps_the_same_objects_over_the_same_ranges_elsewhere(name, world):
     study, other = load_study(name), load_recipe(world)
@@ -130,13 +131,13 @@ def test_the_second_world_grasps_the_same_objects_over_the_same_ranges_elsewhere
 
 
 def test_the_world_of_the_transfer_is_another_one():
-    other = load_recipe("worlds/other")
+    other = load_recipe("perturbed/other")
     assert all(entry.friction and entry.mass_kg for entry in other.objects)
     assert other.contact.file
 
 
 def test_the_world_of_the_ablation_is_as_one_row_of_each_group_declares():
-    study, world = load_study("paper_ablation"), load_recipe("worlds/ablation")
+    study, world = load_study("paper_ablation"), load_recipe("perturbed/ablation")
     for entry in world.objects:
         declared = [study.data_recipe(row, quick=False).objects[0] for row in study.rows]
         same = entry.model_copy(update={"grid": None})

@@ -6,7 +6,6 @@ A format is a function that writes some grasps of a dataset into a new folder; i
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +14,7 @@ from pathlib import Path
 import pandas as pd
 
 from tacgen.core.errors import DatasetError
+from tacgen.core.files import atomic_folder
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.export.images import write_images
@@ -26,8 +26,8 @@ from tacgen.dataset.reader import Dataset
 from tacgen.dataset.schema import SPLITS
 
 Writer = Callable[[Dataset, pd.DataFrame, Path], str]
-"""Takes the dataset, the chosen grasps (a row each: index, object, label, split, …) and a folder
-that does not exist yet; says in a few words what it wrote."""
+"""Takes the dataset, the chosen grasps (a row each: index, object, label, split, …) and an empty
+folder; returns a few words on what it wrote."""
 
 FORMATS: Mapping[str, Writer] = {
     "lerobot": write_lerobot,
@@ -73,7 +73,6 @@ def export_dataset(
     Raises ``DatasetError`` if the format or the split is not known, ``out`` exists, or no grasp is
     left to export.
     """
-    out = Path(out)
     for name, value, known in (
         ("--format", format_name, FORMATS),
         ("--split", split, (None, *SPLITS)),
@@ -87,19 +86,10 @@ def export_dataset(
         raise DatasetError(msg)
     if not images:
         writer = partial(write_real_grasps, images=False)
-    if out.exists():
-        msg = f"{out} exists already; give a new folder, or remove it"
-        raise DatasetError(msg)
-    dataset = Dataset(root)
-    grasps, not_executed = _chosen(dataset, split, per_object)
-    partial_folder = out.with_name(f".{out.name}.part")
-    with disk_errors(out):
-        shutil.rmtree(partial_folder, ignore_errors=True)
-        try:
-            content = writer(dataset, grasps, partial_folder)
-            partial_folder.rename(out)
-        finally:
-            shutil.rmtree(partial_folder, ignore_errors=True)
+    with disk_errors(Path(out)), atomic_folder(Path(out)) as folder:
+        dataset = Dataset(root)
+        grasps, not_executed = _chosen(dataset, split, per_object)
+        content = writer(dataset, grasps, folder)
     return Exported(str(out), format_name, len(grasps), not_executed, content)
 
 

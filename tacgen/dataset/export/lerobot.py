@@ -8,7 +8,7 @@ Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/i
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,83 +24,14 @@ from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.dataset.schema import SPLITS
 
-QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
-_GREY = np.arange(256) / 255.0
-
-
-def image_stats(histogram: NDArray[np.int64], n_frames: int) -> dict[str, Any]:
-    """Statistics (C, 1, 1) of images in [0, 1], exact, from the counts of grey levels (C, 256)."""
-    share = histogram / histogram.sum(axis=1, keepdims=True)
-    mean = share @ _GREY
-    seen = histogram > 0
-    below = np.cumsum(share, axis=1)
-    found = {
-        "min": _GREY[seen.argmax(axis=1)],
-        "max": _GREY[255 - seen[:, ::-1].argmax(axis=1)],
-        "mean": mean,
-        "std": np.sqrt(np.maximum(0.0, share @ _GREY**2 - mean**2)),
-    }
-    for name, level in QUANTILES.items():
-        found[name] = _GREY[(below >= level - 1e-12).argmax(axis=1)]
-    return {key: v.reshape(-1, 1, 1).tolist() for key, v in found.items()} | {"count": [n_frames]}
-
-
-def vector_stats(rows: NDArray[np.float64]) -> dict[str, Any]:
-    """Statistics (n,) of vectors (T, n), component by component."""
-    found = {name: getattr(rows, name)(axis=0) for name in ("min", "max", "mean", "std")}
-    found |= {name: np.quantile(rows, level, axis=0) for name, level in QUANTILES.items()}
-    return {name: values.tolist() for name, values in found.items()} | {"count": [len(rows)]}
-
-
-def _histogram(images: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Counts of grey levels (C, 256) of images (T, H, W, C)."""
-    channels = np.moveaxis(images, -1, 0).reshape(images.shape[-1], -1)
-    return np.stack([np.bincount(channel, minlength=256) for channel in channels])
-
-
-def arrow_schema(features: Mapping[str, Mapping[str, Any]]) -> pa.Schema:
-    """The Arrow schema, with the note by which Hugging Face's datasets knows the images."""
-    fields: list[pa.Field] = []
-    described: dict[str, dict[str, Any]] = {}
-    for name, feature in features.items():
-        length, dtype = feature["shape"][0], feature["dtype"]
-        if dtype == "image":
-            kind: pa.DataType = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-            described[name] = {"_type": "Image"}
-        elif length == 1:
-            kind = pa.from_numpy_dtype(dtype)
-            described[name] = {"dtype": dtype, "_type": "Value"}
-        else:
-            kind = pa.list_(pa.from_numpy_dtype(dtype), length)
-            value = {"dtype": dtype, "_type": "Value"}
-            described[name] = {"feature": value, "length": length, "_type": "Sequence"}
-        fields.append(pa.field(name, kind))
-    note = json.dumps({"info": {"features": described}})
-    return pa.schema(fields, metadata={"huggingface": note})
-
-
-def episode_table(
-    values: Mapping[str, NDArray[Any]], features: Mapping[str, Mapping[str, Any]], schema: pa.Schema
-) -> pa.Table:
-    """One episode as a table: ``values`` holds (T, …) of every feature."""
-    columns = []
-    for field_ in schema:
-        array = values[field_.name]
-        if features[field_.name]["dtype"] == "image":
-            rows: list[Any] = [{"bytes": encode_png(rgb), "path": None} for rgb in array]
-        else:
-            rows = array.astype(features[field_.name]["dtype"]).tolist()
-        columns.append(pa.array(rows, type=field_.type))
-    return pa.Table.from_arrays(columns, schema=schema)
-
-
 CODEBASE_VERSION = "v3.0"
 CHUNKS_SIZE, DATA_FILES_SIZE_MB, VIDEO_FILES_SIZE_MB = 1000, 100, 200
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 POSE = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 CONTACT_STATE = ("force_normal_n", "force_shear_x_n", "force_shear_y_n", "indentation_mm")
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+_GREY = np.arange(256) / 255.0
 _SCALARS = {
     "label": "int64",
     "time_s": "float32",
@@ -113,105 +44,110 @@ _SCALARS = {
     "task_index": "int64",
 }
 
+Features = Mapping[str, Mapping[str, Any]]
+
 
 def write_lerobot(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     """Write each of the chosen grasps as an episode."""
-    n_episodes = _Export(dataset, grasps, folder).run()
-    return f"{n_episodes} episodes in LeRobot's format {CODEBASE_VERSION}"
+    features = _features(dataset)
+    export = _Export(dataset, folder, features, _schema(features))
+    split = grasps["split"]
+    try:
+        for index in [int(i) for name in SPLITS for i in grasps["index"][split == name]]:
+            export.write_episode(dataset.read(index))
+    finally:
+        if export.writer is not None:
+            export.writer.close()
+    export.write_meta(int((split == "train").sum()))
+    return f"{len(export.episodes)} episodes in LeRobot's format {CODEBASE_VERSION}"
 
 
-@dataclass(slots=True)
-class _DataFile:
-    """The Parquet file that is being written, and where it stands among the others."""
+def _image_name(dataset: Dataset, pad: str) -> str:
+    suffix = "" if len(dataset.pads) == 1 else f"_{pad}"
+    return f"observation.images.{dataset.sensor}{suffix}"
 
-    root: Path
-    schema: pa.Schema
-    number: int = -1
-    size: int = 0
-    writer: pq.ParquetWriter | None = None
 
-    def write(self, table: pa.Table) -> tuple[int, int]:
-        """Append one episode as one row group; (chunk index, file index) of where it went."""
-        if self.writer is None or self.size + table.nbytes > DATA_FILES_SIZE_MB << 20:
-            self.close()
-            self.number, self.size = self.number + 1, 0
-            path = self.root / DATA_PATH.format(
-                chunk_index=self.number // CHUNKS_SIZE, file_index=self.number % CHUNKS_SIZE
-            )
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self.writer = pq.ParquetWriter(path, self.schema, compression="snappy")
-        self.writer.write_table(table)
-        self.size += table.nbytes
-        return self.number // CHUNKS_SIZE, self.number % CHUNKS_SIZE
+def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
+    """The features as ``meta/info.json`` describes them."""
+    prefixes = [""] if len(dataset.pads) == 1 else [f"{pad}." for pad in dataset.pads]
+    vectors = {
+        "observation.state": [prefix + name for prefix in prefixes for name in CONTACT_STATE],
+        "observation.environment_state": list(POSE),
+        "action": list(ACTION),
+    }
+    shape, names = [*dataset.shape_px, 3], ["height", "width", "channels"]
+    image = {"dtype": "image", "shape": shape, "names": names}
+    found: dict[str, dict[str, Any]] = {_image_name(dataset, pad): image for pad in dataset.pads}
+    for name, axes in vectors.items():
+        found[name] = {"dtype": "float32", "shape": [len(axes)], "names": axes}
+    for name, dtype in _SCALARS.items():
+        found[name] = {"dtype": dtype, "shape": [1], "names": None}
+    return found
 
-    def close(self) -> None:
-        """Finish the file, if there is one."""
-        if self.writer is not None:
-            self.writer.close()
-            self.writer = None
+
+def _schema(features: Features) -> pa.Schema:
+    """The Arrow schema, with the note by which Hugging Face's datasets knows the images."""
+    fields: list[pa.Field] = []
+    described: dict[str, dict[str, Any]] = {}
+    for name, feature in features.items():
+        length, dtype = feature["shape"][0], feature["dtype"]
+        if dtype == "image":
+            kind: pa.DataType = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+            described[name] = {"_type": "Image"}
+        else:
+            kind, described[name] = pa.from_numpy_dtype(dtype), {"dtype": dtype, "_type": "Value"}
+            if length > 1:
+                kind, value = pa.list_(kind, length), described[name]
+                described[name] = {"feature": value, "length": length, "_type": "Sequence"}
+        fields.append(pa.field(name, kind))
+    note = json.dumps({"info": {"features": described}})
+    return pa.schema(fields, metadata={"huggingface": note})
+
+
+def _part(values: NDArray[Any]) -> NDArray[Any]:
+    """What the statistics need of (T, …): rows (T, n), or of images counts of levels (C, 256)."""
+    if values.dtype != np.uint8:
+        return np.asarray(values, np.float64).reshape(len(values), -1)
+    channels = np.moveaxis(values, -1, 0).reshape(values.shape[-1], -1)
+    return np.stack([np.bincount(channel, minlength=256) for channel in channels])
+
+
+def _stats(parts: Sequence[NDArray[Any]], n_frames: int, *, image: bool) -> dict[str, Any]:
+    """Statistics (n,) of vectors; of images in [0, 1] (C, 1, 1), exact, from counts of levels."""
+    if image:
+        histogram = np.sum(parts, axis=0)
+        share = histogram / histogram.sum(axis=1, keepdims=True)
+        mean, seen, below = share @ _GREY, histogram > 0, np.cumsum(share, axis=1)
+        found = {
+            "min": _GREY[seen.argmax(axis=1)],
+            "max": _GREY[255 - seen[:, ::-1].argmax(axis=1)],
+            "mean": mean,
+            "std": np.sqrt(np.maximum(0.0, share @ _GREY**2 - mean**2)),
+        }
+        levels = QUANTILES.items()
+        found |= {name: _GREY[(below >= q - 1e-12).argmax(axis=1)] for name, q in levels}
+        found = {name: values.reshape(-1, 1, 1) for name, values in found.items()}
+    else:
+        rows = np.concatenate(parts)
+        found = {name: getattr(rows, name)(axis=0) for name in ("min", "max", "mean", "std")}
+        found |= {name: np.quantile(rows, level, axis=0) for name, level in QUANTILES.items()}
+    return {name: values.tolist() for name, values in found.items()} | {"count": [n_frames]}
 
 
 @dataclass(slots=True)
 class _Export:
-    """One run of the export."""
+    """One run of the export; ``writer`` is of the Parquet file that is being written."""
 
     dataset: Dataset
-    grasps: pd.DataFrame
     root: Path
+    features: Features
+    schema: pa.Schema
     tasks: dict[str, int] = field(default_factory=dict)
     episodes: list[dict[str, Any]] = field(default_factory=list)
     parts: dict[str, list[Any]] = field(default_factory=dict)
-
-    def run(self) -> int:
-        """Write everything; the number of episodes."""
-        features = self._features()
-        split = self.grasps["split"]
-        order = [int(i) for name in SPLITS for i in self.grasps["index"][split == name]]
-        data = _DataFile(self.root, arrow_schema(features))
-        first_frame = 0
-        try:
-            for episode, index in enumerate(order):
-                first_frame += self._write_episode(
-                    data, features, self.dataset.read(index), episode, first_frame
-                )
-        finally:
-            data.close()
-        n_train = int((split == "train").sum())
-        self._write_meta(features, len(order), n_train, first_frame)
-        return len(order)
-
-    def _features(self) -> dict[str, dict[str, Any]]:
-        data, (height, width) = self.dataset, self.dataset.shape_px
-        names = ["height", "width", "channels"]
-        images = {
-            f"observation.images.{self._image_name(pad)}": {
-                "dtype": "image",
-                "shape": [height, width, 3],
-                "names": list(names),
-            }
-            for pad in data.pads
-        }
-        prefixes = [""] if len(data.pads) == 1 else [f"{pad}." for pad in data.pads]
-        vectors = {
-            "observation.state": [prefix + name for prefix in prefixes for name in CONTACT_STATE],
-            "observation.environment_state": list(POSE),
-            "action": list(ACTION),
-        }
-        return (
-            images
-            | {
-                name: {"dtype": "float32", "shape": [len(axes)], "names": axes}
-                for name, axes in vectors.items()
-            }
-            | {
-                name: {"dtype": dtype, "shape": [1], "names": None}
-                for name, dtype in _SCALARS.items()
-            }
-        )
-
-    def _image_name(self, pad: str) -> str:
-        pads = self.dataset.pads
-        return self.dataset.sensor if len(pads) == 1 else f"{self.dataset.sensor}_{pad}"
+    writer: pq.ParquetWriter | None = None
+    file: int = -1
+    file_bytes: int = 0
 
     @property
     def fps(self) -> int:
@@ -220,75 +156,58 @@ class _Export:
         span_s = float(time_s[-1] - time_s[0])
         return max(1, round((len(time_s) - 1) / span_s)) if span_s > 0 else 1
 
-    def _write_episode(
-        self,
-        data: _DataFile,
-        features: Mapping[str, Mapping[str, Any]],
-        sample: GraspSample,
-        episode: int,
-        first_frame: int,
-    ) -> int:
-        """Write one grasp; its number of frames."""
-        n_frames = self.dataset.n_frames
-        name = sample.config.object.replace("_", " ")
-        task = self.tasks.setdefault(f"Grasp the {name} and lift it.", len(self.tasks))
+    def write_episode(self, sample: GraspSample) -> None:
+        """Write one grasp."""
+        n_frames, episode = self.dataset.n_frames, len(self.episodes)
+        first = episode * n_frames
+        text = f"Grasp the {sample.config.object.replace('_', ' ')} and lift it."
+        task = self.tasks.setdefault(text, len(self.tasks))
         values = self._values(sample) | {
             "timestamp": np.arange(n_frames) / self.fps,
             "frame_index": np.arange(n_frames),
             "episode_index": np.full(n_frames, episode),
-            "index": np.arange(first_frame, first_frame + n_frames),
+            "index": np.arange(first, first + n_frames),
             "task_index": np.full(n_frames, task),
         }
-        stats: dict[str, dict[str, Any]] = {}
+        stats: dict[str, Any] = {}
         for key, array in values.items():
-            part: NDArray[Any]
-            if array.dtype == np.uint8:
-                part = _histogram(array)
-                stats[key] = image_stats(part, n_frames)
-            else:
-                part = np.asarray(array, np.float64).reshape(n_frames, -1)
-                stats[key] = vector_stats(part)
+            part = _part(array)
             self.parts.setdefault(key, []).append(part)
+            found = _stats([part], n_frames, image=array.dtype == np.uint8)
+            stats |= {f"stats/{key}/{name}": value for name, value in found.items()}
         for pad, frames in sample.pads.items():
             if frames.depth_mm is not None:
                 # One map a grasp, at its moment of grasp: no feature of the frames.
                 place = self.root / "depth_mm"
-                place.mkdir(parents=True, exist_ok=True)
+                place.mkdir(exist_ok=True)
                 np.save(place / f"episode_{episode:06d}_{pad}.npy", frames.depth_mm)
-        chunk, number = data.write(episode_table(values, features, data.schema))
-        self.episodes.append(
-            {
-                "episode_index": episode,
-                "tasks": [f"Grasp the {name} and lift it."],
-                "length": n_frames,
-                "data/chunk_index": chunk,
-                "data/file_index": number,
-                "dataset_from_index": first_frame,
-                "dataset_to_index": first_frame + n_frames,
-                "meta/episodes/chunk_index": 0,
-                "meta/episodes/file_index": 0,
-                "grasp_index": sample.config.index,
-                "split": sample.split,
-                "failure_mode": sample.failure_mode,
-            }
-            | {f"stats/{key}/{k}": v for key, s in stats.items() for k, v in s.items()}
-        )
-        return n_frames
+        self._write_frames(values)
+        about = {
+            "episode_index": episode,
+            "tasks": [text],
+            "length": n_frames,
+            "data/chunk_index": self.file // CHUNKS_SIZE,
+            "data/file_index": self.file % CHUNKS_SIZE,
+            "dataset_from_index": first,
+            "dataset_to_index": first + n_frames,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+            "grasp_index": sample.config.index,
+            "split": sample.split,
+            "failure_mode": sample.failure_mode,
+        }
+        self.episodes.append(about | stats)
 
     def _values(self, sample: GraspSample) -> dict[str, NDArray[Any]]:
         """What a grasp contributes to each feature, (T, …)."""
-        n_frames = self.dataset.n_frames
+        n_frames, pads = self.dataset.n_frames, sample.pads.items()
         contact = [
             np.column_stack([pad.force_normal_n, pad.force_shear_n, pad.indentation_mm])
-            for pad in sample.pads.values()
+            for _, pad in pads
         ]
-        images: dict[str, NDArray[Any]] = {
-            f"observation.images.{self._image_name(name)}": pad.rgb
-            for name, pad in sample.pads.items()
-        }
         last = np.arange(n_frames) == n_frames - 1
         asked = [getattr(sample.config, name) for name in ACTION]
-        return images | {
+        return {_image_name(self.dataset, name): pad.rgb for name, pad in pads} | {
             "observation.state": np.concatenate(contact, axis=1),
             "observation.environment_state": np.asarray(sample.object_pose),
             "action": np.tile(asked, (n_frames, 1)),
@@ -298,13 +217,32 @@ class _Export:
             "next.success": last & (sample.label == 1),
         }
 
-    def _write_meta(
-        self,
-        features: Mapping[str, Mapping[str, Any]],
-        n_episodes: int,
-        n_train: int,
-        n_frames: int,
-    ) -> None:
+    def _write_frames(self, values: Mapping[str, NDArray[Any]]) -> None:
+        """Append an episode as one row group, to a new file where the last one is full."""
+        columns = []
+        for column in self.schema:
+            array, dtype = values[column.name], self.features[column.name]["dtype"]
+            if dtype == "image":
+                rows: list[Any] = [{"bytes": encode_png(rgb), "path": None} for rgb in array]
+            else:
+                rows = array.astype(dtype).tolist()
+            columns.append(pa.array(rows, type=column.type))
+        table = pa.Table.from_arrays(columns, schema=self.schema)
+        if self.writer is None or self.file_bytes + table.nbytes > DATA_FILES_SIZE_MB << 20:
+            if self.writer is not None:
+                self.writer.close()
+            self.file, self.file_bytes = self.file + 1, 0
+            chunk, number = divmod(self.file, CHUNKS_SIZE)
+            path = self.root / DATA_PATH.format(chunk_index=chunk, file_index=number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.writer = pq.ParquetWriter(path, self.schema, compression="snappy")
+        self.writer.write_table(table)
+        self.file_bytes += table.nbytes
+
+    def write_meta(self, n_train: int) -> None:
+        """Write the folder ``meta``; the first ``n_train`` episodes are the train split."""
+        n_episodes = len(self.episodes)
+        n_frames = n_episodes * self.dataset.n_frames
         sides = {"train": (0, n_train), "test": (n_train, n_episodes)}
         info = {
             "codebase_version": CODEBASE_VERSION,
@@ -319,20 +257,19 @@ class _Export:
             "splits": {name: f"{a}:{b}" for name, (a, b) in sides.items() if b > a},
             "data_path": DATA_PATH,
             "video_path": None,
-            "features": features,
+            "features": self.features,
         }
-        meta = self.root / "meta"
-        (meta / "episodes" / "chunk-000").mkdir(parents=True)
-        (meta / "info.json").write_text(json.dumps(info, indent=4), encoding="utf-8")
         stats = {
-            key: image_stats(np.sum(parts, axis=0), n_frames)
-            if features[key]["dtype"] == "image"
-            else vector_stats(np.concatenate(parts))
+            key: _stats(parts, n_frames, image=self.features[key]["dtype"] == "image")
             for key, parts in self.parts.items()
         }
+        meta = self.root / "meta"
+        episodes = meta / "episodes/chunk-000/file-000.parquet"
+        episodes.parent.mkdir(parents=True)
+        (meta / "info.json").write_text(json.dumps(info, indent=4), encoding="utf-8")
         (meta / "stats.json").write_text(json.dumps(stats, indent=4), encoding="utf-8")
-        tasks = pd.DataFrame(
-            {"task_index": list(self.tasks.values())}, index=pd.Index(self.tasks, name="task")
+        tasks = pd.Index(self.tasks, name="task")
+        pd.DataFrame({"task_index": list(self.tasks.values())}, index=tasks).to_parquet(
+            meta / "tasks.parquet"
         )
-        tasks.to_parquet(meta / "tasks.parquet")
-        pq.write_table(pa.Table.from_pylist(self.episodes), self.root / EPISODES_PATH)
+        pq.write_table(pa.Table.from_pylist(self.episodes), episodes)

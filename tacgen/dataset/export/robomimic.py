@@ -19,8 +19,7 @@ from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 
 FILE = "grasps.hdf5"
-MASKS = {"train": "train", "valid": "test"}
-"""robomimic's name of each split of the recipe."""
+MASKS = {"train": "train", "valid": "test"}  # robomimic's name of each split of the recipe
 
 
 def write_robomimic(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
@@ -29,7 +28,6 @@ def write_robomimic(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str
     The action of every frame is the grasp's configuration, (T, 5): force_n, x_mm, y_mm, z_mm,
     yaw_rad. The reward of the last frame is the label.
     """
-    folder.mkdir(parents=True)
     with h5py.File(folder / FILE, "w") as file:
         data = file.create_group("data")
         names = [f"demo_{k}" for k in range(len(grasps))]

@@ -28,7 +28,6 @@ COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "fai
 
 def write_webdataset(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     """Write the chosen grasps as ``grasps-000000.tar`` …"""
-    folder.mkdir(parents=True)
     count = 0
     for start in range(0, len(grasps), GRASPS_PER_TAR):
         with tarfile.open(folder / f"grasps-{count:06d}.tar", "w") as archive:
