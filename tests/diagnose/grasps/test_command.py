@@ -19,8 +19,9 @@ from tacgen.diagnose.grasps.report import write_grasp_report
 from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
+PHYSICS = SHORT_LIFT | {"time_step_s": 1 / 240, "hold_s": 0.1}
 RECIPE = Recipe.model_validate(
-    {"name": "declared", "objects": [BOX], "grid": {"sample": 6}, "physics": SHORT_LIFT}
+    {"name": "declared", "objects": [BOX], "grid": {"sample": 6}, "physics": PHYSICS}
 )
 HEADER = "grasp_id,object,force_n,x_mm,y_mm,z_mm,label"
 
