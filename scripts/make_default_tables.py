@@ -19,11 +19,11 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Sensor
 from tacgen.core.resources import packaged
 from tacgen.optics.deform import deform
-from tacgen.optics.sampled_table import with_reference
 from tacgen.optics.table import LookupTable, save_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.presses.press_images import PressImages
 from tacgen.sensor.description import load_sensor
+from validation.optics.sampled_table import with_reference
 
 SENSORS = ("gelsight", "gelsight_mini", "digit")
 BALLS_MM = ((2.0, 1.1), (2.5, 0.9), (4.0, 0.9))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -21,8 +21,6 @@ MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
 # changes nothing for those before it.
 _STREAM_SAMPLE, _STREAM_SPLIT, _STREAM_GRASP = range(3)
 
-RangesOf = Callable[[str], Mapping[str, tuple[float, ...]]]
-
 
 @dataclass(frozen=True, slots=True)
 class PlannedGrasp:
@@ -38,17 +36,14 @@ class PlannedGrasp:
     seed: int
 
 
-def plan_grasps(recipe: Recipe, ranges_of: RangesOf) -> tuple[PlannedGrasp, ...]:
-    """Every grasp of ``recipe``, in order.
+def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
+    """Every grasp of ``recipe``, in order; axes left out are those of its objects' ``object.yaml``.
 
-    ``ranges_of`` gives the grasp ranges of an object by name, for axes that the recipe leaves out.
-
-    Raises ``RecipeError`` if an axis is given nowhere, a force exceeds the gripper's, or the grid
-    is too large.
+    Raises ``RecipeError`` if a force exceeds the gripper's, or the grid is too large.
     """
     planned: list[PlannedGrasp] = []
     for number, entry in enumerate(recipe.objects):
-        points = _points(recipe, entry, number, ranges_of)
+        points = _points(recipe, entry, number)
         splits = _splits(recipe, number, len(points))
         for point, split in zip(points, splits, strict=True):
             index = len(planned)
@@ -64,15 +59,6 @@ def plan_grasps(recipe: Recipe, ranges_of: RangesOf) -> tuple[PlannedGrasp, ...]
     return tuple(planned)
 
 
-def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
-    """Every grasp of ``recipe``, axes left out taken from its objects' ``object.yaml``."""
-    ranges = {
-        entry.name: read_description(entry.object_folder()).grasp_ranges.axes()
-        for entry in recipe.objects
-    }
-    return plan_grasps(recipe, ranges.__getitem__)
-
-
 def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
     """The plan as rows of a table: the configuration, its side of the split and its shard."""
     return [
@@ -80,22 +66,14 @@ def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
     ]
 
 
-def _points(
-    recipe: Recipe, entry: ObjectEntry, number: int, ranges_of: RangesOf
-) -> Sequence[tuple[float, ...]]:
+def _points(recipe: Recipe, entry: ObjectEntry, number: int) -> Sequence[tuple[float, ...]]:
     """(force_n, x_mm, y_mm, z_mm, yaw_rad) of every grasp of one object, in grid order."""
     own, common = entry.grid or Grid(), recipe.grid
-    axes = []
-    for axis in AXES:
-        values = getattr(own, axis) or getattr(common, axis) or ranges_of(entry.name).get(axis)
-        if not values:
-            msg = (
-                f"grid.{axis} is given neither by the recipe nor by the object {entry.name!r}; "
-                f"add grid.{axis} to the recipe {recipe.name!r}"
-            )
-            raise RecipeError(msg)
-        axes.append(tuple(values))
-    _check_forces(recipe, entry, axes[0])
+    ranges = read_description(entry.object_folder()).grasp_ranges
+    axes = [getattr(own, axis) or getattr(common, axis) or getattr(ranges, axis) for axis in AXES]
+    if problem := force_problem(max(axes[0]), recipe.robot.max_force_n):
+        msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
+        raise RecipeError(msg)
     yaw = own.yaw_rad if entry.grid and "yaw_rad" in own.model_fields_set else common.yaw_rad
     axes.append(yaw)
     size = int(np.prod([len(axis) for axis in axes], dtype=float))
@@ -108,13 +86,6 @@ def _points(
         return points
     rng = _rng(recipe.seed, _STREAM_SAMPLE, number)
     return [points[i] for i in np.sort(rng.choice(size, sample, replace=False))]
-
-
-def _check_forces(recipe: Recipe, entry: ObjectEntry, forces_n: Sequence[float]) -> None:
-    problem = force_problem(max(forces_n), recipe.robot.max_force_n)
-    if problem:
-        msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
-        raise RecipeError(msg)
 
 
 def _splits(recipe: Recipe, number: int, count: int) -> list[str]:

@@ -34,7 +34,6 @@ from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 # Streams of one grasp's random numbers.
 _STREAM_VARIATION, _STREAM_NOISE = range(2)
-_UNTOUCHED = Imprint(0.0, 0.0, False, (0, 0, 0, 0), np.zeros((0, 0), dtype=np.float32))
 _PADS = {"left": ("left",), "right": ("right",), "both": ("left", "right")}
 
 
@@ -208,7 +207,7 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
         time_s=frame_times_s(recipe),
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,
-        reference_rgb=tactile_pad(recipe).image(_UNTOUCHED),
+        reference_rgb=tactile_pad(recipe).image(Imprint()),
         depth=recipe.dataset.depth,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
     )

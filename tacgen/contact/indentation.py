@@ -86,11 +86,6 @@ def solve_indentation(
     return zero_mm + _solve(gaps - zero_mm, gaps.size, volume_mm3 / pixel_area_mm2)
 
 
-def volume_of(gap_map_mm: NDArray[np.floating], delta_mm: float, pixel_area_mm2: float) -> float:
-    """Indented volume in mm³ at δ: Σ max(0, δ − gap) · pixel area."""
-    return float(contact_depth(gap_map_mm, delta_mm).sum(dtype=np.float64)) * pixel_area_mm2
-
-
 def contact_depth(gap_map_mm: NDArray[np.floating], delta_mm: float) -> Float64:
     """Indentation of each pixel (H, W), mm: max(0, δ − gap)."""
     return np.maximum(0.0, delta_mm - np.asarray(gap_map_mm, dtype=np.float64))

@@ -98,27 +98,17 @@ class ContactLaw:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Imprint volume and summed marker motion of every row of a log.
 
-        Parameters
-        ----------
-        columns : mapping of name to (N,) array, or a data frame
-            Columns of a press log (tacgen's units); rows in any order. Each trial starts from
-            rest, and what happens in it carries through its samples.
-        simulate : bool
-            The columns are a simulated grasp: effects of the measurement (zero offset, latency,
-            drift with the session) do not act, nor do effects whose columns are missing
-            (no thermometer, say), which then stay at their reference.
+        ``columns`` are a press log's, (N,) each, rows in any order: a mapping or a data frame. Each
+        trial starts from rest, and what happens in it carries through its samples. With
+        ``simulate`` they are a simulated grasp: effects of the measurement (zero offset, latency,
+        drift with the session) do not act, nor do effects whose columns are missing (no
+        thermometer, say), which then stay at their reference.
 
-        Returns
-        -------
-        volume_mm3 : (N,) float64
-            At least 0 when simulating; in a log, noise about 0 N shows.
-        shear_mm : (N, 2) float64
-            Along the gel's x and y; 0 where the log has no shear force.
+        Returns the volume (N,), mm³, at least 0 when simulating (in a log, noise about 0 N shows),
+        and the motion (N, 2), mm, along the gel's x and y; 0 where the log has no shear force.
 
-        Raises
-        ------
-        ContactError
-            If a column that an effect needs is missing, or a required one is not finite.
+        Raises ``ContactError`` if a column that an effect needs is missing, or a required one is
+        not finite.
         """
         history = LoadHistory(columns)
         if not simulate:

@@ -17,11 +17,10 @@ import yaml
 from tacgen.core.errors import ObjectError
 from tacgen.core.files import sha256_of, sync_file
 from tacgen.core.records import GraspObject, Mesh
-from tacgen.objects.decompose import convex_parts
 from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import collision_error_mm, facet_note, suggest_ranges, suggest_yaw
 from tacgen.objects.load import load_object, write_meshes
-from tacgen.objects.mesh_import import UP_AXES, import_surface
+from tacgen.objects.mesh_import import UP_AXES, convex_parts, import_surface
 from tacgen.objects.meshes import mass_properties, volume_mm3
 
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'

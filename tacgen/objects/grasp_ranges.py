@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import trimesh
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.objects.shading import depth_view, view_axes
+from tacgen.physics.gripper import STROKE_MM
 
-STROKE_MM = 110.0  # opening of the WSG-50 (datasheet)
 MARGIN_MM = 5.0  # to either side between open pads and the object
 PAD_MM = (20.0, 16.0)  # width and height of the sensing surface
 LOWEST_PAD_MM = 10.5
@@ -19,6 +20,7 @@ LOWEST_PAD_MM = 10.5
 MIN_FORCE_N, MAX_FORCE_N = 1.0, 40.0
 GEL_REACH_MM = 0.5
 """Indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick."""
+RASTER_MM = 0.5  # of the views from a pad
 COARSE_STEP_DEG = 5.0
 CLEARLY_LARGER = 1.3
 """Areas vary by some 10 % with the raster of 0.5 mm."""
@@ -82,14 +84,11 @@ def suggest_yaw(surface: Mesh, heights_mm: Sequence[float]) -> float:
 
 def _patch_mm2(surface: Mesh, azimuth_deg: float, z_mm: float) -> float:
     """Area within the gel's reach of a pad at that height; 0 if the object is too wide."""
-    px = 0.5
-    size = (int(PAD_MM[1] / px), int(PAD_MM[0] / px))
-    center = np.array([0.0, 0.0, z_mm])
-    depth = depth_view(surface, view_axes(azimuth_deg, 0.0), center, size, px)[0]
+    depth = _pad_view(surface, azimuth_deg, 0.0, z_mm)
     nearest = float(depth.max())
     if not np.isfinite(nearest) or nearest > (STROKE_MM - MARGIN_MM) / 2:
         return 0.0
-    return float((depth >= nearest - GEL_REACH_MM).sum() * px**2)
+    return float((depth >= nearest - GEL_REACH_MM).sum() * RASTER_MM**2)
 
 
 def facet_note(surface: Mesh) -> str:
@@ -133,10 +132,14 @@ def collision_error_mm(
 
 def _reach_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: float) -> float:
     """How far towards a pad the meshes reach within it; −inf where there is nothing."""
-    px = 0.5
-    size = (int(PAD_MM[1] / px), int(PAD_MM[0] / px))
-    axes, center = view_axes(azimuth_deg, 0.0), np.array([0.0, y_mm, z_mm])
-    return max(float(depth_view(mesh, axes, center, size, px)[0].max()) for mesh in meshes)
+    return max(float(_pad_view(mesh, azimuth_deg, y_mm, z_mm).max()) for mesh in meshes)
+
+
+def _pad_view(mesh: Mesh, azimuth_deg: float, y_mm: float, z_mm: float) -> FloatArray:
+    """Heights of a mesh towards a pad, over its window; −inf where there is nothing."""
+    size_px = (int(PAD_MM[1] / RASTER_MM), int(PAD_MM[0] / RASTER_MM))
+    center_mm = np.array([0.0, y_mm, z_mm])
+    return depth_view(mesh, view_axes(azimuth_deg, 0.0), center_mm, size_px, RASTER_MM)[0]
 
 
 def _distinct(values: Iterable[float]) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""A user's mesh file as a closed surface in mm, standing on the table at the origin."""
+"""A user's mesh file as a closed surface in mm, standing at the origin, and its convex parts."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import coacd
 import manifold3d
 import numpy as np
 import trimesh
@@ -15,17 +16,21 @@ from numpy.typing import NDArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.objects.load import MAX_FILE_BYTES
-from tacgen.objects.meshes import from_manifold, to_manifold, volume_mm3
+from tacgen.objects.meshes import from_manifold, hull, to_manifold, volume_mm3
+from tacgen.physics.gripper import STROKE_MM
 
 UP_AXES = ("x", "y", "z")
 FORMATS = ("obj", "stl", "ply", "glb")
-STROKE_MM = 110.0
-"""Opening of the WSG-50 (datasheet)."""
 SMALLEST_MM, LARGEST_MM = 2.0, 1000.0
 MAX_TRIANGLES = 2_000_000  # limits the time and memory of the import
 MANY_TRIANGLES = 200_000  # from here on frames become slower
 MAX_HOLE_SHARE = 0.15
 """A hole is filled if its rim is at most this share of the mesh's diagonal."""
+MAX_PARTS = 24  # PyBullet's time a step grows with the parts
+MAX_PART_VERTICES = 128  # limits PyBullet's time a step
+DETAIL_MM = 0.2  # finest detail that the search for convex parts sees
+CONCAVITY = 0.05
+"""CoACD's threshold: the concavity left, as a share of the object's size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +58,9 @@ def import_surface(
     _check_numbers(path, vertices, faces)
     # What no triangle uses may lie anywhere, beyond any number that can be worked with too.
     used, corners = np.unique(faces, return_inverse=True)
-    vertices, faces = _standing(vertices[used], up) * scale, corners.reshape(faces.shape)
+    vertices, faces = vertices[used] * scale, corners.reshape(faces.shape)
+    # A cyclic change of axes, which mirrors nothing, turns the file's `up` to z.
+    vertices = np.roll(vertices, {"x": -1, "y": 1, "z": 0}[up], axis=1)
     if yaw_rad:
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         vertices = vertices @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -142,11 +149,6 @@ def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> N
         raise ObjectError(msg)
 
 
-def _standing(vertices: NDArray[np.float64], up: str) -> NDArray[np.float64]:
-    """Turn the file's ``up`` axis to z by a cyclic change of axes, which mirrors nothing."""
-    return np.roll(vertices, {"x": -1, "y": 1, "z": 0}[up], axis=1)
-
-
 def _closed(
     path: Path, vertices_mm: NDArray[np.float64], faces: NDArray[Any]
 ) -> tuple[Mesh, list[str]]:
@@ -226,3 +228,25 @@ def _united(path: Path, mesh: Mesh) -> Mesh:
     return from_manifold(
         manifold3d.Manifold.batch_boolean(whole.decompose(), manifold3d.OpType.Add)
     )
+
+
+def convex_parts(surface: Mesh, *, seed: int = 0) -> tuple[Mesh, ...]:
+    """At most ``MAX_PARTS`` convex hulls that together follow ``surface``.
+
+    Source: Wei et al. 2022, Approximate Convex Decomposition for 3D Meshes with
+    Collision-Aware Concavity and Tree Search.
+    """
+    coacd.set_log_level("error")
+    # The search's time grows with the triangles, and detail this fine is not for the physics.
+    coarse = from_manifold(to_manifold(surface).simplify(DETAIL_MM))
+    parts = coacd.run_coacd(
+        coacd.Mesh(np.array(coarse.vertices_mm), np.array(coarse.faces)),
+        threshold=CONCAVITY,
+        max_convex_hull=MAX_PARTS,
+        decimate=True,
+        max_ch_vertex=MAX_PART_VERTICES,
+        mcts_iterations=100,
+        mcts_nodes=15,
+        seed=seed,
+    )
+    return tuple(hull(vertices) for vertices, _ in parts)

@@ -68,14 +68,7 @@ def _clear_negligible(surface: NDArray[Any], least_mm: float) -> tuple[int, int,
 
 
 class Deformer:
-    """Turns the indentation under an object into the deformation of the whole gel.
-
-    Parameters
-    ----------
-    mm_per_px : float
-    pyramid_sigma_mm, final_sigma_mm, firm_contact
-        See the constants of this module.
-    """
+    """Turns the indentation under an object into the deformation of the whole gel."""
 
     def __init__(
         self,
@@ -112,26 +105,12 @@ class Deformer:
         The gel takes the object's shape where they are in firm contact and falls off smoothly
         around it. Only what the contact can reach is computed, which changes nothing.
 
-        Parameters
-        ----------
-        depth_mm : (h, w) float32
-            Indentation over the window ``contact``; 0 outside it.
-        contact : tuple of int
-            Where in the image, half-open: top, bottom, left, right.
-        shape_px : tuple of int
-            The image's size; beyond its edges the deformation goes on as at the edge.
+        ``depth_mm`` (h, w) float32 is the indentation over the window ``contact``; beyond the edges
+        of an image of ``shape_px`` the deformation goes on as at the edge. Returns the deformation
+        (h', w') float32, into the gel, mm (0 below 10 nm; in the deformer's own memory, valid until
+        its next use), and its window; the gel is at rest outside it.
 
-        Returns
-        -------
-        deformation_mm : (h', w') float32
-            Into the gel, mm; 0 where it would be below 10 nm. In the deformer's own memory, valid
-            until its next use.
-        window : tuple of int
-            Where in the image; the gel is at rest outside it. Empty where nothing is deformed.
-
-        Source
-        ------
-        Si & Yuan 2022, Taxim, §III-C.
+        Source: Si & Yuan 2022, Taxim, §III-C.
         """
         frame = aligned(grown(contact, self.reach_px + 1, shape_px), COARSEST, shape_px)
         depth, surface, scratch = self._maps(frame[1] - frame[0], frame[3] - frame[2])

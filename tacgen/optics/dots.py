@@ -43,16 +43,9 @@ MIN_TRACKED = 4
 class Spots:
     """Dark spots of a picture.
 
-    Attributes
-    ----------
-    labels : (H, W) int
-        Which spot a pixel is of: 0 for none, k + 1 for spot k.
-    areas : (n,) int
-        px.
-    places_px : (n, 2) float
-        Column and row of each spot's centre, weighted by darkness.
-    usable : (n,) bool
-        Of a dot's size.
+    ``labels`` (H, W) is which spot a pixel is of: 0 for none, k + 1 for spot k. Each of the n spots
+    has an area in pixels and a ``places_px`` (n, 2), column and row of its centre weighted by
+    darkness; ``usable`` (n,) are of a dot's size.
     """
 
     labels: IntArray
@@ -176,13 +169,7 @@ class Dots:
 
 
 def dots_at_rest(background: Image, path: str = "background.png") -> Dots:
-    """The dots of the gel at rest.
-
-    Raises
-    ------
-    PressError
-        Where fewer than four dots are seen.
-    """
+    """The dots of the gel at rest; ``PressError`` where fewer than four are seen."""
     spots = find_spots(background)
     places = spots.places_px[spots.usable]
     if len(places) < MIN_TRACKED:
@@ -198,13 +185,8 @@ def follow(dots: Dots, pictures: list[Image]) -> tuple[FloatArray, IntArray]:
     """Motion of every dot from rest, through pictures in time order.
 
     A dot is looked for where it would be if it had gone on with its neighbours, within half of
-    the dots' spacing. One that is not seen moves as its four nearest neighbours that are.
-
-    Returns
-    -------
-    motion_px : (T, n, 2) float
-    seen : (T,) int
-        How many dots were found in each picture.
+    the dots' spacing. One that is not seen moves as its four nearest neighbours that are. Returns
+    the motion (T, n, 2), px, and how many dots were found in each picture (T,).
     """
     motion = np.zeros((len(pictures), len(dots), 2))
     seen = np.zeros(len(pictures), dtype=np.int64)

@@ -49,10 +49,7 @@ def draw_markers(
 ) -> None:
     """Darken ``image`` (H, W, 3) in place under the dots, with edges a pixel soft.
 
-    Parameters
-    ----------
-    centers_mm : (n, 2) float64
-        x, y of the dots in the gel frame; those outside the image are skipped.
+    ``centers_mm`` (n, 2) are x, y of the dots in the gel frame; those outside are skipped.
     """
     n_rows, n_columns = image.shape[:2]
     columns = centers_mm[:, 0] / mm_per_px + (n_columns / 2 - 0.5)

@@ -21,10 +21,10 @@ from scipy.spatial import cKDTree
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.optics.deform import deform
-from tacgen.optics.sampled_table import features
-from tacgen.optics.table import LookupTable, contact_at
+from tacgen.optics.table import LookupTable, contact_at, features
 
 Tile = tuple[tuple[int, int], tuple[int, int]]
+"""Bounds: (top, bottom), (left, right)."""
 
 MAX_WIDTH_PX = 320
 """Pictures are averaged down to about this width: a shape needs no more, and noise goes."""
@@ -63,17 +63,11 @@ bends freely, deeper only a few noisy pixels remain."""
 class Shape:
     """What was reconstructed from a picture.
 
-    Attributes
-    ----------
-    depth_mm : (h, w) float64
-        Of the gel's surface below the gel at rest.
-    mm_per_px : float
-    slope_stderr : float
-        Standard error of the slopes in the contact, from what the table does not explain of the
-        picture; NaN where nothing is deeper than the gel at rest.
-    steepest_share : float
-        Share of the contact's pixels at the steepest slope that the table holds: walls may be
-        steeper, and the depth inside them is then too small.
+    ``depth_mm`` (h, w) is that of the gel's surface below the gel at rest; ``slope_stderr`` is the
+    standard error of the slopes in the contact, from what the table does not explain of the
+    picture; NaN where nothing is deeper than the gel at rest. ``steepest_share`` is the share of
+    the contact's pixels at the steepest slope that the table holds: walls may be steeper, and the
+    depth inside them is then too small.
     """
 
     depth_mm: FloatArray
@@ -123,13 +117,8 @@ class Shape:
 class Reconstructor:
     """Inverts a table; made ready once for all pictures of a sensor.
 
-    Parameters
-    ----------
-    table : LookupTable
-    background : (H, W, 3) uint8
-        RGB picture of the gel at rest, taken with the presses.
-    dome_radius_mm : float
-        Radius of curvature of the gel at rest; 0 for a flat one.
+    ``background`` (H, W, 3) is the RGB picture of the gel at rest, taken with the presses, and
+    ``dome_radius_mm`` the gel's radius of curvature; 0: flat.
     """
 
     def __init__(
@@ -145,7 +134,13 @@ class Reconstructor:
         self._grid = _cartesian(table, self.steepest)
         self._rest = _rest_slopes(self._shape, self.mm_per_px, dome_radius_mm)
         self._rest_colors = self._colors_at(self._rest)[0]
-        self._trees = {tile: self._tree_of(tile) for tile in self._tiles()}
+        height, width = self._shape
+        tiles = [
+            ((top, min(top + TILE_PX, height)), (left, min(left + TILE_PX, width)))
+            for top in range(0, height, TILE_PX)
+            for left in range(0, width, TILE_PX)
+        ]
+        self._trees = {tile: self._tree_of(tile) for tile in tiles}
 
     def shape_of(self, rgb: NDArray[np.uint8], hidden: NDArray[np.bool_] | None = None) -> Shape:
         """Depth of one picture (H, W, 3); ``hidden`` (H, W) marks pixels that show no gel."""
@@ -160,7 +155,8 @@ class Reconstructor:
             found = self._slopes_of(change)
             slopes = _filled(found - self._rest, known)
             surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
-            depth = _rest_level(surface) - surface
+            # The gel that was not touched: the median over the upper half of the surface.
+            depth = np.median(surface[surface >= np.median(surface)]) - surface
             change = seen - self._contact_light(found, depth)
         contact = (depth > 0.1 * depth.max()) & (known > 0)
         stderr = self._slope_stderr(found, change, contact)
@@ -230,15 +226,6 @@ class Reconstructor:
         colors = np.empty((3, *self._shape, 3))
         _interpolate(self._grid, self.steepest, slopes, colors)
         return colors[0], colors[1], colors[2]
-
-    def _tiles(self) -> list[Tile]:
-        """Bounds of the tiles: ((top, bottom), (left, right))."""
-        height, width = self._shape
-        return [
-            ((top, min(top + TILE_PX, height)), (left, min(left + TILE_PX, width)))
-            for top in range(0, height, TILE_PX)
-            for left in range(0, width, TILE_PX)
-        ]
 
     def _tree_of(self, tile: Tile) -> tuple[cKDTree, NDArray[np.integer]]:
         """Colours of the slopes at the middle of a tile, searchable; and the slopes' indices."""
@@ -351,9 +338,8 @@ def integrate(slope_x: FloatArray, slope_y: FloatArray, mm_per_px: float) -> Flo
 
     Least squares by Poisson's equation with free edges, solved by cosine transforms.
 
-    Source
-    ------
-    Simchony, Chellappa & Shao 1990, Direct analytical methods for solving Poisson equations.
+    Source: Simchony, Chellappa & Shao 1990, Direct analytical methods for solving Poisson
+    equations.
     """
     height, width = slope_x.shape
     # Slopes stand at pixels; differences between neighbours at the edges between them.
@@ -371,8 +357,3 @@ def integrate(slope_x: FloatArray, slope_y: FloatArray, mm_per_px: float) -> Flo
     spectrum = dctn(divergence, norm="ortho") / eigenvalues
     spectrum[0, 0] = 0.0
     return np.asarray(idctn(spectrum, norm="ortho"))
-
-
-def _rest_level(surface: FloatArray) -> float:
-    """Height of the gel that was not touched: the median over the upper half of the surface."""
-    return float(np.median(surface[surface >= np.median(surface)]))

@@ -49,18 +49,9 @@ class ActiveEffect:
 class Shader:
     """A table made ready: from height maps to float grey levels, in any window of the image.
 
-    Parameters
-    ----------
-    table : LookupTable
-    shadows : bool
-        Cast shadows; a table with that effect casts them in any case.
-    leds : tuple
-        The sensor's lights; read off the table where empty.
+    A table with the effect casts ``shadows`` in any case; empty ``leds`` are read off the table.
 
-    Raises
-    ------
-    TableError
-        If the table names effects that are unknown.
+    Raises ``TableError`` if the table names effects that are unknown.
     """
 
     def __init__(self, table: LookupTable, *, shadows: bool = False, leds: Leds = ()) -> None:
@@ -243,10 +234,7 @@ def render_rgb(
 def check_height_map(height_map_mm: NDArray[np.floating], table: LookupTable) -> None:
     """Refuse a height map that ``table`` cannot render.
 
-    Raises
-    ------
-    TableError
-        If its shape is not the table's or it is not finite.
+    Raises ``TableError`` if its shape is not the table's or it is not finite.
     """
     if height_map_mm.shape != table.shape_px:
         msg = (
@@ -264,16 +252,8 @@ class Renderer:
 
     The picture is the same, bit for bit, as ``render_rgb`` of the whole surface.
 
-    Parameters
-    ----------
-    table : LookupTable
-    rest_map_mm : (H, W)
-        The gel at rest, gel frame, mm.
-    shadows : bool
-    leds : tuple
-        The sensor's lights; read off the table where empty.
-    marker_radius_mm : float
-        Draw markers of this radius; 0 draws none.
+    ``rest_map_mm`` (H, W) is the gel at rest, gel frame. Empty ``leds`` are read off the table; a
+    ``marker_radius_mm`` of 0 draws no markers.
     """
 
     def __init__(
@@ -308,18 +288,9 @@ class Renderer:
         markers_mm: FloatArray | None = None,
         rng: np.random.Generator | None = None,
     ) -> NDArray[np.uint8]:
-        """The picture of the gel deformed within a window.
+        """The picture of the gel with a deformation (h, w), into the gel, over a window.
 
-        Parameters
-        ----------
-        deformation_mm : (h, w) float32
-            Into the gel, over the window; the gel is at rest outside it.
-        window : tuple of int
-            Top, bottom, left, right; may be empty.
-        markers_mm : (n, 2) float64, optional
-            Where the markers now are; needs the renderer to have markers.
-        rng : Generator, optional
-            Draws the camera's noise.
+        ``markers_mm`` (n, 2) is where the markers now are; ``rng`` draws the camera's noise.
         """
         seen = self._deformed(deformation_mm, window) if deformation_mm.size else window
         marked = self._marker_radius_mm > 0 and markers_mm is not None

@@ -68,9 +68,7 @@ def _atan_of_quotient(numerator, denominator):  # type: ignore[no-untyped-def]
 
     Written out so that it gives the same bits with every C library, and works on whole vectors.
 
-    Source
-    ------
-    Cephes ``atanf``: its range reduction at tan(π/8) and polynomial.
+    Source: Cephes ``atanf``: its range reduction at tan(π/8) and polynomial.
     """
     small, large = min(numerator, denominator), max(numerator, denominator)
     far = small > np.float32(0.41421356) * large
@@ -215,14 +213,8 @@ def shade_window(
 ) -> None:
     """Write background + polynomial into ``image`` (H, W, 3) float32, within ``window``.
 
-    Parameters
-    ----------
-    height_mm : (H, W) float32
-        The deformed gel surface, gel frame.
-    nodes : (n_slope, n_direction + 1, 24) float32
-        See ``packed_nodes``.
-    along : tuple of (W, 24) and (H, 24) float32
-        See ``feature_factors``.
+    ``height_mm`` (H, W) is the deformed gel surface, gel frame; ``nodes`` are ``packed_nodes`` and
+    ``along`` ``feature_factors``.
     """
     top, bottom, left, right = window
     n_slope, n_direction, width = nodes.shape[0], nodes.shape[1] - 1, right - left
@@ -278,16 +270,8 @@ def shade_response(
 ) -> None:
     """Write background + response + contact into ``image`` (H, W, 3) float32, within ``window``.
 
-    Parameters
-    ----------
-    height_mm : (H, W) float32
-        The deformed gel surface, gel frame.
-    response : (n_rows, n_columns, n_slope, n_direction + 1, 4) float32
-        See ``packed_response``.
-    rest_mm : (H, W) float32
-        The gel at rest.
-    contact : (n_rows, n_columns · 12) float32
-        See ``packed_contact``.
+    ``height_mm`` (H, W) is the deformed gel surface, gel frame, and ``rest_mm`` the gel at rest;
+    ``response`` is a ``packed_response`` and ``contact`` a ``packed_contact``.
     """
     top, bottom, left, right = window
     n_rows, n_columns = response.shape[0], response.shape[1]

@@ -28,6 +28,11 @@ N_FEATURES = 6
 """x², y², xy, x, y, 1 in image position, Taxim's order."""
 
 
+def features(u: FloatArray, v: FloatArray) -> NDArray[np.float64]:
+    """The six features of image position (…, 6), in the table's order."""
+    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+
+
 @dataclass(frozen=True, slots=True)
 class ContactLight:
     """What gel pressed in answers otherwise than gel of the same slope at rest.
@@ -35,15 +40,9 @@ class ContactLight:
     At depth d below the gel at rest a pixel with unit normal (nx, ny, ·) gains
     d / (d + ``depth_mm``) · (c₀ + c₁ nx + c₂ ny), the c linear between nodes of position.
 
-    Attributes
-    ----------
-    change : (n_rows, n_columns, 3, 3) float32
-        c₀, c₁, c₂ at each node, RGB grey levels last; node (r, c) stands where it does in a
-        table's ``response``.
-    depth_mm : float
-        The depth at which half of it shows.
-    dome_radius_mm : float
-        Radius of curvature of the gel at rest, which is 0 mm high at its centre; 0: flat.
+    ``change`` (n_rows, n_columns, 3, 3) holds c₀, c₁, c₂ at each node, RGB grey levels last; node
+    (r, c) stands where it does in a table's ``response``. At ``depth_mm`` half of it shows. The gel
+    at rest, of ``dome_radius_mm`` (0: flat), is 0 mm high at its centre.
     """
 
     change: NDArray[np.float32]
@@ -99,9 +98,7 @@ class LookupTable:
     provenance : mapping
         What it was made of: hashes, versions, chosen settings, held-out error.
 
-    Source
-    ------
-    Si & Yuan 2022, Taxim, Eq. 3.
+    Source: Si & Yuan 2022, Taxim, Eq. 3.
     """
 
     coefficients: NDArray[np.float32]

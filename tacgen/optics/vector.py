@@ -59,15 +59,9 @@ def blend_nodes(
 ) -> Any:
     """Blend four nodes of a table and evaluate their polynomial at one place.
 
-    Parameters
-    ----------
-    nodes, along_u, along_v, target : contiguous float32
-        The table's nodes, and the factors of the features that depend on u and on v, 24 floats
-        each; four floats are written to the target: R, G, B and a zero.
-    offsets, weights : tuple of 4
-        Where each node starts, and its weight.
-    u_offset, v_offset, target_offset : int
-        Nothing is checked: the caller keeps all offsets within the arrays.
+    Arrays are contiguous float32: the nodes and the factors of the features that depend on u and
+    on v, 24 floats each; four floats go to the target: R, G, B and a zero. ``offsets`` (4) is where
+    each node starts. Nothing is checked: the caller keeps all offsets within the arrays.
     """
     signature = types.void(
         nodes, offsets, weights, along_u, u_offset, along_v, v_offset, target, target_offset
@@ -115,16 +109,8 @@ def blend_places(
 ) -> Any:
     """Blend eight pairs of neighbouring directions of a table's response.
 
-    Parameters
-    ----------
-    nodes, target : contiguous float32
-        Four floats a node; four are written to the target: R, G, B and a zero.
-    offsets, weights : tuple of 8
-        Where each pair starts, and its weight.
-    across : float32
-        Share of the second node of every pair.
-    target_offset : int
-        Nothing is checked: the caller keeps all offsets within the arrays.
+    As ``blend_nodes``, of four floats a node; ``offsets`` (8) is where each pair starts, ``across``
+    the share of the second node of every pair.
     """
     signature = types.void(nodes, offsets, weights, across, target, target_offset)
 

@@ -43,27 +43,13 @@ class Paint:
 class VirtualSensor:
     """A vision-based tactile sensor made of a few physical parts.
 
-    Attributes
-    ----------
-    height_px, width_px, mm_per_px
-        The camera looks along −z of the gel frame, orthographically.
-    leds : tuple of Led
-    paint : Paint
-    ambient_rgb : tuple of float
-        Light scattered in the gel, which reaches every slope alike.
-    glare : float
-        Light that leaks from each light along the gel: a lobe at the window's edge, of this share
-        of the light's strength, which reaches every slope alike.
-    exposure : float
-        Irradiance 1 at the gel's centre, at rest, is this share of full scale.
-    gamma : float
-        The camera's response: grey = 255 (exposure · irradiance)^(1/gamma), softly saturating.
-    shadow : float
-        Share of a light that its cast shadow removes; 0 casts none.
-    blur_mm : float
-        The skin bridges what is finer than this: a Gaussian on the height map.
-    noise_grey : float
-        Standard deviation of the camera's noise.
+    The camera looks along −z of the gel frame, orthographically. ``ambient_rgb`` is scattered in
+    the gel and reaches every slope alike; so does ``glare``, which leaks from each light along the
+    gel: a lobe at the window's edge, of this share of the light's strength. Irradiance 1 at the
+    gel's centre, at rest, is the share ``exposure`` of full scale, and the camera's response is
+    grey = 255 (exposure · irradiance)^(1/gamma), softly saturating. ``shadow`` is the share of a
+    light that its cast shadow removes; the skin bridges what is finer than ``blur_mm``: a Gaussian
+    on the height map. ``noise_grey`` is the standard deviation of the camera's noise.
     """
 
     height_px: int

@@ -15,7 +15,14 @@ import numpy as np
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import ContactFrame
 from tacgen.core.units import MM_PER_M
-from tacgen.physics.frames import Pose, gel_pose_in_gripper, inverse, pose, rotation_of
+from tacgen.physics.frames import (
+    GEL_AXES_IN_GRIPPER,
+    PAD_SIDE,
+    Pose,
+    inverse,
+    pose,
+    rotation_of,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +160,8 @@ def object_pose(snapshot: Snapshot, bodies: Bodies) -> Pose:
 def gel_pose(snapshot: Snapshot, pad: str) -> Pose:
     """The gel frame of ``pad`` in the world."""
     distance_m = snapshot.pad_distance_m[0 if pad == "left" else 1]
-    return gripper_pose(snapshot) @ gel_pose_in_gripper(pad, distance_m)
+    in_gripper = pose(GEL_AXES_IN_GRIPPER[pad], [PAD_SIDE[pad] * distance_m, 0.0, 0.0])
+    return gripper_pose(snapshot) @ in_gripper
 
 
 def contact_frames(

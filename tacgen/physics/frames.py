@@ -77,11 +77,6 @@ def rotation_about_z(angle_rad: float) -> FloatArray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def gel_pose_in_gripper(pad: str, distance_m: float) -> Pose:
-    """The gel frame of ``pad`` whose surface is ``distance_m`` from the gripper's centre."""
-    return pose(GEL_AXES_IN_GRIPPER[pad], [PAD_SIDE[pad] * distance_m, 0.0, 0.0])
-
-
 def twice_sine(rotation: FloatArray) -> FloatArray:
     """Axis times twice the sine of the angle, (..., 3), of rotations (..., 3, 3)."""
     pairs = ((2, 1), (0, 2), (1, 0))

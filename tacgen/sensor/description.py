@@ -110,10 +110,7 @@ def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sens
 
     With ``needs_table`` False a sensor that is yet to be calibrated has an empty ``table``.
 
-    Raises
-    ------
-    RecipeError
-        If the sensor is unknown, its YAML is wrong or its table is not there.
+    Raises ``RecipeError`` if the sensor is unknown, its YAML is wrong or its table is not there.
     """
     choice = SensorChoice(name=choice) if isinstance(choice, str) else choice
     path = sensor_path(choice.name, beside=choice.folder)
@@ -126,15 +123,10 @@ def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sens
     if found is None and needs_table:
         msg = f"{path}: there is no table {table!r}; `tacgen calibrate lookup` makes one"
         raise RecipeError(msg)
+    changes = choice.model_dump(include={"mm_per_px", "dome_radius_mm"}, exclude_none=True)
+    figures = given.model_dump(exclude={"markers", "leds", "table"}) | changes
     return Sensor(
-        name=given.name,
-        height_px=given.height_px,
-        width_px=given.width_px,
-        mm_per_px=choice.mm_per_px or given.mm_per_px,
-        gel_depth_mm=given.gel_depth_mm,
-        dome_radius_mm=(
-            given.dome_radius_mm if choice.dome_radius_mm is None else choice.dome_radius_mm
-        ),
+        **figures,
         markers=Markers(**given.markers.model_dump()) if given.markers else None,
         leds=tuple((led.direction, led.rgb) for led in given.leds),
         table=str(found or ""),

@@ -6,7 +6,6 @@ Engines are in metres; what leaves this module is in mm, N and the gel frame.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,19 +24,11 @@ SECTIONS = 512
 """Around a cylinder or capsule: on 20 mm of radius its facets are within 0.4 µm."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Body:
-    """A body that may touch the sensor, with its mesh in the frame whose pose is read."""
-
-    body: int
-    mesh: Mesh
-
-
-class _Contacts(ABC):
-    """What both engines share: objects, their meshes as one, forces in the gel frame."""
+class EngineContacts(ABC):
+    """What a sensor asks of the physics engine that it is attached to."""
 
     def __init__(self) -> None:
-        self._objects: list[_Body] = []
+        self._objects: list[tuple[int, Mesh]] = []
 
     def contact(self) -> tuple[Mesh, FloatArray, FloatArray, float]:
         """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel."""
@@ -45,16 +36,29 @@ class _Contacts(ABC):
             msg = "the sensor knows of no object; call add_object with the body that it touches"
             raise SensorError(msg)
         gel = self._gel_pose_m()
-        poses = [_in_mm(inverse(gel) @ self._object_pose_m(one.body)) for one in self._objects]
+        poses = [_in_mm(inverse(gel) @ self._object_pose_m(body)) for body, _ in self._objects]
         points_m, forces_n = self._forces_on_gel()
         local_n = forces_n @ gel[:3, :3]
         arms_mm = MM_PER_M * (points_m - gel[:3, 3]) @ gel[:3, :3]
         torsion = np.sum(arms_mm[:, 0] * local_n[:, 1] - arms_mm[:, 1] * local_n[:, 0])
         total = local_n.sum(axis=0)
         force = np.array([total[0], total[1], -total[2]])
-        if len(self._objects) == 1:
-            return self._objects[0].mesh, poses[0], force, float(torsion)
-        return _joined([one.mesh for one in self._objects], poses), np.eye(4), force, float(torsion)
+        meshes = [mesh for _, mesh in self._objects]
+        if len(meshes) == 1:
+            return meshes[0], poses[0], force, float(torsion)
+        return _joined(meshes, poses), np.eye(4), force, float(torsion)
+
+    @abstractmethod
+    def time_s(self) -> float | None:
+        """The simulation's clock; None where the engine keeps none."""
+
+    @abstractmethod
+    def step_s(self) -> float:
+        """Length of one step of the simulation."""
+
+    @abstractmethod
+    def add_object(self, body: Any, mesh: Mesh | None) -> None:
+        """Watch for contacts of a body; its mesh from the engine's own shapes where None."""
 
     @abstractmethod
     def _gel_pose_m(self) -> FloatArray:
@@ -69,7 +73,7 @@ class _Contacts(ABC):
         """Contact points (n, 3), m, and the forces (n, 3) on the gel there, N, in the world."""
 
 
-class PyBulletContacts(_Contacts):
+class PyBulletContacts(EngineContacts):
     """A link of a PyBullet body that carries the gel."""
 
     def __init__(
@@ -113,7 +117,7 @@ class PyBulletContacts(_Contacts):
             found = _merged([_bullet_shape(part) for part in parts], f"body {body}")
             vertices_m = found.vertices @ inertial[:3, :3].T + inertial[:3, 3]
             mesh = Mesh(MM_PER_M * vertices_m, np.asarray(found.faces, np.int32))
-        self._objects.append(_Body(int(body), mesh))
+        self._objects.append((int(body), mesh))
 
     def _inertial_m(self, body: int, link: int) -> FloatArray:
         """The link's inertial frame in the link's own."""
@@ -139,14 +143,14 @@ class PyBulletContacts(_Contacts):
         raw = self._bullet.getContactPoints(physicsClientId=self._client)
         points: list[FloatArray] = [np.zeros((0, 3))]
         forces: list[FloatArray] = [np.zeros((0, 3))]
-        for one in self._objects:
-            touching = object_contacts(raw, one.body).of(self._body, self._link)
+        for body, _ in self._objects:
+            touching = object_contacts(raw, body).of(self._body, self._link)
             points.append(touching.point_m)
             forces.append(-touching.force_n)
         return np.concatenate(points), np.concatenate(forces)
 
 
-class MujocoContacts(_Contacts):
+class MujocoContacts(EngineContacts):
     """A body of a MuJoCo model that carries the gel."""
 
     def __init__(self, model: Any, data: Any, body: int | str, pose_body_gel_m: FloatArray) -> None:
@@ -184,7 +188,7 @@ class MujocoContacts(_Contacts):
             found = _merged([self._shape(k) for k in geoms], f"body {body!r}")
             vertices_mm = MM_PER_M * np.asarray(found.vertices)
             mesh = Mesh(vertices_mm, np.asarray(found.faces, np.int32))
-        self._objects.append(_Body(number, mesh))
+        self._objects.append((number, mesh))
 
     def _shape(self, geom: int) -> trimesh.Trimesh:
         kinds, size = self._mujoco.mjtGeom, self._model.geom_size[geom]
@@ -222,7 +226,7 @@ class MujocoContacts(_Contacts):
         return pose(np.array(self._data.xmat[body]).reshape(3, 3), np.array(self._data.xpos[body]))
 
     def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
-        objects = {one.body for one in self._objects}
+        objects = {body for body, _ in self._objects}
         points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for k in range(self._data.ncon):
             contact = self._data.contact[k]

@@ -18,15 +18,10 @@ from tacgen.core.records import ContactFrame
 class GelLoad:
     """What a contact law asks of one pad's gel at one time; the default is an unloaded gel.
 
-    Attributes
-    ----------
-    volume_mm3, indentation_mm : float or None
-        The volume that the gel loses (V = k_n F_n), or the depth (δ = c F_n, TACTO's law): the
-        one that the law gives.
-    shear_sum_mm : (2,)
-        D = k_s F_s, the sum of the markers' shear motion; the object moves with them.
-    turn_sum_mm2 : float
-        k_s times the moment about the gel's normal: the sum of r × motion.
+    The law gives either ``volume_mm3``, which the gel loses (V = k_n F_n), or ``indentation_mm``
+    (δ = c F_n, TACTO's law). ``shear_sum_mm`` (2,) is D = k_s F_s, the sum of the markers' shear
+    motion, with which the object moves; ``turn_sum_mm2`` is k_s times the moment about the gel's
+    normal: the sum of r × motion.
     """
 
     volume_mm3: float | None = None

@@ -43,15 +43,8 @@ LARGEST_FORCE_N = 1000.0
 class Reading(Frame):
     """What a picture says of the contact: a frame, with standard errors.
 
-    Attributes
-    ----------
-    force_stderr_n : (3,) float64
-        Of ``force_n``; shear forces and their errors are NaN without printed dots.
-    volume_stderr_mm3 : float
-    shear_sum_mm : (2,) float64
-        Sum of the printed dots' motion; NaN without them.
-    message : str
-        What the user should know (no contact, walls too steep); empty where all is well.
+    Without printed dots ``shear_sum_mm`` (2,), the sum of their motion, and the shear forces with
+    their errors are NaN. ``message`` is what the user should know (no contact, walls too steep).
     """
 
     force_stderr_n: NDArray[np.float64]
@@ -80,17 +73,10 @@ class Reading(Frame):
 class ImageReader:
     """Reads pictures of one sensor; prepared once for all of them.
 
-    Parameters
-    ----------
-    sensor : Sensor or str
-        With the table and the contact law of the sensor that took the pictures.
-    background_rgb : (H, W, 3) uint8, optional
-        Picture of the gel at rest, of the same session; the table's own where None.
+    ``sensor`` has the table and the contact law of the sensor that took the pictures;
+    ``background_rgb`` (H, W, 3) is the gel at rest, of the same session, the table's where None.
 
-    Raises
-    ------
-    SensorError
-        If the background is not of the table's size.
+    Raises ``SensorError`` if the background is not of the table's size.
     """
 
     def __init__(
@@ -108,10 +94,7 @@ class ImageReader:
     def read(self, image_rgb: NDArray[np.uint8]) -> Reading:
         """Depth, contact, volume and force of one picture (H, W, 3), RGB uint8.
 
-        Raises
-        ------
-        SensorError
-            If the picture is of another size, or differs from the background everywhere.
+        Raises ``SensorError`` if it is of another size, or differs from the background everywhere.
         """
         rgb = self._checked(image_rgb, "the image")
         self._check_background(rgb)
@@ -237,11 +220,8 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
     ``readings.csv`` has one row an image; ``<name>.npz`` holds ``depth_mm`` and ``contact_mask``,
     ``<name>_depth.png`` shows the depth, white at the deepest.
 
-    Raises
-    ------
-    SensorError
-        If a file is no image, two have one name, or one does not fit the sensor; nothing is then
-        written.
+    Raises ``SensorError`` if a file is no image, two have one name, or one does not fit the sensor;
+    nothing is then written.
     """
     names = [path.stem for path in paths]
     if len(set(names)) < len(names):
@@ -306,9 +286,8 @@ def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float) -> Reading
     if normal_n > LARGEST_FORCE_N:
         normal_n, message = math.nan, "no force of the contact law makes this volume: saturated"
     k_n, k_s = law.k_n_mm3_per_n, law.k_s_mm_per_n.value
-    relative = math.hypot(
-        reading.volume_stderr_mm3 / reading.volume_mm3, _known(k_n.stderr) / k_n.value
-    )
+    k_n_stderr = 0.0 if math.isnan(k_n.stderr) else k_n.stderr
+    relative = math.hypot(reading.volume_stderr_mm3 / reading.volume_mm3, k_n_stderr / k_n.value)
     n_dots = 0 if reading.markers_px is None else len(reading.markers_px)
     shear_stderr = math.sqrt(n_dots) * MARKER_STDERR_PX * mm_per_px / k_s if n_dots else math.nan
     return replace(
@@ -336,7 +315,3 @@ def _normal_force_n(law: ContactLaw, reading: Reading) -> float:
         return math.inf
     root: Any = brentq(excess, 0.0, LARGEST_FORCE_N, xtol=1e-6)
     return float(root)
-
-
-def _known(stderr: float) -> float:
-    return 0.0 if math.isnan(stderr) else stderr

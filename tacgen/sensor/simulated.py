@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 if TYPE_CHECKING:
     import trimesh
+
+    from tacgen.sensor.engines import EngineContacts
+
+MeshLike: TypeAlias = "trimesh.Trimesh | Mesh | tuple[FloatArray, NDArray[np.integer[Any]]]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,22 +53,6 @@ class Frame:
     indentation_mm: float
     volume_mm3: float
     markers_px: NDArray[np.float64] | None
-
-
-class Simulation(Protocol):
-    """What a sensor asks of the physics engine that it is attached to."""
-
-    def time_s(self) -> float | None:
-        """The simulation's clock; None where the engine keeps none."""
-
-    def step_s(self) -> float:
-        """Length of one step of the simulation."""
-
-    def add_object(self, body: Any, mesh: Mesh | None) -> None:
-        """Watch for contacts of a body; its mesh from the engine's own shapes where None."""
-
-    def contact(self) -> tuple[Mesh, FloatArray, FloatArray, float]:
-        """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel."""
 
 
 class Sensor:
@@ -116,14 +104,9 @@ class Sensor:
         else:
             self.law = ContactLaw.default() if contact is None else load_law(Path(contact))
         self.table = load_table(self.description.table)
-        self._pad = TactilePad(
-            self.description,
-            self.table,
-            shadows=shadows,
-            markers=markers,
-        )
+        self._pad = TactilePad(self.description, self.table, shadows=shadows, markers=markers)
         self._rng = np.random.default_rng(np.random.SeedSequence(seed)) if noise else None
-        self._simulation: Simulation | None = None
+        self._simulation: EngineContacts | None = None
         self._frames: list[ContactFrame] = []
         self._press = 0
 
@@ -134,7 +117,7 @@ class Sensor:
 
     def render(
         self,
-        mesh: trimesh.Trimesh | Mesh | tuple[FloatArray, NDArray[np.integer[Any]]],
+        mesh: MeshLike,
         pose_gel_object: FloatArray,
         force_n: float = 5.0,
         shear_n: Sequence[float] = (0.0, 0.0),
@@ -154,18 +137,14 @@ class Sensor:
             Force of the object into the gel, along the gel's x and y, and the moment about the
             gel's z.
 
-        Raises
-        ------
-        ContactError
-            If the mesh, the pose or the force cannot be used.
+        Raises ``ContactError`` if the mesh, the pose or the force cannot be used.
         """
         frame = _contact_frame(0.0, force_n, shear_n, torsion_n_mm, pose_gel_object)
         return self._frame(as_mesh(mesh), frame, gel_loads(self.law, [frame])[0])
 
     def at_rest_rgb(self) -> NDArray[np.uint8]:
         """The image (H, W, 3) of the gel with nothing on it, without noise."""
-        nothing = Imprint(0.0, 0.0, False, (0, 0, 0, 0), np.zeros((0, 0), np.float32))
-        return self._pad.image(nothing)
+        return self._pad.image(Imprint())
 
     def attach_pybullet(
         self,
@@ -199,7 +178,7 @@ class Sensor:
     def add_object(
         self,
         body_id: int | str,
-        mesh: trimesh.Trimesh | Mesh | tuple[FloatArray, NDArray[np.integer[Any]]] | None = None,
+        mesh: MeshLike | None = None,
         *,
         scale: float = 1.0,
     ) -> Sensor:
@@ -219,10 +198,7 @@ class Sensor:
         begins a new press. PyBullet keeps no clock: where such an effect matters and there is
         more than one step between readings, give ``time_s``.
 
-        Raises
-        ------
-        SensorError
-            If the sensor is not attached, or knows of no object.
+        Raises ``SensorError`` if the sensor is not attached, or knows of no object.
         """
         simulation = self._attached()
         mesh, pose, force, torsion_n_mm = simulation.contact()
@@ -246,7 +222,7 @@ class Sensor:
             return float(known_s)
         return self._frames[-1].time_s + simulation.step_s() if self._frames else 0.0
 
-    def _attached(self) -> Simulation:
+    def _attached(self) -> EngineContacts:
         if self._simulation is None:
             msg = "the sensor is not attached; call attach_pybullet or attach_mujoco first"
             raise SensorError(msg)
@@ -275,13 +251,7 @@ class Sensor:
 
 
 def as_mesh(mesh: Any, scale: float = 1.0) -> Mesh:
-    """A trimesh, a :class:`Mesh` or (vertices_mm, faces) as a ``Mesh``.
-
-    Raises
-    ------
-    ContactError
-        If it is none of these.
-    """
+    """A trimesh, a ``Mesh`` or (vertices_mm, faces) as a ``Mesh``; else a ``ContactError``."""
     if isinstance(mesh, Mesh) and scale == 1.0:
         return mesh
     if isinstance(mesh, Mesh):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -26,36 +26,24 @@ USUAL_REACH_MM = 1.25
 FIELD_POINTS = 1500
 """Points of a contact patch that the markers' motion is worked out from."""
 
-_NOWHERE: Window = (0, 0, 0, 0)
-
 
 @dataclass(frozen=True, slots=True)
 class Imprint:
-    """The mechanics of one contact.
+    """The mechanics of one contact; the default is a gel that nothing touches.
 
-    Attributes
-    ----------
-    indentation_mm : float
-        δ beyond first touch; 0 where nothing is over the pad.
-    volume_mm3 : float
-        What the gel has really lost: less than asked for where it is saturated or nothing touches.
-    saturated : bool
-        The gel is pressed through to its backing: more force presses no deeper.
-    window : tuple of int
-        Top, bottom, left, right of the contact patch in pixels.
-    depth_mm : (h, w) float32
-        Indentation over ``window``.
-    motion : Motion or None
-        How far shear has moved the object along the gel.
+    ``indentation_mm`` is δ beyond first touch, ``volume_mm3`` what the gel has really lost: less
+    than asked for where it is ``saturated``, pressed through to its backing. ``window`` (top,
+    bottom, left, right) holds the contact patch, ``depth_mm`` (h, w) float32 the indentation over
+    it. ``motion`` is how far shear has moved the object along the gel.
     """
 
-    indentation_mm: float
-    volume_mm3: float
-    saturated: bool
-    window: Window
-    depth_mm: NDArray[np.float32]
+    indentation_mm: float = 0.0
+    volume_mm3: float = 0.0
+    saturated: bool = False
+    window: Window = (0, 0, 0, 0)
+    depth_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     motion: Motion | None = None
-    field: MarkerField | None = None
+    markers: MarkerField | None = None
 
     def depth_map_mm(self, sensor: Sensor) -> NDArray[np.float32]:
         """Indentation over the whole pad, (H, W)."""
@@ -112,20 +100,9 @@ def _fill_depth(
 class TactilePad:
     """One tactile pad, made ready for frame after frame.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    table : LookupTable
-        Of the sensor's resolution.
-    camera : {"raster", "pyrender"}
-        Which camera takes the gap map.
-    shadows, markers : bool
-        Switches of the recipe.
+    ``table`` is of the sensor's resolution; ``camera`` ("raster" or "pyrender") takes the gap map.
 
-    Raises
-    ------
-    ContactError, TableError
-        If the camera cannot be used, or the table does not fit the sensor.
+    Raises ``ContactError`` if the camera cannot be used, ``TableError`` if the table does not fit.
     """
 
     def __init__(
@@ -168,8 +145,8 @@ class TactilePad:
         motion = self._field(imprint).motion(shear, load.turn_sum_mm2)
         if moves:
             imprint = self._indent(vertices_mm, faces, motion.moved(pose), load)
-        field = self._field(imprint) if self._markers_drawn and imprint.depth_mm.size else None
-        return replace(imprint, motion=motion, field=field)
+        markers = self._field(imprint) if self._markers_drawn and imprint.depth_mm.size else None
+        return replace(imprint, motion=motion, markers=markers)
 
     def image(
         self, imprint: Imprint, *, rng: np.random.Generator | None = None
@@ -183,8 +160,8 @@ class TactilePad:
         """Places (n, 2) of the marker dots, gel frame, mm; None where none are drawn."""
         if not self._markers_drawn:
             return None
-        if imprint.field is not None and imprint.motion is not None:
-            return imprint.field.displaced_mm(imprint.motion)
+        if imprint.markers is not None and imprint.motion is not None:
+            return imprint.markers.displaced_mm(imprint.motion)
         return self._points_mm
 
     def render(
@@ -231,7 +208,7 @@ class TactilePad:
 
     def _imprint_at(self, gap: ObjectGap, delta: float, *, saturated: bool) -> Imprint:
         if delta <= 0:
-            return Imprint(0.0, 0.0, False, _NOWHERE, np.zeros((0, 0), dtype=np.float32))
+            return Imprint()
         bounds = _patch_bounds(gap.grains, delta)
         top, bottom, left, right = bounds
         depth_mm = np.empty((bottom - top, right - left), dtype=np.float32)

@@ -19,9 +19,8 @@ from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
 from tacgen.objects.add import HERTZ_MM, add_object
-from tacgen.objects.decompose import convex_parts
 from tacgen.objects.load import read_meshes
-from tacgen.objects.mesh_import import import_surface
+from tacgen.objects.mesh_import import convex_parts, import_surface
 from tacgen.objects.meshes import volume_mm3
 
 

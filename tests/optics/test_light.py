@@ -15,9 +15,9 @@ from tacgen.optics.effects.shadow import (
     shadow_reach_mm,
 )
 from tacgen.optics.markers import draw_markers
-from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.table import LookupTable, leds_of_table
 from tacgen.optics.virtual_sensor import Led, Paint, VirtualSensor
+from validation.optics.sampled_table import sampled_table
 
 MM_PER_PX = 0.1
 LEDS = tuple(

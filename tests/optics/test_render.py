@@ -12,8 +12,8 @@ from scipy.interpolate import RegularGridInterpolator
 from tacgen.core.errors import TableError
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
 from tacgen.optics.render import Renderer
-from tacgen.optics.sampled_table import with_reference
 from tacgen.optics.table import ContactLight, contact_at, response_at
+from validation.optics.sampled_table import with_reference
 
 SHAPE = (90, 120)
 MM_PER_PX = 0.1

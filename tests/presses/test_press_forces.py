@@ -16,12 +16,12 @@ from tacgen.core.errors import PressError
 from tacgen.optics import save_table
 from tacgen.optics.dots import dots_at_rest, follow, printed_dots
 from tacgen.optics.reconstruct import Reconstructor, integrate
-from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
 from tacgen.presses.press_forces import measure_presses
 from tacgen.rig import load_rig_recipe, run_rig
 from tacgen.rig.images import Camera, press_ball, rig_sensor
+from validation.optics.sampled_table import sampled_table
 
 K_N, K_S = 5.135, 0.8
 

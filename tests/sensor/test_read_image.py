@@ -17,11 +17,11 @@ from tacgen.contact import gel_map_mm
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import SensorError
 from tacgen.optics import save_table
-from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.rig import load_rig_recipe
 from tacgen.rig.images import Camera, press_ball, rig_sensor
 from tacgen.sensor.read_image import ImageReader, read_image
+from validation.optics.sampled_table import sampled_table
 
 K_N, K_S = 5.135, 0.8
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from tacgen.contact import contact_depth, gap_map, gel_map_mm, solve_indentation
 from tacgen.core.records import Markers, Mesh, Sensor
 from tacgen.optics import deform, load_table, render_rgb
-from tacgen.optics.sampled_table import sampled_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.tactile_pad import TactilePad
+from validation.optics.sampled_table import sampled_table
 
 LEDS = tuple(
     ((0.866 * math.cos(a), 0.866 * math.sin(a), -0.5), tuple(1.5 * (i == k) for k in range(3)))
@@ -145,7 +145,7 @@ def test_shear_carries_the_imprint_along_and_the_markers_sum_to_it(table):
     # On a dome the patch slides back a little towards the top: 3 mm of ball on 30 mm of dome.
     np.testing.assert_allclose(middle(sheared) - middle(still), shift_px, rtol=0.15, atol=0.1)
     np.testing.assert_allclose(
-        sheared.field.shear_mm(sheared.motion).sum(axis=0), [6.0, -3.0], rtol=0.05
+        sheared.markers.shear_mm(sheared.motion).sum(axis=0), [6.0, -3.0], rtol=0.05
     )
 
 

@@ -9,16 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.optics.render import Shader
-from tacgen.optics.table import LookupTable
+from tacgen.optics.table import LookupTable, features
 from tacgen.optics.virtual_sensor import VirtualSensor
 
 _PLACES = 9
 """Points along each side of the image at which every slope is looked at."""
-
-
-def features(u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The six features of image position (…, 6), in the table's order."""
-    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
 
 
 def sampled_table(
@@ -59,7 +54,7 @@ def sampled_table(
         max_slope_rad=max_slope_rad,
         sensor=sensor,
         noise_grey=virtual.noise_grey,
-        provenance={"made_by": "tacgen.optics.sampled_table", "source": "virtual sensor"},
+        provenance={"made_by": "validation.optics.sampled_table", "source": "virtual sensor"},
     )
     return with_reference(empty, rest_map_mm, virtual.grey_levels(rest_map_mm))
 
