@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Annotated
 
@@ -40,13 +39,11 @@ def bench(
     figures = run_benchmarks(repeats=repeats)
     record: dict[str, object] = {figure.name: figure.value for figure in figures}
 
-    def lines() -> Iterator[str]:
-        for figure in figures:
-            yield f"{figure.name:<24} {figure.value:9.4g} {figure.unit:<3} {figure.what}"
-        if estimate:
-            yield (
-                f"{recipe}: {estimate['grasps']:.0f} grasps at {estimate['grasp_s']:.2f} s, "
-                f"{estimate['total_s'] / 60:.1f} min with one worker"
-            )
-
-    print_result(record | ({"recipe": estimate} if estimate else {}), lines(), json_output)
+    lines = [f"{one.name:<24} {one.value:9.4g} {one.unit:<3} {one.what}" for one in figures]
+    if estimate:
+        record["recipe"] = estimate
+        lines.append(
+            f"{recipe}: {estimate['grasps']:.0f} grasps at {estimate['grasp_s']:.2f} s, "
+            f"{estimate['total_s'] / 60:.1f} min with one worker"
+        )
+    print_result(record, lines, json_output)

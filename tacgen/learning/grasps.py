@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,31 +73,11 @@ class GraspTable:
         return GraspTable(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
-class GraspSource(Protocol):
-    """Where the images of a table's grasps are read from; can be pickled to a loader's worker.
-
-    ``made_with`` is the hash of the recipe that simulated them, None where a robot made them.
-    """
-
-    table: GraspTable
-    made_with: str | None
-    shape_px: tuple[int, int]
-
-    def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
-        """Some tactile images of one grasp, (len(frames), H, W, 3) RGB."""
-
-    def frame_count(self, row: int) -> int:
-        """How many images the grasp has."""
-
-    def reference(self) -> NDArray[np.uint8] | None:
-        """The image of the undeformed gel, (H, W, 3), where there is one."""
-
-
 class SimulatedGrasps:
     """The executed grasps of a dataset; its shards are opened when first needed.
 
-    Raises ``DatasetError`` if the dataset is incomplete, mixed or damaged. Raises ``LearningError``
-    if no grasp in it was executed.
+    ``made_with`` is the hash of the recipe that simulated them. Raises ``DatasetError`` if the
+    dataset is incomplete, mixed or damaged, ``LearningError`` if no grasp in it was executed.
     """
 
     def __init__(self, root: Path, pad: str | None = None) -> None:
@@ -113,22 +93,22 @@ class SimulatedGrasps:
         if not len(self.table):
             msg = f"{self.root}: no grasp in it was executed; collect one with reachable grasps"
             raise LearningError(msg)
-        self.reference_rgb = self.dataset.reference(pad)
-        self.shape_px: tuple[int, int] = self.reference_rgb.shape[:2]
+        self._reference = self.dataset.reference(pad)
+        self.shape_px: tuple[int, int] = self._reference.shape[:2]
         self.n_frames = self.dataset.n_frames
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
-        """Some images of one grasp, each read by itself."""
+        """Some tactile images of one grasp, (len(frames), H, W, 3) RGB."""
         index = int(self._indices[row])
         return np.stack([self.dataset.rgb(index, self.pad, int(frame)) for frame in frames])
 
     def frame_count(self, row: int) -> int:
-        """The same for every grasp of a dataset."""
+        """How many images the grasp has."""
         return self.n_frames
 
     def reference(self) -> NDArray[np.uint8]:
-        """The undeformed gel, as the dataset stores it."""
-        return self.reference_rgb
+        """The image of the undeformed gel, (H, W, 3)."""
+        return self._reference
 
     def identity(self) -> dict[str, object]:
         """The identity of this dataset."""
@@ -202,3 +182,7 @@ class RealGraspImages:
             )
             raise LearningError(msg)
         return image
+
+
+GraspSource = SimulatedGrasps | RealGraspImages
+"""Where the images of a table's grasps are read from; can be pickled to a loader's worker."""

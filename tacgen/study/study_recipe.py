@@ -93,10 +93,9 @@ class Study(Section):
 
 
 def load_study(name: str | Path) -> Study:
-    """Read and check the study ``name`` (a path, or the name of a shipped one).
+    """Read and check the study ``name`` (a path, or the name of a shipped one) and its rows.
 
-    Raises ``RecipeError``, which lists everything that is wrong; what a row turns the recipes into
-    is checked too.
+    Raises ``RecipeError``, which lists everything that is wrong.
     """
     source = read_yaml(find_recipe(str(name)))
     study = validate(Study, source)
