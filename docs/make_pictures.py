@@ -179,7 +179,8 @@ def augmentation() -> Figure:
     ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
     size = (80, 60)
     images = [sensor.render(ball, np.eye(4), force_n=3.0).rgb, sensor.at_rest_rgb()]
-    image, rest = (cv2.resize(rgb, size, interpolation=cv2.INTER_AREA) for rgb in images)
+    small = (cv2.resize(rgb, size, interpolation=cv2.INTER_AREA) for rgb in images)
+    image, rest = (np.asarray(rgb, np.uint8) for rgb in small)
     figure = Figure(figsize=(9.0, 1.5), layout="constrained")
     for k, axis in enumerate(figure.subplots(1, 6)):
         shown = image if not k else augmented(image[None], rest, Augmentation(on=True), rng)[0]
