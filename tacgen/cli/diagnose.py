@@ -34,6 +34,13 @@ def diagnose_contact(
     log: Annotated[Path, Argument(help="Press log: CSV or Parquet.")],
     out: Annotated[Path, Option(help="Folder for diagnosis.json, contact.yaml, report.html.")],
     marker_pitch_mm: MarkerPitchOption = None,
+    grasp: Annotated[
+        str | None,
+        Option(
+            help="Recipe with sequences: also render its grasp with the largest force under the "
+            "linear and the extended law (grasp.html)."
+        ),
+    ] = None,
     force: ForceFlag = False,
     json_output: JsonFlag = False,
 ) -> None:
@@ -45,6 +52,13 @@ def diagnose_contact(
     pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
     diagnosis = diagnose_log(log, out, marker_pitch_mm=pitch_mm)
     note(diagnosis.notes)
+    if grasp is not None:
+        from tacgen.collection.recipe import load_recipe
+        from tacgen.diagnose.contact.law_comparison import write_law_comparison
+
+        write_law_comparison(
+            load_recipe(grasp), diagnosis.linear_law, diagnosis.law, out / "grasp.html"
+        )
     sentences = [found.sentence for found in diagnosis.channels.values()]
     print_result(diagnosis_record(diagnosis), sentences, json_output)
     hand_over(*contact_lines(out / "contact.yaml"))

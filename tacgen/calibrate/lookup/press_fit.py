@@ -192,7 +192,7 @@ def _rest_terms(sample: Sample, press_model: PressModel, degree: int) -> FloatAr
     return light_terms(*rest_slope(x, y, press_model.dome_radius_mm), np.zeros_like(x), degree)
 
 
-def fit_jointly(
+def place_jointly(
     prepared: PreparedPresses,
     background: FloatArray,
     settings: FitSettings,
@@ -200,10 +200,10 @@ def fit_jointly(
     iterations: int = 8,
     start: JointFit | None = None,
 ) -> JointFit:
-    """Alternate between the smooth model, each press's place, the rim and the label model.
+    """Alternate between a rough smooth model, each press's place, the rim and the label model.
 
-    The places are found on a thinned lattice of pixels; the model is then fitted to more of them.
-    ``start`` is an earlier fit of the same presses to go on from.
+    All on a thinned lattice of pixels. ``start`` is an earlier fit of the same presses to go on
+    from.
     """
     presses = prepared.presses
     thinned = prepared.samples(background, RULES.pixels_to_place)
@@ -232,9 +232,15 @@ def fit_jointly(
         membrane = _refine_membrane(samples, geometry, model, press_model)
         press_model = replace(press_model, membrane=membrane, labels=learn_labels(labels, geometry))
         share = _drift_share(thinned, geometry, press_model, model, prepared)
-    dense = _less(prepared.samples(background), share * prepared.drift)
-    model = _fit_model(dense, geometry, press_model, settings)
     return JointFit(model, press_model, geometry, share)
+
+
+def fit_light(
+    prepared: PreparedPresses, background: FloatArray, settings: FitSettings, placed: JointFit
+) -> JointFit:
+    """The smooth model of presses placed as in ``placed``, on more of their pixels."""
+    samples = _less(prepared.samples(background), placed.drift_share * prepared.drift)
+    return replace(placed, model=_fit_model(samples, placed.geometry, placed.press_model, settings))
 
 
 def _less(samples: list[Sample], offsets: FloatArray) -> list[Sample]:

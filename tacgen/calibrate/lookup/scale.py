@@ -17,7 +17,7 @@ import numpy as np
 
 from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares, press_sums
 from tacgen.calibrate.lookup.prepared import PreparedPresses
-from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly, sample_design
+from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, sample_design
 from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.dots import find_spots, nearest_px
@@ -205,7 +205,7 @@ def _ratio(prepared: PreparedPresses, fit: JointFit, radius: float, reference: f
 def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
     """Squared error (N,) of each press by a model of the others, all placed anew."""
     background = prepared.backgrounds[SMOOTH_WITH_DRIFT]
-    placed = fit_jointly(prepared, background, RATIO_SETTINGS, start=fit, iterations=3)
+    placed = place_jointly(prepared, background, RATIO_SETTINGS, start=fit, iterations=3)
     samples = prepared.samples(background, RULES.pixels_for_ratio)
     sums = [
         press_sums(

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy import linalg
 
 from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.core.arrays import FloatArray
@@ -184,6 +185,6 @@ def solve_ridge(gram: FloatArray, moment: FloatArray, settings: FitSettings) -> 
     """
     degree, position_degree = settings.degree, settings.position_degree
     penalty = np.diag(settings.ridge * ridge_costs(degree, position_degree))
-    weights = np.linalg.solve(gram + penalty, moment)
+    weights = linalg.solve(gram + penalty, moment, assume_a="pos", check_finite=False)
     shape = (n_light_terms(degree), n_position_features(position_degree), -1)
     return SmoothModel(weights.reshape(shape), degree)

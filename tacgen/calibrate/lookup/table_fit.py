@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
-from tacgen.calibrate.lookup.press_fit import JointFit, fit_jointly
+from tacgen.calibrate.lookup.press_fit import JointFit, fit_light, place_jointly
 from tacgen.calibrate.lookup.scale import ScaleEvidence, scale_evidence
 from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
@@ -129,11 +129,12 @@ def _portable(table: LookupTable) -> LookupTable:
 
 def _fit(prepared: PreparedPresses) -> tuple[LookupTable, JointFit, Choice]:
     first = FitSettings()
-    fit = fit_jointly(prepared, prepared.backgrounds[SMOOTH_WITH_DRIFT], first)
-    choice = choose(prepared, fit)
+    placed = place_jointly(prepared, prepared.backgrounds[SMOOTH_WITH_DRIFT], first)
+    choice = choose(prepared, placed)
+    background = prepared.backgrounds[choice.background]
     if (choice.settings, choice.background) != (first, SMOOTH_WITH_DRIFT):
-        background = prepared.backgrounds[choice.background]
-        fit = fit_jointly(prepared, background, choice.settings, start=fit, iterations=3)
+        placed = place_jointly(prepared, background, choice.settings, start=placed, iterations=3)
+    fit = fit_light(prepared, background, choice.settings, placed)
     return _tabulate(prepared, fit, choice), fit, choice
 
 

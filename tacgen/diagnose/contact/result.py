@@ -108,6 +108,13 @@ class Diagnosis:
     law: ContactLaw
     notes: tuple[str, ...]
 
+    @property
+    def linear_law(self) -> ContactLaw:
+        """The law without effects, fitted to the same trials: what ``law`` is compared with."""
+        compliance = {name: found.base.model.compliance for name, found in self.channels.items()}
+        k_n = compliance.get("normal", self.law.k_n_mm3_per_n.value)
+        return ContactLaw.linear(k_n, compliance.get("shear", float("nan")))
+
 
 def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of ``diagnosis.json``: the contract's keys and further ones."""

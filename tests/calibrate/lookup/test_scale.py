@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tacgen.calibrate.lookup.prepared import PreparedPresses
-from tacgen.calibrate.lookup.press_fit import fit_jointly
+from tacgen.calibrate.lookup.press_fit import place_jointly
 from tacgen.calibrate.lookup.scale import scale_evidence
 from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.presses.press_folder import read_presses
@@ -37,7 +37,7 @@ def folder(tmp_path_factory):
 
 def evidence(presses):
     prepared = PreparedPresses.of(presses)
-    fit = fit_jointly(prepared, presses.background.astype(np.float32), FitSettings(degree=5))
+    fit = place_jointly(prepared, presses.background.astype(np.float32), FitSettings(degree=5))
     return scale_evidence(prepared, fit)
 
 
