@@ -33,9 +33,11 @@ def _solid(name: str, dimensions_mm: Mapping[str, float], sections: int) -> trim
     elif name == "cylinder":
         radius_mm = dimensions_mm["diameter_mm"] / 2
         made = creation.cylinder(radius_mm, dimensions_mm["height_mm"], sections=sections)
+    elif name == "sphere":
+        radius_mm = dimensions_mm["diameter_mm"] / 2
+        made = creation.uv_sphere(radius_mm, count=[sections // 2 + 1, sections])
     else:
-        made = creation.uv_sphere(
-            dimensions_mm["diameter_mm"] / 2, count=[sections // 2 + 1, sections]
-        )
+        msg = f"no solid is named {name!r}"
+        raise ValueError(msg)
     made.apply_translation([0.0, 0.0, -made.bounds[0, 2]])
     return made
