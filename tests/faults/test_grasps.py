@@ -16,15 +16,17 @@ from tacgen.dataset.verify import verify
 
 from .conftest import digests
 
-SCRIPT = Path(__file__).with_name("faulty_collect.py")
+CHECKOUT = Path(__file__).parents[2]
+FAULTY = Path(__file__).with_name("faulty")
 
 
 def collect_faulty(world, out, *faults, limit_s=60):
     options = ["--out", str(out), "--grasp-limit-s", str(limit_s)]
     return subprocess.run(
-        [sys.executable, SCRIPT, "collect", str(world), *options],
+        [sys.executable, "-m", "tacgen", "collect", str(world), *options],
         cwd=world.parent,
-        env=os.environ | {"TACGEN_FAULTS": " ".join(faults)},
+        env=os.environ
+        | {"TACGEN_FAULTS": " ".join(faults), "PYTHONPATH": f"{FAULTY}{os.pathsep}{CHECKOUT}"},
         capture_output=True,
         text=True,
         timeout=150,
