@@ -2,6 +2,8 @@
 PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c 'import venv' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 READY := .venv/.ready
+# A test process is one core's work: libraries that start threads in each slow one another down.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 .PHONY: setup demo test test-fast coverage slowest check format docs bench trust lock clean
 
@@ -19,16 +21,16 @@ demo: setup
 	@echo "Look at out/quickstart/index.html"
 
 test: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+	$(PYTEST)
 
 test-fast: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m "not slow"
+	$(PYTEST) -m "not slow"
 
 coverage: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m "not slow" --cov=tacgen --cov-report=term:skip-covered
+	$(PYTEST) -m "not slow" --cov=tacgen --cov-report=term:skip-covered
 
 slowest: setup
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal --durations 30
+	$(PYTEST) --durations 30
 
 check: setup
 	$(BIN)/ruff format --check .
