@@ -87,8 +87,11 @@ def read_small_text(path: Path, most_bytes: int) -> str:
     Raises ``ValueError`` if it is no regular file (a pipe would never end) of at most
     ``most_bytes``.
     """
-    if not path.is_file() or path.stat().st_size > most_bytes:
-        msg = f"missing, or not a file of at most {most_bytes} bytes"
+    if not path.is_file():
+        msg = "missing, or not a file"
+        raise ValueError(msg)
+    if path.stat().st_size > most_bytes:
+        msg = f"larger than {most_bytes} bytes"
         raise ValueError(msg)
     return path.read_text(encoding="utf-8", errors="replace")
 

@@ -108,7 +108,10 @@ def make_backbone(weights: str) -> Backbone:
     elif weights not in ("auto", NO_WEIGHTS):
         path = Path(weights).expanduser()
         if not is_file(path):
-            msg = f"model.weights = {weights!r} is no file; give one, or auto, imagenet or none"
+            msg = (
+                f"model.weights = {weights!r} is no file; give a ResNet-18 weight file, auto, "
+                "imagenet or none"
+            )
             raise LearningError(msg)
         backbone.load(read_weights(path), str(path))
     return backbone

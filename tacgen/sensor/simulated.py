@@ -137,7 +137,10 @@ class Sensor:
             Force of the object into the gel, along the gel's x and y, and the moment about the
             gel's z.
 
-        Raises ``ContactError`` if the mesh, the pose or the force cannot be used.
+        Raises
+        ------
+        ContactError
+            If the mesh, the pose or the force cannot be used.
         """
         frame = _contact_frame(0.0, force_n, shear_n, torsion_n_mm, pose_gel_object)
         return self._frame(as_mesh(mesh), frame, gel_loads(self.law, [frame])[0])
