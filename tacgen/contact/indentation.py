@@ -12,29 +12,6 @@ from tacgen.contact.raster import Float64
 from tacgen.core.errors import ContactError
 
 
-@njit(cache=True, nogil=True)
-def _solve(gaps_mm: Float64, count: int, depth_sum_mm: float) -> float:
-    """The δ with Σ max(0, δ − gap) = ``depth_sum_mm`` over the first ``count`` gaps, reordered.
-
-    Newton from the right: the sum is convex and piecewise linear in δ, so the line through the
-    pixels still below δ meets the target at or beyond the solution, and each step only drops
-    pixels. It ends, exactly, when none is dropped.
-    """
-    while True:
-        total = 0.0
-        for i in range(count):
-            total += gaps_mm[i]
-        delta = (depth_sum_mm + total) / count
-        kept = 0
-        for i in range(count):
-            if gaps_mm[i] < delta:
-                gaps_mm[kept] = gaps_mm[i]
-                kept += 1
-        if kept == count or kept == 0:
-            return delta
-        count = kept
-
-
 def solve_indentation(
     gap_map_mm: NDArray[np.floating], volume_mm3: float, pixel_area_mm2: float
 ) -> float:
@@ -83,7 +60,14 @@ def solve_indentation(
         raise ContactError(msg)
     # Relative to first touch, so that no digit is spent on where the object is.
     zero_mm = float(gaps.min())
-    return zero_mm + _solve(gaps - zero_mm, gaps.size, volume_mm3 / pixel_area_mm2)
+    gaps -= zero_mm
+    while True:
+        # Newton from the right: each step only drops pixels, and ends, exactly, when none is.
+        delta_mm = (volume_mm3 / pixel_area_mm2 + gaps.sum()) / gaps.size
+        below = gaps[gaps < delta_mm]
+        if below.size in (0, gaps.size):
+            return zero_mm + float(delta_mm)
+        gaps = below
 
 
 def contact_depth(gap_map_mm: NDArray[np.floating], delta_mm: float) -> Float64:

@@ -157,9 +157,16 @@ def _check_shape(surface: Mesh, description: ObjectDescription, folder: Path) ->
         )
     if description.inertia_kg_mm2 is not None:
         inertia = np.array(description.inertia_kg_mm2.value)
-        if not (np.array_equal(inertia, inertia.T) and np.linalg.eigvalsh(inertia).min() > 0):
+        moments = np.linalg.eigvalsh(inertia)
+        if not np.array_equal(inertia, inertia.T) or moments[0] <= 0:
             problems.append(
                 f"{where}: inertia_kg_mm2 is not symmetric with positive moments; correct it"
+            )
+        elif moments[2] > (moments[0] + moments[1]) * (1 + 1e-6):
+            listed = ", ".join(f"{moment:.3g}" for moment in moments)
+            problems.append(
+                f"{where}: inertia_kg_mm2 has the principal moments {listed}, which no body has "
+                "(each is at most the sum of the others); compute it from the mesh"
             )
     if problems:
         raise ObjectError.from_problems(problems)

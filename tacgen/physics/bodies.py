@@ -22,28 +22,6 @@ def principal_axes(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     return moments, axes
 
 
-def object_problems(obj: GraspObject) -> list[str]:
-    """Everything that keeps ``obj`` from being a body, each with its fix."""
-    where = f"object {obj.name!r}"
-    problems = []
-    if not obj.collision:
-        problems.append(f"{where}: has no collision part; add at least one convex part")
-    if not (np.isfinite(obj.mass_kg) and obj.mass_kg > 0):
-        problems.append(f"{where}: mass_kg = {obj.mass_kg:g} is not above 0; weigh the object")
-    for name in ("friction", "spinning_friction_mm"):
-        value = getattr(obj, name)
-        if not (np.isfinite(value) and value >= 0):
-            problems.append(f"{where}: {name} = {value:g} is negative; give 0 or more")
-    moments = np.linalg.eigvalsh(obj.inertia_kg_mm2)
-    if not (moments[0] > 0 and moments[0] + moments[1] >= moments[2] * (1 - 1e-6)):
-        listed = ", ".join(f"{moment:.3g}" for moment in moments)
-        problems.append(
-            f"{where}: inertia_kg_mm2 has the principal moments {listed}, which no body has "
-            "(each is positive and at most the sum of the others); compute it from the mesh"
-        )
-    return problems
-
-
 class ObjectBody:
     """The object in the world, standing in its rest pose to begin with.
 

@@ -111,24 +111,6 @@ def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
     )
 
 
-def closing_force_n(
-    raw: Sequence[tuple[Any, ...]], robot_body: int, link: int, axis: Sequence[float]
-) -> float:
-    """The force along ``axis`` between one link of the robot and what it touches."""
-    total = 0.0
-    for contact in raw:
-        if contact[1] == robot_body and contact[3] == link:
-            sign = 1.0
-        elif contact[2] == robot_body and contact[4] == link:
-            sign = -1.0
-        else:
-            continue
-        for force, axis_of in ((9, 7), (10, 11), (12, 13)):
-            x, y, z = contact[axis_of]
-            total += sign * contact[force] * (x * axis[0] + y * axis[1] + z * axis[2])
-    return abs(total)
-
-
 @dataclass(frozen=True, slots=True)
 class Bodies:
     """What a snapshot's numbers belong to.

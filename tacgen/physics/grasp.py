@@ -20,8 +20,8 @@ from tacgen.core.records import (
 )
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.approach import approach, grasp_target
-from tacgen.physics.bodies import ObjectBody, object_problems
-from tacgen.physics.contacts import Bodies, Snapshot, closing_force_n
+from tacgen.physics.bodies import ObjectBody
+from tacgen.physics.contacts import Bodies, Snapshot, object_contacts
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.margins import Capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import (
@@ -51,7 +51,7 @@ STEADY_CHUNKS = 5
 STEADY_TOLERANCE = 0.01
 """Relative to the delivered force; half of the 2 % that a pad may be off."""
 
-_ROBOTS: dict[str, type[FloatingGripper] | type[ArmWithGripper]] = {
+_ROBOTS: dict[str, type[Robot]] = {
     "wsg50": FloatingGripper,
     "ur5e_wsg50": ArmWithGripper,
 }
@@ -93,14 +93,12 @@ def run_grasp(
     A grasp that cannot be executed has the status ``unreachable`` or ``no_contact``, a reason,
     the label −1 and no frames.
 
-    Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the object
-    cannot be a body.
+    Raises ``PhysicsError`` if the force is not one the gripper can be asked for.
     """
-    problems = object_problems(obj)
-    force = force_problem(config.force_n, settings.max_force_n)
-    problems += [f"grasp {config.index} of {config.object!r}: force_n {force}"] if force else []
-    if problems:
-        raise PhysicsError.from_problems(problems)
+    problem = force_problem(config.force_n, settings.max_force_n)
+    if problem:
+        msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
+        raise PhysicsError(msg)
     return _Grasp(simulator, obj, config, settings, frames).run()
 
 
@@ -187,9 +185,10 @@ class _Grasp:
         return ""
 
     def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
-        axis = (math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0)
+        axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
+        contacts = object_contacts(snapshot.contacts, self.body.body)
         return {
-            pad: closing_force_n(snapshot.contacts, self.robot.body, link, axis)
+            pad: abs(float((contacts.of(self.robot.body, link).force_n @ axis).sum()))
             for pad, link in self.robot.fingers.links.items()
         }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,15 +10,7 @@ import numpy as np
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import SlipMargin, frozen_array
 from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
-
-
-@dataclass(frozen=True, slots=True)
-class PadLoad:
-    """The contact points of one pad: (n, 3) points and normals into the object, (n,) forces."""
-
-    point_m: FloatArray
-    normal: FloatArray
-    normal_force_n: FloatArray
+from tacgen.physics.contacts import Contacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +44,7 @@ def torsion_factor(friction_share: float) -> float:
 
 
 def grasp_capacity(
-    pads: tuple[PadLoad, ...],
+    pads: Sequence[Contacts],
     *,
     closing_axis: FloatArray,
     center_of_mass_m: FloatArray,
@@ -59,7 +52,7 @@ def grasp_capacity(
     friction: float,
     spinning_friction_mm: float,
 ) -> Capacity:
-    """What ``pads`` can hold once the table is gone, world axes.
+    """What ``pads``, by the contacts of each, can hold once the table is gone, world axes.
 
     The tangential load is the part of the weight across ``closing_axis`` that the contact
     normals do not carry; the moment is that of weight and normal forces about the axis through
@@ -68,7 +61,7 @@ def grasp_capacity(
     """
     up = np.array([0.0, 0.0, 1.0])
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2
-    pads = tuple(pad for pad in pads if pad.normal_force_n.sum() > 0)
+    pads = [pad for pad in pads if pad.normal_force_n.sum() > 0]
     if not pads:
         return Capacity(0.0, weight_n, 0.0, 0.0)
     forces = np.concatenate([pad.normal_force_n for pad in pads])

@@ -28,7 +28,7 @@ from tacgen.physics.contacts import (
     object_pose,
 )
 from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, rotation_of, turn_rad
-from tacgen.physics.margins import Capacity, PadLoad, grasp_capacity
+from tacgen.physics.margins import Capacity, grasp_capacity
 from tacgen.physics.settings import PhysicsSettings
 
 
@@ -96,10 +96,9 @@ def capacity_of(
 ) -> Capacity:
     """What the pads can hold, by the contact forces at the moment of grasp."""
     contacts = mean_contacts(grasped, bodies.object_body)
-    pads = [contacts.of(bodies.robot_body, link) for link in bodies.pad_links.values()]
     last = grasped[-1]
     return grasp_capacity(
-        tuple(PadLoad(pad.point_m, pad.normal, pad.normal_force_n) for pad in pads),
+        [contacts.of(bodies.robot_body, link) for link in bodies.pad_links.values()],
         closing_axis=gripper_pose(last)[:3, 0],
         center_of_mass_m=np.array(last.object_position_m),
         mass_kg=obj.mass_kg,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -58,31 +58,8 @@ class GripperTarget:
     yaw_rad: float
 
 
-class Robot(Protocol):
-    """A body in the world that carries the gripper."""
-
-    body: int
-    palm: int
-    fingers: Fingers
-
-    def build(self, world: World, settings: PhysicsSettings) -> None:
-        """Make the robot in an empty world."""
-
-    def place(self, target: GripperTarget) -> str:
-        """Put the gripper at ``target`` at rest; a reason where the robot cannot reach it."""
-
-    def prepare_lift(self, lift_m: float) -> str:
-        """Hold the present place from now on; a reason where it cannot rise by ``lift_m``."""
-
-    def command_lift(self, height_m: float, speed_m_s: float) -> None:
-        """Be ``height_m`` above the prepared place at the next step, moving up at ``speed_m_s``."""
-
-    def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Position (m) and quaternion (x, y, z, w) of the gripper frame in the world."""
-
-
 class FloatingGripper:
-    """The fast robot; see ``Robot``."""
+    """The gripper alone, on a vertical axis: the fast robot."""
 
     def build(self, world: World, settings: PhysicsSettings) -> None:
         """Make the gripper in an empty world."""
@@ -98,7 +75,7 @@ class FloatingGripper:
         self.fingers = Fingers(world, self.body, FLOATING_HAND)
 
     def place(self, target: GripperTarget) -> str:
-        """Put the gripper at ``target``; every place can be reached."""
+        """Put the gripper at ``target`` at rest; every place can be reached."""
         bullet = self._world.bullet
         self._base = (target.x_m, target.y_m, 0.0)
         self._quaternion = (0.0, 0.0, math.sin(target.yaw_rad / 2), math.cos(target.yaw_rad / 2))
@@ -107,7 +84,7 @@ class FloatingGripper:
         return ""
 
     def prepare_lift(self, lift_m: float) -> str:
-        """Hold the present height."""
+        """Hold the present height from now on."""
         self._speed_m_s = math.inf
         self.command_lift(0.0, 0.0)
         return ""
@@ -132,7 +109,7 @@ class FloatingGripper:
 
 
 class ArmWithGripper:
-    """The robot with an arm; see ``Robot``. The arm's own links collide with nothing."""
+    """The gripper on the flange of a UR5e, whose own links collide with nothing."""
 
     def build(self, world: World, settings: PhysicsSettings) -> None:
         """Make the arm and its gripper in an empty world."""
@@ -227,6 +204,10 @@ class ArmWithGripper:
         """Position (m) and quaternion of the gripper frame in the world."""
         state = self._world.bullet.getLinkState(self.body, ARM_HAND, computeForwardKinematics=1)
         return state[4], state[5]
+
+
+Robot: TypeAlias = FloatingGripper | ArmWithGripper
+"""A body in the world that carries the gripper: one more has the same methods."""
 
 
 def _position(matrix: Pose) -> tuple[float, float, float]:

@@ -112,6 +112,8 @@ def test_an_inertia_that_no_body_has_is_refused(can):
     rows = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
     content["inertia_kg_mm2"] = {"value": rows, "source": "test"}
     assert "inertia_kg_mm2 is not symmetric with positive moments" in refusal(path, content)
+    content["inertia_kg_mm2"]["value"] = np.diag([1.0, 1.0, 5.0]).tolist()
+    assert "principal moments 1, 1, 5, which no body has" in refusal(path, content)
 
 
 def test_a_name_that_is_not_the_folders_is_refused(can):

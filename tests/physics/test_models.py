@@ -8,17 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
 from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody, principal_axes
-from tacgen.physics.contacts import object_contacts
+from tacgen.physics.contacts import Contacts, object_contacts
 from tacgen.physics.frames import inverse, pose
-from tacgen.physics.margins import (
-    PadLoad,
-    grasp_capacity,
-    slip_margin,
-    torsion_factor,
-)
+from tacgen.physics.margins import grasp_capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.recorder import frame_end_steps
 from tacgen.physics.robots import FloatingGripper, GripperTarget
@@ -72,9 +68,14 @@ class TestLabels:
         assert direction.tolist() == [0.0, 0.0]
 
 
-def flat_pads(force_n: float) -> tuple[PadLoad, ...]:
+def pad_contacts(point_m: FloatArray, normal: FloatArray, normal_force_n: FloatArray) -> Contacts:
+    ids = np.zeros(len(point_m), dtype=np.int64)
+    return Contacts(ids, ids, point_m, normal, normal_force_n, normal_force_n[:, None] * normal)
+
+
+def flat_pads(force_n: float) -> tuple[Contacts, ...]:
     return tuple(
-        PadLoad(
+        pad_contacts(
             point_m=np.array([[side * 0.03, 0.0, 0.05]]),
             normal=np.array([[-side, 0.0, 0.0]]),
             normal_force_n=np.array([force_n]),
@@ -128,7 +129,7 @@ class TestMargins:
     def test_spread_contact_points_resist_turning_by_friction(self) -> None:
         radius_m = 0.006
         pads = tuple(
-            PadLoad(
+            pad_contacts(
                 point_m=np.array(
                     [[x, radius_m, 0.05], [x, -radius_m, 0.05], [x, 0, 0.056], [x, 0, 0.044]]
                 ),

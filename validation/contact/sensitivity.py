@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.files import write_text
-from tacgen.diagnose.contact.rules import BLIND, DEFAULT_RULES, SelectionRules
+from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from validation.blind.evaluate import Wanted, draw_wanted, judge, ratios, run
 from validation.blind.generator import draw_case
 
@@ -103,12 +103,11 @@ def table(store: dict[tuple[str, int], dict[str, Any]]) -> str:
 
 def main() -> None:
     """Diagnose what is not kept yet, and write the table."""
-    studied = [rule.name for rule in fields(SelectionRules) if rule.metadata["set_by"] == BLIND]
-    studied += [name for name in REMOVED if name not in studied]
+    every = [rule.name for rule in fields(SelectionRules)]
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=SEED, help="of the first log")
-    parser.add_argument("--rules", nargs="+", default=studied, help="those that a study set")
+    parser.add_argument("--rules", nargs="+", default=every, help="all if not given")
     parser.add_argument("--changes", nargs="+", default=list(CHANGES), choices=CHANGES)
     parser.add_argument("--out", type=Path, required=True, help="the table, in Markdown")
     arguments = parser.parse_args()
