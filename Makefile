@@ -1,22 +1,28 @@
-# Everything runs in .venv, which `setup` makes from the lock files.
+# Everything runs in .venv, which `setup` makes from the lock files; `demo` needs no extra.
 PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c 'import venv' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
+BASE := .venv/.base
 READY := .venv/.ready
 # A test process is one core's work: libraries that start threads in each slow one another down.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+# Tests start many processes, which shall not compile the package each.
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 .PHONY: setup demo test test-fast coverage slowest check format docs bench trust lock clean
 
 setup: $(READY)
 
-$(READY): pyproject.toml requirements.lock requirements-learn.lock
+$(BASE): pyproject.toml requirements.lock
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet -r requirements.lock -r requirements-learn.lock
-	$(BIN)/python -m pip install --quiet --no-deps --editable .
-	touch $(READY)
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock --editable .
+	touch $@
 
-demo: setup
+$(READY): $(BASE) requirements-learn.lock
+	$(BIN)/python -m pip install --quiet -r requirements.lock -r requirements-learn.lock
+	touch $@
+
+demo: $(BASE)
 	$(BIN)/tacgen collect quickstart --out out/quickstart --workers 2
 	@echo "Look at out/quickstart/index.html"
 

@@ -7,14 +7,17 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from tacgen.core.columns import GRASPS, csv_problem, similar_columns, unit_problems
 from tacgen.core.errors import DatasetError, did_you_mean
 from tacgen.core.records import FailureMode, GraspConfig
 from tacgen.core.resources import unknown_object_hint
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 REQUIRED = ("grasp_id", "object", "label")
 CONFIGURATION = ("force_n", "x_mm", "y_mm", "z_mm")
@@ -104,6 +107,8 @@ def _simulated_with(folder: Path) -> str | None:
 
 
 def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:
+    import pandas as pd  # slow to import, and workers that simulate need only the records
+
     try:
         if path.stat().st_size > MAX_BYTES:
             msg = f"{path}: larger than {MAX_BYTES >> 20} MiB; this is not a list of grasps"

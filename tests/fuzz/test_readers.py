@@ -18,7 +18,7 @@ MAX_EXTRA_MB = 250
 
 
 def fuzzed(module, folder, *arguments):
-    """What ``module`` prints of all readers, in a process of its own."""
+    """What ``module`` prints of all readers that are installed, in a process of its own."""
     names = [name for name in READERS if name not in LEARNED or find_spec("torch")]
     command = [sys.executable, "-W", "ignore", "-m", module, str(folder), *map(str, arguments)]
     run = subprocess.run(
@@ -28,39 +28,20 @@ def fuzzed(module, folder, *arguments):
     return json.loads(run.stdout)
 
 
-@pytest.fixture(scope="module")
-def spoiled(tmp_path_factory):
-    """What each reader made of spoiled files, and whether it took too much memory or time."""
-    return fuzzed("tests.fuzz.spoil", tmp_path_factory.mktemp("spoiled"), 1, SECONDS)
+@pytest.mark.slow
+def test_spoiled_files_are_read_or_refused(tmp_path):
+    """In processes of their own, with a limit on their memory and on the time of each file."""
+    for name, told in fuzzed("tests.fuzz.spoil", tmp_path, 1, SECONDS).items():
+        assert not told["failure"], f"{name}: {told['failure']}"
+        assert told["read"] + told["refused"] > 10, name
+        assert told["extra_mb"] < MAX_EXTRA_MB, name
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", READERS)
-def test_a_spoiled_file_is_read_or_refused(spoiled, name):
-    """In a process of its own, with a limit on its memory and on the time of each file."""
-    if name not in spoiled:
-        pytest.skip("PyTorch is not installed")
-    told = spoiled[name]
-    assert not told["failure"], told["failure"]
-    assert told["read"] + told["refused"] > 10
-    assert told["extra_mb"] < MAX_EXTRA_MB
-
-
-@pytest.fixture(scope="module")
-def led(tmp_path_factory):
-    """Where atheris' logs are, and how each reader's runs ended."""
-    pytest.importorskip("atheris", reason="atheris is not installed")
-    folder = tmp_path_factory.mktemp("led")
-    return folder, fuzzed("tests.fuzz.led", folder, RUNS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", READERS)
-def test_what_atheris_finds_is_read_or_refused(led, name):
+def test_what_atheris_finds_is_read_or_refused(tmp_path):
     """Inputs led by the code that they reach."""
-    folder, ended = led
-    if name not in ended:
-        pytest.skip("PyTorch is not installed")
-    log = (folder / name / "log").read_text(errors="replace")
-    assert ended[name] == 0, log[-3000:]
-    assert f"Done {RUNS} runs" in log
+    pytest.importorskip("atheris", reason="atheris is not installed")
+    for name, code in fuzzed("tests.fuzz.led", tmp_path, RUNS).items():
+        log = (tmp_path / name / "log").read_text(errors="replace")
+        assert code == 0, f"{name}: {log[-3000:]}"
+        assert f"Done {RUNS} runs" in log, name

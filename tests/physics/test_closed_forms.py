@@ -2,7 +2,7 @@
 
 Two grasps show that a threshold lies between two bounds. With
 ``pytest tests/physics/test_closed_forms.py -o junit_family=xunit1 --junitxml=measured.xml`` it is
-bisected between them, and the measured ratios are written.
+also bisected between them, and the measured ratios of docs/physics.md are written.
 """
 
 from __future__ import annotations
@@ -23,29 +23,33 @@ from .conftest import GRAVITY_M_S2, block, grasp, threshold
 
 SETTINGS = PhysicsSettings(tactile_pads="both")
 Record = Callable[[str, object], None]
+Holds = Callable[[float], bool]
+RecordThreshold = Callable[[str, Holds, float, float], None]
 HALF_STEP = replace(SETTINGS, time_step_s=SETTINGS.time_step_s / 2)
-WITHIN_3_PERCENT, WITHIN_10_PERCENT = (0.97, 1.03), (0.9, 1.1)
 FINE = 6
-"""Halvings that leave 0.1 % of the narrower bounds, and 0.3 % of the wider ones."""
+"""Halvings that leave 0.1 % of bounds at ± 3 %, and 0.3 % of those at ± 10 %."""
 
 
-@pytest.fixture(scope="module")
-def halvings(pytestconfig: pytest.Config) -> int:
-    """None unless the measured ratios are written."""
-    return FINE if pytestconfig.getoption("xmlpath") else 0
+@pytest.fixture
+def record_threshold(pytestconfig: pytest.Config, record_property: Record) -> RecordThreshold:
+    """Bisect a threshold between two bounds and record it, where ``--junitxml`` asks for it."""
+
+    def record(name: str, holds: Holds, low: float, high: float) -> None:
+        if pytestconfig.getoption("xmlpath"):
+            record_property(name, threshold(holds, low, high, FINE))
+
+    return record
 
 
-def heaviest_held(
+def mass_is_lifted(
     simulator: GraspSimulator,
     friction: float,
     settings: PhysicsSettings = SETTINGS,
     *,
-    halvings: int,
-    between: tuple[float, float] = WITHIN_3_PERCENT,
     force_n: float = 10.0,
     yaw_rad: float = 0.0,
-) -> float:
-    """The largest mass that is lifted, over 2μF/g; it must lie ``between``."""
+) -> Holds:
+    """Whether a block is lifted, by its mass over the largest of the closed form, 2μF/g."""
     closed_form_kg = 2 * friction * force_n / GRAVITY_M_S2
 
     def holds(ratio: float) -> bool:
@@ -53,24 +57,22 @@ def heaviest_held(
         trace = grasp(simulator, obj, force_n=force_n, yaw_rad=yaw_rad, settings=settings)
         return trace.label == 1
 
-    return threshold(holds, *between, halvings)
+    return holds
 
 
-def farthest_held(
+def offset_does_not_turn(
     simulator: GraspSimulator,
     *,
     friction_share: float,
-    halvings: int,
-    between: tuple[float, float] = WITHIN_10_PERCENT,
     settings: PhysicsSettings = SETTINGS,
     friction: float = 0.5,
     force_n: float = 20.0,
     spinning_friction_mm: float = 2.0,
-) -> float:
-    """The largest offset of the centre of mass that does not turn, over its closed form.
+) -> Holds:
+    """Whether a block does not turn, by the offset of its centre of mass over the closed form.
 
     m g d = 2 s F √(1 − share²): two soft pads, each of which resists s per newton, the weight
-    taking up ``friction_share`` of their friction. The ratio must lie ``between``.
+    taking up ``friction_share`` of their friction.
     """
     mass_kg = friction_share * 2 * friction * force_n / GRAVITY_M_S2
     limit_n_mm = 2 * spinning_friction_mm * force_n * np.sqrt(1 - friction_share**2)
@@ -86,33 +88,39 @@ def farthest_held(
         trace = grasp(simulator, obj, force_n=force_n, settings=settings)
         return trace.turn_rad < SETTINGS.success_turn_rad
 
-    return threshold(holds, *between, halvings)
+    return holds
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
 def test_two_fingers_hold_what_coulomb_allows(
-    simulator: GraspSimulator, friction: float, halvings: int, record_property: Record
+    simulator: GraspSimulator, friction: float, record_threshold: RecordThreshold
 ) -> None:
-    ratio = heaviest_held(simulator, friction, halvings=halvings)
-    record_property("mass_over_closed_form", ratio)
+    lifted = mass_is_lifted(simulator, friction)
+    assert lifted(0.97)
+    assert not lifted(1.03)
+    record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("force_n", [3.0, 35.0])
 def test_the_threshold_scales_with_force(
-    simulator: GraspSimulator, force_n: float, halvings: int, record_property: Record
+    simulator: GraspSimulator, force_n: float, record_threshold: RecordThreshold
 ) -> None:
-    ratio = heaviest_held(simulator, 0.4, halvings=halvings, force_n=force_n)
-    record_property("mass_over_closed_form", ratio)
+    lifted = mass_is_lifted(simulator, 0.4, force_n=force_n)
+    assert lifted(0.97)
+    assert not lifted(1.03)
+    record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
 
 
 @pytest.mark.slow
 def test_friction_does_not_depend_on_yaw(
-    simulator: GraspSimulator, halvings: int, record_property: Record
+    simulator: GraspSimulator, record_threshold: RecordThreshold
 ) -> None:
-    ratio = heaviest_held(simulator, 0.5, halvings=halvings, yaw_rad=0.7)
-    record_property("mass_over_closed_form", ratio)
+    lifted = mass_is_lifted(simulator, 0.5, yaw_rad=0.7)
+    assert lifted(0.97)
+    assert not lifted(1.03)
+    record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
 
 
 def test_friction_is_a_cone_and_not_a_pyramid(
@@ -166,18 +174,18 @@ def test_an_off_centre_grasp_turns_where_the_soft_finger_gives_way(
     force_n: float,
     spinning_friction_mm: float,
     friction_share: float,
-    halvings: int,
-    record_property: Record,
+    record_threshold: RecordThreshold,
 ) -> None:
-    ratio = farthest_held(
+    steady = offset_does_not_turn(
         simulator,
-        halvings=halvings,
         friction=friction,
         force_n=force_n,
         spinning_friction_mm=spinning_friction_mm,
         friction_share=friction_share,
     )
-    record_property("offset_over_closed_form", ratio)
+    assert steady(0.9)
+    assert not steady(1.1)
+    record_threshold("offset_over_closed_form", steady, 0.9, 1.1)
 
 
 @pytest.mark.parametrize("pressure", ["uniform", "hertz", "paraboloid"])
@@ -222,26 +230,20 @@ def test_each_pad_presses_with_the_commanded_force(
 
 @pytest.mark.slow
 def test_halving_the_time_step_moves_no_threshold(
-    simulator: GraspSimulator, halvings: int, record_property: Record
+    simulator: GraspSimulator, record_threshold: RecordThreshold
 ) -> None:
-    def around(value: float) -> tuple[float, float]:
-        return value - 0.02, value + 0.02
-
+    """By less than 2 % of the closed form."""
     for friction in (0.3, 0.7):
-        mass = heaviest_held(simulator, friction, halvings=FINE)
-        halved = heaviest_held(
-            simulator, friction, HALF_STEP, halvings=halvings, between=around(mass)
-        )
-        record_property(f"mass_moved_at_{friction}", halved - mass)
-    offset = farthest_held(simulator, friction_share=0.4, halvings=FINE)
-    halved = farthest_held(
-        simulator,
-        friction_share=0.4,
-        halvings=halvings,
-        between=around(offset),
-        settings=HALF_STEP,
-    )
-    record_property("offset_moved", halved - offset)
+        mass = threshold(mass_is_lifted(simulator, friction), 0.97, 1.03, FINE)
+        lifted = mass_is_lifted(simulator, friction, HALF_STEP)
+        assert lifted(mass - 0.02)
+        assert not lifted(mass + 0.02)
+        record_threshold(f"mass_from_{mass:.4f}", lifted, mass - 0.02, mass + 0.02)
+    offset = threshold(offset_does_not_turn(simulator, friction_share=0.4), 0.9, 1.1, FINE)
+    steady = offset_does_not_turn(simulator, friction_share=0.4, settings=HALF_STEP)
+    assert steady(offset - 0.02)
+    assert not steady(offset + 0.02)
+    record_threshold(f"offset_from_{offset:.4f}", steady, offset - 0.02, offset + 0.02)
 
 
 def test_energy_does_not_grow(simulator: GraspSimulator) -> None:
