@@ -7,6 +7,12 @@ import pytest
 from tacgen.core.workers import start_early
 
 MEASURED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+LONGEST = ("test_docs.py", "test_slurm.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest tests first: one that starts last keeps a process waiting for the other."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
 
 
 @pytest.fixture(scope="session", autouse=True)

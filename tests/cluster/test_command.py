@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen import cluster
-from tacgen.cli import app
+from tacgen.cli import app, main
 from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_note, write_submission
 from tacgen.collection.recipe import Cluster
 from tacgen.core.errors import ClusterError
@@ -46,7 +46,6 @@ def test_what_ended_a_job_is_told_with_its_log(tmp_path):
     assert "log: " in run.stderr
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -57,10 +56,13 @@ def test_what_ended_a_job_is_told_with_its_log(tmp_path):
         (["friction", "x", "--real", "r", "--out", "y", "--moo", "1"], "No such option: --moo"),
     ],
 )
-def test_what_could_not_run_is_refused_at_once(tmp_path, words, said):
-    run = submit(tmp_path, "--", *words)
-    assert run.returncode == 2
-    assert said in run.stderr
+def test_what_could_not_run_is_refused_at_once(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["tacgen", "submit", "--executor", "local", "--", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -20,7 +20,7 @@ from tacgen.cluster.submission import slurm_parameters
 from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, load_recipe, with_cluster
 from tacgen.collection.run import collect
-from tacgen.core.errors import ClusterError, DatasetError, RecipeError
+from tacgen.core.errors import ClusterError, DatasetError, RecipeError, TacgenError
 from tacgen.dataset import DatasetFolder
 from tests.small_world import write_world
 
@@ -110,9 +110,10 @@ def test_the_command_refuses_what_could_not_run_and_else_waits_for_the_jobs(worl
     table = tmp_path / "recipes/sensors/coarse.npz"
     sound = table.read_bytes()
     table.write_bytes(b"not a table")
-    refused = run_submit(world, tmp_path / "out")
-    assert refused.returncode == 2
-    assert "coarse.npz" in refused.stderr
+    options = ["--out", str(tmp_path / "out"), "--executor", LOCAL]
+    refused = CliRunner().invoke(app, ["submit", str(world), *options])
+    assert isinstance(refused.exception, TacgenError)
+    assert "coarse.npz" in str(refused.exception)
     assert not (tmp_path / "out/jobs").exists()
     table.write_bytes(sound)
     done = run_submit(world, tmp_path / "out")

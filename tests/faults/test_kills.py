@@ -38,7 +38,7 @@ def write_what_is_missing(root, spec):
 @pytest.mark.slow
 def test_fifty_writers_killed_at_random_moments(tmp_path):
     """After every kill, what counts as done has the right bytes; the next one goes on."""
-    spec = make_spec(n_grasps=80, shard_size=2)
+    spec = make_spec(n_grasps=40, shard_size=2)
     collect_toy(tmp_path / "first", spec)
     started_s = time.monotonic()
     right = digests(collect_toy(tmp_path / "right", spec).root)

@@ -6,7 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.learning.conftest import collect, make_sample, make_spec
+from tests.learning.conftest import (
+    collect,
+    make_sample,
+    make_spec,
+    small_backbone,  # noqa: F401
+)
 
 
 def small_study(tmp_path: Path, extra: str = "", quick: str = "{}") -> Path:

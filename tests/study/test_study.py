@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
@@ -68,18 +69,17 @@ def test_of_every_object_in_the_table_the_weakest_grasps_slip_and_some_strong_on
         for entry in recipe.objects:
             places = list(itertools.product(entry.grid.y_mm, entry.grid.z_mm))[::5]
             weakest, strongest = min(entry.grid.force_n), max(entry.grid.force_n)
-            held = _held(simulator, recipe, entry.name, weakest, places)
+            held = list(_held(simulator, recipe, entry.name, weakest, places))
             assert sum(held) <= len(places) - 3, (entry.name, held)
             assert any(_held(simulator, recipe, entry.name, strongest, places)), entry.name
 
 
-def _held(simulator, recipe, name, force_n, places) -> list[bool]:
+def _held(simulator, recipe, name, force_n, places) -> Iterator[bool]:
     grasped, settings = load_object(name), recipe.physics_settings
-    configs = [GraspConfig(0, name, force_n, 0.0, y_mm, z_mm, 0.0) for y_mm, z_mm in places]
-    traces = [
-        run_grasp(simulator, grasped, config, settings, frames=FrameRequest()) for config in configs
-    ]
-    return [trace.label == 1 for trace in traces]
+    for y_mm, z_mm in places:
+        config = GraspConfig(0, name, force_n, 0.0, y_mm, z_mm, 0.0)
+        trace = run_grasp(simulator, grasped, config, settings, frames=FrameRequest())
+        yield trace.label == 1
 
 
 def test_the_ablation_varies_size_friction_and_centre_of_mass():
@@ -202,7 +202,9 @@ def toy(tmp_path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy_collect):
+def test_a_study_collects_once_trains_each_row_and_says_what_it_is(
+    tmp_path, toy_collect, small_backbone
+):
     study, real = load_study(small_study(tmp_path)), write_real(tmp_path / "real")
     result = run_study(study, tmp_path / "out", RealData(test=real), quick=True)
     assert len(toy_collect) == 1
@@ -220,7 +222,9 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(tmp_path, toy
 
 
 @pytest.mark.slow
-def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(tmp_path, toy_collect):
+def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(
+    tmp_path, toy_collect, small_backbone
+):
     study = load_study(small_study(tmp_path, ", train: {training: {grasps: 500}}"))
     result = run_study(study, tmp_path / "out", RealData())
     assert "training.grasps asks for 500" in result["rows"][0]["problem"]
@@ -241,7 +245,7 @@ def test_a_study_of_which_nothing_can_be_trained_says_so_in_its_table(tmp_path, 
 
 
 @pytest.mark.slow
-def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect):
+def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect, small_backbone):
     """The folder says that it is simulated: no table and no line may call it real."""
     study = load_study(small_study(tmp_path))
     export_dataset(toy, tmp_path / "world", "real-grasps", split="test")
@@ -271,7 +275,9 @@ def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, t
 
 
 @pytest.mark.slow
-def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_collect, monkeypatch):
+def test_friction_is_fitted_to_the_objects_of_the_study_alone(
+    tmp_path, toy_collect, monkeypatch, no_networks
+):
     study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
     asked: list[list[str]] = []
 
@@ -294,7 +300,7 @@ def test_friction_is_fitted_to_the_objects_of_the_study_alone(tmp_path, toy_coll
 
 
 @pytest.mark.slow
-def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect):
+def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect, no_networks):
     study = load_study(small_study(tmp_path, ", calibrate_contact: true"))
     with pytest.raises(TacgenError, match=r"contact\.yaml .*--contact FILE"):
         run_study(study, tmp_path / "out", RealData())

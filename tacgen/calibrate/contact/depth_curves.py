@@ -202,7 +202,7 @@ def _fit_at_radius(
     """(sum of squares, log k, contact point) of one radius; k may be given."""
     shifts = np.linspace(*_shift_bounds(curve), N_STARTS)
     for _ in range(4):
-        volumes = np.stack([ball_volume_mm3(curve.depth_mm + s, radius_mm) for s in shifts])
+        volumes = ball_volume_mm3(curve.depth_mm + shifts[:, None], radius_mm)
         if k_log is None:
             stiffness = (volumes @ curve.force_n) / np.maximum((volumes**2).sum(axis=1), 1e-300)
         else:

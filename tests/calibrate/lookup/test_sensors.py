@@ -100,7 +100,7 @@ def test_volume_by_shape_leaves_out_the_gel_that_sinks_around_the_contact(tmp_pa
 
 @pytest.mark.slow
 def test_dots_stay_in_the_background_unless_they_are_to_be_drawn(tmp_path):
-    session = draw_presses(gelsight_mini(3, shape=SMALL), 45, count=6)
+    session = draw_presses(gelsight_mini(3, shape=SMALL), 45, count=4)
     folder = write_folder(session, tmp_path / "p")
     middle = np.s_[5:-5, 5:-5]
     spread = []

@@ -73,8 +73,8 @@ def test_fit_does_not_depend_on_a_press_order_or_on_the_run():
 
 @pytest.fixture(scope="module")
 def calibrated():
-    """Twelve presses and their calibration in one process."""
-    presses = virtual_presses(14, count=12)
+    """Eight presses and their calibration in one process."""
+    presses = virtual_presses(14, count=8)
     return presses, calibrate(presses, processes=1)
 
 
