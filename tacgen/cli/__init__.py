@@ -4,8 +4,6 @@ Imports of the stages are inside the commands, so that ``tacgen --help`` is fast
 only affects the commands that need it.
 """
 
-from __future__ import annotations
-
 import logging
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The application, its groups of commands, and the arguments that commands share."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Iterable, Mapping
@@ -132,23 +130,19 @@ PressesArgument = Annotated[
 ]
 _REAL_GRASPS = "Folder of real grasps: grasps.csv and, optionally, images/."
 RealGraspsArgument = Annotated[Path, Argument(help=_REAL_GRASPS)]
-RealGraspsOption = Annotated[Path, Option("--real", help=_REAL_GRASPS)]
+RealGraspsOption = Annotated[Path, Option(help=_REAL_GRASPS)]
 ResultsOption = Annotated[
-    Path, Option("--out", help="Folder for the results; an interrupted run is resumed.")
+    Path, Option(help="Folder for the results; an interrupted run is resumed.")
 ]
 MmPerPxOption = Annotated[
-    float | None,
-    Option("--mm-per-px", help="Pixel size on the gel, mm; needed if the presses do not state it."),
+    float | None, Option(help="Pixel size on the gel, mm; needed if the presses do not state it.")
 ]
 BallRadiusOption = Annotated[
-    float | None,
-    Option(
-        "--ball-radius-mm", help="Radius of the ball, mm; needed if the presses do not state it."
-    ),
+    float | None, Option(help="Radius of the ball, mm; needed if the presses do not state it.")
 ]
 MarkerPitchOption = Annotated[
     float | None,
-    Option(help="Spacing of the gel's markers, whose summed motion the log holds, mm."),
+    Option(help="Spacing of the markers whose summed motion the log holds, mm."),
 ]
 WorkersOption = Annotated[int, Option(min=1, help="Number of parallel processes.")]
 JsonFlag = Annotated[bool, Option("--json", help="Print the result as JSON on standard output.")]

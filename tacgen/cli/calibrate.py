@@ -1,7 +1,5 @@
 """Commands that calibrate a sensor, and the virtual rig that simulates presses for them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated
@@ -54,22 +52,20 @@ def import_(
     json_output: JsonFlag = False,
 ) -> None:
     """Convert the ball presses or real grasps of another project into tacgen's layout."""
-    from tacgen.core.errors import DatasetError
+    from tacgen.core.errors import DatasetError, require_known
     from tacgen.dataset.import_formats import GRASP_FORMATS, import_grasps
-    from tacgen.presses.import_formats import PRESS_FORMATS, Options, import_presses
+    from tacgen.presses.import_formats import PRESS_FORMATS, import_presses
 
+    require_known("FORMAT", format_name, (*PRESS_FORMATS, *GRASP_FORMATS), DatasetError)
     if format_name in PRESS_FORMATS:
-        options = Options(mm_per_px, ball_radius_mm)
-        found = import_presses(format_name, source, out, options)
+        found = import_presses(
+            format_name, source, out, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
+        )
         count, notes, kind = len(found.presses), found.notes, "presses"
         follow = f"tacgen calibrate lookup {out} --out table.npz"
-    elif format_name in GRASP_FORMATS:
+    else:
         count, notes = import_grasps(format_name, source, out)
         kind, follow = "grasps", f"tacgen eval RUN --real {out}"
-    else:
-        known = ", ".join((*PRESS_FORMATS, *GRASP_FORMATS))
-        msg = f"FORMAT {format_name!r} is not known; give one of {known}"
-        raise DatasetError(msg)
     note(notes)
     record = {"folder": str(out), "format": format_name, kind: count, "notes": list(notes)}
     print_result(record, f"{out}: {count} {kind}", json_output)
@@ -85,10 +81,7 @@ def calibrate_lookup(
     ball_radius_mm: BallRadiusOption = None,
     without_dots: Annotated[
         bool,
-        Option(
-            "--without-dots",
-            help="Remove the gel's printed dots from the background (for optics.markers: true).",
-        ),
+        Option("--without-dots", help="Remove printed dots from the background (optics.markers)."),
     ] = False,
     force: ForceFlag = False,
     json_output: JsonFlag = False,
@@ -151,10 +144,7 @@ def calibrate_import(
 def calibrate_contact(
     log: Annotated[
         Path,
-        Argument(
-            help="Press log (CSV, Parquet), force-depth curves, or folder of press images "
-            "with forces."
-        ),
+        Argument(help="Press log or force-depth curves (CSV, Parquet), or images with forces."),
     ],
     out: Annotated[Path, Option(help="Contact law to write (contact.yaml).")],
     report: ReportOption = None,
@@ -202,9 +192,7 @@ def friction(
     recipe: RecipeArgument,
     real: RealGraspsOption,
     out: ResultsOption,
-    mu: Annotated[str, Option(help="Friction coefficients to try: start:stop:step.")] = (
-        "0:1:0.05"
-    ),
+    mu: Annotated[str, Option(help="Coefficients to try: start:stop:step.")] = "0:1:0.05",
     workers: WorkersOption = 2,
     write_objects: Annotated[
         bool, Option("--write-objects", help="Also write object.yaml files with the fitted μ.")
@@ -278,8 +266,9 @@ def rig(
     """Simulate a ball-press rig: press log, press images or both, with known effects."""
     from tacgen.rig import load_rig_recipe, run_rig
 
-    changes = {} if seed is None else {"seed": seed}
-    loaded = load_rig_recipe(recipe, changes)
+    loaded = load_rig_recipe(recipe)
+    if seed is not None:
+        loaded = loaded.model_copy(update={"seed": seed})
     refuse_existing(force, out / "truth.yaml")
     for path in run_rig(loaded, out):
         typer.echo(str(path))

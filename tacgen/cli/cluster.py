@@ -1,7 +1,5 @@
 """Commands for batch jobs: submit a recipe or a command, show its progress."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,7 +11,7 @@ from typer import Argument, Option
 from tacgen.cli.app import CLUSTER, JsonFlag, app, hand_over, print_record, print_result
 from tacgen.core.errors import ClusterError
 
-COMMAND_SETTINGS = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
+COMMAND_SETTINGS: dict[str, Any] = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
 """Default resources of the job of a command: enough to train a network on one GPU."""
 
 
@@ -58,16 +56,11 @@ def submit(
     `tacgen submit RECIPE --out DIR`, where flags override the recipe's section `cluster`, or
     `tacgen submit --gpus 1 -- train RECIPE --data DIR --out RUN`.
     """
-    from tacgen import cluster
-    from tacgen.collection.recipe import cluster_section, load_recipe, with_cluster
+    from tacgen.cluster import states, submission
+    from tacgen.collection.recipe import Cluster, cluster_section, load_recipe, with_cluster
 
-    settings: dict[str, Any] = {
-        "time_min": time_min,
-        "mem_gb": mem_gb,
-        "cpus_per_task": cpus_per_task,
-        "partition": partition,
-        "account": account,
-    }
+    settings: dict[str, Any] = {"time_min": time_min, "mem_gb": mem_gb}
+    settings |= {"cpus_per_task": cpus_per_task, "partition": partition, "account": account}
     for_recipes = {"max_array": max_array, "shards_per_task": shards_per_task}
     is_recipe = out is not None
     if out is not None:
@@ -76,30 +69,29 @@ def submit(
             msg = f"`{' '.join(work)}`: with --out, give exactly one recipe"
             raise ClusterError(msg)
         loaded = with_cluster(load_recipe(work[0]), **settings, **for_recipes)
-        submitted = cluster.submit(loaded, out, executor, failed_only=failed)
+        submitted = submission.submit(loaded, out, executor, failed_only=failed)
         if not submitted.shards:
             typer.echo("tacgen: nothing to submit: every shard is done or in a job", err=True)
         print_record(asdict(submitted), json_output)
     else:
         _refuse({"failed": failed, **for_recipes}, "a recipe")
-        cluster.require_command(work)
+        submission.require_command(work)
         commands: Any = typer.main.get_command(app)
         # Wrong options raise an error here, as when the command itself is called.
         out = Path(commands.commands[work[0]].make_context(work[0], work[1:]).params["out"])
-        given = {name: value for name, value in settings.items() if value is not None}
         sbatch = {"gpus": gpus} if gpus else None
-        section = cluster_section(**{**COMMAND_SETTINGS, **given, "sbatch": sbatch})
-        submitted = cluster.submit_command(work, out, _run_command, executor, section)
+        section = cluster_section(Cluster(**COMMAND_SETTINGS), **settings, sbatch=sbatch)
+        submitted = submission.submit_command(work, out, _run_command, executor, section)
         record = {"folder": submitted.folder, "executor": executor, "job": submitted.jobs[0]}
         print_record(record, json_output)
     hand_over(f"tacgen status {out}")
     if wait:
         if is_recipe:
-            found = cluster.wait_for(out)
-            is_whole, text = not found.not_begun, cluster.status_text(found)
+            found = submission.wait_for(out)
+            is_whole, text = not found.not_begun, states.status_text(found)
         else:
-            jobs = cluster.wait_for_command(out)
-            is_whole, text = jobs[-1].state == "done", cluster.jobs_text(out, jobs)
+            jobs = submission.wait_for_command(out)
+            is_whole, text = jobs[-1].state == "done", states.jobs_text(out, jobs)
         typer.echo(text, err=True)
         if not is_whole:
             raise typer.Exit(1)
@@ -124,13 +116,13 @@ def status(
     json_output: JsonFlag = False,
 ) -> None:
     """Show the progress of a dataset or of jobs: done, running, failed and why, time left."""
-    from tacgen import cluster
+    from tacgen.cluster import states
 
-    jobs = () if (folder / "dataset.json").exists() else cluster.job_states(folder)
+    jobs = () if (folder / "dataset.json").exists() else states.job_states(folder)
     if jobs:
         record = {"root": str(folder), "jobs": [asdict(job) for job in jobs]}
-        print_result(record, cluster.jobs_text(folder, jobs), json_output)
+        print_result(record, states.jobs_text(folder, jobs), json_output)
     else:
-        found = cluster.status(folder)
-        print_result(found.as_dict(), cluster.status_text(found), json_output)
+        found = states.status(folder)
+        print_result(found.as_dict(), states.status_text(found), json_output)
         hand_over(f"tacgen inspect {folder}")

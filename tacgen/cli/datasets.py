@@ -1,11 +1,6 @@
 """Commands for datasets: plan, collect, inspect, verify, merge, export."""
 
-from __future__ import annotations
-
-import csv
 import os
-import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -32,10 +27,7 @@ def collect(
     out: Annotated[Path, Option(help="Folder of the dataset; a stopped collection resumes.")],
     workers: WorkersOption = 1,
     shard: Annotated[
-        str,
-        Option(
-            help="I/N: collect only part I of N (from 0); auto: the part of this job-array task."
-        ),
+        str, Option(help="I/N: only part I of N (from 0); auto: the part of this job-array task.")
     ] = "0/1",
     dry_run: Annotated[bool, Option("--dry-run", help="Print the plan, collect nothing.")] = False,
     repair: Annotated[
@@ -59,9 +51,9 @@ def collect(
     loaded = load_recipe(recipe)
     plan = describe(loaded, out)
     part, parts, origin = parse_share(shard, os.environ)
-    share = range(part, plan.shards, parts)
+    share = range(part, plan["shards"], parts)
     if dry_run:
-        print_record(asdict(plan), json_output)
+        print_record(plan, json_output)
         return
     if parts > 1:
         typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
@@ -83,16 +75,13 @@ def collect(
 @app.command(rich_help_panel=DATASETS)
 def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     """List the grasps of a recipe with the shard of each, as CSV."""
+    import pandas as pd
+
     from tacgen.collection.grid import grid_rows, plan_recipe
     from tacgen.collection.recipe import load_recipe
 
     rows = grid_rows(plan_recipe(load_recipe(recipe)))
-    if json_output:
-        print_result(rows, "", json_output)
-        return
-    writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
+    print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
     hand_over(f"tacgen collect {recipe} --out data")
 
 
@@ -155,22 +144,22 @@ def export(
         str,
         Option(
             "--format",
-            help="lerobot, images (PNG and CSV), webdataset, robomimic, or real-grasps (the layout "
-            "of real grasps, without forces and depth).",
+            help="lerobot, images (PNG and CSV, with depth and forces), webdataset, robomimic, or "
+            "real-grasps.",
         ),
     ] = "lerobot",
     split: Annotated[str | None, Option(help="Export only the train or the test grasps.")] = None,
-    per_object: Annotated[int | None, Option(min=1, help="First grasps of each object.")] = None,
     no_images: Annotated[bool, Option("--no-images", help="No images (real-grasps only).")] = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Write the executed grasps of a dataset in another format."""
     from tacgen.dataset.export import export_dataset
 
-    result = export_dataset(
-        folder, out, format_name, split=split, per_object=per_object, images=not no_images
-    )
-    print_result(asdict(result), result.sentence, json_output)
+    result = export_dataset(folder, out, format_name, split=split, images=not no_images)
+    text = f"{out}: {result['content']}"
+    if result["not_executed"]:
+        text += f"; {result['not_executed']} grasps that were not executed are not exported"
+    print_result(result, text, json_output)
 
 
 @app.command(rich_help_panel=DATASETS)

@@ -1,7 +1,5 @@
 """Commands that find effects missing from the contact law, the lookup table or the grasps."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated
@@ -56,9 +54,8 @@ def diagnose_contact(
         from tacgen.collection.recipe import load_recipe
         from tacgen.diagnose.contact.law_comparison import write_law_comparison
 
-        write_law_comparison(
-            load_recipe(grasp), diagnosis.linear_law, diagnosis.law, out / "grasp.html"
-        )
+        laws = diagnosis.linear_law, diagnosis.law
+        write_law_comparison(load_recipe(grasp), *laws, out / "grasp.html")
     sentences = [found.sentence for found in diagnosis.channels.values()]
     print_result(diagnosis_record(diagnosis), sentences, json_output)
     hand_over(*contact_lines(out / "contact.yaml"))

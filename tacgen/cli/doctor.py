@@ -1,7 +1,5 @@
 """Checks of this machine, and how to install what is missing."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import os

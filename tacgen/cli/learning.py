@@ -1,7 +1,5 @@
 """Commands for the networks: train, evaluate, run studies."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -121,14 +119,8 @@ def study(
     from tacgen.study.real_data import RealData
     from tacgen.study.run import check_finished, run_study
 
-    result = run_study(
-        load_study(recipe),
-        out,
-        RealData(real, calibrate_on, contact),
-        rows=row or (),
-        quick=quick,
-        workers=workers,
-    )
+    given = RealData(real, calibrate_on, contact)
+    result = run_study(load_study(recipe), out, given, rows=row or (), quick=quick, workers=workers)
     print_result(result, (out / "table.md").read_text(encoding="utf-8"), json_output)
     check_finished(result)
     hand_over(f"open {out / 'table.html'} in a browser")

@@ -1,7 +1,5 @@
 """Commands for this machine: check what is installed, measure its speed."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Annotated
 
@@ -36,10 +34,9 @@ def bench(
     from tacgen.collection.recipe import load_recipe
 
     estimate = estimate_s(load_recipe(recipe)) if recipe else {}
-    figures = run_benchmarks(repeats=repeats)
-    record: dict[str, object] = {figure.name: figure.value for figure in figures}
-
-    lines = [f"{one.name:<24} {one.value:9.4g} {one.unit:<3} {one.what}" for one in figures]
+    figures = list(run_benchmarks(repeats))
+    record: dict[str, object] = {name: value for name, value, _, _ in figures}
+    lines = [f"{name:<24} {value:9.4g} {unit:<3} {what}" for name, value, unit, what in figures]
     if estimate:
         record["recipe"] = estimate
         lines.append(

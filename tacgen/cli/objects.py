@@ -1,13 +1,19 @@
 """Commands for the objects to grasp."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
-from tacgen.cli.app import JsonFlag, hand_over, note, object_names, objects_app, print_result
+from tacgen.cli.app import (
+    ForceFlag,
+    JsonFlag,
+    hand_over,
+    note,
+    object_names,
+    objects_app,
+    print_result,
+)
 
 
 @objects_app.command("list")
@@ -57,9 +63,7 @@ def objects_add(
     yaw_rad: Annotated[
         float, Option("--yaw", help="Angle about z along which the fingers shall close, rad.")
     ] = 0.0,
-    force: Annotated[
-        bool, Option("--force", help="Replace an existing object with this name.")
-    ] = False,
+    force: ForceFlag = False,
     json_output: JsonFlag = False,
 ) -> None:
     """Import a mesh into ./objects; recipes can then name it."""
@@ -71,15 +75,9 @@ def objects_add(
 
     print_status(f"importing {mesh}; convex decomposition takes up to a minute")
     added = add_object(
-        mesh,
-        mass_kg=mass_kg,
-        scale=scale,
-        name=name,
-        friction=friction,
-        up=up,
-        yaw_rad=yaw_rad,
+        mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, yaw_rad=yaw_rad,
         force=force,
-    )
+    )  # fmt: skip
     note(added.notes)
     folder = Path("objects") / added.object.name
     facts = object_facts(added.object, read_description(folder))

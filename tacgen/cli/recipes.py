@@ -1,7 +1,5 @@
 """Commands for recipes: show one with all of its settings, JSON schemas, a new project."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable
@@ -23,7 +21,7 @@ from tacgen.cli.app import (
     print_result,
     recipe_app,
 )
-from tacgen.core.errors import RecipeError
+from tacgen.core.errors import RecipeError, require_known
 
 PROJECT_FILES = {
     "recipe.yaml": "recipe.yaml",
@@ -82,9 +80,7 @@ def recipe_schema(
 def schema_of(kind: str) -> dict[str, Any]:
     """The JSON schema of the recipes that ``tacgen <kind>`` runs; ``RecipeError`` if none does."""
     kinds = recipe_kinds()
-    if kind not in kinds:
-        msg = f"{kind!r} is not a kind of recipe; give one of {', '.join(kinds)}"
-        raise RecipeError(msg)
+    require_known("kind of recipe", kind, kinds, RecipeError)
     schema = kinds[kind][0].model_json_schema()
     schema["properties"]["extends"] = {
         "description": "Recipes (names or paths) whose settings this one changes.",

@@ -4,10 +4,6 @@
 by the task, so no two processes write one file. Logs and submitit's own files stand beside them.
 """
 
-from __future__ import annotations
-
-import contextlib
-import itertools
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -55,14 +51,10 @@ class JobsFolder:
         self.root = Path(dataset_root) / "jobs"
 
     def create(self) -> Path:
-        """The folder of a new submission: the next free number."""
-        self.root.mkdir(parents=True, exist_ok=True)
-        first = max((int(path.name) for path in self._folders()), default=-1) + 1
-        for number in itertools.count(first):
-            folder = self.root / f"{number:03d}"
-            with contextlib.suppress(FileExistsError):
-                folder.mkdir()
-                break
+        """The folder of a new submission: the next number."""
+        number = max((int(path.name) for path in self._folders()), default=-1) + 1
+        folder = self.root / f"{number:03d}"
+        folder.mkdir(parents=True)
         return folder
 
     def submissions(self) -> dict[Path, Submission]:
@@ -85,19 +77,14 @@ class JobsFolder:
         return sorted(path for path in self.root.glob("*") if path.name.isdecimal())
 
 
-def write_submission(folder: Path, submission: Submission) -> None:
-    """Write or replace ``folder/submission.json``."""
-    write_text(folder / "submission.json", json.dumps(asdict(submission)))
-
-
 def note_path(folder: Path, task: int) -> Path:
     """``task-00000.json`` of a submission."""
     return folder / f"task-{task:05d}.json"
 
 
-def write_note(path: Path, note: Note) -> None:
-    """Write or replace the state of a task."""
-    write_text(path, json.dumps(asdict(note)))
+def write_record(path: Path, record: Submission | Note) -> None:
+    """Write or replace a record."""
+    write_text(path, json.dumps(asdict(record)))
 
 
 def read_note(path: Path) -> Note | None:

@@ -1,7 +1,5 @@
 """The jobs that a scheduler has in its queue at the moment."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """How far a dataset is, wherever its shards are being made, and what went wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Handing work to a scheduler: a recipe's shards as arrays of jobs, a long command as one job."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
@@ -16,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.records import JobsFolder, Submission, Task, note_path, write_submission
+from tacgen.cluster.records import JobsFolder, Submission, Task, note_path, write_record
 from tacgen.cluster.scheduler import site_array_limit
 from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
 from tacgen.cluster.task import Job
@@ -155,13 +153,11 @@ def require_executor(executor: str) -> None:
 
 
 def _run_in(folder: Path, run: Callable[[Sequence[str]], None], command: Sequence[str]) -> None:
-    """Run the command as if typed in ``folder``; what it prints goes to the job's log."""
     os.chdir(folder)
     run(command)
 
 
 def _alive(tasks: Sequence[TaskState]) -> str:
-    """The first jobs that run or wait; empty if none does."""
     return ", ".join([task.job_id for task in tasks if task.state in ALIVE][:5])
 
 
@@ -187,7 +183,8 @@ def _hand_over(tasks: Sequence[Job], folder: Path, engine: Any, limit: int) -> t
                 Task(start + k, job.job_id, task.shards)
                 for k, (job, task) in enumerate(zip(jobs, batch, strict=True))
             ]
-            write_submission(folder, Submission(executor, host, tuple(recorded)))
+            record = Submission(executor, host, tuple(recorded))
+            write_record(folder / "submission.json", record)
     return tuple(task.job_id for task in recorded)
 
 
@@ -233,15 +230,14 @@ def _background() -> Iterator[None]:
     sys.stdout.flush()
     sys.stderr.flush()
     kept = [os.dup(number) for number in (1, 2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
     hang_up = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        yield
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), 2)
+            yield
     finally:
         for number, copy in zip((1, 2), kept, strict=True):
             os.dup2(copy, number)
             os.close(copy)
-        os.close(nowhere)
         signal.signal(signal.SIGHUP, hang_up)

@@ -6,23 +6,18 @@ timed from its configuration to the images, all phases simulated up to the label
 scene picture and without writing.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tacgen.collection.grid import PlannedGrasp, plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
-from tacgen.core.records import GraspObject
 from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.sensor.description import load_sensor
@@ -30,45 +25,46 @@ from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.tactile_pad import TactilePad
 
 FRAME_OBJECT = "tomato_soup_can"
-FRAME_VOLUME_MM3 = 40.0
-"""About what 8 N press into the default gel."""
+FRAME_VOLUME_MM3 = 40.0  # about what 8 N press into the default gel
 GRASP = {"force_n": 10.0, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0}
 SEQUENCE_FRAMES = 24  # of the default recipe
+SAMPLED_GRASPS = 6  # of a recipe whose time is estimated
+SIDE_POSE = (
+    (0.0, 1.0, 0.0, 0.0),
+    (0.0, 0.0, -1.0, 0.0),
+    (-1.0, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 1.0),
+)
+"""The object lying against the gel with its +x side; its middle is to be over the pad's centre."""
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """One measured figure: its median, its unit, and what was timed."""
-
-    name: str
-    value: float
-    unit: str
-    what: str
+Figure = tuple[str, float, str, str]
+"""One measured figure: its name, its median, its unit, and what was timed."""
 
 
-def run_benchmarks(*, repeats: int = 30) -> list[Figure]:
-    """Measure everything; takes about half a minute."""
-    return [*_frame_figures(repeats), *_grasp_figures(max(5, repeats // 3))]
+def run_benchmarks(repeats: int) -> Iterator[Figure]:
+    """Measure everything; 30 repeats take about half a minute."""
+    yield from _frame_figures(repeats)
+    yield from _grasp_figures(max(5, repeats // 3))
 
 
-def estimate_s(recipe: Recipe, *, sample: int = 6, workers: int = 1) -> dict[str, float]:
-    """How long ``recipe`` would take here, from a few of its own grasps.
+def estimate_s(recipe: Recipe) -> dict[str, float]:
+    """How long ``recipe`` would take here with one worker, from a few of its own grasps.
 
     The result holds ``grasps``, ``grasp_s`` (median of the sample, after a warm-up), ``total_s``.
     """
     planned = plan_recipe(recipe)
-    chosen = [planned[i] for i in np.linspace(0, len(planned) - 1, sample).astype(int)]
+    chosen = [planned[i] for i in np.linspace(0, len(planned) - 1, SAMPLED_GRASPS).astype(int)]
     with GraspPipeline(recipe) as pipeline:
         pipeline.sample(chosen[0])
         grasp_s = statistics.median(_timed_s(partial(pipeline.sample, one)) for one in chosen)
-    total_s = grasp_s * len(planned) / workers
-    return {"grasps": len(planned), "grasp_s": grasp_s, "total_s": total_s}
+    return {"grasps": len(planned), "grasp_s": grasp_s, "total_s": grasp_s * len(planned)}
 
 
-def _frame_figures(repeats: int) -> list[Figure]:
-    grasped = load_object(FRAME_OBJECT)
-    surface, pose = grasped.surface, _side_pose(grasped)
-    figures = []
+def _frame_figures(repeats: int) -> Iterator[Figure]:
+    surface = load_object(FRAME_OBJECT).surface
+    pose = np.array(SIDE_POSE)
+    pose[1, 3] = float(np.mean(surface.vertices_mm[:, 2]))
     for name, sensor_name, shadows in (
         ("frame_ms_640x480", "gelsight", False),
         ("frame_shadow_ms_640x480", "gelsight", True),
@@ -78,29 +74,15 @@ def _frame_figures(repeats: int) -> list[Figure]:
         pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
         frame = partial(pad.render, surface, pose, GelLoad(FRAME_VOLUME_MM3))
         what = f"{sensor_name}, {len(surface.faces)} triangles{', shadows' if shadows else ''}"
-        figures.append(Figure(name, 1e3 * _median_s(frame, repeats), "ms", what))
+        yield name, 1e3 * _median_s(frame, repeats), "ms", what
     sensor = load_sensor("gelsight")
     make_gap = partial(gap_map, surface.vertices_mm, surface.faces, pose, sensor)
     solve = partial(solve_indentation, make_gap(), FRAME_VOLUME_MM3, sensor.pixel_area_mm2)
-    for name, action, what in (
-        ("gap_map_ms", make_gap, "whole 640×480 map, by itself"),
-        ("solve_ms", solve, "V → δ on the whole map, by itself"),
-    ):
-        figures.append(Figure(name, 1e3 * _median_s(action, repeats), "ms", what))
-    return figures
+    yield "gap_map_ms", 1e3 * _median_s(make_gap, repeats), "ms", "whole 640×480 map, by itself"
+    yield "solve_ms", 1e3 * _median_s(solve, repeats), "ms", "V → δ on the whole map, by itself"
 
 
-def _side_pose(grasped: GraspObject) -> NDArray[np.float64]:
-    """The object lying against the gel with its +x side, its middle over the pad's centre."""
-    pose = np.array(
-        [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-    )
-    pose[1, 3] = float(np.mean(grasped.surface.vertices_mm[:, 2]))
-    return pose
-
-
-def _grasp_figures(repeats: int) -> list[Figure]:
-    figures = []
+def _grasp_figures(repeats: int) -> Iterator[Figure]:
     for name, frames, what in (
         ("grasp_s_single", {"mode": "single"}, "1 image"),
         ("grasp_s_sequence", {"mode": "sequence", "count": SEQUENCE_FRAMES}, "24 images"),
@@ -111,12 +93,11 @@ def _grasp_figures(repeats: int) -> list[Figure]:
         planned = plan_recipe(recipe)[0]
         with GraspPipeline(recipe) as pipeline:
             seconds = _median_s(partial(pipeline.sample, planned), repeats)
-            figures.append(Figure(name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"))
+            yield name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"
             if frames["mode"] == "single":
                 share = _physics_share(pipeline, planned, repeats)
                 what = "time inside stepSimulation / time of a single image"
-                figures.append(Figure("physics_share", share, "1", what))
-    return figures
+                yield "physics_share", share, "1", what
 
 
 def _physics_share(pipeline: GraspPipeline, planned: PlannedGrasp, repeats: int) -> float:

@@ -1,7 +1,5 @@
 """One grasp of a recipe as an animation, without a dataset."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +12,8 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.files import atomic_path
 from tacgen.core.images import side_by_side
 
-MAX_WIDTH_PX = 420
-"""Of each pad's image: several fit beside one another on a page."""
-LEAST_FRAME_MS = 100
-"""Viewers slow down animations that are faster."""
+MAX_WIDTH_PX = 420  # of each pad's image: several fit beside one another on a page
+LEAST_FRAME_MS = 100  # viewers slow down animations that are faster
 
 
 def write_gif(recipe: Recipe, index: int, path: Path) -> str:

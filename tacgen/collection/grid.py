@@ -1,7 +1,5 @@
 """The list of grasps a recipe asks for, its train and test sides, and its division into shards."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -84,14 +82,14 @@ def _points(recipe: Recipe, entry: ObjectEntry, number: int) -> Sequence[tuple[f
     sample = own.sample or common.sample
     if sample is None or sample >= size:
         return points
-    rng = _rng(recipe.seed, _STREAM_SAMPLE, number)
+    rng = rng_of(recipe.seed, _STREAM_SAMPLE, number)
     return [points[i] for i in np.sort(rng.choice(size, sample, replace=False))]
 
 
 def _splits(recipe: Recipe, number: int, count: int) -> list[str]:
     """``train`` or ``test`` for each of ``count`` distinct configurations of one object."""
     n_test = round(recipe.split.test_fraction * count)
-    order = _rng(recipe.seed, _STREAM_SPLIT, number).permutation(count)
+    order = rng_of(recipe.seed, _STREAM_SPLIT, number).permutation(count)
     tests = set(order[:n_test].tolist())
     return ["test" if i in tests else "train" for i in range(count)]
 
@@ -101,5 +99,6 @@ def _grasp_seed(seed: int, index: int) -> int:
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-def _rng(seed: int, *key: int) -> np.random.Generator:
+def rng_of(seed: int, *key: int) -> np.random.Generator:
+    """Random numbers by identity: the same seed and key give the same ones."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

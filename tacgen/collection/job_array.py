@@ -1,7 +1,5 @@
 """Which shards of a dataset are one job's share, in arrays of batch jobs too."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from tacgen.core.errors import DatasetError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -15,7 +14,7 @@ import numpy as np
 
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import DatasetError
-from tacgen.core.files import sha256_of
+from tacgen.core.files import sha256_of, sha256_of_content
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.core.resources import find_object_folder
 from tacgen.core.workers import Report, run_tasks
@@ -89,6 +88,11 @@ class Perturbation:
 _UNCHANGED = Perturbation()
 
 
+def shift_of_center(shift_mm: Iterable[float]) -> dict[str, Any]:
+    """The arguments of a ``Perturbation`` that shift the centre of mass (3,)."""
+    return {f"center_of_mass_{axis}_mm": mm for axis, mm in zip("xyz", shift_mm, strict=True)}
+
+
 def perturbed_object(grasped: GraspObject, change: Perturbation) -> GraspObject:
     """The object with the changes; its own arrays are left alone."""
     if change.object_scale != 1.0:
@@ -145,15 +149,12 @@ def perturbed_settings(settings: PhysicsSettings, change: Perturbation) -> Physi
 
 def recipe_object(entry: ObjectEntry) -> GraspObject:
     """The object of a recipe's entry, with the entry's own figures."""
-    x_mm, y_mm, z_mm = entry.center_of_mass_offset_mm
     change = Perturbation(
         friction=entry.friction,
         mass_kg=entry.mass_kg,
         spinning_friction_mm=entry.spinning_friction_mm,
         object_scale=entry.scale,
-        center_of_mass_x_mm=x_mm,
-        center_of_mass_y_mm=y_mm,
-        center_of_mass_z_mm=z_mm,
+        **shift_of_center(entry.center_of_mass_offset_mm),
     )
     return perturbed_object(load_object(entry.object_folder()), change)
 
@@ -206,19 +207,9 @@ class Outcome:
         margin = trace.margin
         if margin is None:
             return cls(trace.label, trace.failure_mode, NAN, NAN, status=trace.status)
-        differences = margin.translational, margin.rotational
-        ratios = margin.friction_ratio, margin.torsion_ratio
-        moved = trace.rise_mm, trace.turn_rad
-        return cls(trace.label, trace.failure_mode, *differences, *ratios, *moved)
-
-
-def declared_sha256(recipe: Recipe, name: str) -> str:
-    """A hash of the recipe and of the files of the object ``name``."""
-    digest = hashlib.sha256(recipe.sha256().encode())
-    for path in sorted(find_object_folder(name).rglob("*")):
-        if path.is_file():
-            digest.update(f"{path.name} {sha256_of(path)}".encode())
-    return digest.hexdigest()
+        limits = margin.translational, margin.rotational, margin.friction_ratio
+        moved = margin.torsion_ratio, trace.rise_mm, trace.turn_rad
+        return cls(trace.label, trace.failure_mode, *limits, *moved)
 
 
 Place = tuple[str, float, float, float, float, float]
@@ -237,12 +228,12 @@ def check_forces(recipe: Recipe, real: RealGrasps) -> None:
 
     Raises ``DatasetError``, listing each with its fix.
     """
-    found = (
-        (grasp.grasp_id, force_problem(grasp.config.force_n, recipe.robot.max_force_n))
+    table, most_n = real.folder / "grasps.csv", recipe.robot.max_force_n
+    problems = [
+        f"{table}: grasp {grasp.grasp_id!r}: force_n {problem}"
         for grasp in real.grasps
-    )
-    table = real.folder / "grasps.csv"
-    problems = [f"{table}: grasp {name!r}: force_n {problem}" for name, problem in found if problem]
+        if (problem := force_problem(grasp.config.force_n, most_n))
+    ]
     if problems:
         raise DatasetError.from_problems(problems)
 
@@ -353,7 +344,13 @@ class _Store:
 
     def __init__(self, path: Path, recipe: Recipe, names: Iterable[str]) -> None:
         self._path = path
-        self._made_with = {name: declared_sha256(recipe, name) for name in names}
+        self._made_with = {name: self._hash_of(recipe, name) for name in names}
+
+    @staticmethod
+    def _hash_of(recipe: Recipe, name: str) -> str:
+        """A hash of the recipe and of the files of the object ``name``."""
+        files = [path for path in sorted(find_object_folder(name).rglob("*")) if path.is_file()]
+        return sha256_of_content([recipe.sha256(), *((f.name, sha256_of(f)) for f in files)])
 
     def read(self) -> dict[Key, Outcome]:
         """What was simulated of these objects as declared.
@@ -368,8 +365,10 @@ class _Store:
                 data = json.loads(line)
                 name, *numbers = data["grasp"]
                 if data["declared"] == self._made_with.get(name):
-                    key = ((name, *map(float, numbers)), _perturbation(data["changes"]))
-                    found[key] = Outcome(**data["outcome"])
+                    # Tuples became lists.
+                    factors = tuple(map(tuple, data["changes"].pop("settings_factors", ())))
+                    change = Perturbation(**data["changes"], settings_factors=factors)
+                    found[(name, *map(float, numbers)), change] = Outcome(**data["outcome"])
         return found
 
     def append(self, outcomes: Mapping[Key, Outcome]) -> None:
@@ -383,9 +382,3 @@ class _Store:
                     "outcome": asdict(one),
                 }
                 file.write(json.dumps(line) + "\n")
-
-
-def _perturbation(changes: Mapping[str, Any]) -> Perturbation:
-    """The perturbation of a line on disk, whose tuples JSON made lists of."""
-    factors = tuple((str(name), float(one)) for name, one in changes.get("settings_factors", ()))
-    return Perturbation(**{**changes, "settings_factors": factors})

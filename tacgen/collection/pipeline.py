@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.collection.grid import PlannedGrasp
+from tacgen.collection.grid import PlannedGrasp, rng_of
 from tacgen.collection.perturbed import perturbed_object, recipe_object
 from tacgen.collection.randomize import Variation, draw_variation, vary_config
 from tacgen.collection.recipe import Contact, Recipe
@@ -18,13 +18,7 @@ from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw, load_law
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
-from tacgen.core.records import (
-    LABEL_NOT_EXECUTED,
-    ContactFrame,
-    Estimate,
-    GraspObject,
-    GraspTrace,
-)
+from tacgen.core.records import ContactFrame, Estimate, GraspObject, GraspTrace
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import GraspSimulator, run_grasp
@@ -60,14 +54,15 @@ class GraspPipeline:
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         entry = self.recipe.objects[planned.entry]
-        variation = draw_variation(self.recipe.randomize, _rng(planned, _STREAM_VARIATION))
+        draws = rng_of(planned.seed, _STREAM_VARIATION)
+        variation = draw_variation(self.recipe.randomize, draws)
         grasped = perturbed_object(self._object(entry), variation.perturbation)
         config = vary_config(planned.config, variation)
         trace = run_grasp(
             self.simulator, grasped, config, self.recipe.physics_settings, frames=self.recipe.frames
         )
         frame = grasp_frame(trace)
-        noise = _rng(planned, _STREAM_NOISE)
+        noise = rng_of(planned.seed, _STREAM_NOISE)
         pads = {
             pad: self._render(grasped, frames, frame, planned.config.index, variation, noise)
             for pad, frames in trace.frames.items()
@@ -102,17 +97,11 @@ class GraspPipeline:
         variation: Variation,
         noise: np.random.Generator,
     ) -> PadSample:
-        """The images and depths of one pad over a grasp's frames."""
-        loads = gel_loads(
-            self._law, frames, grasp_index=grasp_index, k_n_factor=variation.k_n_factor
-        )
+        factor = variation.k_n_factor
+        loads = gel_loads(self._law, frames, grasp_index=grasp_index, k_n_factor=factor)
+        rng = noise if self.recipe.optics.noise else None
         rendered = [
-            self._pad.render(
-                grasped.surface,
-                frame.pose_gel_object,
-                load,
-                rng=noise if self.recipe.optics.noise else None,
-            )
+            self._pad.render(grasped.surface, frame.pose_gel_object, load, rng=rng)
             for frame, load in zip(frames, loads, strict=True)
         ]
         grasped_at, depth_mm = rendered[grasp_frame].imprint, None
@@ -164,13 +153,8 @@ def tactile_pad(recipe: Recipe) -> TactilePad:
             f"of {width}×{height}; give the table that was calibrated on it"
         )
         raise TableError(msg)
-    return TactilePad(
-        sensor,
-        table,
-        camera=recipe.contact.camera,
-        shadows=recipe.optics.shadows,
-        markers=recipe.optics.markers,
-    )
+    drawn = recipe.optics.model_dump(include={"shadows", "markers"})
+    return TactilePad(sensor, table, camera=recipe.contact.camera, **drawn)
 
 
 def frame_times_s(recipe: Recipe) -> tuple[float, ...]:
@@ -211,19 +195,3 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
         depth=recipe.dataset.depth,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
     )
-
-
-def crashed_sample(planned: PlannedGrasp, reason: str) -> GraspSample:
-    """The record of a grasp that took the simulator down, or ran out of time."""
-    return GraspSample(
-        config=planned.config,
-        seed=planned.seed,
-        split=planned.split,
-        status="crashed",
-        label=LABEL_NOT_EXECUTED,
-        reason=reason,
-    )
-
-
-def _rng(planned: PlannedGrasp, stream: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(planned.seed, spawn_key=(stream,)))

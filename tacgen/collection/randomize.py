@@ -1,14 +1,11 @@
 """Domain randomisation: what a grasp's own seed changes about the declared simulation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tacgen.collection.perturbed import Perturbation
+from tacgen.collection.perturbed import Perturbation, shift_of_center
 from tacgen.collection.recipe import Randomize
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspConfig
 
 # Relative changes are log-normal, so that no draw makes a mass or a friction negative; beyond
@@ -34,18 +31,16 @@ def draw_variation(spread: Randomize, rng: np.random.Generator) -> Variation:
     on leaves the draws of the others as they were.
     """
     z = np.clip(rng.standard_normal(11), -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
-    x_mm, y_mm, z_mm = _triple(spread.center_of_mass_mm * z[2:5])
+    x_mm, y_mm, z_mm = (spread.position_mm * z[7:10]).tolist()
     return Variation(
         Perturbation(
             friction_factor=float(np.exp(spread.friction_relative * z[0])),
             mass_factor=float(np.exp(spread.mass_relative * z[1])),
-            center_of_mass_x_mm=x_mm,
-            center_of_mass_y_mm=y_mm,
-            center_of_mass_z_mm=z_mm,
+            **shift_of_center((spread.center_of_mass_mm * z[2:5]).tolist()),
         ),
         k_n_factor=float(np.exp(spread.k_n_relative * z[5])),
         gain_factor=float(np.exp(spread.sensor_gain_relative * z[6])),
-        position_mm=_triple(spread.position_mm * z[7:10]),
+        position_mm=(x_mm, y_mm, z_mm),
         yaw_rad=float(spread.yaw_rad * z[10]),
     )
 
@@ -60,8 +55,3 @@ def vary_config(config: GraspConfig, variation: Variation) -> GraspConfig:
         z_mm=config.z_mm + dz_mm,
         yaw_rad=config.yaw_rad + variation.yaw_rad,
     )
-
-
-def _triple(values: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

@@ -1,7 +1,5 @@
 """Recipes: one YAML a job, checked whole before anything runs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,31 +10,28 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    FiniteFloat,
     NonNegativeFloat,
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
-    SerializerFunctionWrapHandler,
     ValidationError,
-    model_serializer,
 )
 
 from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.columns import unit_problems
-from tacgen.core.config import Axis, Finite, Located, Section
+from tacgen.core.config import Axis, Located, Section, as_named
 from tacgen.core.errors import ObjectError, RecipeError
 from tacgen.core.files import sha256_of_content
 from tacgen.core.resources import (
     contact_law_path,
     find_object_folder,
-    find_recipe,
     object_folders,
-    sensor_path,
     unknown_object_hint,
 )
-from tacgen.core.yaml_source import YamlSource, problem_text, read_yaml, validate
+from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.physics.settings import FrameRequest, PhysicsSettings, force_problem
-from tacgen.sensor.description import SensorByName, SensorChoice
+from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 
 class Grid(Section):
@@ -68,7 +63,7 @@ class ObjectEntry(Located):
     """Coulomb friction coefficient against the gel."""
     mass_kg: PositiveFloat | None = None
     """Mass."""
-    center_of_mass_offset_mm: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    center_of_mass_offset_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
     """Shift of the centre of mass in the object's frame."""
     spinning_friction_mm: NonNegativeFloat | None = None
     """Largest moment about the contact normal per newton of normal force."""
@@ -81,23 +76,9 @@ class ObjectEntry(Located):
         """The folder of the object."""
         return find_object_folder(self.name, beside=self.folder)
 
-    @model_serializer(mode="wrap")
-    def _without_the_usual(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit newer keys at their default, so that older recipes keep their hash."""
-        written = dict(serialize(self))
-        for name in ("spinning_friction_mm", "scale"):
-            if getattr(self, name) == type(self).model_fields[name].default:
-                written.pop(name, None)
-        return written
-
-
-def _object_entry(given: Any) -> Any:
-    return {"name": given} if isinstance(given, str) else given
-
 
 ObjectByName = Annotated[
-    ObjectEntry,
-    BeforeValidator(_object_entry, json_schema_input_type=str | ObjectEntry),
+    ObjectEntry, BeforeValidator(as_named, json_schema_input_type=str | ObjectEntry)
 ]
 """An object in a recipe: its name, or an :class:`ObjectEntry`."""
 
@@ -303,16 +284,7 @@ def load_recipe(name: str | Path) -> Recipe:
     >>> recipe.name, recipe.sensor.name
     ('quickstart', 'gelsight')
     """
-    source = read_yaml(find_recipe(str(name)))
-    recipe = validate(Recipe, source)
-    problems = [
-        *_unknown_names(recipe, source),
-        *_repeated_objects(recipe, source),
-        *_values_out_of_range(recipe, source),
-    ]
-    if problems:
-        raise RecipeError.from_problems(problems)
-    return recipe
+    return load_checked(Recipe, name, _unknown_names, _repeated_objects, _values_out_of_range)
 
 
 def known_objects(recipe: Recipe) -> tuple[str, ...]:
@@ -320,23 +292,19 @@ def known_objects(recipe: Recipe) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*object_folders(), *(entry.name for entry in recipe.objects)]))
 
 
-def with_cluster(recipe: Recipe, **settings: str | float | None) -> Recipe:
-    """``recipe`` with these settings of its section ``cluster``; None leaves one as it is.
-
-    Raises ``RecipeError``, which names every setting that cannot be.
-    """
-    cluster = cluster_section(recipe.cluster, **settings)
-    return recipe.model_copy(update={"cluster": cluster})
+def with_cluster(recipe: Recipe, **settings: object) -> Recipe:
+    """``recipe`` with the settings of its section ``cluster`` that are not None."""
+    return recipe.model_copy(update={"cluster": cluster_section(recipe.cluster, **settings)})
 
 
-def cluster_section(before: Cluster | None = None, **settings: object) -> Cluster:
-    """The section ``cluster`` with these settings; None leaves one as it is.
+def cluster_section(before: Cluster, **settings: object) -> Cluster:
+    """The section ``cluster`` with the settings that are not None.
 
     Raises ``RecipeError``, which names every setting that cannot be.
     """
     given = {name: value for name, value in settings.items() if value is not None}
     try:
-        return Cluster.model_validate((before or Cluster()).model_dump() | given)
+        return Cluster.model_validate(before.model_dump() | given)
     except ValidationError as error:
         raise RecipeError.from_problems(
             [f"cluster.{d['loc'][0]} = {d['input']!r}: {problem_text(d)}" for d in error.errors()]
@@ -350,33 +318,23 @@ def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
         except ObjectError:
             hint = unknown_object_hint(entry.name, object_folders(entry.folder))
             yield source.problem(("objects", i), f"= {entry.name!r} is not an object here{hint}")
-    try:
-        sensor_path(recipe.sensor.name, beside=recipe.sensor.folder)
-    except RecipeError as error:
-        yield source.problem(("sensor",), f"= {recipe.sensor.name!r}: {error}")
+    yield from sensor_problems(recipe.sensor, source)
 
 
 def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     names = [entry.name for entry in recipe.objects]
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            yield source.problem(
-                ("objects", i), f"= {name!r} is given twice; keep one, or make two recipes"
-            )
+    return source.repeated("objects", names, "keep one, or make two recipes")
 
 
 def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
-    grids: list[tuple[tuple[str | int, ...], Grid]] = [(("grid",), recipe.grid)]
-    grids += [
-        (("objects", i, "grid"), entry.grid)
-        for i, entry in enumerate(recipe.objects)
-        if entry.grid is not None
-    ]
-    for key_path, grid in grids:
+    grids: dict[KeyPath, Grid | None] = {("grid",): recipe.grid}
+    grids |= {("objects", i, "grid"): entry.grid for i, entry in enumerate(recipe.objects)}
+    for key_path, grid in grids.items():
+        if grid is None:
+            continue
         for name in ("z_mm", "yaw_rad"):
             if problem := unit_problems(name, np.array(getattr(grid, name) or ())):
                 yield source.problem((*key_path, name), f"is {problem}")
         for k, force_n in enumerate(grid.force_n or ()):
-            problem = force_problem(force_n, recipe.robot.max_force_n)
-            if problem:
+            if problem := force_problem(force_n, recipe.robot.max_force_n):
                 yield source.problem((*key_path, "force_n", k), problem)

@@ -1,39 +1,25 @@
 """Collecting a dataset: the plan's shards, worked through by watched processes."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tacgen.collection.grid import PlannedGrasp, plan_recipe
-from tacgen.collection.pipeline import GraspPipeline, crashed_sample, dataset_spec
+from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.progress import print_status, progress_counter
+from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.core.workers import Event, Report, run_tasks
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.card import write_card
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.gallery import Card, CardMaker, write_gallery
 
-CARDS_A_TASK = 5  # pictures that a worker draws before it reports
 CARD_LIMIT_S = 60.0  # far beyond the time of a picture: the worker hangs
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What a recipe asks for, and how much of it is there."""
-
-    recipe: str
-    out: str
-    objects: tuple[str, ...]
-    grasps: int
-    frames_a_grasp: int
-    shards: int
-    shards_done: int
 
 
 @dataclass(slots=True)
@@ -136,21 +122,20 @@ def collect(
     return result
 
 
-def describe(recipe: Recipe, out: Path) -> Plan:
-    """What ``collect`` would do, without doing it."""
+def describe(recipe: Recipe, out: Path) -> dict[str, Any]:
+    """What a recipe asks for, and how much of it is there."""
     planned = plan_recipe(recipe)
     n_shards = -(-len(planned) // recipe.dataset.shard_size)
     folder = DatasetFolder(out)
-    done = sum(folder.is_done(shard) for shard in range(n_shards))
-    return Plan(
-        recipe=recipe.name,
-        out=str(out),
-        objects=tuple(entry.name for entry in recipe.objects),
-        grasps=len(planned),
-        frames_a_grasp=recipe.frames.count if recipe.frames.mode == "sequence" else 1,
-        shards=n_shards,
-        shards_done=done,
-    )
+    return {
+        "recipe": recipe.name,
+        "out": str(out),
+        "objects": [entry.name for entry in recipe.objects],
+        "grasps": len(planned),
+        "frames_a_grasp": len(frame_times_s(recipe)),
+        "shards": n_shards,
+        "shards_done": sum(folder.is_done(shard) for shard in range(n_shards)),
+    }
 
 
 @contextlib.contextmanager
@@ -172,7 +157,10 @@ def _shard_job(
             def samples() -> Iterator[GraspSample]:
                 for index in spec.shard_range(shard):
                     if index in crashed:
-                        yield crashed_sample(planned[index], crashed[index])
+                        one, label = planned[index], LABEL_NOT_EXECUTED
+                        yield GraspSample(
+                            one.config, one.seed, one.split, "crashed", label, reason=crashed[index]
+                        )
                         continue
                     report("start", index, None)
                     sample = pipeline.sample(planned[index])
@@ -188,21 +176,13 @@ def _shard_job(
 
 
 def _make_cards(root: Path, workers: int, rows: Sequence[int]) -> list[Card]:
-    """The gallery's cards, made by several processes."""
-    batches = [rows[k : k + CARDS_A_TASK] for k in range(0, len(rows), CARDS_A_TASK)]
-    made: dict[int, list[Card]] = {}
-    make_job = partial(_card_job, root, batches)
-    for event in run_tasks(
-        range(len(batches)), make_job, workers=workers, item_limit_s=CARD_LIMIT_S
-    ):
-        if event.kind == "done":
-            made[event.task] = event.value
-    return [card for batch in sorted(made) for card in made[batch]]
+    make_job = partial(_card_job, root)
+    events = run_tasks(rows, make_job, workers=workers, item_limit_s=CARD_LIMIT_S)
+    made = {event.task: event.value for event in events if event.kind == "done"}
+    return [made[row] for row in rows]
 
 
 @contextlib.contextmanager
-def _card_job(
-    root: Path, batches: Sequence[Sequence[int]]
-) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Card]]]:
+def _card_job(root: Path) -> Iterator[Callable[[int, Mapping[int, str], Report], Card]]:
     maker = CardMaker(root)
-    yield lambda batch, _crashed, _report: [maker.card(row) for row in batches[batch]]
+    yield lambda row, _crashed, _report: maker.card(row)

@@ -4,8 +4,6 @@ Shaded by tacgen's own rasteriser rather than by GL, so that a shard holds the s
 machine.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
@@ -53,7 +51,6 @@ def grasp_picture(
 
 
 def _pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """x, y, z and a quaternion x, y, z, w as a 4×4 matrix."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_of(pose[3:].tolist())
     matrix[:3, 3] = pose[:3]

@@ -1,7 +1,5 @@
 """Columns of the CSV files that tacgen reads, and hints on columns and units that look wrong."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches

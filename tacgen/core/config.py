@@ -1,14 +1,19 @@
 """What every YAML of tacgen is made of: sections without unknown keys, numbers, axes of a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, PrivateAttr
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    FiniteFloat,
+    PrivateAttr,
+)
 
 MAX_AXIS_VALUES = 10_000  # more is a misspelt axis
 
@@ -19,12 +24,9 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
-def finite(value: float) -> float:
-    """``value``, if it is a finite number."""
-    if not math.isfinite(value):
-        msg = "must be a finite number"
-        raise ValueError(msg)
-    return value
+def as_named(given: Any) -> Any:
+    """A section that is given by its name alone."""
+    return {"name": given} if isinstance(given, str) else given
 
 
 class Located(Section):
@@ -108,9 +110,8 @@ def _distinct(values: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(dict.fromkeys(values))
 
 
-Finite = Annotated[float, AfterValidator(finite)]
 Axis = Annotated[
-    tuple[Finite, ...],
+    tuple[FiniteFloat, ...],
     BeforeValidator(
         _axis_values, json_schema_input_type=float | list[float] | dict[str, list[float]]
     ),

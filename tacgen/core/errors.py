@@ -23,6 +23,15 @@ class TacgenError(Exception):
         return cls("\n".join(problems))
 
 
+def require_known(what: str, value: str, known: Iterable[str], error: type[TacgenError]) -> None:
+    """Raise ``error``, which lists what is known, unless ``value`` is among it."""
+    known = list(known)
+    if value not in known:
+        near = did_you_mean(value, known)
+        msg = f"{what} {value!r} is not known{near}; give one of {', '.join(known)}"
+        raise error(msg)
+
+
 class Interrupted(BaseException):
     """Ctrl-C or a request to terminate; passes through ``except Exception`` as it should."""
 

@@ -1,7 +1,5 @@
 """Files that appear whole or not at all, and hashes of what is on disk."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Images for pages: encoded, side by side, and differences about grey."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from typing import Any

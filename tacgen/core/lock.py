@@ -1,7 +1,5 @@
 """Lock files, by locks of the operating system: it frees those of a process that dies."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

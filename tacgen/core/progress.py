@@ -4,8 +4,6 @@ The logger ``tacgen`` sets how much is written: WARNING (``-q``) only warnings, 
 also tracebacks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import sys

@@ -5,15 +5,13 @@ centre of the gel surface at rest, x along image columns, y along image rows (do
 the gel towards the object. Poses are 4×4 homogeneous matrices with translations in mm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 Status = Literal["executed", "unreachable", "no_contact", "crashed"]
 FailureMode = Literal["", "translational_slip", "rotational_slip"]
@@ -21,7 +19,7 @@ FailureMode = Literal["", "translational_slip", "rotational_slip"]
 LABEL_SUCCESS, LABEL_FAILURE, LABEL_NOT_EXECUTED = 1, 0, -1
 
 
-def frozen_array(values: object, dtype: type = np.float64) -> NDArray[Any]:
+def frozen_array(values: object, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """A read-only copy of ``values``."""
     array: NDArray[Any] = np.array(values, dtype=dtype)
     array.setflags(write=False)

@@ -1,7 +1,5 @@
 """Recipes, sensors and objects by name: the user's own folder first, then what tacgen ships."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

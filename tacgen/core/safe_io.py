@@ -1,7 +1,5 @@
 """Files of strangers: what they say of their own size is looked at before it is believed."""
 
-from __future__ import annotations
-
 import math
 import warnings
 import zipfile
@@ -43,8 +41,8 @@ def read_rgb(path: Path, error: type[TacgenError] = TacgenError) -> NDArray[np.u
     """An image file as RGB (H, W, 3) uint8; raises ``error`` if it is missing or no image."""
     bgr = read_bgr(path) if path.is_file() else None
     if bgr is None:
-        problem = "cannot be read as an image" if path.is_file() else "no such file"
-        msg = f"{path}: {problem}; give PNG or JPEG"
+        problem = f"cannot be read as an image of at most {MAX_SIDE_PX} pixels a side"
+        msg = f"{path}: {problem if path.is_file() else 'no such file'}; give PNG or JPEG"
         raise error(msg)
     return np.ascontiguousarray(bgr[..., ::-1])
 

@@ -1,7 +1,5 @@
 """The few conversions between tacgen's units (N, mm, s, rad, °C, kg) and the outside world's."""
 
-from __future__ import annotations
-
 MM_PER_M = 1000.0
 M_PER_MM = 1e-3
 STANDARD_GRAVITY_M_S2 = 9.80665

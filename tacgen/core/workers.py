@@ -14,8 +14,6 @@ safe where copying the parent would not be. Libraries get one thread in each wor
 one core's work, and sums must not depend on a machine's number of cores.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import itertools
@@ -77,34 +75,24 @@ class Event:
 class _Worker:
     process: multiprocessing.process.BaseProcess
     connection: Connection
-    task: int | None = None
-    item: int | None = None
+    task: int = -1  # none
+    item: int = -1
     last_message_s: float = 0.0
-
-
-class _AwakeClock:
-    """Seconds in which this process was running.
-
-    A job that the scheduler suspends, or a machine that sleeps, must not blame its grasps for it.
-    """
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-        self._seen_s = time.monotonic()
-
-    def look(self) -> None:
-        """Count the time since the last look, if it is not longer than looks are apart."""
-        seen_s = time.monotonic()
-        self.now_s += min(seen_s - self._seen_s, _LONGEST_LOOK_S)
-        self._seen_s = seen_s
 
 
 @dataclass
 class _Progress:
     queue: deque[int]
-    clock: _AwakeClock = field(default_factory=_AwakeClock)
     crashed: dict[int, dict[int, str]] = field(default_factory=dict)
     kills: dict[int, int] = field(default_factory=dict)
+    awake_s: float = 0.0  # in which this process ran: a suspended job must not blame its grasps
+    looked_s: float = field(default_factory=time.monotonic)
+
+    def look(self) -> None:
+        """Count the time since the last look, if it is not longer than looks are apart."""
+        now_s = time.monotonic()
+        self.awake_s += min(now_s - self.looked_s, _LONGEST_LOOK_S)
+        self.looked_s = now_s
 
 
 Item = TypeVar("Item")
@@ -181,23 +169,23 @@ def run_tasks(
     crew: list[_Worker] = []
     try:
         crew += [_start(make_job) for _ in range(min(workers, len(tasks)))]
-        while progress.queue or any(worker.task is not None for worker in crew):
+        while progress.queue or any(worker.task >= 0 for worker in crew):
             for worker in crew:
-                if worker.task is None and progress.queue:
+                if worker.task < 0 and progress.queue:
                     _assign(worker, progress)
             signals = [on for worker in crew for on in (worker.connection, worker.process.sentinel)]
             wait(signals, timeout=_POLL_S)
-            progress.clock.look()
+            progress.look()
             for k, worker in enumerate(crew):
                 # Looked at once: a worker may die at any line below, and is then found dead next
                 # time, with its task.
                 alive = worker.process.is_alive()
-                yield from _read_messages(worker, progress.clock)
+                yield from _read_messages(worker, progress)
                 if alive:
                     yield from _end_if_hung(worker, progress, item_limit_s)
                 else:
                     yield from _handle_death(worker, progress)
-                if worker.task is None and progress.queue and not worker.process.is_alive():
+                if worker.task < 0 and progress.queue and not worker.process.is_alive():
                     crew[k] = _start(make_job)
     finally:
         for worker in crew:
@@ -220,17 +208,16 @@ def _start(make_job: JobFactory) -> _Worker:
 
 def _assign(worker: _Worker, progress: _Progress) -> None:
     worker.task = progress.queue.popleft()
-    worker.item, worker.last_message_s = None, progress.clock.now_s
+    worker.item, worker.last_message_s = -1, progress.awake_s
     with contextlib.suppress(BrokenPipeError):  # it died idle; its death is accounted for
         worker.connection.send((worker.task, progress.crashed.get(worker.task, {})))
 
 
-def _read_messages(worker: _Worker, clock: _AwakeClock) -> Iterator[Event]:
-    """Everything the worker has reported since."""
+def _read_messages(worker: _Worker, progress: _Progress) -> Iterator[Event]:
     try:
-        while worker.task is not None and worker.connection.poll():
+        while worker.task >= 0 and worker.connection.poll():
             kind, item, value = worker.connection.recv()
-            task, worker.last_message_s = worker.task, clock.now_s
+            task, worker.last_message_s = worker.task, progress.awake_s
             if kind == "error":
                 raise TacgenError(value)
             if kind == "bug":
@@ -239,33 +226,33 @@ def _read_messages(worker: _Worker, clock: _AwakeClock) -> Iterator[Event]:
             if kind == "start":
                 worker.item = item
                 continue
-            worker.item = None
+            worker.item = -1
             if kind == "done":
-                worker.task = None
+                worker.task = -1
             yield Event(kind, task, item, value)
     except (EOFError, ConnectionResetError):
         return
 
 
 def _end_if_hung(worker: _Worker, progress: _Progress, limit_s: float) -> Iterator[Event]:
-    silent_s = progress.clock.now_s - worker.last_message_s
-    if worker.item is not None and silent_s > limit_s:
+    silent_s = progress.awake_s - worker.last_message_s
+    if worker.item >= 0 and silent_s > limit_s:
         worker.process.kill()
         worker.process.join()
         yield _skip_item(worker, progress, f"took longer than {limit_s:g} s")
-    elif worker.task is not None and silent_s > max(limit_s, SILENCE_LIMIT_S):
+    elif worker.task >= 0 and silent_s > max(limit_s, SILENCE_LIMIT_S):
         worker.process.kill()  # found dead at the next look, and its task run again
 
 
 def _handle_death(worker: _Worker, progress: _Progress) -> Iterator[Event]:
-    if worker.task is None:
+    if worker.task < 0:
         return
     worker.process.join()
     code = worker.process.exitcode or 0
-    if worker.item is not None and -code in _NATIVE_CRASHES:
+    if worker.item >= 0 and -code in _NATIVE_CRASHES:
         yield _skip_item(worker, progress, f"the simulator died of {signal.Signals(-code).name}")
         return
-    task, worker.task = worker.task, None
+    task, worker.task = worker.task, -1
     progress.kills[task] = progress.kills.get(task, 0) + 1
     if progress.kills[task] > MAX_KILLS_PER_TASK:
         msg = (
@@ -280,14 +267,11 @@ def _handle_death(worker: _Worker, progress: _Progress) -> Iterator[Event]:
 def _skip_item(worker: _Worker, progress: _Progress, reason: str) -> Event:
     """Put the task back, to be run without the item that took its worker down."""
     task, item = worker.task, worker.item
-    if task is None or item is None:
-        msg = "a worker without an item cannot be blamed for one"
-        raise RuntimeError(msg)
     progress.crashed.setdefault(task, {})[item] = reason
     if _crashed_around(item, progress) >= MAX_CRASHES_IN_A_ROW:
         msg = f"{MAX_CRASHES_IN_A_ROW} grasps in a row crashed, the last ({item}) because {reason}"
         raise TacgenError(msg)
-    worker.task = worker.item = None
+    worker.task = worker.item = -1
     progress.queue.appendleft(task)
     return Event("crashed", task, item, reason)
 
@@ -295,9 +279,9 @@ def _skip_item(worker: _Worker, progress: _Progress, reason: str) -> Event:
 def _crashed_around(item: int, progress: _Progress) -> int:
     """How many items in a row crashed, this one among them, whatever their tasks."""
     every = {crashed for items in progress.crashed.values() for crashed in items}
-    before = itertools.takewhile(every.__contains__, itertools.count(item - 1, -1))
+    before = itertools.takewhile(every.__contains__, itertools.count(item, -1))
     after = itertools.takewhile(every.__contains__, itertools.count(item + 1))
-    return len(list(before)) + 1 + len(list(after))
+    return len([*before, *after])
 
 
 def _stop(worker: _Worker) -> None:
@@ -325,10 +309,12 @@ def _serve(connection: Connection, make_job: JobFactory) -> None:
     except (EOFError, BrokenPipeError, ConnectionResetError):
         os._exit(0)
     except TacgenError as error:
-        _send_last(connection, ("error", error.exit_code, str(error)))
+        last = ("error", -1, str(error))
     except Exception:
         # Whatever it is, the supervisor must hear of it; it ends the run with this text.
-        _send_last(connection, ("bug", -1, traceback.format_exc()))
+        last = ("bug", -1, traceback.format_exc())
+    with contextlib.suppress(BrokenPipeError):  # the run has been ended by another worker's
+        connection.send(last)
 
 
 def _end_with_the_supervisor() -> None:
@@ -342,11 +328,6 @@ def _end_with_the_supervisor() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, args=(supervisor.sentinel,), daemon=True).start()
-
-
-def _send_last(connection: Connection, message: tuple[str, int, str]) -> None:
-    with contextlib.suppress(BrokenPipeError):  # the run has been ended by another worker's
-        connection.send(message)
 
 
 def start_early(*modules: str) -> None:
@@ -367,7 +348,6 @@ def start_early(*modules: str) -> None:
 def _start_process(
     target: Callable[..., None], *arguments: object
 ) -> multiprocessing.process.BaseProcess:
-    """Run ``target(*arguments)`` in a new process that ends with this one."""
     methods = multiprocessing.get_all_start_methods()
     context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     # The process that is copied may have been started under another environment.

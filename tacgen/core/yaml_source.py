@@ -1,9 +1,8 @@
 """YAML files read safely, merged by ``extends:``, and checked with the line of every mistake."""
 
-from __future__ import annotations
-
-import dataclasses
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar
@@ -13,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from tacgen.core.config import set_folders
 from tacgen.core.errors import RecipeError, TacgenError, did_you_mean
+from tacgen.core.resources import find_recipe
 
 MAX_BYTES = 1 << 20  # no recipe has as much text
 MAX_NODES = 200_000  # bounds on a file's size and on what its aliases may unfold to
@@ -41,6 +41,12 @@ class YamlSource:
         file, line = self.origin(key_path)
         return f"{file}{f':{line}' if line else ''}: {dotted(key_path)} {text}"
 
+    def repeated(self, key: str, names: Sequence[str], fix: str) -> Iterator[str]:
+        """A problem for each entry of the list ``key`` whose name an earlier entry has."""
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                yield self.problem((key, i), f"= {name!r} is given twice; {fix}")
+
 
 def dotted(key_path: KeyPath) -> str:
     """``("grid", "force_n", 2)`` as ``grid.force_n[2]``."""
@@ -65,8 +71,6 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
-    from tacgen.core.resources import find_recipe
-
     if path.resolve() in extended_by:
         msg = f"{path}: extends itself; take it out of `extends:`"
         raise RecipeError(msg)
@@ -85,30 +89,27 @@ def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
 
 
 def _parse(path: Path) -> YamlSource:
+    line, root = "", None
     try:
         if path.exists() and not path.is_file():
-            msg = f"{path}: not a file; give a YAML file"
-            raise RecipeError(msg)
-        if path.stat().st_size > MAX_BYTES:
-            msg = f"{path}: larger than {MAX_BYTES >> 20} MiB; this is not a recipe"
-            raise RecipeError(msg)
-        root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+            problem = "not a file; give a YAML file"
+        elif path.stat().st_size > MAX_BYTES:
+            problem = f"larger than {MAX_BYTES >> 20} MiB; this is not a recipe"
+        else:
+            root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+            problem = "holds no `key: value` pairs"
     except FileNotFoundError:
-        msg = f"{path}: no such file"
-        raise RecipeError(msg) from None
+        problem = "no such file"
     except (OSError, UnicodeDecodeError) as error:
-        msg = f"{path}: cannot be read: {error}"
-        raise RecipeError(msg) from None
+        problem = f"cannot be read: {error}"
     except RecursionError:
-        msg = f"{path}: nested too deeply; this is not a recipe"
-        raise RecipeError(msg) from None
+        problem = "nested too deeply; this is not a recipe"
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
-        msg = f"{path}{line}: not valid YAML: {getattr(error, 'problem', error)}"
-        raise RecipeError(msg) from None
+        problem = f"not valid YAML: {getattr(error, 'problem', error)}"
     if not isinstance(root, yaml.MappingNode):
-        msg = f"{path}: holds no `key: value` pairs"
+        msg = f"{path}{line}: {problem}"
         raise RecipeError(msg)
     source = YamlSource(path, {}, {})
     source.data.update(_NodeReader(source).read(root, ()))
@@ -190,6 +191,18 @@ def validate(
     return checked
 
 
+def load_checked(
+    model: type[Model], name: str | Path, *checks: Callable[[Model, YamlSource], Iterable[str]]
+) -> Model:
+    """The recipe ``name`` (a path, or the name of a shipped one), if no check has a problem."""
+    source = read_yaml(find_recipe(str(name)))
+    checked = validate(model, source)
+    problems = [text for check in checks for text in check(checked, source)]
+    if problems:
+        raise RecipeError.from_problems(list(dict.fromkeys(problems)))
+    return checked
+
+
 class FileKind(NamedTuple):
     """A kind of YAML file: its purpose, and keys that no other kind has."""
 
@@ -254,9 +267,9 @@ def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     if kind in ("model_type", "dataclass_type"):
         return source.problem(key_path, f"= {given!r} must hold `key: value` pairs")
     text = problem_text(details)
-    if isinstance(given, (str, int, float, bool)):
+    if isinstance(given, (str, int, float)):
         return source.problem(key_path, f"= {given!r}: {text}")
-    return source.problem(key_path, f": {text}".lstrip() if not key_path else f"{text}")
+    return source.problem(key_path, text if key_path else f": {text}")
 
 
 _WORDS = {
@@ -308,34 +321,13 @@ def _written_path(data: Any, location: tuple[str | int, ...]) -> KeyPath:
     return tuple(path)
 
 
-def _field_names(model: Any, key_path: KeyPath) -> list[str]:
+def _field_names(model: type[BaseModel], key_path: KeyPath) -> list[str]:
     """The keys a model knows at ``key_path``; empty if they are not known."""
+    schema = model.model_json_schema()
+    part = schema
     for key in key_path:
-        if isinstance(key, int):
-            continue
-        annotation = _annotations(model).get(str(key))
-        if annotation is None:
-            return []
-        model = _model_within(annotation)
-    return sorted(_annotations(model))
-
-
-def _annotations(model: Any) -> dict[str, Any]:
-    """The fields of a pydantic model or a dataclass, with their types."""
-    if dataclasses.is_dataclass(model):
-        return {item.name: item.type for item in dataclasses.fields(model)}
-    fields = getattr(model, "model_fields", {})
-    return {name: info.annotation for name, info in fields.items()}
-
-
-def _model_within(annotation: Any) -> Any:
-    """The first model or dataclass inside a type such as ``Grid | None``."""
-    if isinstance(annotation, type) and (
-        issubclass(annotation, BaseModel) or dataclasses.is_dataclass(annotation)
-    ):
-        return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        found = _model_within(argument)
-        if found is not None:
-            return found
-    return None
+        if isinstance(key, str):
+            written = json.dumps(part.get("properties", {}).get(key))
+            reference = re.search(r'"#/\$defs/(.+?)"', written)
+            part = schema["$defs"][reference[1]] if reference else {}
+    return sorted(part.get("properties", {}))

@@ -1,7 +1,5 @@
 """``README.md`` of a dataset: what it is, how it was made, how to read it, its limits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tacgen.core.files import write_text

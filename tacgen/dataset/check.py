@@ -1,11 +1,9 @@
-"""What must hold for a grasp and for a shard, whether about to be written or read back."""
-
-from __future__ import annotations
+"""What must hold for a grasp and for a shard, whether just written or read back later."""
 
 import itertools
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +12,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 from tacgen.dataset.manifest import ShardLine
-from tacgen.dataset.samples import DatasetSpec, GraspSample, PadSample
-from tacgen.dataset.schema import CONTACT_NAMES, FAILURE_MODES, MAX_OBJECT_BYTES, SPLITS, STATUSES
+from tacgen.dataset.schema import FAILURE_MODES, SPLITS, STATUSES
 from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_shard, read_image
 
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
@@ -37,7 +34,6 @@ def tally(grasps: Iterable[Outcome]) -> dict[str, Any]:
     return found | {"objects": objects}
 
 
-Decode = Literal["none", "first", "all"]
 _MAX_NAMED = 5  # enough to see a pattern in a message
 
 
@@ -52,11 +48,10 @@ def byte_problems(path: Path, line: ShardLine) -> list[str]:
     return []
 
 
-def content_problems(path: Path, line: ShardLine, *, decode: Decode) -> list[str]:
+def content_problems(path: Path, line: ShardLine, *, decode: bool = False) -> list[str]:
     """Everything in the file ``path`` that is not as ``line`` says, or cannot be.
 
-    ``decode`` says which images are decompressed: none, those of the first executed grasp at the
-    moment of grasp, or all. Every other image is still known to be there, with a header that fits.
+    With ``decode`` every image is decompressed; without it, it is there with a header that fits.
     """
     try:
         with open_shard(path) as shard, broken_as_error(path):
@@ -65,7 +60,7 @@ def content_problems(path: Path, line: ShardLine, *, decode: Decode) -> list[str
         return [text.removeprefix(f"{path}: ") for text in str(error).splitlines()]
 
 
-def _content_problems(shard: Shard, line: ShardLine, decode: Decode) -> Iterator[str]:
+def _content_problems(shard: Shard, line: ShardLine, decode: bool) -> Iterator[str]:
     layout = shard.layout
     said = {
         "sensor": layout.sensor,
@@ -83,7 +78,8 @@ def _content_problems(shard: Shard, line: ShardLine, decode: Decode) -> Iterator
         if values is not None and values.dtype.kind == "f" and not array.nan:
             yield from _named(array.path, ~np.isfinite(values), "is not finite")
     yield from _grasp_problems(columns, line)
-    yield from _image_problems(shard, columns, decode)
+    executed = np.flatnonzero(columns["/grasp/status"] == b"executed")
+    yield from _image_problems(shard, executed, decode)
 
 
 def _grasp_problems(columns: dict[str, NDArray[Any]], line: ShardLine) -> Iterator[str]:
@@ -100,7 +96,7 @@ def _grasp_problems(columns: dict[str, NDArray[Any]], line: ShardLine) -> Iterat
     ]
     grasps = list(zip(map(int, columns["/grasp/label"]), *texts, strict=True))
     for number, (label, status, mode, split, _) in zip(index, grasps, strict=True):
-        problem = outcome_problem(label, status, mode, split)
+        problem = _outcome_problem(label, status, mode, split)
         if problem:
             yield f"grasp {number}: {problem}"
             return
@@ -111,11 +107,7 @@ def _grasp_problems(columns: dict[str, NDArray[Any]], line: ShardLine) -> Iterat
     yield from _named("/grasp/grasp_frame", (frame < 0) | (frame >= line.frames), "is no frame")
 
 
-def _image_problems(
-    shard: Shard, columns: dict[str, NDArray[Any]], decode: Decode
-) -> Iterator[str]:
-    executed = np.flatnonzero(columns["/grasp/status"] == b"executed")
-    moments = columns["/grasp/grasp_frame"]
+def _image_problems(shard: Shard, executed: NDArray[np.int64], decode: bool) -> Iterator[str]:
     for array in shard.layout.arrays():
         if not array.image:
             continue
@@ -125,11 +117,10 @@ def _image_problems(
         rows: Iterable[int] = executed if array.shape[0] == "N" else (-1,)
         for row, frame in itertools.product(rows, range(n_frames)):
             place = () if row < 0 else (int(row), frame)[: 1 + per_frame]
-            first = row in (-1, *executed[:1]) and frame == (moments[row] if per_frame else 0)
             if not is_image_sound(dataset, place):
                 if array.path != "/scene/picture":
                     yield f"{array.path}: the image {place} is missing"
-            elif decode == "all" or (decode == "first" and first):
+            elif decode:
                 image = read_image(dataset, place)
                 if image.dtype.kind == "f" and not np.isfinite(image).all():
                     yield f"{array.path}: the image {place} is not finite"
@@ -143,29 +134,7 @@ def _named(path: str, wrong: NDArray[np.bool_], words: str) -> Iterator[str]:
         yield f"{path}: row {', '.join(map(str, rows[:_MAX_NAMED]))}{more} {words}"
 
 
-def sample_problems(sample: GraspSample, spec: DatasetSpec) -> list[str]:
-    """Everything about ``sample`` that does not fit ``spec`` or itself; empty where it fits."""
-    outcome = (sample.label, sample.status, sample.failure_mode, sample.split)
-    problems = [outcome_problem(*outcome)]
-    if not 1 <= len(sample.config.object.encode()) <= MAX_OBJECT_BYTES:
-        problems.append(f"object {sample.config.object!r} is not of 1 to {MAX_OBJECT_BYTES} bytes")
-    n_frames = len(spec.time_s)
-    if not 0 <= sample.grasp_frame < n_frames:
-        problems.append(f"grasp_frame {sample.grasp_frame} is not one of {n_frames} frames")
-    if sample.object_pose is not None:
-        problems += _array_problems("object_pose", sample.object_pose, (n_frames, 7))
-    if sample.picture is not None and spec.picture_px is not None:
-        problems += _array_problems("picture", sample.picture, (*spec.picture_px, 3), "uint8")
-    if sample.status == "executed" and set(sample.pads) != set(spec.pads):
-        problems.append(
-            f"pads {', '.join(sorted(sample.pads)) or 'none'} are not {', '.join(spec.pads)}"
-        )
-    for pad in sorted(set(sample.pads) & set(spec.pads)):
-        problems += [f"{pad} pad: {text}" for text in _pad_problems(sample.pads[pad], spec)]
-    return [text for text in problems if text]
-
-
-def outcome_problem(label: int, status: str, failure_mode: str, split: str) -> str:
+def _outcome_problem(label: int, status: str, failure_mode: str, split: str) -> str:
     """What is wrong about a grasp's outcome and its split; empty where nothing is."""
     if status not in STATUSES:
         return f"status {status!r} is not one of {', '.join(STATUSES)}"
@@ -178,28 +147,3 @@ def outcome_problem(label: int, status: str, failure_mode: str, split: str) -> s
     if failure_mode and label != LABEL_FAILURE:
         return f"failure mode {failure_mode} does not go with label {label}"
     return "" if split in SPLITS else f"split {split!r} is not one of {', '.join(SPLITS)}"
-
-
-def _pad_problems(pad: PadSample, spec: DatasetSpec) -> Iterator[str]:
-    n_frames, (height, width) = len(spec.time_s), spec.sensor.shape_px
-    yield from _array_problems("rgb", pad.rgb, (n_frames, height, width, 3), "uint8")
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(CONTACT_NAMES, (n_frames,))
-    shapes["force_shear_n"] = (n_frames, 2)
-    if spec.depth:
-        shapes["depth_mm"] = (height, width)
-    for name, shape in shapes.items():
-        array = getattr(pad, name)
-        yield from [f"{name} is missing"] if array is None else _array_problems(name, array, shape)
-
-
-def _array_problems(
-    name: str, array: NDArray[Any], shape: tuple[int, ...], dtype: str = ""
-) -> Iterator[str]:
-    if array.shape != shape:
-        yield f"{name} has shape {array.shape}, not {shape}"
-    elif dtype and array.dtype != dtype:
-        yield f"{name} is {array.dtype}, not {dtype}"
-    elif array.dtype.kind not in "fiu":
-        yield f"{name} is {array.dtype}, not numbers"
-    elif array.dtype.kind == "f" and not np.isfinite(array).all():
-        yield f"{name} is not finite"

@@ -11,8 +11,6 @@ The codecs trust the size that a chunk states and would take any amount of memor
 is checked before a chunk is decoded.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from collections.abc import Callable

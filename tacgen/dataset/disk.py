@@ -1,7 +1,5 @@
 """Disks that are full, read-only or gone: one plain message, and HDF5 kept out of it."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

@@ -3,8 +3,6 @@
 ``dataset.json``, the plan, holds what all shards of a folder have in common.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -94,21 +92,16 @@ class DatasetFolder:
             if not (there.is_file() and there.read_bytes() == recipe.encode()):
                 write_text(there, recipe)
 
-    def line(self, shard: int) -> ShardLine | None:
-        """The manifest's line of one shard, or None while it is not finished."""
-        path = self.line_path(shard)
-        return read_part(path) if os.path.lexists(path) else self._merged().get(shard)
-
     def is_done(self, shard: int) -> bool:
         """Whether the shard is finished and its file is there, whole by its size.
 
         One whose line cannot be read is not: it is to be made again.
         """
+        own, path = self.line_path(shard), self.shard_path(shard)
         try:
-            line = self.line(shard)
+            line = read_part(own) if os.path.lexists(own) else self._merged().get(shard)
         except DatasetError:
             return False
-        path = self.shard_path(shard)
         return line is not None and path.is_file() and path.stat().st_size == line.bytes
 
     @contextlib.contextmanager
@@ -145,7 +138,7 @@ class DatasetFolder:
             path = self.shard_path(shard)
             with atomic_path(path) as partial:
                 line = write_shard_file(partial, samples, spec, shard)
-                problems = content_problems(partial, line, decode="first")
+                problems = content_problems(partial, line)
                 if problems:
                     raise DatasetError.from_problems([f"{path}: {text}" for text in problems])
             write_text(self.line_path(shard), f"{line.to_json()}\n")

@@ -4,8 +4,6 @@ It needs no network and stays below ``MAX_PAGE_BYTES``: a large dataset is repre
 taken evenly, and the page says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A page that shows one grasp of a dataset: frames, depth with its scale, forces over time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tacgen.core.errors import DatasetError

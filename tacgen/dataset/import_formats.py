@@ -3,8 +3,6 @@
 Such a folder holds ``grasps.csv`` and ``images/<grasp_id>/<k>.png`` in time order.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ from tacgen.core.files import atomic_folder
 from tacgen.core.safe_io import read_bgr
 
 POSEIT_FOLDER = re.compile(r"(?P<object>.+)_(?P<time>\d+)_F(?P<force>[\d.]+)_pose(?P<pose>\d+)$")
-POSEIT_FRAME = re.compile(r"_(?P<time>\d+)\.jpe?g$", re.IGNORECASE)
+POSEIT_FRAME = re.compile(r"(_(?P<frame>\d+))?_(?P<time>\d+)\.jpe?g$", re.IGNORECASE)
 FEELING_OF_SUCCESS_MOMENTS = ("before", "during", "after")
 
 
@@ -107,16 +105,11 @@ def _poseit_frames(folder: Path, stages: list[tuple[str, str]]) -> Iterator[NDAr
     start = next((second for name, second in times if "grasp" in name), -np.inf)
     end = min((second for _, second in times if second > start), default=np.inf)
     named = [(POSEIT_FRAME.search(path.name), path) for path in folder.glob("*.[jJ]*")]
-    frames = [(int(m["time"]), path) for m, path in named if m is not None]
-    for second, path in sorted(frames, key=lambda item: (item[0], _frame_number(item[1]))):
+    frames = [(int(m["time"]), int(m["frame"] or 0), path) for m, path in named if m is not None]
+    for second, _, path in sorted(frames):
         image = read_bgr(path) if start <= second <= end else None
         if image is not None:
             yield image
-
-
-def _frame_number(path: Path) -> int:
-    found = re.search(r"_(\d+)_\d+\.", path.name)
-    return int(found[1]) if found else 0
 
 
 def read_feeling_of_success(source: Path, notes: list[str]) -> Iterator[ImportedGrasp]:
@@ -131,16 +124,12 @@ def read_feeling_of_success(source: Path, notes: list[str]) -> Iterator[Imported
     for file in files:
         try:
             with h5py.File(file) as h5:
-                for name, group in _deepdish_entries(h5):
-                    yield from _both_fingers(f"{file.stem}_{name}", group, notes)
+                root = h5["data"] if isinstance(h5.get("data"), h5py.Group) else h5
+                groups = {name: one for name, one in root.items() if isinstance(one, h5py.Group)}
+                for name in sorted(groups, key=lambda name: (len(name), name)):
+                    yield from _both_fingers(f"{file.stem}_{name}", groups[name], notes)
         except OSError as error:
             notes.append(f"{file}: not imported: cannot be read as HDF5: {error}")
-
-
-def _deepdish_entries(h5: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
-    root = h5["data"] if "data" in h5 and isinstance(h5["data"], h5py.Group) else h5
-    groups = [(name, item) for name, item in root.items() if isinstance(item, h5py.Group)]
-    yield from sorted(groups, key=lambda item: (len(item[0]), item[0]))
 
 
 def _both_fingers(grasp_id: str, group: h5py.Group, notes: list[str]) -> Iterator[ImportedGrasp]:

@@ -50,7 +50,10 @@ class Dataset:
     def __init__(self, root: Path | str, *, partial: bool = False) -> None:
         self.root = Path(root)
         self._lines = list(read_manifest(self.root).values())
-        problems = manifest_problems(self._lines, None if partial else planned_grasps(self.root))
+        folder = DatasetFolder(self.root)
+        is_planned = not partial and folder.plan_path.is_file()
+        n_grasps = folder.plan()["n_grasps"] if is_planned else None
+        problems = manifest_problems(self._lines, n_grasps)
         if not self._lines:
             problems = ["no finished shard there; `tacgen collect --out` makes a dataset"]
         if problems:
@@ -192,10 +195,6 @@ class Dataset:
         """The scene from outside, (h, w, 3), if there are pictures."""
         return self._image(index, "/scene/picture") if self._layout(index).picture else None
 
-    def contact(self, index: int, name: str, pad: str | None = None) -> NDArray[np.float64]:
-        """``force_normal_n`` (T,), ``force_shear_n`` (T, 2) or ``indentation_mm`` (T,)."""
-        return self._read(index, self._layout(index).contact(self._pad(pad), name))
-
     def read(self, index: int) -> GraspSample:
         """Everything there is about one grasp."""
         row = self._row(index)
@@ -220,16 +219,14 @@ class Dataset:
 
     def _row(self, index: int) -> dict[str, Any]:
         """The columns of one grasp as plain values, its directions as arrays."""
-        row = {name: self._read(index, f"/grasp/{name}") for name in GRASP_NAMES}
-        return {
-            name: _as_text(value) if np.ndim(value) else _as_text(np.asarray(value)).item()
-            for name, value in row.items()
-        }
+        stored = {name: self._read(index, f"/grasp/{name}") for name in GRASP_NAMES}
+        row = {name: _as_text(np.asarray(value)) for name, value in stored.items()}
+        return {name: value if value.ndim else value.item() for name, value in row.items()}
 
     def _pad_sample(self, index: int, pad: str) -> PadSample:
         layout = self._layout(index)
         depth_mm = self._image(index, layout.tactile(pad, "depth_mm")) if layout.depth else None
-        contact = {name: self.contact(index, name, pad) for name in CONTACT_NAMES}
+        contact = {name: self._read(index, layout.contact(pad, name)) for name in CONTACT_NAMES}
         return PadSample(rgb=self.rgb(index, pad), depth_mm=depth_mm, **contact)
 
     def _pad(self, pad: str | None) -> str:
@@ -244,7 +241,6 @@ class Dataset:
         return self._shard(self._place(index)).layout
 
     def _image(self, index: int, path: str, *then: int) -> NDArray[Any]:
-        """One image of a grasp, out of the image array at ``path``."""
         place = self._place(index)
         shard = self._shard(place)
         with broken_as_error(shard.path):
@@ -284,13 +280,6 @@ class Dataset:
         return self._open[place]
 
 
-def planned_grasps(root: Path) -> int | None:
-    """How many grasps the dataset is to have, where ``dataset.json`` says so."""
-    folder = DatasetFolder(root)
-    return folder.plan()["n_grasps"] if folder.plan_path.is_file() else None
-
-
 def _as_text(values: NDArray[Any]) -> NDArray[Any]:
-    """Bytes become text; everything else stays."""
     is_text = values.dtype.kind == "S"
     return np.char.decode(values, "utf-8", errors="replace") if is_text else values

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 REQUIRED = ("grasp_id", "object", "label")
 CONFIGURATION = ("force_n", "x_mm", "y_mm", "z_mm")
 """What a grasp must say to be simulated again; networks do without."""
-FAILURE_MODES: tuple[FailureMode, ...] = ("", "translational_slip", "rotational_slip")
+FAILURE_MODES: tuple[FailureMode, ...] = get_args(FailureMode)
 BACKGROUND = "background.png"  # image of the undeformed gel, where there is one
 ABOUT = "about.json"
 """Says ``simulated: true`` where no robot made the grasps; a robot's folder needs none."""
@@ -178,13 +178,12 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def _grasp(folder: Path, number: int, record: Mapping[str, str]) -> RealGrasp:
+def _grasp(folder: Path, number: int, record: Mapping[str, Any]) -> RealGrasp:
     axes = {name: _number(record.get(name, "")) for name in CONFIGURATION}
     yaw_rad = float(record.get("yaw_rad") or 0.0)
     config = GraspConfig(index=number, object=record["object"], yaw_rad=yaw_rad, **axes)
-    mode = next(mode for mode in FAILURE_MODES if mode == record.get("failure_mode", ""))
     name, label = record["grasp_id"], int(float(record["label"]))
-    return RealGrasp(name, config, label, mode, _images(folder, name))
+    return RealGrasp(name, config, label, record.get("failure_mode", ""), _images(folder, name))
 
 
 def _images(folder: Path, grasp_id: str) -> tuple[Path, ...]:

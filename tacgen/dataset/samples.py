@@ -1,7 +1,5 @@
 """The frozen records that go into a dataset and come out of it: one grasp, and what all share."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -11,8 +11,6 @@ which there are. Text is UTF-8 of fixed length. A grasp that could not be execut
 its status, and zeros for all that was not measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 

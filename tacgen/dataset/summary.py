@@ -1,7 +1,5 @@
 """What a dataset holds, from its manifest alone: counts, balance, sizes, origin."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -91,7 +89,6 @@ def summary_text(summary: Mapping[str, Any]) -> str:
 
 
 def _reasons(folder: DatasetFolder, lines: Iterable[ShardLine]) -> dict[str, int]:
-    """Counts of the reasons in the shards, the most frequent first."""
     counts: Counter[str] = Counter()
     first: dict[str, str] = {}
     for line in lines:

@@ -1,7 +1,5 @@
 """Checking a dataset on disk: every byte by its hash, every grasp by what must hold for it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -78,9 +76,7 @@ def verify(
         # The next shards are hashed, which needs no lock, while this one is looked into.
         hashed = thread.map(byte_problems, paths, lines.values())
         for path, line, wrong_bytes in zip(paths, lines.values(), hashed, strict=True):
-            reasons = wrong_bytes or content_problems(
-                path, line, decode="all" if decode else "none"
-            )
+            reasons = wrong_bytes or content_problems(path, line, decode=decode)
             problems += [Problem(line.file, reason, line.shard) for reason in reasons]
             progress(line.bytes)
     problems += _whole_problems(folder, lines)
@@ -113,7 +109,6 @@ def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Proble
 
 
 def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[Problem]:
-    """Gaps, mixtures, and files that nobody answers for."""
     n_grasps = None
     problems = []
     if lines or folder.plan_path.exists():

@@ -14,7 +14,9 @@ from tacgen.core.images import evenly, side_by_side
 from tacgen.learning.predictions import Predictions
 from tacgen.learning.scores import reliability, tested_on
 from tacgen.learning.training_recipe import TrainRecipe
-from tacgen.report import (
+from tacgen.report import figures as plots
+from tacgen.report.formatting import number, percent
+from tacgen.report.page import (
     Section,
     facts_section,
     figure_section,
@@ -23,8 +25,6 @@ from tacgen.report import (
     text_section,
     write_page,
 )
-from tacgen.report import figures as plots
-from tacgen.report.formatting import number, percent
 
 MAX_SHOWN = 24  # misclassified grasps that the page shows, the most certain first
 MAX_FRAMES, FRAME_WIDTH_PX = 8, 160  # of the strip of images of a misclassified grasp

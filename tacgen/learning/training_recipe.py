@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
+    AllowInfNan,
     Field,
     NonNegativeFloat,
     NonNegativeInt,
@@ -14,7 +15,7 @@ from pydantic import (
     PositiveInt,
 )
 
-from tacgen.core.config import Section, finite
+from tacgen.core.config import Section
 from tacgen.core.errors import LearningError
 from tacgen.core.files import sha256_of_content
 from tacgen.core.resources import find_recipe
@@ -87,11 +88,11 @@ class TrainingOptions(Section):
     """The kept model is the mean of the weights over about this many latest epochs."""
     batch_size: Annotated[int, Field(ge=2, le=4096)] = 8
     """Grasps per step."""
-    learning_rate: Annotated[PositiveFloat, AfterValidator(finite)] = 1e-4
+    learning_rate: Annotated[PositiveFloat, AllowInfNan(False)] = 1e-4
     """Adam's learning rate."""
-    backbone_rate_factor: Annotated[NonNegativeFloat, AfterValidator(finite)] = 0.8
+    backbone_rate_factor: Annotated[NonNegativeFloat, AllowInfNan(False)] = 0.8
     """Learning rate of the ResNet-18 over that of the other layers."""
-    weight_decay: Annotated[NonNegativeFloat, AfterValidator(finite)] = 5e-5
+    weight_decay: Annotated[NonNegativeFloat, AllowInfNan(False)] = 5e-5
     """Adam's weight decay."""
     plateau_factor: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """Factor on the learning rate when the validation loss stops falling."""

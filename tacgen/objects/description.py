@@ -6,29 +6,30 @@ from pathlib import Path
 from typing import Annotated, Generic, Literal, TypeVar
 
 from pydantic import (
-    AfterValidator,
+    AllowInfNan,
     Field,
+    FiniteFloat,
     NonNegativeFloat,
     PositiveFloat,
     StrictFloat,
     model_validator,
 )
 
-from tacgen.core.config import Axis, Finite, Section, finite
+from tacgen.core.config import Axis, Section
 from tacgen.core.errors import ObjectError, TacgenError
 from tacgen.core.yaml_source import read_yaml, validate
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 
 Source = Annotated[str, Field(min_length=3)]
-Positive = Annotated[PositiveFloat, AfterValidator(finite)]
-NotNegative = Annotated[NonNegativeFloat, AfterValidator(finite)]
+Positive = Annotated[PositiveFloat, AllowInfNan(False)]
+NotNegative = Annotated[NonNegativeFloat, AllowInfNan(False)]
 Dimension = Annotated[StrictFloat, Field(gt=0, le=1000)]
 """mm; ``tacgen objects add`` refuses larger meshes too."""
 Byte = Annotated[int, Field(ge=0, le=255)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
 
-Row = tuple[Finite, Finite, Finite]
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Value = TypeVar("Value")
 
 SOLIDS = {

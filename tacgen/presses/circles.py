@@ -1,7 +1,5 @@
 """Finding the contact circle of a ball press in its image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +12,7 @@ from scipy.optimize import least_squares
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.optics.dots import coarse
 
-WORK_WIDTH_PX = 160
-"""Images are looked at this wide: a circle needs no more."""
+WORK_WIDTH_PX = 160  # images are looked at this wide: a circle needs no more
 
 DARK_GREY = 25.0
 """Change is measured against the light at its place, plus this much: in dark corners too, a grey
@@ -48,11 +45,8 @@ DRIFT_STEPS = 6
 
 N_DIRECTIONS = 96  # every 3.75 degrees: some pixels apart at the rim
 PROFILE_STEP_PX = 0.25  # finer than the image resolves
-MIN_EDGE_DIRECTIONS = 0.4
-"""Share of the directions in which an edge must be seen."""
-
-MAX_OUT_OF_ROUND = 0.15
-"""Largest median distance of the edge from the circle, in radii."""
+MIN_EDGE_DIRECTIONS = 0.4  # share of the directions in which an edge must be seen
+MAX_OUT_OF_ROUND = 0.15  # largest median distance of the edge from the circle, in radii
 
 SECOND_CONTACT = 0.4
 """A second patch with this share of the largest one's area is a second contact, if it is also"""

@@ -1,7 +1,5 @@
 """A ball in the gel, in closed form: the volume that it displaces, the slope around it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +10,12 @@ from tacgen.core.arrays import FloatArray
 
 MAX_RADIUS_SHARE = 0.98
 """Largest contact radius as a share of the ball's radius: at 1 the gel would stand upright."""
-MAX_CAP_SHARE = 0.9999
-"""Largest radius, as a share of the ball's, at which its cap has a slope."""
+MAX_CAP_SHARE = 0.9999  # largest radius, as a share of the ball's, at which its cap has a slope
 
 
 _TAIL_DECAYS = 8.0
 """After so many decay lengths a thousandth of the depth outside the contact is left out."""
-_DEPTH_POINTS = 200
-"""Points along a radius that a depth is summed over."""
+_DEPTH_POINTS = 200  # points along a radius that a depth is summed over
 
 
 @dataclass(frozen=True, slots=True)

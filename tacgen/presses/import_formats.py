@@ -3,8 +3,6 @@
 A press folder holds ``background.png``, one image a press, ``presses.csv`` and ``sensor.yaml``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -19,7 +17,9 @@ from numpy.typing import NDArray
 from tacgen.core.columns import csv_problem
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_folder
-from tacgen.core.safe_io import check_archive, read_bgr
+from tacgen.core.images import encode_png
+from tacgen.core.safe_io import check_archive, read_rgb
+from tacgen.presses.press_folder import COORDINATES
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
@@ -29,10 +29,10 @@ MAX_BACKGROUND_PICTURES = 101
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """One press of a foreign set; ``image_bgr`` (H, W, 3) uint8, places in pixels, y down."""
+    """One press of a foreign set; ``rgb`` (H, W, 3) uint8, places in pixels, y down."""
 
     name: str
-    image_bgr: NDArray[np.uint8]
+    rgb: NDArray[np.uint8]
     columns: Mapping[str, float | str]
 
 
@@ -40,37 +40,36 @@ class Press:
 class PressSet:
     """What a reader of a foreign format found."""
 
-    background_bgr: NDArray[np.uint8]
+    background_rgb: NDArray[np.uint8]
     presses: tuple[Press, ...]
     mm_per_px: float
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What the files may lack and a user can give."""
-
-    mm_per_px: float | None = None
-    ball_radius_mm: float | None = None
-
-
 def import_presses(
-    format_name: str, source: Path, out: Path, options: Options | None = None
+    format_name: str,
+    source: Path,
+    out: Path,
+    *,
+    mm_per_px: float | None = None,
+    ball_radius_mm: float | None = None,
 ) -> PressSet:
     """Write the presses of ``source`` as a press folder ``out``, whole or not at all.
 
+    ``mm_per_px`` and ``ball_radius_mm`` replace what the files hold or lack.
+
     Raises ``PressError`` listing what the source lacks; nothing is written then.
     """
-    found = PRESS_FORMATS[format_name](Path(source), options or Options())
+    found = PRESS_FORMATS[format_name](Path(source), mm_per_px, ball_radius_mm)
     if not found.presses:
         msg = f"{source}: no presses found; see `docs/import.md` for the layout of {format_name}"
         raise PressError(msg)
     with atomic_folder(out) as folder:
-        _write_png(folder / "background.png", found.background_bgr)
+        (folder / "background.png").write_bytes(encode_png(found.background_rgb))
         rows = []
         for press in found.presses:
             file = f"{press.name}.png"
-            _write_png(folder / file, press.image_bgr)
+            (folder / file).write_bytes(encode_png(press.rgb))
             rows.append({"file": file, **press.columns})
         pd.DataFrame(rows).to_csv(folder / "presses.csv", index=False)
         sensor = {"name": Path(source).name, "mm_per_px": float(found.mm_per_px)}
@@ -78,7 +77,7 @@ def import_presses(
     return found
 
 
-def read_gs_sdk(source: Path, options: Options) -> PressSet:
+def read_gs_sdk(source: Path, mm_per_px: float | None, _: float | None) -> PressSet:
     """gs_sdk: ``catalog.csv``, ``background.png``, ``<press>/gelsight.png`` and ``label.npz``.
 
     Source: layout as read by gs_sdk's ``calibration/prepare_data.py``; the ball's diameter stands
@@ -90,23 +89,18 @@ def read_gs_sdk(source: Path, options: Options) -> PressSet:
         folder = source / str(row["experiment_reldir"])
         columns: dict[str, float | str] = {"radius_mm": float(row["diameter(mm)"]) / 2}
         if (folder / "label.npz").is_file():
-            columns |= _gs_sdk_label(folder / "label.npz")
+            check_archive(folder / "label.npz")
+            with np.load(folder / "label.npz") as label:
+                values = [*label["center"], label["radius"]]
+            columns |= {name: float(value) for name, value in zip(COORDINATES, values, strict=True)}
         name = str(row["experiment_reldir"]).replace("/", "_")
         presses.append(Press(name, _image(folder / "gelsight.png"), columns))
-    notes = () if options.mm_per_px else (f"mm_per_px taken as {GS_SDK_MM_PER_PX} (gs_sdk's Mini)",)
-    scale = options.mm_per_px or GS_SDK_MM_PER_PX
-    return PressSet(_image(source / "background.png"), tuple(presses), scale, notes)
+    notes = () if mm_per_px else (f"mm_per_px taken as {GS_SDK_MM_PER_PX} (gs_sdk's Mini)",)
+    background = _image(source / "background.png")
+    return PressSet(background, tuple(presses), mm_per_px or GS_SDK_MM_PER_PX, notes)
 
 
-def _gs_sdk_label(path: Path) -> dict[str, float]:
-    check_archive(path)
-    with np.load(path) as label:
-        x_px, y_px = (float(value) for value in label["center"])
-        radius_px = float(label["radius"])
-    return {"center_x_px": x_px, "center_y_px": y_px, "contact_radius_px": radius_px}
-
-
-def read_py3dcal(source: Path, options: Options) -> PressSet:
+def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | None) -> PressSet:
     """py3DCal: ``annotations.csv`` and ``metadata.json``, ``probe_images``, ``blank_images``.
 
     Source: layout as read by py3DCal's ``TactileSensorDataset``. ``x_px, y_px`` are the probe's
@@ -115,71 +109,68 @@ def read_py3dcal(source: Path, options: Options) -> PressSet:
     folder = source / "annotations"
     table = _table(folder / "annotations.csv", ("img_name", "x_px", "y_px"))
     known = _json(folder / "metadata.json", ("px_per_mm", "probe_radius_mm"))
-    radius_mm = options.ball_radius_mm or known["probe_radius_mm"]
+    radius_mm = ball_radius_mm or known["probe_radius_mm"]
     presses = []
     for row in table.to_dict("records"):
         depth_mm = float(row.get("penetration_depth_mm", np.nan))
         if not depth_mm > 0:
             continue
         contact_mm = np.sqrt(max(radius_mm**2 - (radius_mm - depth_mm) ** 2, 0.0))
-        presses.append(
-            Press(
-                Path(str(row["img_name"])).stem,
-                _image(source / "probe_images" / str(row["img_name"])),
-                {
-                    "radius_mm": radius_mm,
-                    "center_x_px": float(row["x_px"]),
-                    "center_y_px": float(row["y_px"]),
-                    "contact_radius_px": contact_mm * known["px_per_mm"],
-                },
-            )
-        )
-    scale = options.mm_per_px or 1.0 / known["px_per_mm"]
+        columns = {
+            "radius_mm": radius_mm,
+            "center_x_px": float(row["x_px"]),
+            "center_y_px": float(row["y_px"]),
+            "contact_radius_px": contact_mm * known["px_per_mm"],
+        }
+        path = source / "probe_images" / str(row["img_name"])
+        presses.append(Press(path.stem, _image(path), columns))
+    scale = mm_per_px or 1.0 / known["px_per_mm"]
     return PressSet(_image(source / "blank_images" / "blank.png"), tuple(presses), scale)
 
 
-def read_9dtact(source: Path, options: Options) -> PressSet:
+def read_9dtact(source: Path, mm_per_px: float | None, ball_radius_mm: float | None) -> PressSet:
     """9DTact: a depth-calibration folder with ``rectify_crop_ref.png`` and ``…_sample.png``.
 
     Source: files as written by 9DTact's ``_2_Sensor_Calibration.py``: one reference and one ball
     press, rectified and cropped; the ball's radius and mm/px stand in its ``shape_config.yaml``,
     not here, so both must be given.
     """
-    lacking = [
-        f"{source}: {what} is not in the folder; give it with {option}"
-        for what, option, value in (
-            ("mm/px", "--mm-per-px", options.mm_per_px),
-            ("the ball's radius", "--ball-radius-mm", options.ball_radius_mm),
-        )
-        if value is None
-    ]
-    if lacking or options.mm_per_px is None or options.ball_radius_mm is None:
-        raise PressError.from_problems(lacking)
+    scale, radius_mm = _both_given(source, mm_per_px, ball_radius_mm)
     samples = sorted(source.glob("rectify_crop_sample*.png"))
-    columns: dict[str, float | str] = {"radius_mm": options.ball_radius_mm}
-    presses = tuple(Press(path.stem, _image(path), columns) for path in samples)
-    return PressSet(_image(source / "rectify_crop_ref.png"), presses, options.mm_per_px)
+    presses = tuple(Press(path.stem, _image(path), {"radius_mm": radius_mm}) for path in samples)
+    return PressSet(_image(source / "rectify_crop_ref.png"), presses, scale)
 
 
-def read_gelsight_mini_pretrain(source: Path, options: Options) -> PressSet:
+def read_gelsight_mini_pretrain(
+    source: Path, mm_per_px: float | None, ball_radius_mm: float | None
+) -> PressSet:
     """gelsight-mini-pretrain: Parquet files with encoded images, indenters and forces.
 
     Source: the columns of the set's published schema (``image``, ``indenter``, ``indenter_param``,
     ``f_x``, ``f_y``, ``f_z``). Rows whose indenter is a sphere are taken. There is no background:
     the median of the pictures stands in for it. The ball's radius and mm/px must be given.
     """
-    if options.ball_radius_mm is None or options.mm_per_px is None:
-        msg = f"{source}: the set states neither mm/px nor the ball's radius; give --mm-per-px and "
-        msg += "--ball-radius-mm"
-        raise PressError(msg)
-    presses = tuple(_parquet_presses(source, options.ball_radius_mm))
+    scale, radius_mm = _both_given(source, mm_per_px, ball_radius_mm)
+    presses = tuple(_parquet_presses(source, radius_mm))
     if not presses:
         msg = f"{source}: no row with a sphere as `indenter`; only ball presses can be imported"
         raise PressError(msg)
     step = max(1, len(presses) // MAX_BACKGROUND_PICTURES)
-    median = np.median(np.stack([press.image_bgr for press in presses[::step]]), axis=0)
+    median = np.median(np.stack([press.rgb for press in presses[::step]]), axis=0)
     notes = ("the background is the median of the pictures: presses in one place would spoil it",)
-    return PressSet(median.astype(np.uint8), presses, options.mm_per_px, notes)
+    return PressSet(median.astype(np.uint8), presses, scale, notes)
+
+
+def _both_given(
+    source: Path, mm_per_px: float | None, ball_radius_mm: float | None
+) -> tuple[float, float]:
+    if mm_per_px is None or ball_radius_mm is None:
+        msg = (
+            f"{source}: states neither mm/px nor the ball's radius; give --mm-per-px and "
+            "--ball-radius-mm"
+        )
+        raise PressError(msg)
+    return mm_per_px, ball_radius_mm
 
 
 def _parquet_presses(source: Path, radius_mm: float) -> Iterator[Press]:
@@ -203,11 +194,11 @@ def _parquet_presses(source: Path, radius_mm: float) -> Iterator[Press]:
             columns: dict[str, float | str] = {"radius_mm": radius_mm}
             if np.isfinite(float(row.get("f_z", np.nan))):
                 columns["force_normal_n"] = abs(float(row["f_z"]))
-            yield Press(f"press_{number:05d}", np.asarray(image, np.uint8), columns)
+            yield Press(f"press_{number:05d}", np.asarray(image[..., ::-1], np.uint8), columns)
             number += 1
 
 
-PRESS_FORMATS: Mapping[str, Callable[[Path, Options], PressSet]] = {
+PRESS_FORMATS: Mapping[str, Callable[[Path, float | None, float | None], PressSet]] = {
     "gs-sdk": read_gs_sdk,
     "py3dcal": read_py3dcal,
     "9dtact": read_9dtact,
@@ -238,14 +229,7 @@ def _json(path: Path, needed: tuple[str, ...]) -> dict[str, float]:
 
 
 def _image(path: Path) -> NDArray[np.uint8]:
-    image = read_bgr(path) if path.is_file() else None
-    if image is None:
-        msg = f"{path}: missing, or no image that can be read; restore it or drop its row"
+    if not path.is_file():
+        msg = f"{path}: missing; restore it or drop its row"
         raise PressError(msg)
-    return image
-
-
-def _write_png(path: Path, image_bgr: NDArray[np.uint8]) -> None:
-    if not cv2.imwrite(str(path), image_bgr):
-        msg = f"{path}: the image could not be written; check the free space"
-        raise PressError(msg)
+    return read_rgb(path, PressError)

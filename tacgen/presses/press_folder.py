@@ -1,7 +1,5 @@
 """Press images: a folder of pictures with a list, or Taxim's ``dataPack.npz``."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.columns import PRESSES, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
-from tacgen.core.safe_io import MAX_SIDE_PX, check_archive, read_bgr
+from tacgen.core.safe_io import check_archive, read_rgb
 from tacgen.core.yaml_source import read_yaml
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.press_log import (
@@ -41,8 +39,7 @@ WITH_FORCES = ("file", "force_normal_n")
 TAXIM_FULL_MM_PER_PX, TAXIM_FULL_WIDTH_PX = 0.0295, 640
 """Scale of Taxim's sensor at its full width; a smaller picture of it has larger pixels."""
 
-TAXIM_BALL_RADIUS_MM = 2.0
-"""Source: Taxim, branch data-collection: a ball of 4 mm diameter."""
+TAXIM_BALL_RADIUS_MM = 2.0  # Source: Taxim, branch data-collection: a ball of 4 mm diameter
 
 BALLS_MM = (0.1, 200.0)  # radius
 WIDTHS_MM = (1.0, 150.0)
@@ -75,7 +72,7 @@ class PressFolder:
         Raises ``PressError`` where it cannot be read or is of another size than the background.
         """
         path, row = self.path / self.table["file"].iloc[index], index + 2
-        image = _read_image(path, f"row {row} of presses.csv")
+        image = read_rgb(path, PressError)
         if image.shape != self.background.shape:
             seen, wanted = image.shape[1::-1], self.background.shape[1::-1]
             msg = (
@@ -106,20 +103,26 @@ def read_press_folder(
         "presses.csv": f"list the presses in it: {', '.join(required)}",
         "sensor.yaml": "write `mm_per_px: <size of a pixel>` into it",
     }
-    there = {name: (path / name).is_file() for name in files}
+    background_path, table_path, sensor_path = (path / name for name in files)
     for name, fix in files.items():
-        if not there[name] and not (name == "sensor.yaml" and mm_per_px is not None):
+        needed = name != "sensor.yaml" or mm_per_px is None
+        if needed and not (path / name).is_file():
             problems.append(f"{path / name}: missing; {fix}")
     sensor = (mm_per_px or np.nan, 0.0, "", 0.0)
-    if there["sensor.yaml"]:
-        sensor = _read_sensor(path / "sensor.yaml", mm_per_px, problems)
-    background = np.zeros((0, 0, 3), np.uint8)
-    if there["background.png"]:
-        background = _read_image(path / "background.png", "the gel with nothing on it")
-        problems += _scale_problems(path / "sensor.yaml", sensor[0], background.shape[1])
-    table = pd.DataFrame()
-    if there["presses.csv"]:
-        table = _read_list(path / "presses.csv", required, ball_radius_mm, problems)
+    if sensor_path.is_file():
+        sensor = _read_sensor(sensor_path, mm_per_px, problems)
+    background, table = np.zeros((0, 0, 3), np.uint8), pd.DataFrame()
+    if background_path.is_file():
+        background = read_rgb(background_path, PressError)
+        wide_mm = sensor[0] * background.shape[1]
+        if not (np.isnan(wide_mm) or WIDTHS_MM[0] <= wide_mm <= WIDTHS_MM[1]):
+            problems.append(
+                f"{sensor_path}: mm_per_px = {sensor[0]:g} makes the picture {wide_mm:.3g} mm "
+                f"wide; a tactile sensor sees {WIDTHS_MM[0]:g} to {WIDTHS_MM[1]:g} mm: give the "
+                "size of one pixel in mm"
+            )
+    if table_path.is_file():
+        table = _read_list(table_path, required, ball_radius_mm, problems)
     if problems:
         raise PressError.from_problems(problems)
     return PressFolder(path, table, background, *sensor)
@@ -229,7 +232,6 @@ def _datapack_problems(path: Path, arrays: dict[str, NDArray[Any]]) -> list[str]
 
 
 def _images_of(folder: PressFolder) -> PressImages:
-    """All pictures of a folder."""
     images, problems = [], []
     for index in range(len(folder.table)):
         try:
@@ -239,6 +241,7 @@ def _images_of(folder: PressFolder) -> PressImages:
     if problems:
         raise PressError.from_problems(problems)
     names = tuple(folder.table["file"])
+    listing = str(folder.path / "presses.csv")
     return PressImages(
         images=np.stack(images),
         background=folder.background,
@@ -251,25 +254,12 @@ def _images_of(folder: PressFolder) -> PressImages:
         sensor=folder.sensor,
         stage_mm=np.column_stack([folder.numbers(name) for name in STAGE]),
         dot_pitch_mm=folder.dot_pitch_mm,
-        warnings=tuple(
-            similar_columns(folder.table.columns, PRESSES, str(folder.path / "presses.csv"))
-        ),
+        warnings=tuple(similar_columns(folder.table.columns, PRESSES, listing)),
         sha256={
-            file.name: sha256_of(file)
-            for file in (folder.path / name for name in ("background.png", "presses.csv", *names))
+            Path(name).name: sha256_of(folder.path / name)
+            for name in ("background.png", "presses.csv", *names)
         },
     )
-
-
-def _scale_problems(path: Path, mm_per_px: float, width_px: int) -> list[str]:
-    """What is wrong with a scale that makes the picture wider or narrower than a sensor sees."""
-    wide = mm_per_px * width_px
-    if np.isnan(wide) or WIDTHS_MM[0] <= wide <= WIDTHS_MM[1]:
-        return []
-    return [
-        f"{path}: mm_per_px = {mm_per_px:g} makes the picture {wide:.3g} mm wide; a tactile sensor "
-        f"sees {WIDTHS_MM[0]:g} to {WIDTHS_MM[1]:g} mm: give the size of one pixel in mm"
-    ]
 
 
 def _read_sensor(
@@ -313,16 +303,13 @@ def _read_list(
 def _radius_problems(
     radii: FloatArray, frame: pd.DataFrame, path: Path, required: bool
 ) -> Iterator[str]:
+    smallest, largest = BALLS_MM
     for index, radius in enumerate(radii):
         where = f"{path}: row {index + 2}: radius_mm"
-        if BALLS_MM[0] <= radius <= BALLS_MM[1]:
-            continue
-        if not np.isnan(radius):
-            yield (
-                f"{where} = {radius:g} is not a ball's; give the radius in mm, "
-                f"{BALLS_MM[0]:g} to {BALLS_MM[1]:g}"
-            )
-        elif required and not str(frame["radius_mm"].iloc[index]).strip():
+        if radius < smallest or radius > largest:
+            fix = f"give the radius in mm, {smallest:g} to {largest:g}"
+            yield f"{where} = {radius:g} is not a ball's; {fix}"
+        elif np.isnan(radius) and required and not str(frame["radius_mm"].iloc[index]).strip():
             yield f"{where} is empty; give the ball's radius in mm"
 
 
@@ -335,19 +322,5 @@ def _file_problems(names: pd.Series, path: Path) -> Iterator[str]:
         elif repeated.iloc[index]:
             yield f"{where}: {name} is listed twice; list each press once"
         elif not os.path.isfile(path.parent / name):  # is_file raises on names too long
-            yield (
-                f"{path.parent / name}: missing (row {index + 2} of presses.csv); add the "
-                "picture or delete the row"
-            )
-
-
-def _read_image(path: Path, what: str) -> NDArray[np.uint8]:
-    """An image as RGB (H, W, 3) uint8."""
-    image = read_bgr(path)
-    if image is None:
-        msg = (
-            f"{path}: cannot be read as an image of at most {MAX_SIDE_PX} pixels a side ({what}); "
-            "save it as PNG"
-        )
-        raise PressError(msg)
-    return np.ascontiguousarray(image[..., ::-1])
+            missing = f"{path.parent / name}: missing (row {index + 2} of presses.csv)"
+            yield f"{missing}; add the picture or delete the row"

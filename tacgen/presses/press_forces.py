@@ -4,8 +4,6 @@ Volume comes from the gel's shape, reconstructed by a lookup table, or from the 
 a ball of known radius; shear from the sum of the tracked markers' motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

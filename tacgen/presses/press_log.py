@@ -20,30 +20,30 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.core.columns import PRESS_LOG, csv_problem, similar_columns
-from tacgen.core.errors import PressError
+from tacgen.core.columns import DEPTH_CURVES, PRESS_LOG, PRESSES, csv_problem, similar_columns
+from tacgen.core.errors import PressError, require_known
 from tacgen.core.files import sha256_of
+from tacgen.core.records import frozen_array
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
 REQUIRED = ("trial", "time_s", "force_normal_n", "volume_mm3")
 SHEAR_FORCES = ("force_shear_x_n", "force_shear_y_n")
 SHEAR_MOTIONS = ("shear_x_mm", "shear_y_mm")
-OPTIONAL_NUMBERS = ("radius_mm", "x_mm", "y_mm", *SHEAR_FORCES, *SHEAR_MOTIONS)
+SHEAR = (*SHEAR_FORCES, *SHEAR_MOTIONS)
+OPTIONAL_NUMBERS = ("radius_mm", "x_mm", "y_mm", *SHEAR)
 CONTRACT = (*REQUIRED, "indenter", *OPTIONAL_NUMBERS)
 FORCE_UNITS_N = MappingProxyType(
     {"n": 1.0, "mn": 1e-3, "gf": STANDARD_GRAVITY_M_S2 * 1e-3, "kgf": STANDARD_GRAVITY_M_S2}
 )
 """Newtons in one of each unit that a force gauge may show."""
 
-MAX_LISTED = 5
-"""Bad cells of one column that an error spells out."""
+MAX_LISTED = 5  # bad cells of one column that an error spells out
 
 MAX_EMPTY_SHARE = 0.5
 """Up to this share of a trial's samples may be empty before the whole trial is dropped: what is
 measured beside them is as good as ever."""
 
-MAX_WARNED = 5
-"""Presses whose empty cells or gaps are spelled out."""
+MAX_WARNED = 5  # presses whose empty cells or gaps are spelled out
 
 MAX_PLAUSIBLE_FORCE_N = 100.0
 """Above what a gripper presses on a gel with: the WSG-50 ends at 80 N."""
@@ -54,8 +54,7 @@ PLAUSIBLE_COMPLIANCE_MM3_PER_N = (0.15, 150.0)
 OUTLIER_FACTOR = 25.0
 """A trial this many times softer or stiffer than the median one was logged in another unit."""
 
-GAP_FACTOR = 25.0
-"""A step of the clock this many times the trial's median step is a gap."""
+GAP_FACTOR = 25.0  # a step of the clock this many times the trial's median step is a gap
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -112,8 +111,7 @@ class PressLog:
     @property
     def has_shear(self) -> bool:
         """Whether a trial holds both shear force and shear motion."""
-        names = (*SHEAR_FORCES, *SHEAR_MOTIONS)
-        return all(name in self for name in names) and bool(self._shear_mask().any())
+        return all(name in self for name in SHEAR) and bool(self._shear_mask().any())
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -122,19 +120,15 @@ class PressLog:
 
     def select(self, mask: BoolArray) -> PressLog:
         """The samples where ``mask`` (N,) holds; notes on the file stay."""
-        columns = {name: _frozen(values[mask]) for name, values in self.columns.items()}
-        return replace(self, columns=MappingProxyType(columns), rows=_frozen(self.rows[mask]))
+        rows = frozen_array(self.rows[mask], np.int64)
+        return replace(self, columns=_frozen(self.columns, mask), rows=rows)
 
     def with_shear(self) -> PressLog:
         """The trials whose shear force and shear motion are known."""
         return self.select(self._shear_mask())
 
-    def frame(self) -> pd.DataFrame:
-        """The columns as a DataFrame, to write or to look at."""
-        return pd.DataFrame(dict(self.columns))
-
     def _shear_mask(self) -> BoolArray:
-        known = [np.isfinite(self.columns[name]) for name in (*SHEAR_FORCES, *SHEAR_MOTIONS)]
+        known = [np.isfinite(self.columns[name]) for name in SHEAR]
         return np.asarray(np.logical_and.reduce(known))
 
 
@@ -149,9 +143,7 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
     """
     path = Path(path)
     frame = read_table(path)
-    if force_unit is not None and force_unit not in FORCE_UNITS_N:
-        msg = f"force unit {force_unit!r} is not known; use one of {', '.join(FORCE_UNITS_N)}"
-        raise PressError(msg)
+    require_known("force unit", force_unit or "n", FORCE_UNITS_N, PressError)
     problems = column_problems(frame, path, REQUIRED)
     if problems:
         raise PressError.from_problems(problems)
@@ -228,21 +220,10 @@ def column_problems(frame: pd.DataFrame, path: Path, required: tuple[str, ...]) 
         if name not in frame.columns:
             others = [str(other) for other in frame.columns if other not in CONTRACT]
             near = get_close_matches(name, others, n=1, cutoff=0.55)
-            hint = f"rename {near[0]!r} if it is that" if near else f"add it ({_MEANINGS[name]})"
+            meaning = {**PRESS_LOG, **PRESSES, **DEPTH_CURVES}[name]
+            hint = f"rename {near[0]!r} if it is that" if near else f"add it ({meaning})"
             problems.append(f"{path}: column {name!r} is missing; {hint}")
     return problems
-
-
-_MEANINGS = {
-    "trial": "one integer a press",
-    "time_s": "the session's clock in seconds",
-    "force_normal_n": "normal force in newtons",
-    "volume_mm3": "indented volume in mm³",
-    "depth_mm": "indentation in mm",
-    "curve": "a name a curve",
-    "file": "the name of each press's picture",
-    "radius_mm": "the ball's radius in mm",
-}
 
 
 def numeric_columns(
@@ -254,9 +235,8 @@ def numeric_columns(
     for name in names:
         if name not in frame.columns:
             continue
-        text = _as_text(frame[name])
-        values = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
-        bad = np.isnan(values) & ~text.str.lower().isin(["", "nan", "na", "n/a", "none", "null"])
+        text, values, filled = _parsed(frame[name])
+        bad = np.isnan(values) & filled
         for index in np.flatnonzero(bad)[:MAX_LISTED]:
             cell = text.iloc[index]
             fix = "use a decimal point" if "," in cell else "write a number or leave it empty"
@@ -279,7 +259,6 @@ def trial_number_problems(trial: FloatArray, path: Path) -> list[str]:
 
 
 def _checked(columns: Columns, path: Path) -> PressLog:
-    """The log of the presses that pass every check, and why the others do not."""
     rows = np.arange(len(columns["trial"]), dtype=np.int64) + 2
     found = _Findings(columns, rows, path, np.ones(len(rows), dtype=bool))
     blocks = _trial_blocks(columns["trial"])
@@ -299,11 +278,10 @@ def _checked(columns: Columns, path: Path) -> PressLog:
         if len(dropped) > MAX_LISTED:
             reasons.append(f"… and {len(dropped) - MAX_LISTED} more")
         raise PressError.from_problems([f"{path}: no usable press remains", *reasons])
-    frozen = {name: _frozen(values[found.keep]) for name, values in columns.items()}
     return PressLog(
-        columns=MappingProxyType(frozen),
+        columns=_frozen(columns, found.keep),
         path=path,
-        rows=_frozen(rows[found.keep]),
+        rows=frozen_array(rows[found.keep], np.int64),
         dropped=dropped,
         warnings=tuple(found.warnings),
         session_clock=session_clock,
@@ -313,24 +291,25 @@ def _checked(columns: Columns, path: Path) -> PressLog:
 
 def _covariate(series: pd.Series) -> NDArray[Any]:
     """Float64 where every filled cell is a number, text otherwise."""
-    text = _as_text(series)
-    filled = ~text.str.lower().isin(["", "nan", "na", "n/a", "none", "null"])
-    values = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+    text, values, filled = _parsed(series)
     if filled.any() and np.isfinite(values[filled]).all() and series.name != "indenter":
-        return np.asarray(values)
+        return values
     return np.asarray(text.where(filled, "").to_numpy(dtype=str))
 
 
-def _as_text(series: pd.Series) -> pd.Series:
+def _parsed(series: pd.Series) -> tuple[pd.Series, FloatArray, BoolArray]:
+    """The cells as text, as numbers (NaN where they are none), and whether they are filled."""
     if pd.api.types.is_bool_dtype(series):
         series = series.astype(int)
-    return series.astype(object).where(series.notna(), "").astype(str).str.strip()
+    text = series.astype(object).where(series.notna(), "").astype(str).str.strip()
+    values = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+    empty = text.str.lower().isin(["", "nan", "na", "n/a", "none", "null"])
+    return text, np.asarray(values), np.asarray(~empty)
 
 
-def _frozen(values: NDArray[Any]) -> NDArray[Any]:
-    values = np.array(values)
-    values.setflags(write=False)
-    return values
+def _frozen(columns: Columns, mask: BoolArray) -> Columns:
+    frozen = {name: frozen_array(values[mask], values.dtype) for name, values in columns.items()}
+    return MappingProxyType(frozen)
 
 
 @dataclass(slots=True)
@@ -400,11 +379,9 @@ def _peaks_and_compliances(columns: Columns, blocks: list[slice]) -> tuple[Float
 
 def _check_cells(found: _Findings, block: slice) -> None:
     """Empty or infinite cells: a few drop their samples, many the trial."""
-    finite = {name: np.isfinite(found.columns[name][block])
-              for name in ("time_s", "force_normal_n", "volume_mm3")}  # fmt: skip
-    shear = {name: np.isfinite(found.columns[name][block])
-             for name in (*SHEAR_FORCES, *SHEAR_MOTIONS) if name in found.columns}  # fmt: skip
-    finite |= {name: known for name, known in shear.items() if known.any()}
+    names = (*REQUIRED, *(name for name in SHEAR if name in found.columns))
+    finite = {name: np.isfinite(found.columns[name][block]) for name in names}
+    finite = {name: known for name, known in finite.items() if name in REQUIRED or known.any()}
     bad = ~np.logical_and.reduce(list(finite.values()))
     if not bad.any():
         return
@@ -431,7 +408,6 @@ def _shorten(found: _Findings) -> None:
 
 
 def _check_clock(found: _Findings, block: slice) -> None:
-    """Time that runs backwards drops the press; a gap is a warning."""
     kept = np.flatnonzero(found.keep[block]) + block.start
     steps = np.diff(found.columns["time_s"][kept])
     if (steps < 0).any():
@@ -463,10 +439,8 @@ def _check_repeats(found: _Findings, blocks: list[slice]) -> None:
         if not found.keep[block].any():
             continue
         trial = int(found.columns["trial"][block.start])
-        measured = np.array(
-            [found.columns[name][block] for name in ("force_normal_n", "volume_mm3")]
-        )
-        original = seen.setdefault(measured.tobytes(), block)
+        force, volume = (found.columns[name][block] for name in REQUIRED[2:])
+        original = seen.setdefault(force.tobytes() + volume.tobytes(), block)
         if original is not block and block.stop - block.start > 3:
             twin = found.columns["trial"][original.start]
             found.drop(
@@ -488,7 +462,6 @@ def _check_repeats(found: _Findings, blocks: list[slice]) -> None:
 
 
 def _check_contact(found: _Findings, block: slice) -> None:
-    """A press needs a load and an imprint."""
     kept = np.flatnonzero(found.keep[block]) + block.start
     if not len(kept):
         return
@@ -502,7 +475,6 @@ def _check_contact(found: _Findings, block: slice) -> None:
 
 
 def _check_stray_units(found: _Findings, blocks: list[slice]) -> None:
-    """Single presses logged in another unit than the rest."""
     blocks = [block for block in blocks if found.keep[block].any()]
     if not blocks:
         return
@@ -545,7 +517,7 @@ def _check_session_clock(found: _Findings, blocks: list[slice]) -> bool:
 def _check_covariates(found: _Findings) -> None:
     """A warning for covariates with empty cells: tests of them use the other samples."""
     for name, values in found.columns.items():
-        if name in ("radius_mm", *SHEAR_FORCES, *SHEAR_MOTIONS) or not found.keep.any():
+        if name in ("radius_mm", *SHEAR) or not found.keep.any():
             continue
         kept = values[found.keep]
         empty = np.isnan(kept) if kept.dtype.kind == "f" else kept == ""

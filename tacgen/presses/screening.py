@@ -1,7 +1,5 @@
 """Which presses can be used: circles are found where none are labelled, others dropped."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from hashlib import sha256
 
@@ -16,8 +14,7 @@ from tacgen.presses.press_images import DroppedPress, PressImages
 
 MIN_PRESSES = 3  # fewer cannot separate light from place
 
-MAX_OUTSIDE = 0.25
-"""A contact may lie out of view by this share of its circle."""
+MAX_OUTSIDE = 0.25  # a contact may lie out of view by this share of its circle
 
 MAX_SATURATED = 0.9
 """Share of the contact's pixels that may be at 0 or 255 in a channel where the gel is not."""
@@ -43,8 +40,7 @@ OTHER_BACKGROUND = 1.6, 1.0
 """The same for the median of the presses against what single presses differ from it by: below 1.4
 on the measured sets, above 1.6 for backgrounds cropped by a tenth to a fifth."""
 
-BACKGROUND_MIN_PRESSES = 5
-"""A median of fewer pictures shows the contacts themselves."""
+BACKGROUND_MIN_PRESSES = 5  # a median of fewer pictures shows the contacts themselves
 
 MOVED_SHARE = 0.4
 """A background with a contact is a press where this share of the presses lies elsewhere."""
@@ -95,21 +91,13 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
             "whole gel"
         )
         raise PressError.from_problems([head, *(str(press) for press in dropped)])
+    warnings = presses.warnings
+    if not np.ptp(presses.background, axis=2).any():
+        grey = "the pictures are grey: slopes that are alike in brightness look the same"
+        warnings += (f"{grey}; save them in colour",)
     marked = replace(presses, center_px=center, radius_px=radius, found=found, seen_px=seen_px)
-    return replace(
-        marked.select(keep),
-        dropped=(*presses.dropped, *dropped),
-        warnings=(*presses.warnings, *_grey_warning(presses)),
-    )
-
-
-def _grey_warning(presses: PressImages) -> tuple[str, ...]:
-    if np.ptp(presses.background, axis=2).any():
-        return ()
-    return (
-        "the pictures are grey: slopes that are alike in brightness look the same; save "
-        "them in colour",
-    )
+    dropped = [*presses.dropped, *dropped]
+    return replace(marked.select(keep), dropped=tuple(dropped), warnings=warnings)
 
 
 def _with_dots_masked(presses: PressImages) -> PressImages:
@@ -182,20 +170,15 @@ def _apart_grey(image: FloatArray, rest: FloatArray) -> float:
     return float(np.median(differences))
 
 
-def _median_image(presses: PressImages) -> NDArray[np.uint8]:
-    chosen = presses.images[:: max(1, len(presses) // 15)]
-    return np.asarray(np.median(chosen, axis=0), dtype=np.uint8)
-
-
 def _refuse_press_as_background(presses: PressImages) -> None:
     """Where presses overlap, the median shows a faint contact too: only one as strong as theirs,
     while theirs lie elsewhere, is a press.
     """
-    median = _median_image(presses)
+    chosen = presses.images[:: max(1, len(presses) // 15)]
+    median = np.asarray(np.median(chosen, axis=0), dtype=np.uint8)
     place = find_circle(presses.background, median)
     if place.problem:
         return
-    chosen = presses.images[:: max(1, len(presses) // 15)]
     found = [(find_circle(image, median), image) for image in chosen]
     seen = [(circle, image) for circle, image in found if not circle.problem]
     elsewhere = [
@@ -217,7 +200,7 @@ def _refuse_press_as_background(presses: PressImages) -> None:
 def _press_problem(
     presses: PressImages, k: int, circle: Circle, *, labelled: bool
 ) -> tuple[str, str]:
-    """Why a press cannot be used and the fix; empty where it can."""
+    """The reason and the fix; empty where the press can be used."""
     ball_px = presses.ball_radius_mm[k] / presses.mm_per_px
     source = "labelled" if labelled else "found"
     if circle.radius_px <= 1:
@@ -262,7 +245,6 @@ def _label_problem(presses: PressImages, k: int, label: Circle, seen: Circle) ->
 
 
 def _first_alike(images: NDArray[np.uint8]) -> list[int]:
-    """For each picture the first one with the same bytes."""
     first: dict[bytes, int] = {}
     return [first.setdefault(sha256(image.tobytes()).digest(), k) for k, image in enumerate(images)]
 

@@ -1,7 +1,5 @@
 """Numbers and units as every page shows them."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from tacgen.core.files import write_text
-from tacgen.core.images import Image, encode_png, jpeg_uri, png_uri
+from tacgen.core.images import Image, jpeg_uri, png_uri
 from tacgen.report.formatting import (
     estimate,
     fixed,
@@ -79,11 +79,6 @@ def figure_section(title: str, figure: Figure, note: str = "") -> Section:
     figure.savefig(buffer, format="png", dpi=FIGURE_DPI, bbox_inches="tight")
     width_px = round(figure.get_figwidth() * 96)
     return _section(title, "image", png_uri(buffer.getvalue()), title, width_px, typeset(note))
-
-
-def image_section(title: str, rgb: Image, note: str = "", *, width_px: int = 0) -> Section:
-    """An RGB uint8 image (H, W, 3) as an embedded PNG, shown ``width_px`` wide (0: as it is)."""
-    return _section(title, "image", png_uri(encode_png(rgb)), title, width_px, typeset(note))
 
 
 def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str = "") -> Section:

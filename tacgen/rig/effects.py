@@ -1,7 +1,5 @@
 """Effects of the registry at a wanted strength: their amounts are solved for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What the virtual sensor's camera sees of a rig session."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -166,12 +164,8 @@ def _record(
     record: dict[str, Any] = {"file": name, "radius_mm": sample["radius_mm"]}
     if recipe.images.labels:
         column, row = contact.contact_center_px()
-        record |= {
-            "center_x_px": column,
-            "center_y_px": row,
-            "contact_radius_px": contact.contact_radius_mm(sensor.pixel_area_mm2)
-            / sensor.mm_per_px,
-        }
+        radius_px = contact.contact_radius_mm(sensor.pixel_area_mm2) / sensor.mm_per_px
+        record |= {"center_x_px": column, "center_y_px": row, "contact_radius_px": radius_px}
     kept = ("trial", "time_s", "indenter", "x_mm", "y_mm", "force_normal_n", "force_shear_x_n",
             "force_shear_y_n", "temperature_c")  # fmt: skip
     return record | {column: sample[column] for column in kept if column in sample}

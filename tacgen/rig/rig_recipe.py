@@ -1,8 +1,6 @@
 """The recipe of a virtual rig session, checked whole before anything is pressed."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +8,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    FiniteFloat,
     NonNegativeFloat,
     NonNegativeInt,
     PositiveFloat,
@@ -18,11 +17,10 @@ from pydantic import (
 
 from tacgen.contact.effects import find_effect
 from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
-from tacgen.core.config import Finite, Section
-from tacgen.core.errors import ContactError, RecipeError
-from tacgen.core.resources import find_recipe, sensor_path
-from tacgen.core.yaml_source import YamlSource, read_yaml, validate
-from tacgen.sensor.description import SensorByName, SensorChoice
+from tacgen.core.config import Section
+from tacgen.core.errors import ContactError
+from tacgen.core.yaml_source import YamlSource, load_checked
+from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 
 def _ordered(values: tuple[float, float]) -> tuple[float, float]:
@@ -33,9 +31,9 @@ def _ordered(values: tuple[float, float]) -> tuple[float, float]:
 
 
 ORDERED = AfterValidator(_ordered)
-Range = Annotated[tuple[Finite, Finite], ORDERED]
-RangeFromZero = Annotated[tuple[NonNegativeFloat, Finite], ORDERED]
-PositiveRange = Annotated[tuple[PositiveFloat, Finite], ORDERED]
+Range = Annotated[tuple[FiniteFloat, FiniteFloat], ORDERED]
+RangeFromZero = Annotated[tuple[NonNegativeFloat, FiniteFloat], ORDERED]
+PositiveRange = Annotated[tuple[PositiveFloat, FiniteFloat], ORDERED]
 
 
 class Indenter(Section):
@@ -101,7 +99,7 @@ class Noise(Section):
 class Temperature(Section):
     """Room temperature: a sinusoid, measured by a thermometer."""
 
-    mean_c: Finite = 23.0
+    mean_c: FiniteFloat = 23.0
     """Mean."""
     swing_c: NonNegativeFloat = 1.0
     """Amplitude."""
@@ -120,7 +118,7 @@ class RigEffect(Section):
     """The channel that it changes."""
     strength: NonNegativeFloat | None = None
     """RMS residual of the best linear law over the channel's noise; sets the amplitudes."""
-    parameters: dict[str, Finite] = Field(default_factory=dict)
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
     """Values of the effect's parameters."""
 
 
@@ -179,33 +177,20 @@ class RigRecipe(Section):
     """Press images."""
 
 
-def load_rig_recipe(name: str | Path, changes: Mapping[str, Any] | None = None) -> RigRecipe:
+def load_rig_recipe(name: str | Path) -> RigRecipe:
     """Read and check a rig recipe (a path, or the name of a shipped one).
-
-    ``changes`` replaces top-level keys, for repetitions that differ in their seed.
 
     Raises ``RecipeError`` that lists everything that is wrong, each with its file, line and fix.
     """
-    source = read_yaml(find_recipe(str(name)))
-    source.data.update(changes or {})
-    recipe = validate(RigRecipe, source)
-    problems = [*_indenter_problems(recipe, source), *_effect_problems(recipe, source)]
-    try:
-        sensor_path(recipe.sensor.name, beside=source.path.parent)
-    except RecipeError as error:
-        problems.append(source.problem(("sensor",), f"= {recipe.sensor.name!r}: {error}"))
-    if problems:
-        raise RecipeError.from_problems(problems)
-    return recipe
+    return load_checked(RigRecipe, name, _name_problems, _effect_problems)
 
 
-def _indenter_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
+def _name_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
     if not recipe.indenters:
         yield source.problem(("indenters",), "is empty; give at least one ball")
     names = [indenter.name for indenter in recipe.indenters]
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            yield source.problem(("indenters", i), f"= {name!r} is given twice; rename one")
+    yield from source.repeated("indenters", names, "rename one")
+    yield from sensor_problems(recipe.sensor, source)
 
 
 def _effect_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:

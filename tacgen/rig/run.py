@@ -1,7 +1,5 @@
 """One session on the virtual rig, and the files that it leaves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -65,7 +63,6 @@ def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
 def _measured(
     recipe: RigRecipe, true_columns: dict[str, NDArray[Any]], truth: SessionTruth
 ) -> dict[str, NDArray[Any]]:
-    """The true columns as the instruments read them."""
     measured = dict(true_columns)
     trial = true_columns["trial"]
     counts = np.bincount(trial)

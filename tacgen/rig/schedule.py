@@ -1,7 +1,5 @@
 """The true course of a rig session: forces, positions, clock and temperature, without noise."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

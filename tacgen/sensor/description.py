@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
-from pydantic import BeforeValidator, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import BeforeValidator, FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from tacgen.core.config import Finite, Located, Section
+from tacgen.core.config import Located, Section, as_named
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import is_file
 from tacgen.core.records import Markers, Sensor
 from tacgen.core.resources import packaged, sensor_path
-from tacgen.core.yaml_source import read_yaml, validate
+from tacgen.core.yaml_source import YamlSource, read_yaml, validate
 
 
 class SensorChoice(Located):
@@ -30,12 +31,8 @@ class SensorChoice(Located):
     """Pixel size on the gel."""
 
 
-def _by_name(given: Any) -> Any:
-    return {"name": given} if isinstance(given, str) else given
-
-
 SensorByName = Annotated[
-    SensorChoice, BeforeValidator(_by_name, json_schema_input_type=str | SensorChoice)
+    SensorChoice, BeforeValidator(as_named, json_schema_input_type=str | SensorChoice)
 ]
 """A sensor in a recipe: its name, or a :class:`SensorChoice`."""
 
@@ -56,7 +53,7 @@ class _MarkersYaml(Section):
 class _Led(Section):
     """A light, for shadows."""
 
-    direction: tuple[Finite, Finite, Finite]
+    direction: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
     """Direction from the gel to the light, gel frame."""
     rgb: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
     """Weight of its shadow in each colour channel."""
@@ -103,6 +100,14 @@ def sensor_lines(table: Path, shape_px: tuple[int, int], mm_per_px: float) -> li
         "in a recipe in this folder:",
         "sensor: my_sensor.yaml",
     ]
+
+
+def sensor_problems(choice: SensorChoice, source: YamlSource) -> Iterator[str]:
+    """A problem of the recipe ``source`` where there is no sensor of the name that it chooses."""
+    try:
+        sensor_path(choice.name, beside=choice.folder)
+    except RecipeError as error:
+        yield source.problem(("sensor",), f"= {choice.name!r}: {error}")
 
 
 def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sensor:

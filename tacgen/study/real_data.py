@@ -1,8 +1,7 @@
 """The real data that a study is given, checked before anything is collected."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from tacgen.collection.perturbed import check_forces
@@ -42,9 +41,14 @@ def check_real_data(study: Study, real: RealData, *, quick: bool) -> None:
             f"{study.name}: a row uses the real sensor's contact law; give the contact.yaml that "
             "`tacgen calibrate contact` or `tacgen diagnose contact` wrote with --contact FILE"
         )
-    for check in (_check_tested, _check_calibration, _check_contact):
+    checks = (
+        partial(_check_tested, real),
+        partial(_check_calibration, study, real.calibration, quick),
+        partial(contact_law, Contact(file=real.contact and str(real.contact))),
+    )
+    for check in checks:
         try:
-            check(study, real, quick)
+            check()
         except TacgenError as error:
             problems.append(str(error))
     if problems:
@@ -70,7 +74,7 @@ def calibration_grasps(recipe: Recipe, folder: Path) -> RealGrasps:
     return grasps
 
 
-def _check_tested(_study: Study, real: RealData, _quick: bool) -> None:
+def _check_tested(real: RealData) -> None:
     if real.test is None:
         return
     tested = set(RealGraspImages(real.test).table.ids.tolist())
@@ -85,15 +89,10 @@ def _check_tested(_study: Study, real: RealData, _quick: bool) -> None:
         raise TacgenError(msg)
 
 
-def _check_calibration(study: Study, real: RealData, quick: bool) -> None:
-    if real.calibration is None:
+def _check_calibration(study: Study, folder: Path | None, quick: bool) -> None:
+    if folder is None:
         return
-    read_real_grasps(real.calibration)
+    read_real_grasps(folder)
     for row in study.rows:
         if row.calibrate_friction:
-            calibration_grasps(study.data_recipe(row, quick=quick), real.calibration)
-
-
-def _check_contact(_study: Study, real: RealData, _quick: bool) -> None:
-    if real.contact is not None:
-        contact_law(Contact(file=str(real.contact)))
+            calibration_grasps(study.data_recipe(row, quick=quick), folder)

@@ -3,8 +3,6 @@
 The folder of a study holds the datasets, the runs and ``table.json``, which keeps finished rows.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -80,8 +78,6 @@ def check_finished(result: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _StudyRun:
-    """One call of ``run_study``."""
-
     study: Study
     out: Path
     real: RealData
@@ -128,10 +124,9 @@ class _StudyRun:
             "real_is_simulated": simulated,
             "rows": [found[row.name] for row in rows],
             "problems": [
-                f"{row['name']}: {row[key]}"
+                f"{row['name']}: {text}"
                 for row in done.values()
-                for key in ("problem", "real_problem")
-                if row[key]
+                for text in filter(None, (row["problem"], row["real_problem"]))
             ],
             "took_s": took_s,
         }
@@ -204,15 +199,10 @@ class _StudyRun:
 
     def _settings_sha256(self, row: Row) -> str:
         """A hash of all settings of a row, before anything is calibrated."""
-        return sha256_of_content(
-            [
-                row.name,
-                self.study.data_recipe(row, quick=self.quick).sha256(),
-                self.study.train_recipe(row, quick=self.quick).sha256(),
-                row.calibrate_friction,
-                row.calibrate_contact,
-            ]
-        )
+        data = self.study.data_recipe(row, quick=self.quick).sha256()
+        train = self.study.train_recipe(row, quick=self.quick).sha256()
+        calibrated = row.calibrate_friction, row.calibrate_contact
+        return sha256_of_content([row.name, data, train, *calibrated])
 
 
 def _title(name: object, quick: bool) -> str:

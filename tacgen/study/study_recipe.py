@@ -1,7 +1,5 @@
 """Studies: a YAML file with variants to collect, train and test, for a table of them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce
@@ -14,8 +12,7 @@ from pydantic import Field, ValidationError
 from tacgen.collection.recipe import Recipe
 from tacgen.core.config import Section
 from tacgen.core.errors import RecipeError
-from tacgen.core.resources import find_recipe
-from tacgen.core.yaml_source import YamlSource, problem_text, read_yaml, validate
+from tacgen.core.yaml_source import YamlSource, load_checked, problem_text
 from tacgen.learning.training_recipe import TrainRecipe
 
 _OWN_KEYS = ("name", "description", "objects")
@@ -97,12 +94,7 @@ def load_study(name: str | Path) -> Study:
 
     Raises ``RecipeError``, which lists everything that is wrong.
     """
-    source = read_yaml(find_recipe(str(name)))
-    study = validate(Study, source)
-    checks = (_misplaced, _name_problems, _row_problems)
-    if problems := dict.fromkeys(text for check in checks for text in check(study, source)):
-        raise RecipeError.from_problems(list(problems))
-    return study
+    return load_checked(Study, name, _misplaced, _name_problems, _row_problems)
 
 
 def run_folder_name(row_name: str) -> str:
@@ -191,7 +183,6 @@ def _name_problems(study: Study, source: YamlSource) -> Iterator[str]:
 
 
 def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
-    """Rows whose recipes cannot be used."""
     makers = (study.data_recipe, study.train_recipe)
     for (i, row), make, quick in product(enumerate(study.rows), makers, (False, True)):
         try:

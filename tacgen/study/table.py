@@ -1,15 +1,13 @@
 """The table of a study, as Markdown and as a page."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from tacgen.core.files import write_text
 from tacgen.learning.reports import started_from
-from tacgen.report import table_section, text_section, write_page
 from tacgen.report.formatting import MISSING
+from tacgen.report.page import table_section, text_section, write_page
 
 OTHER_SIMULATION = "other simulation"
 """Name of the column "sim-to-real" where another simulation made the grasps, not a robot."""

@@ -7,9 +7,9 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from tacgen import cluster
 from tacgen.cli import app, main
-from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_note, write_submission
+from tacgen.cluster import states, submission
+from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_record
 from tacgen.collection.recipe import Cluster
 from tacgen.core.errors import ClusterError
 
@@ -84,16 +84,16 @@ def test_options_of_the_other_kind_of_work_are_refused(tmp_path, monkeypatch, wo
 def test_a_second_job_for_the_same_folder_is_refused_while_the_first_runs(tmp_path, monkeypatch):
     command = ["train", "train_single", "--data", "d", "--out", str(tmp_path)]
     folder = JobsFolder(tmp_path).create()
-    write_submission(folder, Submission("slurm", "here", (Task(0, "77", ()),)))
+    write_record(folder / "submission.json", Submission("slurm", "here", (Task(0, "77", ()),)))
     live = {"77": ("queued", "Priority")}
     monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: live)
     with pytest.raises(ClusterError, match=r"job 77 still runs or waits.*tacgen status"):
-        cluster.submit_command(command, tmp_path, print, "local", Cluster())
-    text = cluster.jobs_text(tmp_path, cluster.job_states(tmp_path))
+        submission.submit_command(command, tmp_path, print, "local", Cluster())
+    text = states.jobs_text(tmp_path, states.job_states(tmp_path))
     assert "1 job\n" in text
     assert "job 77 queued: Priority" in text
     live.clear()
-    write_note(folder / "task-00000.json", Note("running", 3, "n1", 5))
-    (job,) = cluster.job_states(tmp_path)
+    write_record(folder / "task-00000.json", Note("running", 3, "n1", 5))
+    (job,) = states.job_states(tmp_path)
     assert (job.state, job.attempt) == ("failed", 3)
     assert "killed, or out of memory" in job.reason

@@ -12,10 +12,9 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from tacgen import cluster
 from tacgen.cli import app
-from tacgen.cluster import scheduler
-from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_note, write_submission
+from tacgen.cluster import scheduler, states, submission
+from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_record
 from tacgen.cluster.submission import slurm_parameters
 from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, load_recipe, with_cluster
@@ -60,10 +59,10 @@ def record(out, jobs, executor="slurm", host="here"):
     """A submission of one shard a job: job id → the note of its task, or None."""
     folder = JobsFolder(out).create()
     tasks = tuple(Task(k, job, (k,)) for k, job in enumerate(jobs))
-    write_submission(folder, Submission(executor, host, tasks))
+    write_record(folder / "submission.json", Submission(executor, host, tasks))
     for k, note in enumerate(jobs.values()):
         if note:
-            write_note(folder / f"task-{k:05d}.json", note)
+            write_record(folder / f"task-{k:05d}.json", note)
     return folder
 
 
@@ -72,26 +71,26 @@ def test_jobs_make_the_bytes_that_collect_makes_and_lost_ones_are_made_up(world,
     """One of two jobs is killed: its shards show as failed, ``--failed`` makes just those."""
     recipe = with_cluster(load_recipe(world), shards_per_task=2)
     out = tmp_path / "out"
-    first = cluster.submit(recipe, out, LOCAL)
+    first = submission.submit(recipe, out, LOCAL)
     assert first.shards == 3
     note = tmp_path / "out/jobs/000/task-00000.json"
     wait_until(note.is_file, "the first task never began")
     with pytest.raises(ClusterError, match=f"{first.jobs[0]}.*still run or wait.*--failed"):
-        cluster.submit(recipe, out, LOCAL)
+        submission.submit(recipe, out, LOCAL)
     os.kill(json.loads(note.read_text())["pid"], signal.SIGKILL)
-    found = cluster.wait_for(out)
+    found = submission.wait_for(out)
     lost = [task for task in found.tasks if task.task == 0]
     assert lost[0].state == "failed"
     assert "killed, or out of memory" in lost[0].reason
     assert set(found.failed) == set(lost[0].shards)
-    assert "--failed" in cluster.status_text(found)
-    again = cluster.submit(recipe, out, "local", failed_only=True)
+    assert "--failed" in states.status_text(found)
+    again = submission.submit(recipe, out, "local", failed_only=True)
     assert again.shards == len(found.failed)
-    found = cluster.wait_for(out)
+    found = submission.wait_for(out)
     assert (found.done, found.not_begun) == (3, ())
     collect(recipe, tmp_path / "direct", progress=False)
     assert hashes(out) == hashes(tmp_path / "direct")
-    assert cluster.submit(recipe, out, LOCAL).jobs == ()
+    assert submission.submit(recipe, out, LOCAL).jobs == ()
 
 
 def run_submit(world, out):
@@ -134,11 +133,11 @@ def test_every_shard_is_in_one_state(prepared, monkeypatch):
     )
     live = {"7_1": ("queued", "Priority"), "7_2": ("running", "")}
     monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: live)
-    found = cluster.status(out)
+    found = states.status(out)
     assert (found.failed, found.queued, found.missing) == ((0,), (1, 2), ())
     assert [task.state for task in found.tasks] == ["failed", "queued", "running"]
     assert found.shards == 3
-    text = cluster.status_text(found)
+    text = states.status_text(found)
     assert "job 7_0 failed: no space left" in text
     assert str(out / "jobs/000/7_0_0_log.err") in text
     assert "job 7_1 queued: Priority" in text
@@ -156,7 +155,7 @@ def test_a_job_that_the_scheduler_forgot_has_failed(prepared, monkeypatch, note,
     out, _ = prepared
     record(out, {"7": note})
     monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: {})
-    found = cluster.status(out)
+    found = states.status(out)
     assert (found.failed, found.missing) == ((0,), (1, 2))
     assert words in found.tasks[0].reason
     assert not found.alive
@@ -165,7 +164,7 @@ def test_a_job_that_the_scheduler_forgot_has_failed(prepared, monkeypatch, note,
 def test_a_job_of_another_machine_is_not_called_dead(prepared):
     out, _ = prepared
     record(out, {"123456": Note("running", 1, "there", 5)}, executor="local", host="there")
-    found = cluster.status(out)
+    found = states.status(out)
     assert found.tasks[0].state == "unknown"
     assert found.alive
 
@@ -173,11 +172,11 @@ def test_a_job_of_another_machine_is_not_called_dead(prepared):
 def test_a_shard_in_hand_is_running_whoever_makes_it(prepared):
     out, _ = prepared
     with DatasetFolder(out).claim(1):
-        found = cluster.status(out)
+        found = states.status(out)
         assert [shard for shard, _ in found.running] == [1]
         assert f"process {os.getpid()}" in found.running[0][1]
         assert found.missing == (0, 2)
-    assert cluster.status(out).missing == (0, 1, 2)
+    assert states.status(out).missing == (0, 1, 2)
 
 
 def test_a_later_submission_takes_over_what_an_earlier_one_lost(prepared, monkeypatch):
@@ -185,15 +184,15 @@ def test_a_later_submission_takes_over_what_an_earlier_one_lost(prepared, monkey
     record(out, {"7": Note("running", 1, "n1", 5)})
     record(out, {"8": None})
     monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: {"8": ("queued", "")})
-    assert cluster.status(out).failed == ()
-    assert cluster.status(out).queued == (0,)
+    assert states.status(out).failed == ()
+    assert states.status(out).queued == (0,)
 
 
 def test_a_broken_record_is_named(prepared):
     out, _ = prepared
     record(out, {"7": None}).joinpath("submission.json").write_text('{"tasks": 3}')
     with pytest.raises(ClusterError, match=r"jobs/000/submission.json: not the record"):
-        cluster.status(out)
+        states.status(out)
 
 
 def test_status_of_no_dataset(tmp_path):
@@ -204,7 +203,7 @@ def test_status_of_no_dataset(tmp_path):
 def test_another_recipe_is_refused_before_anything_is_submitted(prepared):
     out, recipe = prepared
     with pytest.raises(DatasetError, match="seed: 5 there, 6 now"):
-        cluster.submit(recipe.model_copy(update={"seed": 6}), out, LOCAL)
+        submission.submit(recipe.model_copy(update={"seed": 6}), out, LOCAL)
     assert not (out / "jobs").exists()
 
 
@@ -213,9 +212,9 @@ def test_what_is_missing_is_said_with_its_mend(prepared, monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
     monkeypatch.setattr("tacgen.cluster.submission.find_spec", lambda _: None)
     with pytest.raises(ClusterError, match=r"pip install 'tacgen\[cluster\]'.*\n.*sbatch"):
-        cluster.submit(recipe, out, "slurm")
+        submission.submit(recipe, out, "slurm")
     with pytest.raises(ClusterError, match="--executor pbs: give local or slurm"):
-        cluster.submit(recipe, out, "pbs")
+        submission.submit(recipe, out, "pbs")
 
 
 def test_the_section_cluster_changes_no_byte(world, tmp_path):

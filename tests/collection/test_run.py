@@ -137,7 +137,7 @@ def test_another_recipe_is_refused_and_the_difference_shown(reference, tmp_path,
 
 def test_a_dry_run_writes_nothing(world, tmp_path):
     plan = describe(load_recipe(world), tmp_path / "out")
-    assert (plan.grasps, plan.shards, plan.shards_done) == (6, 3, 0)
+    assert (plan["grasps"], plan["shards"], plan["shards_done"]) == (6, 3, 0)
     assert not (tmp_path / "out").exists()
 
 

@@ -61,5 +61,5 @@ def test_torch_takes_executed_grasps_of_one_side(toy):
 
 def test_a_side_that_is_not_there_is_refused(toy):
     pytest.importorskip("torch")
-    with pytest.raises(DatasetError, match="split = 'val' is none of"):
+    with pytest.raises(DatasetError, match="split 'val' is not known; give one of train, test"):
         toy[0].torch(split="val")

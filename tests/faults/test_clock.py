@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from tacgen import cluster
+from tacgen.cluster import states
 from tacgen.core import workers
 from tacgen.core.lock import open_locked
 from tacgen.core.workers import run_tasks
@@ -22,7 +22,7 @@ def test_files_from_the_future_and_the_past_are_as_done_as_others(toy, spec):
     for n, year_s in enumerate((-1e8, 4e9, 1e9)):
         os.utime(toy.shard_path(n), (year_s, year_s))
         os.utime(toy.line_path(n), (year_s, year_s))
-    found = cluster.status(toy.root)
+    found = states.status(toy.root)
     assert (found.done, found.not_begun) == (3, ())
     assert found.rate_grasps_per_s is None
     assert not verify(toy.root).problems
@@ -36,8 +36,8 @@ def test_the_rate_is_that_of_the_last_shards(tmp_path, spec):
     folder = collect_toy(tmp_path, spec)
     for n in range(3):
         os.utime(folder.shard_path(n), (1e9 + 10 * n, 1e9 + 10 * n))
-    assert cluster.status(tmp_path).rate_grasps_per_s == np.float64(6 / 20)
-    assert cluster.status(tmp_path).time_left_s is None
+    assert states.status(tmp_path).rate_grasps_per_s == np.float64(6 / 20)
+    assert states.status(tmp_path).time_left_s is None
 
 
 def test_a_leap_of_the_clock_makes_no_grasp_hang(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from tacgen.core.errors import PressError, TacgenError
-from tacgen.presses.import_formats import Options, import_presses
+from tacgen.presses.import_formats import import_presses
 from tacgen.presses.press_folder import read_presses
 
 BACKGROUND = np.full((48, 64, 3), (90, 120, 150), np.uint8)  # blue, green, red
@@ -50,7 +50,7 @@ def test_gs_sdk_keeps_labels_colours_and_scale(gs_sdk, tmp_path):
 def test_gs_sdk_without_labels_leaves_circles_to_be_found(gs_sdk, tmp_path):
     for label in gs_sdk.rglob("label.npz"):
         label.unlink()
-    import_presses("gs-sdk", gs_sdk, tmp_path / "out", Options(mm_per_px=0.05))
+    import_presses("gs-sdk", gs_sdk, tmp_path / "out", mm_per_px=0.05)
     presses = read_presses(tmp_path / "out")
     assert np.isnan(presses.center_px).all()
     assert presses.mm_per_px == 0.05
@@ -87,7 +87,7 @@ def test_9dtact_asks_for_what_its_folder_lacks(tmp_path):
     with pytest.raises(PressError, match=r"--mm-per-px(.|\n)*--ball-radius-mm"):
         import_presses("9dtact", root, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-    import_presses("9dtact", root, tmp_path / "out", Options(0.06, 2.0))
+    import_presses("9dtact", root, tmp_path / "out", mm_per_px=0.06, ball_radius_mm=2.0)
     assert read_presses(tmp_path / "out").names == ("rectify_crop_sample.png",)
 
 
@@ -99,7 +99,9 @@ def test_gelsight_mini_pretrain_takes_spheres_and_their_forces(tmp_path):
         encoded = cv2.imencode(".png", picture(15 + 10 * k, 20, 5))[1].tobytes()
         rows.append({"image": encoded, "indenter": indenter, "f_z": -1.5 - k})
     pd.DataFrame(rows).to_parquet(root / "train-00000.parquet")
-    import_presses("gelsight-mini-pretrain", root, tmp_path / "out", Options(0.06, 2.0))
+    import_presses(
+        "gelsight-mini-pretrain", root, tmp_path / "out", mm_per_px=0.06, ball_radius_mm=2.0
+    )
     presses = read_presses(tmp_path / "out")
     assert len(presses.names) == 3
     assert presses.background[24, 40].tolist() == [150, 120, 90]

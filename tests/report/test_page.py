@@ -5,9 +5,8 @@ import re
 import numpy as np
 
 from tacgen.core.images import difference, evenly, side_by_side
-from tacgen.report import (
+from tacgen.report.page import (
     facts_section,
-    image_section,
     pictures_section,
     table_section,
     text_section,
@@ -51,14 +50,13 @@ def test_a_page_is_whole_and_needs_no_network(tmp_path):
     sections = [
         text_section("Words", "<b>5 mm3</b>"),
         facts_section("Facts", [("k", 1.5), ("by", "ball")], "A note."),
-        image_section("Image", rgb),
         pictures_section("Pictures", [("a", rgb), ("b", rgb)]),
     ]
     write_page(tmp_path / "p.html", "Title", sections, summary="3 mm2", verdict="sufficient")
     page = (tmp_path / "p.html").read_text()
     assert "&lt;b&gt;5 mm³&lt;/b&gt;" in page
     assert '<p class="summary sufficient">3 mm²</p>' in page
-    assert page.count("data:image/") == 3
+    assert page.count("data:image/") == 2
     assert "://" not in page
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tacgen import cluster
+from tacgen.cluster import states, submission
 from tacgen.collection.recipe import load_recipe, with_cluster
 from tacgen.collection.run import collect
 from tacgen.core.errors import ClusterError
@@ -73,7 +73,7 @@ def hashes(folder):
 
 
 def state_of(out, task):
-    return next(entry for entry in cluster.status(out).tasks if entry.task == task)
+    return next(entry for entry in states.status(out).tasks if entry.task == task)
 
 
 def set_node(state, *reason):
@@ -106,16 +106,16 @@ def test_killed_drained_and_requeued_the_dataset_is_the_local_one(world, tmp_pat
     wait_until(lambda: state_of(out, 0).state == "queued", "the requeued job does not wait")
     assert state_of(out, 5).state == "queued"
     assert not notes[5].exists()
-    found = cluster.status(out)
+    found = states.status(out)
     assert found.failed == state_of(out, 1).shards
     assert Path(state_of(out, 1).log).is_file()
     set_node("resume")
 
     recipe = with_cluster(load_recipe(world), mem_gb=0.5)
-    again = cluster.submit(recipe, out, "slurm", failed_only=True)
+    again = submission.submit(recipe, out, "slurm", failed_only=True)
     assert again.shards == 1
-    found = cluster.wait_for(out)
-    assert found.not_begun == (), cluster.status_text(found)
+    found = submission.wait_for(out)
+    assert found.not_begun == (), states.status_text(found)
     assert state_of(out, 0).attempt == 2
     collect(recipe, tmp_path / "local", progress=False)
     assert hashes(out) == hashes(tmp_path / "local")
@@ -126,13 +126,13 @@ def test_a_job_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path):
     """The signal that submitit asks Slurm for before a time limit or a preemption."""
     out = tmp_path / "out"
     recipe = with_cluster(load_recipe(world), mem_gb=0.5)
-    (job,) = cluster.submit(recipe, out, "slurm").jobs
-    wait_until(lambda: cluster.status(out).done >= 1, "the job made no shard")
+    (job,) = submission.submit(recipe, out, "slurm").jobs
+    wait_until(lambda: states.status(out).done >= 1, "the job made no shard")
     said("scancel", "--signal=USR2", job)
     wait_until(lambda: (out / "jobs/000/task-00000.json").read_text().count("interrupted"), "?")
-    assert cluster.status(out).alive
-    found = cluster.wait_for(out)
-    assert found.done == 6, cluster.status_text(found)
+    assert states.status(out).alive
+    found = submission.wait_for(out)
+    assert found.done == 6, states.status_text(found)
     assert found.tasks[0].attempt == 2
 
 
@@ -145,7 +145,7 @@ def test_the_shipped_script_collects_as_an_array(world, tmp_path):
     logs = "".join(path.read_text() for path in tmp_path.glob("tacgen-*.log"))
     assert "part 0 of 2 (SLURM_ARRAY_TASK_ID): 3 shards" in logs
     assert "part 1 of 2" in logs
-    assert cluster.status(out).done == 6
+    assert states.status(out).done == 6
     collect(load_recipe(world), tmp_path / "local", progress=False)
     assert hashes(out) == hashes(tmp_path / "local")
 
@@ -161,7 +161,7 @@ def test_a_command_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path
     said("scancel", "--signal=USR2", handed["job"])
     wait_until(lambda: "interrupted" in note.read_text() or "done" in note.read_text(), "?")
     before = outcomes.read_text()
-    (job,) = cluster.wait_for_command(tmp_path / "fit")
+    (job,) = submission.wait_for_command(tmp_path / "fit")
     assert (job.state, job.attempt) == ("done", 2), job
     assert outcomes.read_text().startswith(before)
     assert json.loads((tmp_path / "fit/friction.json").read_text())[BOX]["mu"] == pytest.approx(MU)
@@ -180,7 +180,7 @@ def test_a_training_told_to_make_way_goes_on_to_the_same_weights(world, tmp_path
     wait_until(lambda: any(tmp_path.glob("run/models/*/metrics.jsonl")), "no epoch ended")
     said("scancel", "--signal=USR2", handed["job"])
     wait_until(lambda: "interrupted" in note.read_text() or "done" in note.read_text(), "?")
-    (job,) = cluster.wait_for_command(tmp_path / "run")
+    (job,) = submission.wait_for_command(tmp_path / "run")
     assert (job.state, job.attempt) == ("done", 2), job
     (metrics,) = tmp_path.glob("run/models/*/metrics.jsonl")
     epochs = [json.loads(line)["epoch"] for line in metrics.read_text().splitlines()]
@@ -195,4 +195,4 @@ def test_a_training_told_to_make_way_goes_on_to_the_same_weights(world, tmp_path
 def test_what_slurm_refuses_is_said_in_its_words(world, tmp_path):
     recipe = with_cluster(load_recipe(world), partition="nowhere")
     with pytest.raises(ClusterError, match=r"nvalid partition.*section `cluster`"):
-        cluster.submit(recipe, tmp_path / "out", "slurm")
+        submission.submit(recipe, tmp_path / "out", "slurm")

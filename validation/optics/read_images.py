@@ -27,7 +27,7 @@ def press_errors(name: str, presses: int, seed: int, table: str | None) -> np.nd
     """Relative error of volume and of force, RMSE of depth (mm), relative standard error of the
     force, and contact radius over ball radius; (n, 5).
     """
-    recipe = load_rig_recipe("rig_images_with_forces", {"seed": seed})
+    recipe = load_rig_recipe("rig_images_with_forces").model_copy(update={"seed": seed})
     recipe = recipe.model_copy(
         update={
             "sensor": recipe.sensor.model_copy(update={"name": name}),

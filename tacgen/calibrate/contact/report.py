@@ -22,8 +22,8 @@ from tacgen.calibrate.contact.law_fit import (
 from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.press_log import PressLog
 from tacgen.report import figures as plots
-from tacgen.report import write_page
 from tacgen.report.formatting import percent, unit_text, with_error
+from tacgen.report.page import write_page
 
 MAX_WORST = 8
 """Presses in the table of the largest held-out errors."""

@@ -13,7 +13,7 @@ from tacgen.calibrate.friction.sweep import FrictionFit, Key, friction_json
 from tacgen.collection.perturbed import Outcome
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.report import figures as plots
-from tacgen.report import write_page
+from tacgen.report.page import write_page
 
 FEW_GRASPS = 10
 """Below so many labels a bootstrap's interval is short by chance."""

@@ -17,7 +17,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.images import difference, evenly, no_wider, side_by_side
 from tacgen.presses.press_images import PressImages, label_mm
 from tacgen.report import figures as plots
-from tacgen.report import write_page
+from tacgen.report.page import write_page
 
 MAX_PICTURES, SHOWN_FIRST = 40, 6
 """Presses that the page shows, and those of them at its top, from the best to the worst."""

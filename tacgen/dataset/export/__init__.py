@@ -4,16 +4,14 @@ A format is a function that writes some grasps of a dataset into a new folder; i
 ``FORMATS``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-from tacgen.core.errors import DatasetError
+from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.files import atomic_folder
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset.disk import disk_errors
@@ -38,64 +36,39 @@ FORMATS: Mapping[str, Writer] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """What an export wrote: grasps of the dataset that are in it, and that are not."""
-
-    folder: str
-    format: str
-    grasps: int
-    not_executed: int
-    content: str
-
-    @property
-    def sentence(self) -> str:
-        """The result in one sentence."""
-        tail = f"; {self.not_executed} grasps that were not executed are not exported"
-        return f"{self.folder}: {self.content}{tail if self.not_executed else ''}"
-
-
 def export_dataset(
     root: Path | str,
     out: Path | str,
     format_name: str,
     *,
     split: str | None = None,
-    per_object: int | None = None,
     images: bool = True,
-) -> Exported:
-    """Write executed grasps of the dataset in ``root`` to the new folder ``out``.
+) -> dict[str, Any]:
+    """Write executed grasps of the dataset in ``root`` to the new folder ``out``; what it wrote.
 
-    ``split`` (``train`` or ``test``) and ``per_object``, the first so many of each object, limit
-    the grasps; without ``images``, labels and forces are written, which suffice to calibrate
-    friction.
+    ``split`` is ``train``, ``test`` or both; without ``images``, labels and forces are written,
+    which suffice to calibrate friction.
 
     Raises ``DatasetError`` if the format or the split is not known, ``out`` exists, or no grasp is
     left to export.
     """
-    for name, value, known in (
-        ("--format", format_name, FORMATS),
-        ("--split", split, (None, *SPLITS)),
-    ):
-        if value not in known:
-            msg = f"{name} {value}: not known; give one of {', '.join(filter(None, known))}"
-            raise DatasetError(msg)
+    require_known("--format", format_name, FORMATS, DatasetError)
+    require_known("--split", split or "train", SPLITS, DatasetError)
     writer = FORMATS[format_name]
-    if not images and writer is not write_real_grasps:
-        msg = f"--no-images: {format_name} always holds images; use --format real-grasps"
-        raise DatasetError(msg)
     if not images:
+        if writer is not write_real_grasps:
+            msg = f"--no-images: {format_name} always holds images; use --format real-grasps"
+            raise DatasetError(msg)
         writer = partial(write_real_grasps, images=False)
     with disk_errors(Path(out)), atomic_folder(Path(out)) as folder:
         dataset = Dataset(root)
-        grasps, not_executed = _chosen(dataset, split, per_object)
+        grasps, not_executed = _chosen(dataset, split)
         content = writer(dataset, grasps, folder)
-    return Exported(str(out), format_name, len(grasps), not_executed, content)
+    counts = {"grasps": len(grasps), "not_executed": not_executed}
+    return {"folder": str(out), "format": format_name, **counts, "content": content}
 
 
-def _chosen(
-    dataset: Dataset, split: str | None, per_object: int | None
-) -> tuple[pd.DataFrame, int]:
+def _chosen(dataset: Dataset, split: str | None) -> tuple[pd.DataFrame, int]:
     """The grasps to export, and how many of these splits were not executed."""
     columns = dataset.columns().items()
     table = pd.DataFrame({name: values for name, values in columns if values.ndim == 1})
@@ -103,8 +76,6 @@ def _chosen(
         table = table[table["split"] == split]
     executed = table[table["label"] != LABEL_NOT_EXECUTED]
     not_executed = len(table) - len(executed)
-    if per_object is not None:
-        executed = executed.groupby("object", sort=False).head(per_object)
     if executed.empty:
         where = "" if split is None else f" of the {split} split"
         msg = (

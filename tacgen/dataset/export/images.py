@@ -1,7 +1,5 @@
 """Export as plain files: the layout of real grasps, with depth maps and contact forces beside."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

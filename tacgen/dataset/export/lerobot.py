@@ -5,8 +5,6 @@ Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/i
 ``meta/stats.json``, ``meta/tasks.parquet``, ``meta/episodes``, ``data``).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -68,7 +66,6 @@ def _image_name(dataset: Dataset, pad: str) -> str:
 
 
 def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
-    """The features as ``meta/info.json`` describes them."""
     prefixes = [""] if len(dataset.pads) == 1 else [f"{pad}." for pad in dataset.pads]
     vectors = {
         "observation.state": [prefix + name for prefix in prefixes for name in CONTACT_STATE],
@@ -199,7 +196,6 @@ class _Export:
         self.episodes.append(about | stats)
 
     def _values(self, sample: GraspSample) -> dict[str, NDArray[Any]]:
-        """What a grasp contributes to each feature, (T, …)."""
         n_frames, pads = self.dataset.n_frames, sample.pads.items()
         contact = [
             np.column_stack([pad.force_normal_n, pad.force_shear_n, pad.indentation_mm])

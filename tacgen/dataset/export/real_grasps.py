@@ -4,8 +4,6 @@ Only what a real experiment would leave behind is written: images, what the grip
 do, and how the grasp ended. ``about.json`` states that the grasps are simulated.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

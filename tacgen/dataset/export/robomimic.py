@@ -5,8 +5,6 @@ masks ``mask/{train, valid}`` list the demonstrations of each split. The layout:
 documentation, "Dataset Contents and Structure".
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -17,6 +15,7 @@ import pandas as pd
 from tacgen.dataset.export.lerobot import ACTION
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
+from tacgen.dataset.schema import CONTACT_NAMES
 
 FILE = "grasps.hdf5"
 MASKS = {"train": "train", "valid": "test"}  # robomimic's name of each split of the recipe
@@ -58,9 +57,8 @@ def _write_demo(demo: h5py.Group, sample: GraspSample) -> None:
     for pad, frames in sample.pads.items():
         options = {"chunks": (1, *frames.rgb.shape[1:]), "compression": "gzip"}
         observed.create_dataset(f"{pad}_rgb", data=frames.rgb, **options)
-        observed[f"{pad}_force_normal_n"] = frames.force_normal_n
-        observed[f"{pad}_force_shear_n"] = frames.force_shear_n
-        observed[f"{pad}_indentation_mm"] = frames.indentation_mm
+        for name in CONTACT_NAMES:
+            observed[f"{pad}_{name}"] = getattr(frames, name)
         if frames.depth_mm is not None:
             # Of the moment of grasp: not one a frame, so it stands beside the observations.
             demo[f"depth_mm/{pad}"] = frames.depth_mm

@@ -4,8 +4,6 @@ A sample is the files of one base name: ``<grasp_id>.<pad>.<k>.png`` (frame k of
 arrays, and ``.json`` with everything else. Format: github.com/webdataset/webdataset.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import tarfile
@@ -42,7 +40,6 @@ def write_webdataset(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> st
 
 
 def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, bytes]]:
-    """Extension and content of each file of a sample."""
     about = {"grasp_frame": sample.grasp_frame, **row}
     yield "json", json.dumps(about, default=lambda value: value.item()).encode()
     yield "object_pose.npy", _npy(np.asarray(sample.object_pose))

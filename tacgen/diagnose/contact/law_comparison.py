@@ -16,9 +16,9 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.images import difference, evenly, side_by_side
 from tacgen.core.records import ContactFrame, GraspObject
 from tacgen.physics import GraspSimulator, run_grasp
-from tacgen.report import Section, figure_section, pictures_section, write_page
 from tacgen.report import figures as plots
 from tacgen.report.formatting import number
+from tacgen.report.page import Section, figure_section, pictures_section, write_page
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import TactileFrame
 

@@ -14,8 +14,8 @@ from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.result import ChannelDiagnosis, Diagnosis, diagnosis_record
 from tacgen.report import figures as plots
-from tacgen.report import write_page
 from tacgen.report.formatting import unit_text
+from tacgen.report.page import write_page
 
 ALWAYS_DRAWN = ("load", "time_in_trial_s", "time_s")
 MAX_DRAWN = 4

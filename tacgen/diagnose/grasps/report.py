@@ -13,7 +13,7 @@ from tacgen.calibrate.friction.report import grasp_places
 from tacgen.core.arrays import IntArray
 from tacgen.dataset.real_grasps import RealGrasps
 from tacgen.report import figures as plots
-from tacgen.report import write_page
+from tacgen.report.page import write_page
 
 
 def write_grasp_report(

@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.diagnose.optics.pictures import DIFFERENCE_GAIN
-from tacgen.report import (
+from tacgen.report import figures as plots
+from tacgen.report.formatting import estimate, interval, number, p_value
+from tacgen.report.page import (
     Section,
     facts_section,
     figure_section,
@@ -20,8 +22,6 @@ from tacgen.report import (
     text_section,
     write_page,
 )
-from tacgen.report import figures as plots
-from tacgen.report.formatting import estimate, interval, number, p_value
 
 
 def write_optics_page(
