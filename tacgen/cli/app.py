@@ -141,8 +141,7 @@ BallRadiusOption = Annotated[
     float | None, Option(help="Radius of the ball, mm; needed if the presses do not state it.")
 ]
 MarkerPitchOption = Annotated[
-    float | None,
-    Option(help="Spacing of the markers whose summed motion the log holds, mm."),
+    float | None, Option(help="Spacing of the markers whose summed motion the log holds, mm.")
 ]
 WorkersOption = Annotated[int, Option(min=1, help="Number of parallel processes.")]
 JsonFlag = Annotated[bool, Option("--json", help="Print the result as JSON on standard output.")]

@@ -1,6 +1,6 @@
 """Commands for batch jobs: submit a recipe or a command, show its progress."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -47,8 +47,6 @@ def submit(
     gpus: Annotated[int | None, Option(min=0, help="Number of GPUs, for a command only.")] = None,
     partition: Annotated[str | None, Option(help="Slurm partition.")] = None,
     account: Annotated[str | None, Option(help="Slurm account.")] = None,
-    max_array: Annotated[int | None, Option(help="Maximum number of jobs in one array.")] = None,
-    shards_per_task: Annotated[int | None, Option(help="Number of shards per job.")] = None,
     json_output: JsonFlag = False,
 ) -> None:
     """Submit a recipe's missing shards, or a long command, to a scheduler.
@@ -61,20 +59,23 @@ def submit(
 
     settings: dict[str, Any] = {"time_min": time_min, "mem_gb": mem_gb}
     settings |= {"cpus_per_task": cpus_per_task, "partition": partition, "account": account}
-    for_recipes = {"max_array": max_array, "shards_per_task": shards_per_task}
     is_recipe = out is not None
     if out is not None:
-        _refuse({"gpus": gpus}, "a command; for a recipe, set GPUs in its section cluster.sbatch")
+        if gpus is not None:
+            msg = "--gpus: only for a command; set a recipe's GPUs in its section cluster.sbatch"
+            raise ClusterError(msg)
         if len(work) != 1:
             msg = f"`{' '.join(work)}`: with --out, give exactly one recipe"
             raise ClusterError(msg)
-        loaded = with_cluster(load_recipe(work[0]), **settings, **for_recipes)
+        loaded = with_cluster(load_recipe(work[0]), **settings)
         submitted = submission.submit(loaded, out, executor, failed_only=failed)
         if not submitted.shards:
             typer.echo("tacgen: nothing to submit: every shard is done or in a job", err=True)
         print_record(asdict(submitted), json_output)
     else:
-        _refuse({"failed": failed, **for_recipes}, "a recipe")
+        if failed:
+            msg = "--failed: only for a recipe; remove it"
+            raise ClusterError(msg)
         submission.require_command(work)
         commands: Any = typer.main.get_command(app)
         # Wrong options raise an error here, as when the command itself is called.
@@ -95,14 +96,6 @@ def submit(
         typer.echo(text, err=True)
         if not is_whole:
             raise typer.Exit(1)
-
-
-def _refuse(options: Mapping[str, object], owner: str) -> None:
-    given = [name for name, value in options.items() if value not in (None, False)]
-    if given:
-        flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        msg = f"{flags}: only for {owner}; remove it"
-        raise ClusterError(msg)
 
 
 def _run_command(arguments: Sequence[str]) -> None:

@@ -14,15 +14,22 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from tacgen.cluster.records import JobsFolder, Submission, Task, note_path, write_record
+from tacgen.cluster.records import (
+    JobsFolder,
+    Note,
+    Submission,
+    Task,
+    note_path,
+    read_note,
+    write_record,
+)
 from tacgen.cluster.scheduler import site_array_limit
 from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
-from tacgen.cluster.task import Job
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, Recipe
 from tacgen.collection.run import collect
-from tacgen.core.errors import ClusterError
+from tacgen.core.errors import ClusterError, TacgenError
 from tacgen.dataset import DatasetFolder
 
 EXECUTORS = ("local", "slurm")
@@ -42,6 +49,42 @@ class Submitted:
     shards: int
     jobs: tuple[str, ...]
     arrays: int
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job that resumes when it is called again: collects ``shards``, or runs a command."""
+
+    run: Callable[[], object]
+    note: Path
+    shards: tuple[int, ...] = ()
+
+    def __call__(self) -> None:
+        """Run, and keep a note for ``tacgen status``: running, then done, failed or interrupted."""
+        before = read_note(self.note)
+        attempt = before.attempt + 1 if before else 1
+
+        def record(state: str, reason: str = "") -> None:
+            note = Note(state, attempt, socket.gethostname(), os.getpid(), reason)
+            write_record(self.note, note)
+
+        record("running")
+        try:
+            self.run()
+        except Exception as error:
+            kind = "" if isinstance(error, TacgenError) else f"{type(error).__name__}: "
+            record("failed", f"{kind}{error}")
+            raise
+        except BaseException:
+            record("interrupted", "preempted, out of time or cancelled")
+            raise
+        record("done")
+
+    def checkpoint(self) -> Any:
+        """What submitit queues instead of this job when it is preempted: the same again."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self)
 
 
 def submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool = False) -> Submitted:

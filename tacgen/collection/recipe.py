@@ -253,9 +253,7 @@ class Recipe(Section):
     def physics_settings(self) -> PhysicsSettings:
         """The settings of the simulation, with what the section ``robot`` says of the gripper."""
         return replace(
-            self.physics,
-            max_force_n=self.robot.max_force_n,
-            tactile_pads=self.robot.tactile_pads,
+            self.physics, max_force_n=self.robot.max_force_n, tactile_pads=self.robot.tactile_pads
         )
 
     def resolved(self) -> dict[str, Any]:

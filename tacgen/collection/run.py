@@ -15,9 +15,9 @@ from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.core.workers import Event, Report, run_tasks
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
-from tacgen.dataset.card import write_card
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.gallery import Card, CardMaker, write_gallery
+from tacgen.dataset.summary import write_card
 
 CARD_LIMIT_S = 60.0  # far beyond the time of a picture: the worker hangs
 

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.objects.shading import shaded_view
 from tacgen.physics.frames import rotation_about_z, rotation_of
-from tacgen.physics.gripper import (
-    FINGER_THICKNESS_MM,
-    PAD_DEPTH_MM,
-    PAD_HEIGHT_MM,
-    PAD_WIDTH_MM,
-)
+from tacgen.physics.gripper import FINGER_THICKNESS_MM, PAD_DEPTH_MM, PAD_HEIGHT_MM, PAD_WIDTH_MM
 
 PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
@@ -32,11 +27,7 @@ Part = tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int, int]]
 
 
 def grasp_picture(
-    grasped: GraspObject,
-    config: GraspConfig,
-    trace: GraspTrace,
-    frame: int,
-    size_px: tuple[int, int] = PICTURE_PX,
+    grasped: GraspObject, config: GraspConfig, trace: GraspTrace, frame: int
 ) -> NDArray[np.uint8]:
     """The scene at one frame, (h, w, 3) uint8; the object at rest where nothing was executed."""
     pose = np.eye(4)
@@ -47,7 +38,7 @@ def grasp_picture(
     vertices = grasped.surface.vertices_mm @ pose[:3, :3].T + pose[:3, 3]
     parts: list[Part] = [(vertices, grasped.surface.faces.astype(np.int64), grasped.color_rgb)]
     parts += [_table(), *_gripper(config, openings_mm)]
-    return _shade(parts, size_px)
+    return _shade(parts)
 
 
 def _pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -108,7 +99,7 @@ def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return np.array(box.vertices), np.array(box.faces)
 
 
-def _shade(parts: list[Part], size_px: tuple[int, int]) -> NDArray[np.uint8]:
+def _shade(parts: list[Part]) -> NDArray[np.uint8]:
     starts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
     vertices = np.concatenate([vertices for vertices, _, _ in parts])
     faces = np.concatenate(
@@ -116,4 +107,4 @@ def _shade(parts: list[Part], size_px: tuple[int, int]) -> NDArray[np.uint8]:
     )
     colors = np.concatenate([np.tile(color, (len(faces), 1)) for _, faces, color in parts])
     whole = Mesh(vertices, faces.astype(np.int32))
-    return shaded_view(whole, colors, size_px=size_px, **VIEW)
+    return shaded_view(whole, colors, size_px=PICTURE_PX, **VIEW)

@@ -73,7 +73,8 @@ class Dataset:
         return (self[place] for place in range(len(self)))
 
     def __repr__(self) -> str:
-        outcomes = ", ".join(f"{count} {name}" for name, count in self.counts().items() if count)
+        counts = total(self._lines, "counts").items()
+        outcomes = ", ".join(f"{count} {name}" for name, count in counts if count)
         height, width = self.shape_px
         return (
             f"Dataset({str(self.root)!r}: {len(self)} grasps ({outcomes}), {self.n_frames} frames "
@@ -152,10 +153,6 @@ class Dataset:
         """Height and width of the tactile images."""
         height, width, _ = self.reference().shape
         return height, width
-
-    def counts(self, name: str = "counts") -> dict[str, int]:
-        """Grasps by outcome, or by ``status``, ``splits`` or ``failure_modes``."""
-        return total(self._lines, name)
 
     def columns(
         self, shards: Sequence[int] | None = None, *, contact: bool = False

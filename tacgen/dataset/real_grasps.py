@@ -63,10 +63,7 @@ class RealGrasps:
 
 
 def read_real_grasps(
-    folder: Path | str,
-    *,
-    known_objects: Sequence[str] = (),
-    needs: Sequence[str] = CONFIGURATION,
+    folder: Path | str, *, known_objects: Sequence[str] = (), needs: Sequence[str] = CONFIGURATION
 ) -> RealGrasps:
     """Read and check a folder of real grasps.
 

@@ -1,4 +1,4 @@
-"""What a dataset holds, from its manifest alone: counts, balance, sizes, origin."""
+"""What a dataset holds, from its manifest: counts, balance, sizes, origin; and its card."""
 
 import re
 from collections import Counter
@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.core.errors import DatasetError
+from tacgen.core.files import write_text
 from tacgen.dataset.check import OUTCOME
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
+from tacgen.dataset.reader import Dataset
 from tacgen.dataset.shard import broken_as_error, open_shard
 from tacgen.report.page import templates
 
@@ -86,6 +88,23 @@ def summary_text(summary: Mapping[str, Any]) -> str:
     page = templates("tacgen.dataset", escaped=False).get_template("summary.txt")
     text = page.render(summary=summary, table=table, widths=widths).rstrip("\n")
     return "\n".join([text, *not_executed_lines(summary)])
+
+
+def write_card(root: Path | str) -> Path:
+    """Write ``README.md`` of the dataset in ``root``, finished or not.
+
+    Raises ``DatasetError`` if there is no finished shard, or the first is damaged.
+    """
+    folder = DatasetFolder(root)
+    summary = summarize(folder.root)
+    dataset = Dataset(folder.root, partial=True)
+    height, width = dataset.shape_px
+    card = templates("tacgen.dataset", escaped=False).get_template("card.md")
+    arrays, first = list(dataset.layout.arrays()), int(dataset.indices[0])
+    text = card.render(summary=summary, arrays=arrays, height=height, width=width, first=first)
+    dataset.close()
+    write_text(folder.card_path, text)
+    return folder.card_path
 
 
 def _reasons(folder: DatasetFolder, lines: Iterable[ShardLine]) -> dict[str, int]:

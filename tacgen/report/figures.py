@@ -216,14 +216,12 @@ def heat_map(
     return figure
 
 
-def confusion(
-    counts: Array, rows: Sequence[str], columns: Sequence[str], title: str = ""
-) -> Figure:
+def confusion(counts: Array, rows: Sequence[str], columns: Sequence[str]) -> Figure:
     """True class by row, predicted class by column, with counts or per cent in the cells."""
     size_in = max(2.2, 0.38 * len(columns))
     figure, grid = new_figure(size_in + 1.4, 0.8 + 0.38 * max(5, len(rows)))
     draw_confusion(grid[0, 0], counts, rows, columns)
-    grid[0, 0].set(xlabel="predicted", ylabel="true", title=title)
+    grid[0, 0].set(xlabel="predicted", ylabel="true")
     return figure
 
 

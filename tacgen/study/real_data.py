@@ -41,10 +41,11 @@ def check_real_data(study: Study, real: RealData, *, quick: bool) -> None:
             f"{study.name}: a row uses the real sensor's contact law; give the contact.yaml that "
             "`tacgen calibrate contact` or `tacgen diagnose contact` wrote with --contact FILE"
         )
+    law = Contact(file=str(real.contact) if real.contact is not None else None)
     checks = (
         partial(_check_tested, real),
         partial(_check_calibration, study, real.calibration, quick),
-        partial(contact_law, Contact(file=real.contact and str(real.contact))),
+        partial(contact_law, law),
     )
     for check in checks:
         try:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tacgen.dataset import gallery
-from tacgen.dataset.card import write_card
 from tacgen.dataset.gallery import write_gallery
+from tacgen.dataset.summary import write_card
 
 from .conftest import collect_toy, make_spec
 

@@ -85,7 +85,8 @@ def set_node(state, *reason):
 def test_killed_drained_and_requeued_the_dataset_is_the_local_one(world, tmp_path):
     """Six jobs in two arrays (the site takes three at a time); three of them meet with trouble."""
     out = tmp_path / "out"
-    options = ["--out", str(out), "--mem-gb", "0.5", "--shards-per-task", "1", "--json"]
+    world.write_text(world.read_text() + "\ncluster: {shards_per_task: 1}\n", encoding="utf-8")
+    options = ["--out", str(out), "--mem-gb", "0.5", "--json"]
     submitted = subprocess.run(
         [sys.executable, "-m", "tacgen", "submit", str(world), *options],
         capture_output=True,
