@@ -30,6 +30,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from types import ModuleType
 from typing import Any, Literal, TypeVar
@@ -200,8 +201,27 @@ def _module_of(make_job: JobFactory) -> str:
 
 
 def _start(make_job: JobFactory) -> _Worker:
+    """Start a worker, which ends with this process."""
+    context: Any = multiprocessing.get_context("forkserver")
     ours, theirs = multiprocessing.Pipe()
-    process = _start_process(_serve, theirs, make_job)
+    # The process that is copied may have been started under another environment.
+    given = (dict(os.environ) | ONE_THREAD, theirs, make_job)
+    for left in reversed(range(_START_TRIES)):
+        process = context.Process(target=_serve, args=given, daemon=True)
+        try:
+            with _for_workers():
+                process.start()
+            break
+        except (EOFError, ConnectionError) as error:
+            # The fork server was killed and is not yet seen to be gone; then a new one starts.
+            if not left:
+                msg = (
+                    f"no worker process could be started with {sys.executable} "
+                    f"({error or type(error).__name__}); what it printed stands above, if it began "
+                    "at all; is there memory left, and may you run it?"
+                )
+                raise TacgenError(msg) from error
+            time.sleep(_START_PAUSE_S)
     theirs.close()
     return _Worker(process, ours)
 
@@ -292,8 +312,16 @@ def _stop(worker: _Worker) -> None:
         worker.process.join()
 
 
-def _serve(connection: Connection, make_job: JobFactory) -> None:
+def _serve(environment: Mapping[str, str], connection: Connection, make_job: JobFactory) -> None:
     """A worker's life: tasks in, reports out, until the supervisor closes the line or is gone."""
+    os.environ.clear()
+    os.environ.update(environment)
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
+    if sys.platform == "linux":
+        # End with the fork server: once it is gone, the supervisor sees its copies as dead too,
+        # and one that worked on would hold the lock of a shard that nobody waits for.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     # Ctrl-C reaches the whole group; the supervisor decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_the_supervisor()
@@ -333,56 +361,11 @@ def _end_with_the_supervisor() -> None:
 def start_early(*modules: str) -> None:
     """Start the process that workers are copied from; it imports ``modules`` meanwhile.
 
-    Where it runs already, or the system has no such thing, this does nothing.
+    Where it runs already, this does nothing.
     """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return
-    from multiprocessing import forkserver
-
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(modules))
+    multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
     with _for_workers():
         forkserver.ensure_running()
-
-
-def _start_process(
-    target: Callable[..., None], *arguments: object
-) -> multiprocessing.process.BaseProcess:
-    methods = multiprocessing.get_all_start_methods()
-    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-    # The process that is copied may have been started under another environment.
-    given = (target, dict(os.environ) | ONE_THREAD, *arguments)
-    for left in reversed(range(_START_TRIES)):
-        process: multiprocessing.process.BaseProcess = context.Process(
-            target=_run, args=given, daemon=True
-        )
-        try:
-            with _for_workers():
-                process.start()
-            break
-        except (EOFError, ConnectionError) as error:
-            # The fork server was killed and is not yet seen to be gone; then a new one starts.
-            if not left:
-                msg = (
-                    f"no worker process could be started with {sys.executable} "
-                    f"({error or type(error).__name__}); what it printed stands above, if it began "
-                    "at all; is there memory left, and may you run it?"
-                )
-                raise TacgenError(msg) from error
-            time.sleep(_START_PAUSE_S)
-    return process
-
-
-def _run(target: Callable[..., None], environment: Mapping[str, str], *arguments: object) -> None:
-    os.environ.clear()
-    os.environ.update(environment)
-    if "cv2" in sys.modules:
-        sys.modules["cv2"].setNumThreads(1)
-    if sys.platform == "linux":
-        # End with the fork server: once it is gone, the supervisor sees its copies as dead too,
-        # and one that worked on would hold the lock of a shard that nobody waits for.
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    target(*arguments)
 
 
 @contextlib.contextmanager

@@ -105,7 +105,7 @@ def test_two_pads_are_two_cameras(tmp_path):
 
 
 def test_refusals_leave_nothing(toy, tmp_path):
-    with pytest.raises(DatasetError, match="--format zarr: not known"):
+    with pytest.raises(DatasetError, match="--format 'zarr' is not known"):
         export_dataset(toy.root, tmp_path / "out", "zarr")
     with pytest.raises(TacgenError, match="exists already; give a new folder"):
         export_dataset(toy.root, toy.root, "lerobot")
