@@ -31,7 +31,6 @@ ORDER_OF_WORK = (
 ANYWHERE = ("-v", "--verbose", "-q", "--quiet")
 """Options of ``tacgen`` that may also follow a command."""
 
-
 _OUTPUT = {"json": False}  # whether a program reads the output of the command line that runs
 
 

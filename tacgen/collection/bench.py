@@ -37,7 +37,6 @@ SIDE_POSE = (
 )
 """The object lying against the gel with its +x side; its middle is to be over the pad's centre."""
 
-
 Figure = tuple[str, float, str, str]
 """One measured figure: its name, its median, its unit, and what was timed."""
 

@@ -43,7 +43,6 @@ ONE_THREAD = dict.fromkeys((*_POOLS, "VECLIB_MAXIMUM_THREADS"), "1")
 _PR_SET_PDEATHSIG = 1  # from linux/prctl.h
 _START_TRIES, _START_PAUSE_S = 20, 0.05
 
-
 MAX_KILLS_PER_TASK = 5  # an item that ends a worker this often is at fault itself
 MAX_CRASHES_IN_A_ROW = 3  # with different items: then the machine is at fault
 _NATIVE_CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL}
@@ -54,7 +53,6 @@ _LONGEST_LOOK_S = 5.0  # longer pauses are those of a suspended machine, not of 
 
 Report = Callable[[str, int, Any], None]
 """Called by a job with ("start", item, None) and then ("item", item, anything to show)."""
-
 
 Job = Callable[[int, Mapping[int, str], Report], Any]
 """What a worker does with a task; items in the mapping (item → reason) crashed, and are skipped."""

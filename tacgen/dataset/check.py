@@ -17,7 +17,6 @@ from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_sh
 
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
 
-
 Outcome = tuple[int, str, str, str, str]  # of a grasp: label, status, failure mode, split, object
 
 

@@ -12,7 +12,6 @@ MAX_RADIUS_SHARE = 0.98
 """Largest contact radius as a share of the ball's radius: at 1 the gel would stand upright."""
 MAX_CAP_SHARE = 0.9999  # largest radius, as a share of the ball's, at which its cap has a slope
 
-
 _TAIL_DECAYS = 8.0
 """After so many decay lengths a thousandth of the depth outside the contact is left out."""
 _DEPTH_POINTS = 200  # points along a radius that a depth is summed over

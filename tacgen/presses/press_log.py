@@ -37,6 +37,7 @@ FORCE_UNITS_N = MappingProxyType(
 )
 """Newtons in one of each unit that a force gauge may show."""
 
+FIRST_ROW = 2  # of the samples, as a spreadsheet counts: the header is row 1
 MAX_LISTED = 5  # bad cells of one column that an error spells out
 
 MAX_EMPTY_SHARE = 0.5
@@ -259,8 +260,7 @@ def trial_number_problems(trial: FloatArray, path: Path) -> list[str]:
 
 
 def _checked(columns: Columns, path: Path) -> PressLog:
-    rows = np.arange(len(columns["trial"]), dtype=np.int64) + 2
-    found = _Findings(columns, rows, path, np.ones(len(rows), dtype=bool))
+    found = _Findings(columns, path, np.ones(len(columns["trial"]), dtype=bool))
     blocks = _trial_blocks(columns["trial"])
     for block in blocks:
         _check_cells(found, block)
@@ -281,7 +281,7 @@ def _checked(columns: Columns, path: Path) -> PressLog:
     return PressLog(
         columns=_frozen(columns, found.keep),
         path=path,
-        rows=frozen_array(rows[found.keep], np.int64),
+        rows=frozen_array(np.flatnonzero(found.keep) + FIRST_ROW, np.int64),
         dropped=dropped,
         warnings=tuple(found.warnings),
         session_clock=session_clock,
@@ -314,31 +314,33 @@ def _frozen(columns: Columns, mask: BoolArray) -> Columns:
 
 @dataclass(slots=True)
 class _Findings:
-    """What the checks have found so far."""
+    """What the checks have found so far; a block holds the indices of one trial's samples."""
 
     columns: Columns
-    rows: IntArray
     path: Path
     keep: BoolArray
     dropped: list[DroppedTrial] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
-    def drop(self, block: slice, reason: str, fix: str) -> None:
+    def kept(self, block: IntArray) -> IntArray:
+        return block[self.keep[block]]
+
+    def trial(self, block: IntArray) -> int:
+        return int(self.columns["trial"][block[0]])
+
+    def drop(self, block: IntArray, reason: str, fix: str) -> None:
         if self.keep[block].any():
-            span = (int(self.rows[block.start]), int(self.rows[block.stop - 1]))
-            trial = int(self.columns["trial"][block.start])
             self.keep[block] = False
-            self.dropped.append(DroppedTrial(trial, span, reason, fix, str(self.path)))
+            span = int(block[0]) + FIRST_ROW, int(block[-1]) + FIRST_ROW
+            self.dropped.append(DroppedTrial(self.trial(block), span, reason, fix, str(self.path)))
 
     def warn(self, text: str) -> None:
         self.warnings.append(f"{self.path}: {text}")
 
 
-def _trial_blocks(trial: IntArray) -> list[slice]:
+def _trial_blocks(trial: IntArray) -> list[IntArray]:
     """Runs of consecutive samples of one trial."""
-    edges = np.flatnonzero(np.diff(trial)) + 1
-    starts, stops = np.r_[0, edges], np.r_[edges, len(trial)]
-    return [slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
+    return np.split(np.arange(len(trial)), np.flatnonzero(np.diff(trial)) + 1)
 
 
 def _force_unit_problem(columns: Columns, path: Path) -> str:
@@ -354,7 +356,7 @@ def _force_unit_problem(columns: Columns, path: Path) -> str:
         unit, newtons, option = "millinewtons", 1e-3, "mn"
     if not suspicious or typical / newtons > softest:
         return ""
-    row = int(np.nanargmax(columns["force_normal_n"])) + 2
+    row = int(np.nanargmax(columns["force_normal_n"])) + FIRST_ROW
     return (
         f"{path}: row {row}: force_normal_n reaches {np.nanmax(peak):.4g} (median over presses "
         f"{typical_peak:.4g}) at {typical:.2g} mm³ a unit of force: these look like {unit}, not "
@@ -363,7 +365,9 @@ def _force_unit_problem(columns: Columns, path: Path) -> str:
     )
 
 
-def _peaks_and_compliances(columns: Columns, blocks: list[slice]) -> tuple[FloatArray, FloatArray]:
+def _peaks_and_compliances(
+    columns: Columns, blocks: list[IntArray]
+) -> tuple[FloatArray, FloatArray]:
     """Peak force of each block, and its volume per force there; NaN where nothing is known."""
     peak, compliance = np.full(len(blocks), np.nan), np.full(len(blocks), np.nan)
     for index, block in enumerate(blocks):
@@ -377,7 +381,7 @@ def _peaks_and_compliances(columns: Columns, blocks: list[slice]) -> tuple[Float
     return peak, compliance
 
 
-def _check_cells(found: _Findings, block: slice) -> None:
+def _check_cells(found: _Findings, block: IntArray) -> None:
     """Empty or infinite cells: a few drop their samples, many the trial."""
     names = (*REQUIRED, *(name for name in SHEAR if name in found.columns))
     finite = {name: np.isfinite(found.columns[name][block]) for name in names}
@@ -386,17 +390,14 @@ def _check_cells(found: _Findings, block: slice) -> None:
     if not bad.any():
         return
     guilty = ", ".join(name for name, known in finite.items() if not known.all())
-    where = ", ".join(str(row) for row in found.rows[block][bad][:5])
+    where = ", ".join(str(index + FIRST_ROW) for index in block[bad][:MAX_LISTED])
     what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
     if bad.mean() > MAX_EMPTY_SHARE:
         found.drop(block, f"{what} (row {where})", "fill the cells or delete the press")
         return
     found.keep[block] &= ~bad
-    trial = found.columns["trial"][block.start]
-    found.warn(
-        f"row {where}: trial {trial}: {what}; these samples are dropped, fill the cells "
-        "or delete the rows"
-    )
+    fix = "these samples are dropped, fill the cells or delete the rows"
+    found.warn(f"row {where}: trial {found.trial(block)}: {what}; {fix}")
 
 
 def _shorten(found: _Findings) -> None:
@@ -407,62 +408,48 @@ def _shorten(found: _Findings) -> None:
         found.warn(f"{more} more presses have empty cells or gaps in their clock likewise")
 
 
-def _check_clock(found: _Findings, block: slice) -> None:
-    kept = np.flatnonzero(found.keep[block]) + block.start
+def _check_clock(found: _Findings, block: IntArray) -> None:
+    kept = found.kept(block)
     steps = np.diff(found.columns["time_s"][kept])
     if (steps < 0).any():
-        row = found.rows[kept[1:][steps < 0][0]]
-        count = int((steps < 0).sum())
-        found.drop(
-            block,
-            f"time_s goes backwards at row {row}" + (f" and {count - 1} more" if count > 1 else ""),
-            "sort the rows by trial and time, and give each press its own trial number",
-        )
+        row, more = kept[1:][steps < 0][0] + FIRST_ROW, int((steps < 0).sum()) - 1
+        reason = f"time_s goes backwards at row {row}" + (f" and {more} more" if more else "")
+        fix = "sort the rows by trial and time, and give each press its own trial number"
+        found.drop(block, reason, fix)
         return
     if not (steps > 0).any():
         return
     gaps = steps > GAP_FACTOR * np.median(steps[steps > 0])
     if gaps.any():
-        first = kept[1:][gaps][0]
         found.warn(
-            f"row {found.rows[first]}: trial {found.columns['trial'][block.start]}: the clock "
-            f"jumps by {steps[gaps][0]:.3g} s ({gaps.sum()} such gaps): what depends on the load's "
-            "history is not known across it"
+            f"row {kept[1:][gaps][0] + FIRST_ROW}: trial {found.trial(block)}: the clock jumps by "
+            f"{steps[gaps][0]:.3g} s ({gaps.sum()} such gaps): what depends on the load's history "
+            "is not known across it"
         )
 
 
-def _check_repeats(found: _Findings, blocks: list[slice]) -> None:
+def _check_repeats(found: _Findings, blocks: list[IntArray]) -> None:
     """Copies of a press under any number, and numbers that stand for several presses."""
-    seen: dict[bytes, slice] = {}
-    by_trial: dict[int, list[slice]] = {}
+    seen: dict[bytes, IntArray] = {}
+    first_row: dict[int, int] = {}
     for block in blocks:
         if not found.keep[block].any():
             continue
-        trial = int(found.columns["trial"][block.start])
+        trial, row = found.trial(block), int(block[0]) + FIRST_ROW
         force, volume = (found.columns[name][block] for name in REQUIRED[2:])
         original = seen.setdefault(force.tobytes() + volume.tobytes(), block)
-        if original is not block and block.stop - block.start > 3:
-            twin = found.columns["trial"][original.start]
-            found.drop(
-                block,
-                f"it is a copy of trial {twin} (from row {found.rows[original.start]})",
-                "delete one of the two",
-            )
-        else:
-            by_trial.setdefault(trial, []).append(block)
-    for trial, parts in by_trial.items():
-        for part in parts[1:]:
-            first = found.rows[parts[0].start]
-            found.drop(
-                part,
-                f"trial {trial} is already at row {first}, so it is not known which press "
-                "this one is",
-                "give each press its own trial number, in one block of rows",
-            )
+        if original is not block and len(block) > 3:
+            where = f"trial {found.trial(original)} (from row {original[0] + FIRST_ROW})"
+            found.drop(block, f"it is a copy of {where}", "delete one of the two")
+        elif first_row.setdefault(trial, row) != row:
+            known = f"trial {trial} is already at row {first_row[trial]}"
+            reason = f"{known}, so it is not known which press this one is"
+            fix = "give each press its own trial number, in one block of rows"
+            found.drop(block, reason, fix)
 
 
-def _check_contact(found: _Findings, block: slice) -> None:
-    kept = np.flatnonzero(found.keep[block]) + block.start
+def _check_contact(found: _Findings, block: IntArray) -> None:
+    kept = found.kept(block)
     if not len(kept):
         return
     force, volume = found.columns["force_normal_n"][kept], found.columns["volume_mm3"][kept]
@@ -474,7 +461,7 @@ def _check_contact(found: _Findings, block: slice) -> None:
         found.drop(block, "the volume is always 0: no contact was seen", "check the images")
 
 
-def _check_stray_units(found: _Findings, blocks: list[slice]) -> None:
+def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
     blocks = [block for block in blocks if found.keep[block].any()]
     if not blocks:
         return
@@ -491,21 +478,19 @@ def _check_stray_units(found: _Findings, blocks: list[slice]) -> None:
         stiff = one < typical / OUTLIER_FACTOR and one_peak > typical_peak * OUTLIER_FACTOR
         soft = one > typical * OUTLIER_FACTOR and one_peak < typical_peak / OUTLIER_FACTOR
         if stiff or soft:
-            found.drop(
-                block,
+            reason = (
                 f"its force peaks at {one_peak:.3g}, the others at {typical_peak:.3g} (median), "
                 f"and volume per force is {one:.2g} against {typical:.2g} mm³/N: it looks like "
-                "another unit (grams?)",
-                "write its force in newtons",
+                "another unit (grams?)"
             )
+            found.drop(block, reason, "write its force in newtons")
 
 
-def _check_session_clock(found: _Findings, blocks: list[slice]) -> bool:
+def _check_session_clock(found: _Findings, blocks: list[IntArray]) -> bool:
     """Whether time runs on from press to press; a warning where it does not."""
-    kept = [np.flatnonzero(found.keep[block]) + block.start for block in blocks]
-    time_s = found.columns["time_s"]
-    spans = [(time_s[rows[0]], time_s[rows[-1]]) for rows in kept if len(rows)]
-    runs = all(after[0] >= before[1] for before, after in pairwise(spans))
+    times_s = [found.columns["time_s"][found.kept(block)] for block in blocks]
+    times_s = [time_s for time_s in times_s if len(time_s)]
+    runs = all(after[0] >= before[-1] for before, after in pairwise(times_s))
     if not runs:
         found.warn(
             "time_s does not run on from trial to trial (it starts again, or presses overlap): "
@@ -522,5 +507,5 @@ def _check_covariates(found: _Findings) -> None:
         kept = values[found.keep]
         empty = np.isnan(kept) if kept.dtype.kind == "f" else kept == ""
         if kept.dtype.kind in "fU" and empty.any():
-            row = found.rows[found.keep][np.argmax(empty)]
+            row = np.flatnonzero(found.keep)[np.argmax(empty)] + FIRST_ROW
             found.warn(f"row {row}: {name} is empty in {empty.sum()} of {len(kept)} samples")

@@ -15,9 +15,8 @@ from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.files import atomic_folder
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset.disk import disk_errors
-from tacgen.dataset.export.images import write_images
 from tacgen.dataset.export.lerobot import write_lerobot
-from tacgen.dataset.export.real_grasps import write_real_grasps
+from tacgen.dataset.export.real_grasps import write_images, write_real_grasps
 from tacgen.dataset.export.robomimic import write_robomimic
 from tacgen.dataset.export.webdataset import write_webdataset
 from tacgen.dataset.reader import Dataset
