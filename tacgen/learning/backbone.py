@@ -14,7 +14,6 @@ from pathlib import Path
 import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
-from transformers import ResNetConfig, ResNetModel
 
 from tacgen.core.errors import LearningError
 from tacgen.core.files import is_file
@@ -45,6 +44,8 @@ class Backbone(nn.Module):
     """
 
     def __init__(self) -> None:
+        from transformers import ResNetConfig, ResNetModel  # takes seconds to import
+
         super().__init__()
         sizes, depths = [64, 128, 256, FEATURES], [2, 2, 2, 2]
         self.network = ResNetModel(
