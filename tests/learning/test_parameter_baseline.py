@@ -13,7 +13,7 @@ from tacgen.learning.parameter_baseline import baseline_lines, baseline_scores
 AXES_SEEN = ("force_n", "y_mm", "z_mm")
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def fewer_trees(monkeypatch):
     """A tenth of them: the rules of these tables are plain enough for a vote of 30."""
     monkeypatch.setattr("tacgen.learning.parameter_baseline.N_TREES", 30)
@@ -49,7 +49,7 @@ def test_an_outcome_that_force_decides_is_found_from_force():
 
 
 @pytest.mark.slow
-def test_a_height_that_decides_and_is_not_seen_costs_accuracy(fewer_trees):
+def test_a_height_that_decides_and_is_not_seen_costs_accuracy():
     accuracy = baseline_scores(table_of(lambda f, y, z, rng: f > 10 * (z > 40)))["can"][
         "tree_accuracy"
     ]
@@ -58,7 +58,7 @@ def test_a_height_that_decides_and_is_not_seen_costs_accuracy(fewer_trees):
 
 
 @pytest.mark.slow
-def test_chance_is_not_learnt(fewer_trees):
+def test_chance_is_not_learnt():
     scores = baseline_scores(table_of(lambda f, y, z, rng: rng.random(len(f)) < 0.5))["can"]
     assert abs(scores["tree_accuracy"]["force_n, y_mm, z_mm"] - 0.5) < 0.13
 
@@ -75,7 +75,7 @@ def test_the_test_side_is_not_looked_at():
 
 
 @pytest.mark.slow
-def test_the_command_reports_each_object(toy, capsys, monkeypatch, fewer_trees):
+def test_the_command_reports_each_object(toy, capsys, monkeypatch):
     monkeypatch.setattr(
         sys, "argv", ["tacgen", "eval", "--baseline", "parameters", "--data", str(toy), "--json"]
     )

@@ -3,6 +3,7 @@
 import itertools
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -23,6 +24,7 @@ from tacgen.study.run import check_finished, run_study
 from tacgen.study.study_recipe import load_study, merged_mapping, run_folder_name, with_rows
 from tacgen.study.table import markdown_table
 from tests.learning.conftest import collect, make_spec, write_real
+from tests.small_world import SHORT_LIFT
 from tests.study.conftest import small_study
 
 SHIPPED = sorted(packaged("recipes").glob("paper*.yaml"))
@@ -75,7 +77,7 @@ def test_of_every_object_in_the_table_the_weakest_grasps_slip_and_some_strong_on
 
 
 def _held(simulator, recipe, name, force_n, places) -> Iterator[bool]:
-    grasped, settings = load_object(name), recipe.physics_settings
+    grasped, settings = load_object(name), replace(recipe.physics_settings, **SHORT_LIFT)
     for y_mm, z_mm in places:
         config = GraspConfig(0, name, force_n, 0.0, y_mm, z_mm, 0.0)
         trace = run_grasp(simulator, grasped, config, settings, frames=FrameRequest())
