@@ -191,8 +191,7 @@ def require_executor(executor: str) -> None:
                 f"Slurm's {', '.join(missing)} not found here; submit from a login node of the "
                 "cluster, or give --executor local"
             )
-    if problems:
-        raise ClusterError.from_problems(problems)
+    ClusterError.raise_if(problems)
 
 
 def _run_in(folder: Path, run: Callable[[Sequence[str]], None], command: Sequence[str]) -> None:
@@ -245,22 +244,17 @@ def _engine(folder: Path, executor: str, cluster: Cluster, name: str) -> Any:
 
 def slurm_parameters(cluster: Cluster, name: str) -> dict[str, Any]:
     """The section ``cluster`` as the parameters of submitit's executor for Slurm."""
-    parameters: dict[str, Any] = {
+    same = {"cpus_per_task", "partition", "account", "qos", "constraint"}
+    return cluster.model_dump(include=same, exclude_none=True) | {
         "job_name": f"tacgen-{name}",
         "time": cluster.time_min,
         "mem": f"{round(cluster.mem_gb * 1024)}MB",
-        "cpus_per_task": cluster.cpus_per_task,
-        "partition": cluster.partition,
-        "account": cluster.account,
-        "qos": cluster.qos,
-        "constraint": cluster.constraint,
         "array_parallelism": cluster.max_running,
         "signal_delay_s": SIGNAL_DELAY_S,
-        "setup": list(cluster.setup) or None,
+        "setup": list(cluster.setup),
         # A node that fails, and a preemption, requeue the job; it resumes.
         "additional_parameters": {"requeue": True} | dict(cluster.sbatch),
     }
-    return {key: value for key, value in parameters.items() if value is not None}
 
 
 @contextlib.contextmanager

@@ -234,8 +234,7 @@ def check_forces(recipe: Recipe, real: RealGrasps) -> None:
         for grasp in real.grasps
         if (problem := force_problem(grasp.config.force_n, most_n))
     ]
-    if problems:
-        raise DatasetError.from_problems(problems)
+    DatasetError.raise_if(problems)
 
 
 _WHY = {

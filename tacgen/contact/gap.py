@@ -234,6 +234,5 @@ def checked_mesh(
         )
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         problems.append(f"pose_gel_object of shape {pose.shape} is not (4, 4) finite numbers")
-    if problems:
-        raise ContactError.from_problems(problems)
+    ContactError.raise_if(problems)
     return vertices, corners, pose

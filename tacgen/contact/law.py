@@ -73,8 +73,7 @@ class ContactLaw:
 
     def __post_init__(self) -> None:
         problems = _law_problems(self)
-        if problems:
-            raise ContactError.from_problems(problems)
+        ContactError.raise_if(problems)
 
     @classmethod
     def default(cls) -> ContactLaw:
@@ -215,8 +214,7 @@ def _require_columns(law: ContactLaw, history: LoadHistory) -> None:
         for name, columns in lacking.items()
         if columns
     ]
-    if problems:
-        raise ContactError.from_problems(problems)
+    ContactError.raise_if(problems)
 
 
 def save_law(law: ContactLaw, path: Path) -> None:

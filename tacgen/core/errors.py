@@ -20,7 +20,13 @@ class TacgenError(Exception):
     @classmethod
     def from_problems(cls, problems: Sequence[str]) -> TacgenError:
         """One error that lists every problem found, a line each."""
-        return cls("\n".join(problems))
+        return cls("\n".join(dict.fromkeys(problems)))
+
+    @classmethod
+    def raise_if(cls, problems: Sequence[str]) -> None:
+        """Raise one error that lists every problem, if there are any."""
+        if problems:
+            raise cls.from_problems(problems)
 
 
 def require_known(what: str, value: str, known: Iterable[str], error: type[TacgenError]) -> None:

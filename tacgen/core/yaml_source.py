@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -180,13 +180,13 @@ def validate(
     Relative paths in its sections start at the folder of the file that gives them.
     """
     if kind := _other_kind(source.data, model):
-        msg = f"{source.path}: this is {FILE_KINDS[kind].use}; give another file"
+        msg = f"{source.path}: this is {FILE_KINDS[kind][0]}; give another file"
         raise error_type(msg)
     try:
         checked = model.model_validate(source.data)
     except ValidationError as error:
         problems = [_describe(source, model, details) for details in error.errors()]
-        raise error_type.from_problems(list(dict.fromkeys(problems))) from None
+        raise error_type.from_problems(problems) from None
     set_folders(checked, lambda key_path: source.origin(key_path)[0].parent)
     return checked
 
@@ -198,51 +198,43 @@ def load_checked(
     source = read_yaml(find_recipe(str(name)))
     checked = validate(model, source)
     problems = [text for check in checks for text in check(checked, source)]
-    if problems:
-        raise RecipeError.from_problems(list(dict.fromkeys(problems)))
+    RecipeError.raise_if(problems)
     return checked
 
 
-class FileKind(NamedTuple):
-    """A kind of YAML file: its purpose, and keys that no other kind has."""
-
-    use: str
-    keys: set[str]
-
-
-FILE_KINDS = {
-    "Recipe": FileKind(
+FILE_KINDS: Mapping[str, tuple[str, set[str]]] = {
+    "Recipe": (
         "a recipe for `tacgen collect`",
         {"grid", "robot", "physics", "frames", "randomize", "dataset", "contact"},
     ),
-    "TrainRecipe": FileKind(
+    "TrainRecipe": (
         "a training recipe, for `tacgen train`",
         {"model", "input", "training", "augmentation", "per_object"},
     ),
-    "RigRecipe": FileKind(
+    "RigRecipe": (
         "a rig recipe, for `tacgen rig`",
         {"indenters", "schedule", "temperature", "images", "output"},
     ),
-    "Study": FileKind("a study, for `tacgen study`", {"rows", "quick", "data", "train"}),
-    "_SensorYaml": FileKind(
+    "Study": ("a study, for `tacgen study`", {"rows", "quick", "data", "train"}),
+    "_SensorYaml": (
         "a sensor, which a recipe names as `sensor: PATH`",
         {"height_px", "width_px", "gel_depth_mm", "leds"},
     ),
-    "ObjectDescription": FileKind(
+    "ObjectDescription": (
         "an object, whose folder a recipe names under `objects:`",
         {"shape", "mass_kg", "center_of_mass_mm", "grasp_ranges"},
     ),
-    "contact law": FileKind(
+    "contact law": (
         "a contact law, which a recipe names as `contact: {file: PATH}`",
         {"k_n_mm3_per_n", "k_s_mm_per_n", "marker_pitch_mm", "provenance"},
     ),
 }
-"""Kinds of files by the name of their model; an object file of the wrong kind is named by it."""
+"""Purpose of each kind of file, and keys that no other kind has, by the name of its model."""
 
 
 def kind_of(data: Mapping[str, Any]) -> str:
     """The kind of file (a key of ``FILE_KINDS``) whose keys ``data`` has; empty if none."""
-    counts = {name: len(kind.keys & data.keys()) for name, kind in FILE_KINDS.items()}
+    counts = {name: len(keys & data.keys()) for name, (_, keys) in FILE_KINDS.items()}
     best = max(counts, key=lambda name: counts[name])
     return best if counts[best] else ""
 
@@ -250,8 +242,8 @@ def kind_of(data: Mapping[str, Any]) -> str:
 def _other_kind(data: Mapping[str, Any], model: type[BaseModel]) -> str:
     """The kind of a file that is not one for ``model``; empty if it may be one."""
     kind = kind_of(data)
-    own = FILE_KINDS.get(model.__name__)
-    return kind if own is not None and not own.keys & data.keys() and kind != model.__name__ else ""
+    own = FILE_KINDS[model.__name__][1] if model.__name__ in FILE_KINDS else data.keys()
+    return "" if own & data.keys() or kind == model.__name__ else kind
 
 
 def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:

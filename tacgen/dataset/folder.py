@@ -139,8 +139,7 @@ class DatasetFolder:
             with atomic_path(path) as partial:
                 line = write_shard_file(partial, samples, spec, shard)
                 problems = content_problems(partial, line)
-                if problems:
-                    raise DatasetError.from_problems([f"{path}: {text}" for text in problems])
+                DatasetError.raise_if([f"{path}: {text}" for text in problems])
             write_text(self.line_path(shard), f"{line.to_json()}\n")
         return line
 

@@ -56,8 +56,7 @@ class Dataset:
         problems = manifest_problems(self._lines, n_grasps)
         if not self._lines:
             problems = ["no finished shard there; `tacgen collect --out` makes a dataset"]
-        if problems:
-            raise DatasetError.from_problems([f"{self.root}: {text}" for text in problems])
+        DatasetError.raise_if([f"{self.root}: {text}" for text in problems])
         self._starts = [line.index_range[0] for line in self._lines]
         self._pid = os.getpid()
         self._open: OrderedDict[int, Shard] = OrderedDict()

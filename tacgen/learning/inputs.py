@@ -73,8 +73,7 @@ def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], wher
                 f"{where}: {len(short)} grasps have a single image ({', '.join(short[:3])}, …), "
                 "the sequence network needs two or more; use model.kind: single, or sequences"
             )
-    if problems:
-        raise LearningError.from_problems(problems)
+    LearningError.raise_if(problems)
 
 
 def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:

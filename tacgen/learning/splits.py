@@ -51,8 +51,7 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
             plans.append(_plan_model(recipe, table, name, tuple(members)))
         except LearningError as error:
             problems.append(f"{where}: {error}")
-    if problems:
-        raise LearningError.from_problems(problems)
+    LearningError.raise_if(problems)
     return plans
 
 

@@ -155,6 +155,5 @@ def load_train_recipe(name: str | Path) -> TrainRecipe:
         problems.append(
             source.problem(("input", "frames"), "only applies to `model.kind: sequence`; remove it")
         )
-    if problems:
-        raise LearningError.from_problems(problems)
+    LearningError.raise_if(problems)
     return recipe

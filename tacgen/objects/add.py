@@ -164,8 +164,7 @@ def _check_arguments(
         problems.append(f"--yaw {yaw_rad:g} is more than a turn; give radians: 90° is 1.571")
     if up not in UP_AXES:
         problems.append(f"--up {up!r} is no axis; give one of {', '.join(UP_AXES)}")
-    if problems:
-        raise ObjectError.from_problems(problems)
+    ObjectError.raise_if(problems)
 
 
 def _check_target(folder: Path, force: bool) -> None:

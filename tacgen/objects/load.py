@@ -168,5 +168,4 @@ def _check_shape(surface: Mesh, description: ObjectDescription, folder: Path) ->
                 f"{where}: inertia_kg_mm2 has the principal moments {listed}, which no body has "
                 "(each is at most the sum of the others); compute it from the mesh"
             )
-    if problems:
-        raise ObjectError.from_problems(problems)
+    ObjectError.raise_if(problems)

@@ -125,8 +125,7 @@ def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray[Any
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         problems.append(f"{path}: has triangles whose corners do not exist; export it anew")
-    if problems:
-        raise ObjectError.from_problems(problems)
+    ObjectError.raise_if(problems)
 
 
 def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> None:

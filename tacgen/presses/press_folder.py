@@ -123,8 +123,7 @@ def read_press_folder(
             )
     if table_path.is_file():
         table = _read_list(table_path, required, ball_radius_mm, problems)
-    if problems:
-        raise PressError.from_problems(problems)
+    PressError.raise_if(problems)
     return PressFolder(path, table, background, *sensor)
 
 
@@ -175,8 +174,7 @@ def _read_datapack(
         )
         raise PressError(msg) from None
     problems = _datapack_problems(path, arrays)
-    if problems:
-        raise PressError.from_problems(problems)
+    PressError.raise_if(problems)
     images = np.ascontiguousarray(arrays["imgs"][..., ::-1].astype(np.uint8))
     count, _, width = images.shape[:3]
     warnings = []
@@ -238,8 +236,7 @@ def _images_of(folder: PressFolder) -> PressImages:
             images.append(folder.picture(index))
         except PressError as error:
             problems.append(str(error))
-    if problems:
-        raise PressError.from_problems(problems)
+    PressError.raise_if(problems)
     names = tuple(folder.table["file"])
     listing = str(folder.path / "presses.csv")
     return PressImages(

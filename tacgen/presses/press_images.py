@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray
 
+_OF_EACH_PRESS = (
+    *("images", "center_px", "radius_px", "ball_radius_mm"),
+    *("found", "seen_px", "stage_mm", "hidden"),
+)
+
 
 @dataclass(frozen=True, slots=True)
 class DroppedPress:
@@ -75,18 +80,9 @@ class PressImages:
 
     def select(self, which: NDArray[Any]) -> PressImages:
         """The presses that an index array or mask picks; notes on the set stay."""
-        return replace(
-            self,
-            images=self.images[which],
-            names=tuple(np.array(self.names, dtype=object)[which]),
-            center_px=self.center_px[which],
-            radius_px=self.radius_px[which],
-            ball_radius_mm=self.ball_radius_mm[which],
-            found=self.found[which],
-            seen_px=None if self.seen_px is None else self.seen_px[which],
-            stage_mm=None if self.stage_mm is None else self.stage_mm[which],
-            hidden=None if self.hidden is None else self.hidden[which],
-        )
+        picked: dict[str, Any] = {name: getattr(self, name) for name in _OF_EACH_PRESS}
+        picked |= {name: own[which] for name, own in picked.items() if own is not None}
+        return replace(self, names=tuple(np.array(self.names, dtype=object)[which]), **picked)
 
 
 def place_mm(

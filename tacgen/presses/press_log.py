@@ -146,12 +146,10 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
     frame = read_table(path)
     require_known("force unit", force_unit or "n", FORCE_UNITS_N, PressError)
     problems = column_problems(frame, path, REQUIRED)
-    if problems:
-        raise PressError.from_problems(problems)
+    PressError.raise_if(problems)
     numbers, problems = numeric_columns(frame, path, (*REQUIRED, *OPTIONAL_NUMBERS))
     problems += trial_number_problems(numbers["trial"], path)
-    if problems:
-        raise PressError.from_problems(problems)
+    PressError.raise_if(problems)
     for name in ("force_normal_n", *SHEAR_FORCES):
         if name in numbers and force_unit is not None:
             numbers[name] = numbers[name] * FORCE_UNITS_N[force_unit]

@@ -83,13 +83,9 @@ def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressIm
             reason, fix = _label_problem(presses, k, circle, seen)
         if reason:
             dropped.append(DroppedPress(presses.names[k], k + 2, reason, fix))
-    bad = {press.row - 2 for press in dropped}
-    keep = np.array([k for k in range(len(presses)) if k not in bad], dtype=int)
+    keep = np.delete(np.arange(len(presses)), [press.row - 2 for press in dropped])
     if len(keep) < least:
-        head = (
-            f"{len(keep)} usable presses, at least {least} are needed; take more, spread over the "
-            "whole gel"
-        )
+        head = f"{len(keep)} usable presses, at least {least} are needed; press all over the gel"
         raise PressError.from_problems([head, *(str(press) for press in dropped)])
     warnings = presses.warnings
     if not np.ptp(presses.background, axis=2).any():
@@ -251,10 +247,8 @@ def _first_alike(images: NDArray[np.uint8]) -> list[int]:
 
 def _disc(circle: Circle, shape_px: tuple[int, int]) -> BoolArray:
     rows, columns = np.indices(shape_px)
-    disc: BoolArray = (
-        np.hypot(columns - circle.center_px[0], rows - circle.center_px[1]) <= circle.radius_px
-    )
-    return disc
+    x_px, y_px = circle.center_px
+    return np.asarray(np.hypot(columns - x_px, rows - y_px) <= circle.radius_px)
 
 
 def _saturated_share(presses: PressImages, k: int, circle: Circle) -> float:

@@ -52,8 +52,7 @@ def check_real_data(study: Study, real: RealData, *, quick: bool) -> None:
             check()
         except TacgenError as error:
             problems.append(str(error))
-    if problems:
-        raise TacgenError.from_problems(list(dict.fromkeys(problems)))
+    TacgenError.raise_if(problems)
 
 
 def calibration_grasps(recipe: Recipe, folder: Path) -> RealGrasps:

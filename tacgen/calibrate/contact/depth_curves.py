@@ -90,8 +90,7 @@ def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
     frame = read_table(path)
     label = "curve" if "curve" in frame.columns else "trial"
     problems = column_problems(frame, path, ("force_normal_n", "depth_mm"))
-    if problems:
-        raise PressError.from_problems(problems)
+    PressError.raise_if(problems)
     numbers, problems = numeric_columns(frame, path, ("force_normal_n", "depth_mm"))
     names = frame[label].astype(str) if label in frame.columns else np.full(len(frame), "curve")
     curves = []
@@ -110,8 +109,7 @@ def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
                 f"contact; at least {MIN_SAMPLES} with a positive force are needed"
             )
         curves.append(DepthCurve(str(name), depth, force))
-    if problems:
-        raise PressError.from_problems(problems)
+    PressError.raise_if(problems)
     return tuple(curves)
 
 

@@ -126,8 +126,7 @@ def _read_polycalib(path: Path) -> dict[str, NDArray[np.float64]]:
             problems.append(f"{path}: {name} holds values that are not finite")
     if len({values.shape for values in arrays.values()}) > 1:
         problems.append(f"{path}: its channels differ in their number of bins")
-    if problems:
-        raise TableError.from_problems(problems)
+    TableError.raise_if(problems)
     return arrays
 
 

@@ -203,5 +203,4 @@ def _require_usable(arrays: Mapping[str, NDArray[Any]]) -> None:
         for name in REQUIRED
         if not np.issubdtype(arrays[name].dtype, np.number) or not np.isfinite(arrays[name]).all()
     ]
-    if problems:
-        raise ContactError.from_problems(problems)
+    ContactError.raise_if(problems)

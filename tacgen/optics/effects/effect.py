@@ -300,8 +300,7 @@ def check_effects(effects: Mapping[str, Mapping[str, float]]) -> None:
             for parameter in parameters
             if parameter not in effect.parameters and effect.stage > Stage.PRESS
         ]
-    if problems:
-        raise TableError.from_problems(problems)
+    TableError.raise_if(problems)
 
 
 def by_channel(values: Sequence[Any], array: FloatArray) -> FloatArray:
