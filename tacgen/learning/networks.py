@@ -33,10 +33,6 @@ class StabilityNet(nn.Module):
         super().__init__()
         self.backbone: Backbone = make_backbone(weights)
 
-    def head_parameters(self) -> list[nn.Parameter]:
-        """All parameters but the backbone's."""
-        return [p for name, p in self.named_parameters() if not name.startswith("backbone.")]
-
     def load(self, weights: Mapping[str, Tensor], where: str) -> None:
         """Load all ``weights`` of a saved network.
 
@@ -100,10 +96,11 @@ def build_optimizer(network: StabilityNet, options: TrainingOptions) -> torch.op
     """Adam, with the backbone at its own fraction of the learning rate."""
     rate = options.learning_rate
     backbone = list(network.backbone.parameters())
+    head = [p for name, p in network.named_parameters() if not name.startswith("backbone.")]
     return torch.optim.Adam(
         [
             {"params": backbone, "lr": rate * options.backbone_rate_factor},
-            {"params": network.head_parameters(), "lr": rate},
+            {"params": head, "lr": rate},
         ],
         lr=rate,
         weight_decay=options.weight_decay,

@@ -16,6 +16,7 @@ from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.inputs import InputSpec, chosen_frames, resized
 from tacgen.learning.loader import as_batch
+from tacgen.learning.predictions import predict
 from tacgen.learning.run_folder import RunFolder
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -59,13 +60,12 @@ class Predictor:
         order. Raises ``LearningError`` if they are of another size or type.
         """
         inputs = [self._input(np.asarray(grasp)) for grasp in images]
-        found = []
-        with exact_torch(self._threads), torch.inference_mode(), self._device.autocast():
-            for grasp in inputs:
-                batch = as_batch([grasp], self._reference, self.spec)
-                logits = self._network(batch.to(self._device.name)) / self._network.temperature
-                found.append(float(logits.double().softmax(1)[0, 1]))
-        return np.array(found, np.float64)
+        unknown, rows = torch.zeros(1, dtype=torch.int64), np.zeros(1, np.int64)
+        batches = (as_batch([grasp], self._reference, self.spec) for grasp in inputs)
+        with exact_torch(self._threads):
+            return predict(self._network, ((one, unknown, rows) for one in batches), self._device)[
+                0
+            ]
 
     def _input(self, grasp: NDArray[Any]) -> NDArray[np.uint8]:
         """The frames of one grasp (t, h, w, 3) at the network's size."""

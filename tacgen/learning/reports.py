@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,16 +14,7 @@ from tacgen.learning.predictions import Predictions
 from tacgen.learning.scores import reliability, tested_on
 from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.report import figures as plots
-from tacgen.report.formatting import number, percent
-from tacgen.report.page import (
-    Section,
-    facts_section,
-    figure_section,
-    pictures_section,
-    table_section,
-    text_section,
-    write_page,
-)
+from tacgen.report.page import write_page
 
 MAX_SHOWN = 24  # misclassified grasps that the page shows, the most certain first
 MAX_FRAMES, FRAME_WIDTH_PX = 8, 160  # of the strip of images of a misclassified grasp
@@ -41,37 +31,23 @@ def write_training_report(
 ) -> None:
     """Curves, scores on the validation grasps, and what the model started from."""
     validation = result["validation"]
-    curves = plots.training_curves(metrics, result["best_epoch"])
-    about_curves = "Training: during the epoch. Validation: the averaged weights, which are kept."
-    about_scores = (
-        "These grasps chose the best epoch, so the scores are optimistic; tacgen eval scores the "
-        "test grasps."
-    )
-    facts = [
-        ("network", recipe.model.kind),
-        ("objects", ", ".join(result["objects"])),
-        ("pre-trained weights", started_from(result["weights"])),
-        ("training grasps", result["grasps_fit"]),
-        ("of these successes", result["successes_fit"]),
-        ("validation grasps", result["grasps_validation"]),
-        ("best epoch", result["best_epoch"]),
-        ("epochs over which weights are averaged", recipe.training.average_epochs),
-        ("time per epoch, median", f"{number(result['epoch_s'], 3)} s"),
-        ("share of it in the data loader, median", percent(result["loader_share"])),
-        ("time to decode the images once", f"{number(result['decode_s'], 3)} s"),
-    ]
-    title, rows = "Validation grasps", [score_row(validation)]
-    sections = [
-        figure_section("Curves", curves, about_curves),
-        _confusion(f"{title}: confusion", validation["confusion"]),
-        table_section(f"{title}: scores", SCORE_HEADER, rows, about_scores),
-        facts_section("What was trained", facts),
-    ]
     summary = (
         f"Validation accuracy {validation['accuracy']:.3f} at epoch {result['best_epoch']} "
         f"(n = {validation['n']}). {recipe.description}".strip()
     )
-    write_page(path, f"Training: {name}", sections, summary=summary)
+    write_page(
+        path,
+        f"Training: {name}",
+        summary=summary,
+        template="training.html",
+        recipe=recipe,
+        result=result,
+        curves=plots.training_curves(metrics, result["best_epoch"]),
+        confusion=plots.confusion(np.asarray(validation["confusion"]), CLASS_NAMES, CLASS_NAMES),
+        score_header=SCORE_HEADER,
+        score_row=score_row,
+        started_from=started_from,
+    )
 
 
 def write_evaluation_report(
@@ -80,29 +56,27 @@ def write_evaluation_report(
     """Scores overall and in parts, calibration, and the grasps that were misclassified."""
     bins = reliability(*Predictions.joined(predictions))
     counts = dict(zip((bins["lo"] + bins["hi"]) / 2, bins["n"], strict=True))
-    diagram = plots.reliability_diagram(
-        bins["predicted"].tolist(), bins["succeeded"].tolist(), counts
-    )
-    sections = [
-        _confusion("Confusion", result["confusion"]),
-        figure_section("Calibration", diagram, f"Expected calibration error {result['ece']:.3f}."),
-        _overview(result),
-    ]
-    for title, column, scores_by, note in (
-        ("By object", "object", result["by_object"], result["auroc_note"]),
-        ("By force", "force, N", result["by_force_n"], ""),
-        ("By height", "height of the pad, mm", result["by_z_mm"], ""),
-    ):
-        rows = [(name, *score_row(scores)) for name, scores in scores_by.items()]
-        sections.append(table_section(title, (column, *SCORE_HEADER), rows, note))
-    sections.append(_misclassified(predictions))
-    title = "Evaluation on simulated grasps" if result["source"] == "sim" else "Evaluation"
+    wrong = [(part, i) for part in predictions for i in part.wrong()]
+    wrong.sort(key=lambda one: -abs(one[0].probabilities[one[1]] - 0.5))
     lo, hi = result["accuracy_interval"]
-    summary = (
-        f"Accuracy {result['accuracy']:.3f} ({lo:.3f} to {hi:.3f}) on {result['n']} grasps "
-        f"({tested_on(result)}): {result['data']}"
+    write_page(
+        path,
+        "Evaluation on simulated grasps" if result["source"] == "sim" else "Evaluation",
+        summary=f"Accuracy {result['accuracy']:.3f} ({lo:.3f} to {hi:.3f}) on {result['n']} grasps "
+        f"({tested_on(result)}): {result['data']}",
+        template="evaluation.html",
+        result=result,
+        confusion=plots.confusion(np.asarray(result["confusion"]), CLASS_NAMES, CLASS_NAMES),
+        calibration=plots.reliability_diagram(
+            bins["predicted"].tolist(), bins["succeeded"].tolist(), counts
+        ),
+        tested_on=tested_on(result),
+        n_wrong=len(wrong),
+        wrong=[_strip(part, i) for part, i in wrong[:MAX_SHOWN]],
+        score_header=SCORE_HEADER,
+        score_row=score_row,
+        started_from=started_from,
     )
-    write_page(path, title, sections, summary=summary)
 
 
 def started_from(weights: str) -> str:
@@ -121,30 +95,6 @@ def score_row(scores: Mapping[str, Any]) -> tuple[object, ...]:
         f"{scores['ece']:.3f}",
         scores["n"],
     )
-
-
-def _confusion(title: str, confusion: Sequence[Sequence[int]]) -> Section:
-    return figure_section(title, plots.confusion(np.asarray(confusion), CLASS_NAMES, CLASS_NAMES))
-
-
-def _overview(result: Mapping[str, Any]) -> Section:
-    notes = [f"Pre-trained weights: {started_from(result['weights'])}."]
-    if "sim_to_real_gap" in result:
-        accuracy, gap = result["sim_accuracy"], result["sim_to_real_gap"]
-        notes.append(
-            f"On simulated test grasps the accuracy was {accuracy:.3f}: a gap of {gap:+.3f}."
-        )
-    row, notes = (tested_on(result), *score_row(result)), [*notes, *result["notes"]]
-    return table_section("Overall", ("tested on", *SCORE_HEADER), [row], " ".join(notes))
-
-
-def _misclassified(predictions: Sequence[Predictions]) -> Section:
-    title, every = "Misclassified grasps", [(part, i) for part in predictions for i in part.wrong()]
-    if not every:
-        return text_section(title, "None.")
-    wrong = sorted(every, key=lambda one: -abs(one[0].probabilities[one[1]] - 0.5))[:MAX_SHOWN]
-    note = f"{len(every)} in all; shown: the {len(wrong)} with the most confident wrong prediction."
-    return pictures_section(title, itertools.starmap(_strip, wrong), note)
 
 
 def _strip(part: Predictions, i: int) -> tuple[str, NDArray[np.uint8]]:

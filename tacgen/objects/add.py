@@ -204,7 +204,8 @@ def _write(
         try:
             fresh = work / folder.name
             fresh.mkdir()
-            (fresh / "surface.ply").write_bytes(_ply(surface))
+            mesh = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
+            mesh.export(fresh / "surface.ply", encoding="binary")
             write_meshes(fresh / "collision.npz", parts)
             text = yaml.safe_dump(
                 description, sort_keys=False, allow_unicode=True, default_flow_style=None, width=96
@@ -223,9 +224,3 @@ def _write(
     except OSError as error:
         msg = f"{folder}: cannot be written: {error.strerror or error}; check the folder and disk"
         raise ObjectError(msg) from None
-
-
-def _ply(surface: Mesh) -> bytes:
-    loaded = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
-    exported = trimesh.exchange.ply.export_ply(loaded, encoding="binary")
-    return bytes(exported)

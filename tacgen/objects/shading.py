@@ -96,7 +96,9 @@ def shaded_view(
     shown = np.flatnonzero(is_shown[:-1])
     place = np.full(len(is_shown), len(shown))
     place[shown] = np.arange(len(shown))
-    normals = _normals(mesh, shown) @ axes.T
+    corners = mesh.vertices_mm[mesh.faces[shown]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30) @ axes.T
     light = np.full(len(shown), 0.25)
     gloss = np.zeros(len(shown))
     for *direction, strength in LIGHTS:
@@ -109,10 +111,3 @@ def shaded_view(
     picture = np.vstack([shade, [255.0, 255.0, 255.0]])[place[face]]
     picture = picture.reshape(size_px[0], 2, size_px[1], 2, 3).mean(axis=(1, 3))
     return np.asarray(np.clip(picture, 0, 255), np.uint8)
-
-
-def _normals(mesh: Mesh, faces: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Unit normals (n, 3) of some faces."""
-    corners = mesh.vertices_mm[mesh.faces[faces]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))

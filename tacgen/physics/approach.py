@@ -61,7 +61,10 @@ def approach(
     for corners in _ways(target, above_m):
         reason = _first_obstacle(world, robot, body, corners)
         if not reason:
-            _preposition(world, robot, body, settings)
+            # Near the object, symmetrically, so that closing takes little time.
+            found = _distances(world, robot, body, STROKE_MM * M_PER_MM)
+            near_m = min((distance for _, distance in found), default=0.0)
+            robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))
             return ""
         reasons.append(reason)
     return reasons[-1]
@@ -115,10 +118,3 @@ def _distances(
     """Links of the robot and how near they are to the object, within ``limit_m``."""
     points = world.bullet.getClosestPoints(robot.body, body.body, limit_m, linkIndexB=-1)
     return [(point[3], point[8]) for point in points]
-
-
-def _preposition(world: World, robot: Robot, body: ObjectBody, settings: PhysicsSettings) -> None:
-    """Bring the fingers near the object, symmetrically, so that closing takes little time."""
-    found = _distances(world, robot, body, STROKE_MM * M_PER_MM)
-    near_m = min((distance for _, distance in found), default=0.0)
-    robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))

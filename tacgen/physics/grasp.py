@@ -118,8 +118,7 @@ class _Grasp:
         self.world = simulator.world
         self.world.rebuild(settings, settings.iterations_for(config.force_n, obj.mass_kg))
         self.body = ObjectBody(self.world, obj)
-        self.robot: Robot = _ROBOTS[simulator.robot]()
-        self.robot.build(self.world, settings)
+        self.robot: Robot = _ROBOTS[simulator.robot](self.world, settings)
         self.robot.fingers.set_surface(settings, obj.friction, obj.spinning_friction_mm)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []

@@ -61,15 +61,11 @@ class GripperTarget:
 class FloatingGripper:
     """The gripper alone, on a vertical axis: the fast robot."""
 
-    def build(self, world: World, settings: PhysicsSettings) -> None:
-        """Make the gripper in an empty world."""
+    def __init__(self, world: World, settings: PhysicsSettings) -> None:
         self._world = world
         hand = Link(-1, world.bullet.JOINT_PRISMATIC, HAND_MASS_KG)
-        fingers, palm = (
-            finger_links(world, settings, FLOATING_HAND),
-            palm_link(world, FLOATING_HAND),
-        )
-        links = [hand, *fingers, palm]
+        fingers = finger_links(world, settings, FLOATING_HAND)
+        links = [hand, *fingers, palm_link(world, FLOATING_HAND)]
         self.body = create_body(world, links, (0.0, 0.0, 0.0))
         self.palm = len(links) - 1
         self.fingers = Fingers(world, self.body, FLOATING_HAND)
@@ -111,8 +107,7 @@ class FloatingGripper:
 class ArmWithGripper:
     """The gripper on the flange of a UR5e, whose own links collide with nothing."""
 
-    def build(self, world: World, settings: PhysicsSettings) -> None:
-        """Make the arm and its gripper in an empty world."""
+    def __init__(self, world: World, settings: PhysicsSettings) -> None:
         self._world = world
         hand_in_flange = inverse(FLANGE_IN_GRIPPER)
         hand = Link(
@@ -207,7 +202,7 @@ class ArmWithGripper:
 
 
 Robot: TypeAlias = FloatingGripper | ArmWithGripper
-"""A body in the world that carries the gripper: one more has the same methods."""
+"""A body in the world that carries the gripper; a further one has the same methods."""
 
 
 def _position(matrix: Pose) -> tuple[float, float, float]:

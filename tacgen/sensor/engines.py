@@ -49,12 +49,8 @@ class EngineContacts(ABC):
         return _joined(meshes, poses), np.eye(4), force, float(torsion)
 
     @abstractmethod
-    def time_s(self) -> float | None:
-        """The simulation's clock; None where the engine keeps none."""
-
-    @abstractmethod
-    def step_s(self) -> float:
-        """Length of one step of the simulation."""
+    def time_s(self, last_s: float | None) -> float:
+        """Time of the present state; ``last_s`` is that of the state read before, if any."""
 
     @abstractmethod
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
@@ -97,23 +93,18 @@ class PyBulletContacts(EngineContacts):
             msg = f"PyBullet has no {what} {which} on client {self._client}: {error}"
             raise SensorError(msg) from None
 
-    def time_s(self) -> float | None:
-        """None: PyBullet keeps no clock."""
-        return None
-
-    def step_s(self) -> float:
-        """Length of one step of the simulation."""
+    def time_s(self, last_s: float | None) -> float:
+        """A step after the last state that was read: PyBullet keeps no clock."""
         known = self._bullet.getPhysicsEngineParameters(physicsClientId=self._client)
-        return float(known["fixedTimeStep"])
+        return 0.0 if last_s is None else last_s + float(known["fixedTimeStep"])
 
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
         """Watch for contacts of a body; ``mesh`` is in the frame of its base link."""
         self._asked("body", body, self._bullet.getBodyInfo, int(body))
         inertial = self._inertial_m(int(body), -1)
         if mesh is None:
-            parts = self._asked(
-                "body", body, self._bullet.getCollisionShapeData, int(body), -1
-            )  # in the inertial frame, metres
+            # In the inertial frame, metres.
+            parts = self._asked("body", body, self._bullet.getCollisionShapeData, int(body), -1)
             found = _merged([_bullet_shape(part) for part in parts], f"body {body}")
             vertices_m = found.vertices @ inertial[:3, :3].T + inertial[:3, 3]
             mesh = Mesh(MM_PER_M * vertices_m, np.asarray(found.faces, np.int32))
@@ -171,13 +162,9 @@ class MujocoContacts(EngineContacts):
             raise SensorError(msg)
         return int(found)
 
-    def time_s(self) -> float | None:
+    def time_s(self, last_s: float | None) -> float:
         """The simulation's clock."""
         return float(self._data.time)
-
-    def step_s(self) -> float:
-        """Length of one step of the simulation."""
-        return float(self._model.opt.timestep)
 
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
         """Watch for contacts of a body; ``mesh`` is in its body frame."""

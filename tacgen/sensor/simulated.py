@@ -179,11 +179,7 @@ class Sensor:
         return self
 
     def add_object(
-        self,
-        body_id: int | str,
-        mesh: MeshLike | None = None,
-        *,
-        scale: float = 1.0,
+        self, body_id: int | str, mesh: MeshLike | None = None, *, scale: float = 1.0
     ) -> Sensor:
         """Register a body that may touch the sensor.
 
@@ -205,7 +201,8 @@ class Sensor:
         """
         simulation = self._attached()
         mesh, pose, force, torsion_n_mm = simulation.contact()
-        now_s = self._now_s(time_s)
+        last_s = self._frames[-1].time_s if self._frames else None
+        now_s = simulation.time_s(last_s) if time_s is None else float(time_s)
         frame = _contact_frame(now_s, max(float(force[2]), 0.0), force[:2], torsion_n_mm, pose)
         if not self.law.effects:
             self._frames.clear()  # a law without memory needs the last frame alone
@@ -217,13 +214,6 @@ class Sensor:
         """Begin a new press on a gel at rest."""
         self._press += bool(self._frames)
         self._frames.clear()
-
-    def _now_s(self, given_s: float | None) -> float:
-        simulation = self._attached()
-        known_s = simulation.time_s() if given_s is None else given_s
-        if known_s is not None:
-            return float(known_s)
-        return self._frames[-1].time_s + simulation.step_s() if self._frames else 0.0
 
     def _attached(self) -> EngineContacts:
         if self._simulation is None:

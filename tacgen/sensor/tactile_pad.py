@@ -152,7 +152,7 @@ class TactilePad:
         self, imprint: Imprint, *, rng: np.random.Generator | None = None
     ) -> NDArray[np.uint8]:
         """The sensor's image (H, W, 3) of an imprint; ``rng`` draws the camera's noise."""
-        deformation, window = self._deformation(imprint)
+        deformation, window = self.deformation(imprint)
         markers_mm = self.markers_mm(imprint)
         return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng)
 
@@ -175,13 +175,6 @@ class TactilePad:
         """``press`` and ``image`` in one."""
         imprint = self.press(mesh, pose_gel_object, load)
         return TactileFrame(self.image(imprint, rng=rng), imprint)
-
-    def height_map_mm(self, imprint: Imprint) -> NDArray[np.float32]:
-        """The deformed gel surface (H, W), gel frame, that ``image`` shows."""
-        height = gel_map_mm(self.sensor).astype(np.float32)
-        deformation, (top, bottom, left, right) = self._deformation(imprint)
-        height[top:bottom, left:right] -= deformation
-        return height
 
     def _indent(
         self,
@@ -236,6 +229,6 @@ class TactilePad:
             self.sensor.pixel_area_mm2 * every**2,
         )
 
-    def _deformation(self, imprint: Imprint) -> tuple[NDArray[np.float32], Window]:
-        """Deformation of the gel, and the window that it fills."""
+    def deformation(self, imprint: Imprint) -> tuple[NDArray[np.float32], Window]:
+        """How far the gel's surface lies below rest, mm, and the window in which it does."""
         return self._deformer.deform(imprint.depth_mm, imprint.window, self.sensor.shape_px)

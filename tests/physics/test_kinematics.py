@@ -70,8 +70,7 @@ def test_the_body_in_pybullet_is_the_published_arm() -> None:
     with GraspSimulator("ur5e_wsg50") as simulator:
         world = simulator.world
         world.rebuild(PhysicsSettings(), 50)
-        arm = ArmWithGripper()
-        arm.build(world, PhysicsSettings())
+        arm = ArmWithGripper(world, PhysicsSettings())
         target = GripperTarget(0.03, -0.05, 0.12, 0.4)
         assert arm.place(target) == ""
         position, quaternion = arm.gripper_position()

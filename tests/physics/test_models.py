@@ -191,8 +191,7 @@ class TestWorld:
         world = simulator.world
         world.rebuild(SETTINGS, 50)
         body = ObjectBody(world, block())
-        robot = FloatingGripper()
-        robot.build(world, SETTINGS)
+        robot = FloatingGripper(world, SETTINGS)
         robot.place(GripperTarget(0.0, 0.0, 0.05, 0.0))
 
         def distance_m(first: int, second: int, **links: int) -> float:

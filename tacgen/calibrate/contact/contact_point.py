@@ -18,9 +18,7 @@ from tacgen.presses.press_log import PressLog
 
 MIN_CONTACT_SAMPLES = 6
 """Fewer samples in contact do not carry a slope and a contact point."""
-TAIL_SHARE = (
-    0.02  # of the largest force, beyond which a residual is a tail: several times the noise
-)
+TAIL_SHARE = 0.02  # of the largest force: several times the noise; beyond it residuals are tails
 
 
 @dataclass(frozen=True, slots=True)

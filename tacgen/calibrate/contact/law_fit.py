@@ -55,8 +55,6 @@ PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
 class Agreement:
     """Welch's test that all groups share one k: the law does not depend on them."""
 
-    statistic: float
-    dof: tuple[float, float]
     p_value: float
     spread: float
     """(largest − smallest k) / pooled k."""
@@ -222,7 +220,7 @@ def agreement_of(groups: Mapping[str, SlopeFit], pooled: float) -> Agreement | N
     statistic = float(between / (1.0 + 2.0 * (n - 2) / (n**2 - 1) * unevenness))
     dof_within = float((n**2 - 1) / (3.0 * unevenness))
     p = float(fdtrc(n - 1, dof_within, statistic))
-    return Agreement(statistic, (n - 1.0, dof_within), p, float(np.ptp(k) / pooled))
+    return Agreement(p, float(np.ptp(k) / pooled))
 
 
 def _fit_group(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeFit:
@@ -306,16 +304,9 @@ def _warnings(fit: ContactFit) -> tuple[str, ...]:
 
 
 def _provenance(fit: ContactFit) -> dict[str, Any]:
-    held_out, groups = {}, {}
-    for one in fit.channels:
-        held_out[one.channel] = asdict(one.held_out)
-        del held_out[one.channel]["by_trial"]
-        values = {
-            name: {key: group.summary()[key] for key in ("value", "stderr", "trials", "r_squared")}
-            for name, group in one.groups.items()
-        }
-        agree = one.agreement.p_value if one.agreement else None
-        groups[one.channel] = {"by": one.by, "agree_p_value": agree, "values": values}
+    held_out = {one.channel: asdict(one.held_out) for one in fit.channels}
+    for error in held_out.values():
+        del error["by_trial"]
     return {
         "data": {fit.log.path.name: fit.log.sha256},
         "versions": {
@@ -325,11 +316,9 @@ def _provenance(fit: ContactFit) -> dict[str, Any]:
             "python": platform.python_version(),
         },
         "trials": {"fit": len(fit.log.trials), "left_out": len(fit.log.dropped)},
-        "left_out": [str(trial) for trial in fit.log.dropped],
         "samples": len(fit.log),
         "contact_point": "free" if fit.contact_points else "fixed",
         "held_out_error": held_out,
-        "groups": groups,
         "warnings": list(fit.warnings),
     }
 

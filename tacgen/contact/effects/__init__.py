@@ -16,11 +16,9 @@ from tacgen.contact.effects.base import (
     Stage,
     Variant,
     all_effects,
-    effect_names,
     find_effect,
     register,
     separating_measurement,
-    unregister,
 )
 
 for _module in iter_modules(__path__):
@@ -36,9 +34,7 @@ __all__ = [
     "Stage",
     "Variant",
     "all_effects",
-    "effect_names",
     "find_effect",
     "register",
     "separating_measurement",
-    "unregister",
 ]

@@ -139,7 +139,7 @@ class Effect:
         return history.has(*self.needs) and self.is_identifiable(history)
 
 
-_REGISTRY: dict[tuple[Channel, str], Effect] = {}
+_REGISTRY: dict[tuple[str, str], Effect] = {}
 
 
 def register(effect: Effect) -> Effect:
@@ -155,16 +155,6 @@ def register(effect: Effect) -> Effect:
     return effect
 
 
-def unregister(effect: Effect) -> None:
-    """Take ``effect`` out of the registry."""
-    del _REGISTRY[effect.channel, effect.name]
-
-
-def effect_names(channel: Channel) -> tuple[str, ...]:
-    """Names of the channel's effects, in the order of their registration."""
-    return tuple(name for registered, name in _REGISTRY if registered == channel)
-
-
 def all_effects() -> tuple[Effect, ...]:
     """Every registered effect."""
     return tuple(_REGISTRY.values())
@@ -175,9 +165,8 @@ def find_effect(channel: str, name: str) -> Effect:
 
     Raises ``ContactError`` if there is none; the message lists those there are.
     """
-    for effect in _REGISTRY.values():
-        if (effect.channel, effect.name) == (channel, name):
-            return effect
+    if found := _REGISTRY.get((channel, name)):
+        return found
     if channel not in CHANNELS:
         msg = f"channel {channel!r} is unknown; there are {', '.join(CHANNELS)}"
         raise ContactError(msg)

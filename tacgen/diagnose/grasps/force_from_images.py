@@ -144,7 +144,5 @@ def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Rec
 
 def _read(path: Path) -> Image | None:
     """An RGB image, or None where there is none that can be read."""
-    if not path.is_file() or path.stat().st_size > RULES.max_image_bytes:
-        return None
     found = read_bgr(path)
-    return None if found is None else np.ascontiguousarray(found[..., ::-1]).astype(np.uint8)
+    return None if found is None else np.ascontiguousarray(found[..., ::-1])

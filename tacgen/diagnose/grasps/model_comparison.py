@@ -42,11 +42,6 @@ class LabelModel:
     turning: FloatArray
     log_force: FloatArray
 
-    @property
-    def weight(self) -> float:
-        """Prior weight beside other models of the same hypothesis."""
-        return 1.0
-
     def log_probability(self) -> FloatArray:
         """Log-probability (M, S, 4, N) of what can be known, for S flip rates and widths."""
         tables = []
@@ -63,14 +58,9 @@ class LabelModel:
 
 @dataclass(frozen=True)
 class CandidateModel(LabelModel):
-    """A candidate's predictions over its parameter."""
+    """A candidate's predictions over its parameter; its own weight is in ``log_prior``."""
 
     candidate: Candidate
-
-    @property
-    def weight(self) -> float:
-        """Prior weight of the candidate."""
-        return self.candidate.weight
 
 
 def interpolated(
@@ -92,7 +82,7 @@ def interpolated(
     force = np.zeros(RULES.axis_values) if log_force is None else np.interp(axis, places, log_force)
     return CandidateModel(
         axis,
-        log_prior - logsumexp(log_prior),
+        log_prior - logsumexp(log_prior) + np.log(candidate.weight),
         _along(axis, places, node_margin),
         _along(axis, places, node_turning),
         force,
@@ -181,8 +171,7 @@ class Evidence(Generic[Model]):
 
     def log_evidence(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> FloatArray:
         """Log of the evidence times the candidate's prior weight (B,)."""
-        total = logsumexp(self.joint(known, log_scale, stderr), axis=(1, 2))
-        return np.asarray(total + np.log(self.model.weight))
+        return np.asarray(logsumexp(self.joint(known, log_scale, stderr), axis=(1, 2)))
 
     def best_fit(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> float:
         """The largest log-likelihood over all values, for one set of labels, without the prior."""

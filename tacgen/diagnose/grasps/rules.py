@@ -42,9 +42,7 @@ class GraspRules:
     confusable_gain: float = math.log(100)  # further behind in evidence is no rival; chosen
 
     # Simulations about the leading values.
-    leading_gain: float = (
-        5.0  # log-evidence behind the best: further ones do not come first; chosen
-    )
+    leading_gain: float = 5.0  # in log-evidence: those further behind do not come first; chosen
     most_refined: int = 3  # candidates a round: one ratio has three names
     refining_rounds: int = 3  # each halves the unknown interval; trust study
     refining_deviations: float = 2.5  # about a value: 99 % of a normal posterior
@@ -53,9 +51,7 @@ class GraspRules:
     # Held-out predictions and what remains.
     few_grasps: int = 10  # a note is given below; chosen
     max_folds: int = 100  # up to so many grasps each is held out alone; chosen for time
-    usual_flips: float = (
-        0.05  # share of labels that disagree whatever the model; as in the trust study
-    )
+    usual_flips: float = 0.05  # of labels that disagree with any model; as in the trust study
     too_many_p: float = 0.01  # chance of so many flips, below which the verdict is unexplained
     dependence_p: float = 0.05  # corrected p-value below which a covariate is named; the usual 5 %
     shuffles: int = 1999  # resolve a p-value of 0.05 / 6 covariates to ±0.002
@@ -76,7 +72,6 @@ class GraspRules:
     calibrated_k_n_error: float = 0.07  # of a calibrated one; chosen
     image_width_px: int = 160  # averages the camera's noise over 4 × 4 px of a GelSight Mini
     image_noise_grey: float = 2.0  # that is not counted as an imprint; chosen
-    max_image_bytes: int = 64 << 20  # of a file; a GelSight's PNG has 1 MB
 
 
 RULES = GraspRules()

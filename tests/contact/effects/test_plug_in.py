@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import tacgen
-from tacgen.contact.effects import all_effects, base, register, unregister
+from tacgen.contact.effects import all_effects, base, register
 from tacgen.contact.law import load_law
 from tacgen.diagnose.contact.command import diagnose_log
 from tacgen.rig import RigRecipe, load_rig_recipe, simulate_session
@@ -81,7 +81,7 @@ def new_effect():
         )
     )
     yield effect
-    unregister(effect)
+    base._REGISTRY.pop((effect.channel, effect.name), None)
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_an_effect_registered_here_is_pressed_diagnosed_reported_and_simulated(
     volume, _ = law.predict(grasps, simulate=True)
     assert volume[0] / volume[1] == pytest.approx(1.0 + share["value"], rel=1e-9)
     assert np.isfinite(volume).all()
-    unregister(new_effect)
+    del base._REGISTRY[new_effect.channel, new_effect.name]
     with pytest.raises(Exception, match="effect 'every_third_press' is unknown"):
         load_law(tmp_path / "contact.yaml")
     register(new_effect)

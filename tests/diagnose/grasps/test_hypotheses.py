@@ -21,7 +21,7 @@ from tacgen.diagnose.grasps.hypotheses import (
     candidates_for,
     register,
     registered,
-    unregister,
+    registry,
 )
 from tacgen.diagnose.grasps.report import write_grasp_report
 
@@ -40,7 +40,7 @@ STICKY = Parameter(
 @pytest.fixture
 def worn_pads():
     yield register(Hypothesis("worn_pads", 2.0, True, (STICKY,), {"friction": "put on new pads"}))
-    unregister("worn_pads")
+    del registry._REGISTRY["worn_pads"]
 
 
 def simulated(recipe, wanted, out, **_):

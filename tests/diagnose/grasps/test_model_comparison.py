@@ -265,7 +265,7 @@ def test_slack_at_other_forces_goes_on_in_proportion():
 
 
 @pytest.mark.parametrize("candidate", candidates_for(("block",)), ids=lambda c: c.parameter.key)
-def test_priors_are_normalised_and_nodes_hold_the_declared_value(candidate):
+def test_priors_sum_to_the_weight_and_nodes_hold_the_declared_value(candidate):
     parameter = candidate.parameter
     assert parameter.declared in parameter.nodes
     assert list(parameter.nodes) == sorted(parameter.nodes)
@@ -273,7 +273,7 @@ def test_priors_are_normalised_and_nodes_hold_the_declared_value(candidate):
     nodes = np.array(parameter.nodes)
     table = np.zeros((len(nodes), 3))
     made = interpolated(candidate, nodes, table, table + 0.5)
-    assert np.exp(made.log_prior).sum() == pytest.approx(1.0)
+    assert np.exp(made.log_prior).sum() == pytest.approx(candidate.weight)
 
 
 def test_a_centre_of_mass_off_to_either_side_is_not_called_centred():

@@ -12,7 +12,6 @@ from tacgen.diagnose.grasps.hypotheses.registry import (
     candidates_for,
     register,
     registered,
-    unregister,
 )
 
 for _module in iter_modules(__path__):
@@ -27,5 +26,4 @@ __all__ = [
     "candidates_for",
     "register",
     "registered",
-    "unregister",
 ]

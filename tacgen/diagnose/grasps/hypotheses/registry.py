@@ -145,11 +145,6 @@ def register(hypothesis: Hypothesis) -> Hypothesis:
     return hypothesis
 
 
-def unregister(name: str) -> None:
-    """Take a hypothesis out of the registry."""
-    del _REGISTRY[name]
-
-
 def registered() -> tuple[Hypothesis, ...]:
     """Every hypothesis, the one with most prior weight first."""
     return tuple(sorted(_REGISTRY.values(), key=lambda one: (-one.weight, one.name)))
