@@ -167,10 +167,8 @@ def wait_for_command(out: Path) -> tuple[TaskState, ...]:
 def require_command(command: Sequence[str]) -> None:
     """Raise a ``ClusterError`` unless this command can be one job."""
     if not command or command[0] not in COMMANDS:
-        msg = (
-            f"`{' '.join(command)}`: give {' or '.join(COMMANDS)} and its options after `--`, "
-            "or a recipe with --out, to collect its dataset"
-        )
+        known = f"give {' or '.join(COMMANDS)} and its options after `--`"
+        msg = f"`{' '.join(command)}`: {known}, or a recipe with --out, to collect its dataset"
         raise ClusterError(msg)
 
 
@@ -216,10 +214,8 @@ def _hand_over(tasks: Sequence[Job], folder: Path, engine: Any, limit: int) -> t
                 with engine.batch():
                     jobs = [engine.submit(task) for task in batch]
             except (FailedJobError, FailedSubmissionError, OSError) as error:
-                msg = (
-                    f"{executor} refused the jobs: {error}; see the section `cluster` of the "
-                    "recipe, or the flags"
-                )
+                fix = "see the section `cluster` of the recipe, or the flags"
+                msg = f"{executor} refused the jobs: {error}; {fix}"
                 raise ClusterError(msg) from error
             recorded += [
                 Task(start + k, job.job_id, task.shards)

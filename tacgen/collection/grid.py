@@ -87,7 +87,6 @@ def _points(recipe: Recipe, entry: ObjectEntry, number: int) -> Sequence[tuple[f
 
 
 def _splits(recipe: Recipe, number: int, count: int) -> list[str]:
-    """``train`` or ``test`` for each of ``count`` distinct configurations of one object."""
     n_test = round(recipe.split.test_fraction * count)
     order = rng_of(recipe.seed, _STREAM_SPLIT, number).permutation(count)
     tests = set(order[:n_test].tolist())

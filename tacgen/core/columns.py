@@ -64,14 +64,12 @@ def similar_columns(columns: Iterable[str], known: Iterable[str], where: str) ->
     """A warning for each column that is not known but resembles a known one that is missing."""
     columns, known = list(columns), list(known)
     missing = [name for name in known if name not in columns]
-    warnings = []
-    for name in columns:
-        near = [] if name in known else get_close_matches(name.lower(), missing, 1, SIMILAR)
-        if near:
-            warnings.append(
-                f"{where}: column {name!r} is not read as {near[0]!r}; rename it if it is that"
-            )
-    return warnings
+    near = {name: get_close_matches(name.lower(), missing, 1, SIMILAR) for name in columns}
+    return [
+        f"{where}: column {name!r} is not read as {near[name][0]!r}; rename it if it is that"
+        for name in columns
+        if near[name] and name not in known
+    ]
 
 
 def csv_problem(error: Exception) -> str:

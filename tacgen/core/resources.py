@@ -46,11 +46,8 @@ def _find_yaml(
         if is_file(place) and (file == name or but_not is None or not place.samefile(but_not)):
             return place
     shipped = sorted(path.stem for path in (packaged("recipes").parent / folder).glob("*.yaml"))
-    near = did_you_mean(name, shipped)
-    msg = (
-        f"no {kind} named {name!r}{near}; give the path of a YAML file or one of "
-        f"{', '.join(shipped)}"
-    )
+    fix = f"give the path of a YAML file or one of {', '.join(shipped)}"
+    msg = f"no {kind} named {name!r}{did_you_mean(name, shipped)}; {fix}"
     raise RecipeError(msg)
 
 
@@ -59,15 +56,9 @@ def object_folders(beside: Path | None = None) -> dict[str, Path]:
 
     Of two with one name the later in this order is used.
     """
-    found: dict[str, Path] = {}
-    for root in (packaged("objects"), Path("objects"), *([beside / "objects"] if beside else [])):
-        if root.is_dir():
-            found |= {
-                folder.name: folder
-                for folder in sorted(root.iterdir())
-                if (folder / "object.yaml").is_file()
-            }
-    return found
+    roots = [packaged("objects"), Path("objects"), *([beside / "objects"] if beside else [])]
+    files = [path for root in roots for path in sorted(root.glob("*/object.yaml"))]
+    return {path.parent.name: path.parent for path in files if path.is_file()}
 
 
 def find_object_folder(name: str, *, beside: Path | None = None) -> Path:
@@ -87,8 +78,5 @@ def find_object_folder(name: str, *, beside: Path | None = None) -> Path:
 
 def unknown_object_hint(name: str, known: Iterable[str]) -> str:
     """The end of a message about an object that is not known: similar name, known ones, fix."""
-    known = list(known)
-    return (
-        f"{did_you_mean(name, known)}; known: {', '.join(known)}; "
-        "add your own mesh with `tacgen objects add`"
-    )
+    known, fix = list(known), "add your own mesh with `tacgen objects add`"
+    return f"{did_you_mean(name, known)}; known: {', '.join(known)}; {fix}"

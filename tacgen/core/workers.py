@@ -132,10 +132,8 @@ def map_in_processes(
                 child.terminate()
             if not isinstance(error, BrokenProcessPool):
                 raise
-            msg = (
-                "a worker process was killed, perhaps because memory ran out; run the same "
-                "command again with fewer processes (--workers), it resumes where it can"
-            )
+            fix = "run the same command again with fewer --workers, it resumes where it can"
+            msg = f"a worker process was killed, perhaps because memory ran out; {fix}"
             raise TacgenError(msg) from error
 
 
@@ -273,17 +271,14 @@ def _handle_death(worker: _Worker, progress: _Progress) -> Iterator[Event]:
     task, worker.task = worker.task, -1
     progress.kills[task] = progress.kills.get(task, 0) + 1
     if progress.kills[task] > MAX_KILLS_PER_TASK:
-        msg = (
-            f"the worker of shard {task} was ended {progress.kills[task]} times "
-            f"(exit code {code}); is the machine out of memory? use fewer --workers"
-        )
+        ended = f"the worker of shard {task} was ended {progress.kills[task]} times"
+        msg = f"{ended} (exit code {code}); is the machine out of memory? use fewer --workers"
         raise TacgenError(msg)
     progress.queue.appendleft(task)
     yield Event("retried", task, -1, f"its worker was ended from outside (exit code {code})")
 
 
 def _skip_item(worker: _Worker, progress: _Progress, reason: str) -> Event:
-    """Put the task back, to be run without the item that took its worker down."""
     task, item = worker.task, worker.item
     progress.crashed.setdefault(task, {})[item] = reason
     if _crashed_around(item, progress) >= MAX_CRASHES_IN_A_ROW:

@@ -134,7 +134,6 @@ def _named(path: str, wrong: NDArray[np.bool_], words: str) -> Iterator[str]:
 
 
 def _outcome_problem(label: int, status: str, failure_mode: str, split: str) -> str:
-    """What is wrong about a grasp's outcome and its split; empty where nothing is."""
     if status not in STATUSES:
         return f"status {status!r} is not one of {', '.join(STATUSES)}"
     if failure_mode not in FAILURE_MODES:

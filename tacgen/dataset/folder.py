@@ -159,10 +159,8 @@ class DatasetFolder:
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
             if all(isinstance(number, int) and number > 0 for number in numbers):
                 return plan
-        msg = (
-            f"{self.root} is not a dataset: {self.plan_path.name} is missing or broken; "
-            "give the folder that `tacgen collect --out` made"
-        )
+        fix = "give the folder that `tacgen collect --out` made"
+        msg = f"{self.root} is not a dataset: {self.plan_path.name} is missing or broken; {fix}"
         raise DatasetError(msg)
 
     def recipe(self) -> dict[str, Any]:
@@ -194,11 +192,9 @@ class DatasetFolder:
                 line = read_part(path)
                 here = (line.recipe_sha256, line.calibration, line.versions.get("tacgen"))
             if here != wanted:
-                msg = (
-                    f"{self.root}: {path.name} is of another recipe, calibration or version, and "
-                    f"{self.plan_path.name} is missing or broken; give another --out, or delete "
-                    "the folder"
-                )
+                other = f"{path.name} is of another recipe, calibration or version"
+                fix = "give another --out, or delete the folder"
+                msg = f"{self.root}: {other}, and {self.plan_path.name} is missing or broken; {fix}"
                 raise DatasetError(msg)
 
     def _refuse_another(

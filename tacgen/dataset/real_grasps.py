@@ -123,10 +123,8 @@ def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:
         why = "; without force and place a grasp cannot be simulated" if needs else ""
         others = [name for name in table.columns if name not in GRASPS]
         near = "".join(did_you_mean(name, others) for name in missing)
-        msg = (
-            f"{path}: has no column {', '.join(missing)}{near}; "
-            f"this needs {', '.join((*REQUIRED, *needs))}{why}"
-        )
+        needed = f"this needs {', '.join((*REQUIRED, *needs))}{why}"
+        msg = f"{path}: has no column {', '.join(missing)}{near}; {needed}"
         raise DatasetError(msg)
     if table.empty:
         msg = f"{path}: holds no grasps"

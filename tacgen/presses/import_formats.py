@@ -165,10 +165,8 @@ def _both_given(
     source: Path, mm_per_px: float | None, ball_radius_mm: float | None
 ) -> tuple[float, float]:
     if mm_per_px is None or ball_radius_mm is None:
-        msg = (
-            f"{source}: states neither mm/px nor the ball's radius; give --mm-per-px and "
-            "--ball-radius-mm"
-        )
+        fix = "give --mm-per-px and --ball-radius-mm"
+        msg = f"{source}: states neither mm/px nor the ball's radius; {fix}"
         raise PressError(msg)
     return mm_per_px, ball_radius_mm
 

@@ -74,11 +74,9 @@ class PressFolder:
         path, row = self.path / self.table["file"].iloc[index], index + 2
         image = read_rgb(path, PressError)
         if image.shape != self.background.shape:
-            seen, wanted = image.shape[1::-1], self.background.shape[1::-1]
-            msg = (
-                f"{path}: (row {row}) is {seen[0]}×{seen[1]} px, the background "
-                f"{wanted[0]}×{wanted[1]}: take all at one resolution"
-            )
+            (height, width, _), (rows, columns, _) = image.shape, self.background.shape
+            sizes = f"{width}×{height} px, the background {columns}×{rows}"
+            msg = f"{path}: (row {row}) is {sizes}: take all at one resolution"
             raise PressError(msg)
         return image
 
@@ -148,10 +146,8 @@ def read_presses(
         )
     if path.is_file():
         return _read_datapack(path, mm_per_px, ball_radius_mm)
-    msg = (
-        f"{path}: there are no presses; give a folder with background.png, presses.csv and "
-        "sensor.yaml, or a Taxim dataPack.npz"
-    )
+    fix = "give a folder with background.png, presses.csv and sensor.yaml, or a Taxim dataPack.npz"
+    msg = f"{path}: there are no presses; {fix}"
     raise PressError(msg)
 
 
@@ -168,10 +164,8 @@ def _read_datapack(
             arrays = {name: archive[name] for name in _DATAPACK}
             names = _names_of(archive, len(arrays["imgs"]))
     except (OSError, ValueError, BadZipFile) as error:
-        msg = (
-            f"{path}: cannot be read as a dataPack ({error}); arrays of Python objects are not "
-            "read because they can run code: save them as plain arrays"
-        )
+        fix = "arrays of Python objects can run code and are not read: save them as plain arrays"
+        msg = f"{path}: cannot be read as a dataPack ({error}); {fix}"
         raise PressError(msg) from None
     problems = _datapack_problems(path, arrays)
     PressError.raise_if(problems)
@@ -186,10 +180,8 @@ def _read_datapack(
         )
     if ball_radius_mm is None:
         ball_radius_mm = TAXIM_BALL_RADIUS_MM
-        warnings.append(
-            f"the ball's radius is not in a dataPack; taken as {ball_radius_mm:g} mm; "
-            "--ball-radius-mm sets it"
-        )
+        taken = f"taken as {ball_radius_mm:g} mm; --ball-radius-mm sets it"
+        warnings.append(f"the ball's radius is not in a dataPack; {taken}")
     return PressImages(
         images=images,
         background=np.ascontiguousarray(arrays["f0"][..., ::-1].astype(np.uint8)),

@@ -42,15 +42,11 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
     rows, listing = folder.table, folder.path / "presses.csv"
     if table is None:
         if not np.isfinite(folder.numbers("radius_mm")).any():
-            msg = (
-                f"{listing}: no radius_mm and no --table: pictures alone do not give the volume; "
-                "give the ball's radius or the sensor's table.npz"
-            )
+            fix = "give the ball's radius or the sensor's table.npz"
+            msg = f"{listing}: no radius_mm and no --table, so the volume is not known; {fix}"
             raise PressError(msg)
-        warnings.append(
-            f"{folder.path}: volumes are from contact circles: a circle 2 % too wide is a volume "
-            "8 % too large; --table gives better ones"
-        )
+        doubt = "a circle 2 % too wide is a volume 8 % too large; --table gives better ones"
+        warnings.append(f"{folder.path}: volumes are from contact circles: {doubt}")
     spots = find_spots(folder.background)
     at_rest = spots.mask(spots.usable) if spots.usable.sum() >= MIN_TRACKED else None
     reconstructor = (
@@ -66,10 +62,8 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
         else:
             volumes[index], problem = _ball_volume(folder, index, picture, hidden)
         if not volumes[index] > 0:
-            warnings.append(
-                f"{listing}: row {index + 2}: {rows['file'][index]} {problem}; it is not in the "
-                "log: press again, or check background.png"
-            )
+            fix = "it is not in the log: press again, or check background.png"
+            warnings.append(f"{listing}: row {index + 2}: {rows['file'][index]} {problem}; {fix}")
     frame = _log_frame(rows, volumes)
     if at_rest is not None:
         frame[["shear_x_mm", "shear_y_mm"]] = _marker_sums(folder, frame)

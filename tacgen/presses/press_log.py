@@ -485,7 +485,6 @@ def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
 
 
 def _check_session_clock(found: _Findings, blocks: list[IntArray]) -> bool:
-    """Whether time runs on from press to press; a warning where it does not."""
     times_s = [found.columns["time_s"][found.kept(block)] for block in blocks]
     times_s = [time_s for time_s in times_s if len(time_s)]
     runs = all(after[0] >= before[-1] for before, after in pairwise(times_s))

@@ -118,10 +118,11 @@ def _check_background(presses: PressImages) -> None:
     other = np.nonzero(apart > factor * np.quantile(apart, 0.25) + more)[0]
     if MIN_PRESSES <= len(other) < len(presses):
         names = ", ".join(presses.names[k] for k in other[:3])
-        msg = (
-            f"{len(other)} of {len(presses)} pictures do not match the background ({names}, …): "
+        fix = (
             "they are of another sensor, crop or light; keep the presses of one sensor in a folder"
         )
+        count = f"{len(other)} of {len(presses)} pictures"
+        msg = f"{count} do not match the background ({names}, …): {fix}"
         raise PressError(msg)
     if len(presses) < BACKGROUND_MIN_PRESSES:
         return
@@ -130,10 +131,8 @@ def _check_background(presses: PressImages) -> None:
     scatter = float(np.median([_apart_grey(image, median) for image in small]))
     if mismatch > factor * scatter + more:
         if _apart_grey(median, rest[..., ::-1]) < 0.5 * mismatch:
-            msg = (
-                "the background does not match the presses, but does with red and blue swapped: "
-                "save all pictures in one colour order"
-            )
+            fix = "save all pictures in one colour order"
+            msg = f"the background does not match, but does with red and blue swapped: {fix}"
             raise PressError(msg)
         msg = (
             f"the background does not match the presses: the bare gel differs by {mismatch:.0f} "
@@ -186,17 +185,14 @@ def _refuse_press_as_background(presses: PressImages) -> None:
     usual = float(np.median([_change_in(image, median, circle) for circle, image in seen]))
     if _change_in(presses.background, median, place) > PRESS_STRENGTH * usual:
         x, y = place.center_px
-        msg = (
-            f"the background shows a contact at ({x:.0f}, {y:.0f}): it is a press itself; take it "
-            "anew with nothing on the gel"
-        )
+        fix = "it is a press itself; take it anew with nothing on the gel"
+        msg = f"the background shows a contact at ({x:.0f}, {y:.0f}): {fix}"
         raise PressError(msg)
 
 
 def _press_problem(
     presses: PressImages, k: int, circle: Circle, *, labelled: bool
 ) -> tuple[str, str]:
-    """The reason and the fix; empty where the press can be used."""
     ball_px = presses.ball_radius_mm[k] / presses.mm_per_px
     source = "labelled" if labelled else "found"
     if circle.radius_px <= 1:

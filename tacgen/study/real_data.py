@@ -64,10 +64,8 @@ def calibration_grasps(recipe: Recipe, folder: Path) -> RealGrasps:
     wanted = {entry.name for entry in recipe.objects}
     missing = wanted - set(found.by_object())
     if missing:
-        msg = (
-            f"{folder}: has no grasps of {', '.join(sorted(missing))}, whose friction is to be "
-            "calibrated; add some, or take the objects out of the study"
-        )
+        fix = "add some to calibrate their friction, or take the objects out of the study"
+        msg = f"{folder}: has no grasps of {', '.join(sorted(missing))}; {fix}"
         raise TacgenError(msg)
     grasps = replace(found, grasps=tuple(g for g in found.grasps if g.config.object in wanted))
     check_forces(recipe, grasps)
@@ -82,10 +80,8 @@ def _check_tested(real: RealData) -> None:
         return
     shared = tested & {grasp.grasp_id for grasp in read_real_grasps(real.calibration).grasps}
     if shared:
-        msg = (
-            f"{real.test} and {real.calibration} share grasps, such as {min(shared)}; "
-            "calibrate on other grasps than those tested on"
-        )
+        fix = "calibrate on other grasps than those tested on"
+        msg = f"{real.test} and {real.calibration} share grasps, such as {min(shared)}; {fix}"
         raise TacgenError(msg)
 
 

@@ -111,10 +111,8 @@ def with_rows(study: Study, names: Sequence[str]) -> Study:
     known = [row.name for row in study.rows]
     unknown = [name for name in names if name not in known]
     if unknown:
-        msg = (
-            f"{study.name}: has no row {', '.join(map(repr, unknown))}; "
-            f"its rows are {', '.join(map(repr, known))}"
-        )
+        rows, wrong = (", ".join(map(repr, listed)) for listed in (known, unknown))
+        msg = f"{study.name}: has no row {wrong}; its rows are {rows}"
         raise RecipeError(msg)
     if not names:
         return study
@@ -170,7 +168,6 @@ def _misplaced(study: Study, source: YamlSource) -> Iterable[str]:
 
 
 def _name_problems(study: Study, source: YamlSource) -> Iterator[str]:
-    """Rows of the same name, or of names that give the same folder."""
     first: dict[str, str] = {}
     for i, row in enumerate(study.rows):
         folder = run_folder_name(row.name)

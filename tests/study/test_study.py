@@ -296,7 +296,7 @@ def test_friction_is_fitted_to_the_objects_of_the_study_alone(
     assert asked == [["can", "cup"]]
     table[table.object == "can"].to_csv(real / "grasps.csv", index=False)
     toy_collect.clear()
-    with pytest.raises(TacgenError, match="has no grasps of cup, whose friction"):
+    with pytest.raises(TacgenError, match="has no grasps of cup; add some to calibrate"):
         run_study(study, tmp_path / "new", RealData(calibration=real))
     assert not toy_collect
 

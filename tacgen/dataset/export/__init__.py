@@ -68,7 +68,6 @@ def export_dataset(
 
 
 def _chosen(dataset: Dataset, split: str | None) -> tuple[pd.DataFrame, int]:
-    """The grasps to export, and how many of these splits were not executed."""
     columns = dataset.columns().items()
     table = pd.DataFrame({name: values for name, values in columns if values.ndim == 1})
     if split is not None:
@@ -77,9 +76,7 @@ def _chosen(dataset: Dataset, split: str | None) -> tuple[pd.DataFrame, int]:
     not_executed = len(table) - len(executed)
     if executed.empty:
         where = "" if split is None else f" of the {split} split"
-        msg = (
-            f"{dataset.root}: no grasp{where} was executed, so there is nothing to export; "
-            "collect grasps that the gripper can reach"
-        )
+        fix = "collect grasps that the gripper can reach"
+        msg = f"{dataset.root}: no grasp{where} was executed, so nothing can be exported; {fix}"
         raise DatasetError(msg)
     return executed, not_executed
