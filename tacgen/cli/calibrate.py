@@ -173,6 +173,7 @@ def calibrate_contact(
     """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error."""
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
     from tacgen.calibrate.contact.command import result_text
+    from tacgen.calibrate.contact.depth_curves import is_depth_table
 
     images = log.is_dir()
     refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
@@ -184,7 +185,8 @@ def calibrate_contact(
     warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
     measured = log if not images else save_log or out.with_suffix(".csv")
-    hand_over(*contact_lines(out), f"tacgen diagnose contact {measured} --out diagnosis")
+    follow_up = [f"tacgen diagnose contact {measured} --out diagnosis"]
+    hand_over(*contact_lines(out), *([] if is_depth_table(measured) else follow_up))
 
 
 @app.command(rich_help_panel=CALIBRATION)

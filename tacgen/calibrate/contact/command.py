@@ -11,17 +11,18 @@ import numpy as np
 
 from tacgen.calibrate.contact.depth_curves import (
     DepthReport,
+    check_identified,
     depth_text,
     depth_warnings,
     explain_curves,
     is_depth_table,
+    law_of,
     read_depth_curves,
 )
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of
-from tacgen.core.records import Estimate
 from tacgen.core.version import __version__
 from tacgen.optics.table import LookupTable, load_table
 from tacgen.presses.press_log import read_press_log
@@ -146,10 +147,8 @@ def _explain_depths(
     """The law of curves without volumes is the k_n that all of them share."""
     curves = read_depth_curves(log)
     found = explain_curves(curves, radius_mm)
-    warnings = depth_warnings(log, found)
-    values = [np.log(fit.k_n) for fit in found.curves.values()]
-    ends = [np.log(fit.k_interval) for fit in found.curves.values()]
-    spread = max(np.ptp(values), max(float(np.ptp(end)) for end in ends)) / 2.0
+    check_identified(log, found)
+    warnings = depth_warnings(log, found, radius_mm)
     provenance: dict[str, Any] = {
         "data": {log.name: sha256_of(log)},
         "versions": {"tacgen": __version__},
@@ -157,12 +156,7 @@ def _explain_depths(
         "curves": asdict(found)["curves"],
         "warnings": list(warnings),
     }
-    k_n = found.shared_k_n
-    law = ContactLaw(
-        law="volume_linear",
-        k_n_mm3_per_n=Estimate(k_n, k_n * spread / 1.96, "mm3/N"),
-        provenance=provenance,
-    )
+    law = law_of(found, provenance)
     save_law(law, out)
     if report is not None:
         from tacgen.calibrate.contact.report import write_depth_page

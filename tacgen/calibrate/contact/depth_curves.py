@@ -1,35 +1,43 @@
-"""Force against depth of an unknown indenter: which ball and which k_n explain it.
+"""Force against depth: which ball, which k_n and which power of the force explain it.
 
-A curve of force against depth holds no volume. If the indenter was a ball of radius R, its volume
-follows from the depth, and V = k_n F then has to hold. Two numbers (R, k_n) and a contact point
-are fitted to every curve, and one k_n to all curves together.
+A curve of force against depth holds no volume. A ball of radius R has one at each depth, and
+V = k_n F (F / F_ref)^(p − 1) then has to hold. R is fitted where it is unknown, with p = 1: a ball
+of another radius and another power look alike. Where R is known, p is fitted.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import fdtrc
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
 
+from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
+from tacgen.core.records import Estimate
 from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.press_log import column_names, column_problems, numeric_columns, read_table
 from tacgen.report.page import templates
 
 RADII_MM = (0.1, 100.0)
 """Indenters outside this range are no balls that a gel is pressed with."""
+POWERS = (0.5, 3.0)
+"""Of the force; measured gels lie between 1.1 and 1.4."""
 MIN_SAMPLES = 8  # two for each of the four parameters of a curve
+N_SHAPES = 121  # radii, or powers, of a curve's profile: 6 % apart, or 0.02
 N_STARTS = 13  # contact points tried along a curve: its loss has several minima
 SYSTEMATIC_CORRELATION = 0.5
 """Correlation of neighbouring residuals above which they are shape, not noise."""
 MIN_SHARED_P = 0.05
-"""p of the F test below which one k_n for all curves is given up; the usual 5 %."""
+"""p of Cochran's test below which one k_n for all curves is given up; the usual 5 %."""
+RISE_SHARE = 0.01  # of the largest force: up to there a curve has not risen
+RISE_EXPECTED_SHARE = 0.03  # of it: a fit that expects more there puts the contact too early
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,35 +51,90 @@ class DepthCurve:
 
 @dataclass(frozen=True, slots=True)
 class BallFit:
-    """The ball and compliance that explain one curve best.
+    """The ball, compliance and power of the force that explain one curve best.
 
-    ``radius_interval_mm`` and ``k_interval`` (95 %) come from the profile of the misfit: at its
-    ends the other quantities are refitted. An interval that ends at a bound of ``RADII_MM`` is
-    open there: the curve cannot tell. ``log_log_exponent`` is the slope of log F against log
-    depth. Near 1, ``residual_correlation`` of neighbouring residuals says that the residual is not
-    noise but shape that a ball on a linear gel does not have, and the intervals are too narrow.
-    ``with_shared_k_n`` are radius and error with the k_n that all curves share.
+    Intervals (95 %) come from the profile of the misfit, at whose ends the other quantities are
+    refitted, with as many samples as the residuals are independent of each other. One that ends at
+    a bound of ``RADII_MM`` is open there: the curve cannot tell. ``k_n`` is V/F at the report's
+    reference force. ``log_log_exponent`` is the slope of log F against log depth. Near 1,
+    ``residual_correlation`` of neighbouring residuals says that the residual is not noise but
+    shape. ``rmse_linear_n`` is the error with V = k_n F. ``early_n`` is the force that the fit
+    expects where the measured one has not risen yet, ``rise_mm`` that depth.
     """
 
     radius_mm: float
     radius_interval_mm: tuple[float, float]
     k_n: float
     k_interval: tuple[float, float]
+    power: float
+    power_interval: tuple[float, float]
     contact_point_mm: float
     r_squared: float
     rmse_n: float
+    rmse_linear_n: float
     log_log_exponent: float
     residual_correlation: float
+    rise_mm: float
+    early_n: float
     samples: int
-    with_shared_k_n: dict[str, float] = field(default_factory=dict)
+
+    def force_n(self, depth_mm: FloatArray, reference_n: float) -> FloatArray:
+        """What it expects at depths (N,); ``reference_n`` is the report's."""
+        stiffness = (self.k_n * reference_n ** (1.0 - self.power)) ** (-1.0 / self.power)
+        return _predict(depth_mm, self.radius_mm, self.power, stiffness, self.contact_point_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Pooled:
+    """A quantity over all curves: its value, and the standard deviation of another curve's.
+
+    ``p_value`` is of curves that differ by their own errors alone (Cochran's Q).
+
+    Source: DerSimonian & Laird 1986, Meta-analysis in clinical trials.
+    """
+
+    value: float
+    scatter: float
+    p_value: float
+
+    @classmethod
+    def of(cls, values: Sequence[float], stderr: Sequence[float]) -> Pooled:
+        """Of values (N,) with standard errors (N,)."""
+        value, weight = np.array(values), 1.0 / np.array(stderr) ** 2
+        q = float((weight * (value - np.average(value, weights=weight)) ** 2).sum())
+        free = len(value) - 1
+        spare = weight.sum() - (weight**2).sum() / weight.sum()
+        between = max(q - free, 0.0) / spare if free else 0.0
+        weight = 1.0 / (1.0 / weight + between)
+        scatter = math.sqrt(1.0 / weight.sum() + between)
+        p_value = float(chi2.sf(q, free)) if free else 1.0
+        return cls(float(np.average(value, weights=weight)), scatter, p_value)
 
 
 @dataclass(frozen=True, slots=True)
 class DepthReport:
-    """Every curve's best ball by name, and the p of the F test that one k_n does for all."""
+    """Every curve's best ball by name, and the law of all of them.
+
+    Attributes
+    ----------
+    curves : dict
+    shared_k_n, k_interval : float
+        mm³/N at ``reference_n``; the interval (95 %) holds another curve's.
+    reference_n : float
+        Half of the largest force.
+    power, power_scatter : float
+        Of the force, 1 for V = k_n F; what curves scatter by.
+    one_k_n_will_do : bool
+    p_value : float
+        Of curves that share one k_n.
+    """
 
     curves: dict[str, BallFit]
     shared_k_n: float
+    k_interval: tuple[float, float]
+    reference_n: float
+    power: float
+    power_scatter: float
     one_k_n_will_do: bool
     p_value: float
 
@@ -114,156 +177,138 @@ def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
 
 
 def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = None) -> DepthReport:
-    """Find each curve's ball and k_n, and judge one k_n for all.
+    """Find each curve's ball and k_n, and what holds for all.
 
-    ``radius_mm`` is the ball's radius where it is known; only k_n and the contact point are then
-    free.
+    ``radius_mm`` is the ball's radius where it is known; a power of the force is then fitted, and
+    kept if it differs from 1 by more than it scatters.
     """
-    own = [_explain(curve, radius_mm) for curve in curves]
-    shared_log_k, shared = _share_k(curves, own, radius_mm)
-    n_samples = sum(len(curve.depth_mm) for curve in curves)
-    free = 2 if radius_mm else 3
-    dof = n_samples - free * len(curves)
-    p_value = 1.0
-    if len(curves) > 1:
-        # Each curve at its own noise: a stiff curve's newtons must not drown a soft one's.
-        excess = sum(
-            (one["rmse_n"] ** 2 / fit.rmse_n**2 - 1.0) * fit.samples
-            for one, fit in zip(shared, own, strict=True)
+    reference_n = 0.5 * max(float(curve.force_n.max()) for curve in curves)
+    shapes = np.geomspace(*RADII_MM, N_SHAPES)
+    power = Pooled(1.0, 0.0, 1.0)
+    if radius_mm is not None:
+        shapes = np.append(np.linspace(*POWERS, N_SHAPES), 1.0)
+        bent = [_explain(curve, shapes, radius_mm, reference_n) for curve in curves]
+        power = Pooled.of(
+            [fit.power for fit in bent], [_stderr(fit.power_interval) for fit in bent]
         )
-        statistic = excess / (len(curves) - 1) / (n_samples / dof)
-        p_value = float(fdtrc(len(curves) - 1, dof, max(statistic, 0.0)))
-    fits = {
-        curve.name: replace(fit, with_shared_k_n=one)
-        for curve, fit, one in zip(curves, own, shared, strict=True)
-    }
-    return DepthReport(fits, float(np.exp(shared_log_k)), p_value >= MIN_SHARED_P, p_value)
-
-
-def _explain(curve: DepthCurve, radius_mm: float | None) -> BallFit:
-    radii = map(float, _radius_grid(radius_mm, 121))
-    profile = [(float(np.log(radius)), *_fit_at_radius(curve, radius)) for radius in radii]
-    log_r, best, k_log, shift = min(profile, key=lambda one: one[1])
-    parameters: FloatArray = np.array([log_r, k_log, shift])
-    if radius_mm is None:
-        parameters = _polish(curve, parameters)
-        best = _squares(curve, parameters)
-    limit = best * (1.0 + 3.841 / max(len(curve.depth_mm) - 3, 1))
-    inside = [(log_r, k) for log_r, cost, k, _ in profile if cost <= limit]
-    inside.append((float(parameters[0]), float(parameters[1])))
-    in_contact = (curve.depth_mm > 0) & (curve.force_n > 0)
-    logs = np.log(curve.depth_mm[in_contact]), np.log(curve.force_n[in_contact])
-    exponent, _ = np.polyfit(*logs, 1)
-    spread = ((curve.force_n - curve.force_n.mean()) ** 2).sum()
-    left = curve.force_n - _predict(curve, np.exp(parameters[0]), parameters[1], parameters[2])
-    return BallFit(
-        radius_mm=float(np.exp(parameters[0])),
-        radius_interval_mm=_span([r for r, _ in inside]),
-        k_n=float(np.exp(parameters[1])),
-        k_interval=_span([k for _, k in inside]),
-        contact_point_mm=float(parameters[2]),
-        r_squared=float(1.0 - best / spread),
-        rmse_n=float(np.sqrt(best / len(curve.depth_mm))),
-        log_log_exponent=float(exponent),
-        residual_correlation=float(
-            (left[1:] * left[:-1]).mean() / max(float((left**2).mean()), 1e-300)
-        ),
-        samples=len(curve.depth_mm),
+        if abs(power.value - 1.0) <= 1.96 * power.scatter:
+            shapes, power = np.array([1.0]), Pooled(1.0, 0.0, 1.0)
+    own = [_explain(curve, shapes, radius_mm, reference_n) for curve in curves]
+    logs = [(math.log(low), math.log(high)) for low, high in (fit.k_interval for fit in own)]
+    k_log = Pooled.of([math.log(fit.k_n) for fit in own], [_stderr(log) for log in logs])
+    ends = (math.exp(k_log.value + sign * 1.96 * k_log.scatter) for sign in (-1, 1))
+    return DepthReport(
+        curves={curve.name: fit for curve, fit in zip(curves, own, strict=True)},
+        shared_k_n=math.exp(k_log.value),
+        k_interval=(next(ends), next(ends)),
+        reference_n=reference_n,
+        power=power.value,
+        power_scatter=power.scatter,
+        one_k_n_will_do=k_log.p_value >= MIN_SHARED_P,
+        p_value=k_log.p_value,
     )
 
 
-def _radius_grid(radius_mm: float | None, size: int) -> FloatArray:
-    return np.geomspace(*RADII_MM, size) if radius_mm is None else np.array([radius_mm])
+def _stderr(interval: tuple[float, float]) -> float:
+    return max((interval[1] - interval[0]) / (2 * 1.96), 1e-6)
 
 
-def _span(logs: list[float]) -> tuple[float, float]:
-    return float(np.exp(min(logs))), float(np.exp(max(logs)))
+def _explain(
+    curve: DepthCurve, shapes: FloatArray, radius_mm: float | None, reference_n: float
+) -> BallFit:
+    """The best fit of a curve; ``shapes`` are powers where the radius is known, else radii."""
+
+    def fit(shape: float) -> tuple[float, float, float]:
+        return _fit_shape(curve, *((radius_mm, shape) if radius_mm else (shape, 1.0)))
+
+    profile = [(float(shape), *fit(float(shape))) for shape in shapes]
+    shape, squares, stiffness, shift_mm = min(profile, key=lambda one: one[1])
+    near = shapes[np.argsort(np.abs(shapes - shape))[:3]]
+    if len(near) == 3:
+        ends = float(near.min()), float(near.max())
+        found = minimize_scalar(lambda one: fit(one)[0], bounds=ends, method="bounded")
+        if found.fun < squares:
+            shape, (squares, stiffness, shift_mm) = float(found.x), fit(float(found.x))
+
+    radius, power = (radius_mm, shape) if radius_mm else (shape, 1.0)
+    count = len(curve.depth_mm)
+    expected = _predict(curve.depth_mm, radius, power, stiffness, shift_mm)
+    left = curve.force_n - expected
+    correlation = float((left[1:] * left[:-1]).mean() / max(float((left**2).mean()), 1e-300))
+    independent = count * (1 - max(correlation, 0.0)) / (1 + max(correlation, 0.0))
+    limit = squares * (1.0 + 3.841 / (max(independent, MIN_SAMPLES) - 3))
+    inside = [one for one in profile if one[1] <= limit] + [(shape, squares, stiffness, shift_mm)]
+    span = (min(one[0] for one in inside), max(one[0] for one in inside))
+    compliances = [
+        _compliance(c, one if radius_mm else 1.0, reference_n) for one, _, c, _ in inside
+    ]
+    pushed = (curve.depth_mm > 0) & (curve.force_n > 0)
+    exponent, _ = np.polyfit(np.log(curve.depth_mm[pushed]), np.log(curve.force_n[pushed]), 1)
+    risen = int(np.argmax(curve.force_n > RISE_SHARE * curve.force_n.max()))
+    linear = min(one[1] for one in profile if radius_mm is None or one[0] == 1.0)
+    return BallFit(
+        radius_mm=radius,
+        radius_interval_mm=(radius, radius) if radius_mm else span,
+        k_n=compliances[-1],
+        k_interval=(min(compliances), max(compliances)),
+        power=power,
+        power_interval=span if radius_mm else (1.0, 1.0),
+        contact_point_mm=shift_mm,
+        r_squared=float(1.0 - squares / ((curve.force_n - curve.force_n.mean()) ** 2).sum()),
+        rmse_n=math.sqrt(squares / count),
+        rmse_linear_n=math.sqrt(linear / count),
+        log_log_exponent=float(exponent),
+        residual_correlation=correlation,
+        rise_mm=float(curve.depth_mm[risen]),
+        early_n=float(expected[max(risen - 1, 0)]),
+        samples=count,
+    )
 
 
-def _predict(curve: DepthCurve, radius_mm: float, k_log: float, shift_mm: float) -> FloatArray:
-    return np.asarray(ball_volume_mm3(curve.depth_mm + shift_mm, radius_mm) / np.exp(k_log))
+def _compliance(stiffness: float, power: float, reference_n: float) -> float:
+    """V/F, mm³/N, at the reference force of F = stiffness · V^(1/p)."""
+    return float(reference_n ** (power - 1.0) * stiffness**-power)
 
 
-def _squares(curve: DepthCurve, parameters: FloatArray) -> float:
-    predicted = _predict(curve, np.exp(parameters[0]), parameters[1], parameters[2])
-    return float(((curve.force_n - predicted) ** 2).sum())
+def _predict(
+    depth_mm: FloatArray, radius_mm: float, power: float, stiffness: float, shift_mm: float
+) -> FloatArray:
+    volume = ball_volume_mm3(depth_mm + shift_mm, radius_mm)
+    return np.asarray(stiffness * volume ** (1.0 / power))
 
 
-def _shift_bounds(curve: DepthCurve) -> tuple[float, float]:
+def _fit_shape(curve: DepthCurve, radius_mm: float, power: float) -> tuple[float, float, float]:
+    """(sum of squares, stiffness, contact point) of one radius and power of the force."""
     deepest = float(curve.depth_mm.max())
-    return -0.5 * deepest, 0.2 * deepest
-
-
-def _fit_at_radius(
-    curve: DepthCurve, radius_mm: float, k_log: float | None = None
-) -> tuple[float, float, float]:
-    """(sum of squares, log k, contact point) of one radius; k may be given."""
-    shifts = np.linspace(*_shift_bounds(curve), N_STARTS)
+    low, high = -0.5 * deepest, 0.2 * deepest
+    shifts = np.linspace(low, high, N_STARTS)
     for _ in range(4):
-        volumes = ball_volume_mm3(curve.depth_mm + shifts[:, None], radius_mm)
-        if k_log is None:
-            stiffness = (volumes @ curve.force_n) / np.maximum((volumes**2).sum(axis=1), 1e-300)
-        else:
-            stiffness = np.full(len(shifts), np.exp(-k_log))
-        costs = ((curve.force_n - stiffness[:, None] * volumes) ** 2).sum(axis=1)
+        shapes = ball_volume_mm3(curve.depth_mm + shifts[:, None], radius_mm) ** (1.0 / power)
+        stiffness = (shapes @ curve.force_n) / np.maximum((shapes**2).sum(axis=1), 1e-300)
+        costs = ((curve.force_n - stiffness[:, None] * shapes) ** 2).sum(axis=1)
         at = int(np.argmin(costs))
         step = shifts[1] - shifts[0]
-        low, high = _shift_bounds(curve)
-        result = float(costs[at]), float(-np.log(max(stiffness[at], 1e-300))), float(shifts[at])
+        result = float(costs[at]), max(float(stiffness[at]), 1e-300), float(shifts[at])
         shifts = np.linspace(max(low, shifts[at] - step), min(high, shifts[at] + step), N_STARTS)
     return result
 
 
-def _polish(curve: DepthCurve, parameters: FloatArray) -> FloatArray:
-    low, high = _shift_bounds(curve)
-    found = least_squares(
-        lambda p: _predict(curve, np.exp(p[0]), p[1], p[2]) - curve.force_n,
-        parameters,
-        bounds=(
-            [np.log(RADII_MM[0]) - 1e-9, -20.0, low - 1e-9],
-            [np.log(RADII_MM[1]) + 1e-9, 20.0, high + 1e-9],
-        ),
-        x_scale=[1.0, 1.0, 0.1 * float(curve.depth_mm.max())],
+def law_of(report: DepthReport, provenance: Mapping[str, Any]) -> ContactLaw:
+    """V = k_n F, or a power of the force as ``stiffening``; the errors hold another curve's."""
+    scatter = report.shared_k_n * math.log(report.k_interval[1] / report.shared_k_n) / 1.96
+    effects: tuple[FittedEffect, ...] = ()
+    if report.power != 1.0:
+        # 1 + amount ((F / F_ref)^exponent − 1) / exponent is the power where both are p − 1.
+        bend = Estimate(report.power - 1.0, report.power_scatter, "1")
+        reference = Estimate(report.reference_n, 0.0, "N")
+        parameters = {"amount": bend, "exponent": bend, "reference_n": reference}
+        effects = (FittedEffect("stiffening", "normal", parameters),)
+    return ContactLaw(
+        law="volume_linear",
+        k_n_mm3_per_n=Estimate(report.shared_k_n, scatter, "mm3/N"),
+        effects=effects,
+        provenance=provenance,
     )
-    return np.asarray(found.x)
-
-
-def _share_k(
-    curves: Sequence[DepthCurve], own: Sequence[BallFit], radius_mm: float | None
-) -> tuple[float, list[dict[str, float]]]:
-    """The log k that explains all curves best, each at its own noise; radius and RMSE there."""
-
-    def at(k_log: float) -> list[tuple[float, float]]:
-        return [_best_radius(curve, k_log, radius_mm) for curve in curves]
-
-    def total(k_log: float) -> float:
-        costs = [cost for cost, _ in at(k_log)]
-        return sum(cost / fit.rmse_n**2 for cost, fit in zip(costs, own, strict=True))
-
-    logs = np.log([fit.k_n for fit in own])
-    candidates = np.linspace(logs.min() - 0.2, logs.max() + 0.2, 25)
-    for _ in range(2):
-        step = candidates[1] - candidates[0]
-        chosen = min(map(float, candidates), key=total)
-        candidates = np.linspace(chosen - step, chosen + step, 9)
-    return chosen, [
-        {"radius_mm": radius, "rmse_n": float(np.sqrt(cost / len(curve.depth_mm)))}
-        for curve, (cost, radius) in zip(curves, at(chosen), strict=True)
-    ]
-
-
-def _best_radius(curve: DepthCurve, k_log: float, radius_mm: float | None) -> tuple[float, float]:
-    """(sum of squares, radius) of the ball that suits a given k best."""
-    radii = _radius_grid(radius_mm, 41)
-    for _ in range(3):
-        costs = [_fit_at_radius(curve, float(radius), k_log)[0] for radius in radii]
-        best = int(np.argmin(costs))
-        result = costs[best], float(radii[best])
-        if radius_mm is not None:
-            break
-        low, high = radii[max(best - 1, 0)], radii[min(best + 1, len(radii) - 1)]
-        radii = np.geomspace(low, high, 9)
-    return result
 
 
 def depth_text(result: Mapping[str, Any]) -> str:
@@ -272,13 +317,28 @@ def depth_text(result: Mapping[str, Any]) -> str:
     return template.render(result=result).rstrip()
 
 
-def depth_warnings(path: Path, report: DepthReport) -> tuple[str, ...]:
+def check_identified(path: Path, report: DepthReport) -> None:
+    """Refuse curves that are all explained best by the largest ball, with any k_n.
+
+    Raises ``PressError`` with the fix.
+    """
+    if all(fit.radius_mm >= 0.99 * RADII_MM[1] for fit in report.curves.values()):
+        msg = (
+            f"{path}: the larger the ball, the better it explains these curves, and k_n grows with "
+            "it; give the ball's radius with --radius-mm"
+        )
+        raise PressError(msg)
+
+
+def depth_warnings(path: Path, report: DepthReport, radius_mm: float | None) -> tuple[str, ...]:
     """What the reader has to know before using the law."""
-    texts = [
-        f"{path}: depths and no volumes: the volume is that of a ball whose radius was fitted with "
-        "k_n, and a radius and k_n that grow together fit almost as well; measure the ball or "
-        "log volume_mm3"
-    ]
+    texts = []
+    if radius_mm is None:
+        texts.append(
+            f"{path}: depths and no volumes: the volume is that of a ball whose radius was fitted "
+            "with k_n, and a radius and k_n that grow together fit almost as well; give "
+            "--radius-mm or log volume_mm3"
+        )
     for name, fit in report.curves.items():
         if fit.radius_interval_mm[1] >= 0.99 * RADII_MM[1]:
             texts.append(f"{path}: curve {name}: the radius has no upper bound")
@@ -286,11 +346,18 @@ def depth_warnings(path: Path, report: DepthReport) -> tuple[str, ...]:
             texts.append(
                 f"{path}: curve {name}: neighbouring residuals correlate by "
                 f"{fit.residual_correlation:.2f}, so the residual is not noise: this was not "
-                "exactly a ball on a linear gel, and the intervals are too narrow"
+                "exactly a ball on a gel with this law"
+            )
+        largest_n = fit.early_n / RISE_EXPECTED_SHARE
+        if largest_n > 2 * report.reference_n:
+            texts.append(
+                f"{path}: curve {name}: its contact point is {-fit.contact_point_mm:.2f} mm, but "
+                f"the force rises at {fit.rise_mm:.2f} mm only, where the fit expects "
+                f"{fit.early_n:.2f} N; check depth_mm's zero and the radius"
             )
     if not report.one_k_n_will_do:
         texts.append(
-            f"{path}: one constant k_n does not explain these curves; contact.yaml holds the best "
-            "shared one with an error as wide as the curves are apart"
+            f"{path}: one constant k_n does not explain these curves; contact.yaml holds their "
+            "mean with an error as wide as they scatter"
         )
     return tuple(texts)

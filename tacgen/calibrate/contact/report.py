@@ -19,7 +19,6 @@ from tacgen.calibrate.contact.law_fit import (
     half_width,
     summary_dict,
 )
-from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.press_log import PressLog
 from tacgen.report import figures as plots
 from tacgen.report.formatting import percent, unit_text, with_error
@@ -93,29 +92,25 @@ def write_depth_page(
         summary=f"{verdict[0].upper()}{verdict[1:]}.",
         template="depth_curves.html",
         result=result,
-        curves=_depth_figure(result["curves"], curves),
+        curves=_depth_figure(report, curves),
         warnings=[text.partition(": ")[2] for text in warnings],
     )
     return path
 
 
-def _depth_figure(fits: Mapping[str, Mapping[str, Any]], curves: Sequence[DepthCurve]) -> Figure:
+def _depth_figure(report: DepthReport, curves: Sequence[DepthCurve]) -> Figure:
     figure, grid = plots.new_figure(10.5, 3.6 * len(curves), len(curves), 2)
     for (left, right), curve in zip(grid, curves, strict=True):
-        fit = fits[curve.name]
+        fit = report.curves[curve.name]
         left.plot(curve.depth_mm, curve.force_n, ".", color=plots.INK, ms=4, label="measured")
         fine = np.linspace(0.0, curve.depth_mm.max(), 200)
-        label = f"R = {fit['radius_mm']:.3g} mm, k_n = {fit['k_n']:.3g} mm³/N"
-        left.plot(fine, _force_n(fine, fit), color=plots.ACCENT, lw=1.2, label=label)
+        label = f"R = {fit.radius_mm:.3g} mm, k_n = {fit.k_n:.3g} mm³/N"
+        fitted = fit.force_n(fine, report.reference_n)
+        left.plot(fine, fitted, color=plots.ACCENT, lw=1.2, label=label)
         left.set(title=curve.name, ylabel="force, N", xlabel="depth, mm")
         left.legend(frameon=False, fontsize=8)
-        residual = curve.force_n - _force_n(curve.depth_mm, fit)
+        residual = curve.force_n - fit.force_n(curve.depth_mm, report.reference_n)
         right.plot(curve.depth_mm, residual, ".", color=plots.BAD, ms=4)
         right.axhline(0.0, color=plots.INK, lw=1.0)
         right.set(ylabel="measured − fitted, N", xlabel="depth, mm")
     return figure
-
-
-def _force_n(depth_mm: np.ndarray, fit: Mapping[str, Any]) -> np.ndarray:
-    volume = ball_volume_mm3(depth_mm + fit["contact_point_mm"], fit["radius_mm"])
-    return np.asarray(volume / fit["k_n"])

@@ -12,8 +12,11 @@ from typer.testing import CliRunner
 
 from tacgen.calibrate.contact.depth_curves import (
     DepthCurve,
+    Pooled,
+    check_identified,
     depth_warnings,
     explain_curves,
+    law_of,
     read_depth_curves,
 )
 from tacgen.cli import app
@@ -21,9 +24,9 @@ from tacgen.core.errors import PressError
 from tacgen.presses.geometry import ball_volume_mm3
 
 
-def curve(name, radius_mm, k_n, deepest_mm, *, late_mm=0.0, seed=0):
+def curve(name, radius_mm, k_n, deepest_mm, *, late_mm=0.0, power=1.0, seed=0):
     depth = np.linspace(0.0, deepest_mm, 40)
-    force = ball_volume_mm3(depth - late_mm, radius_mm) / k_n
+    force = (ball_volume_mm3(depth - late_mm, radius_mm) / k_n) ** (1.0 / power)
     noise = 0.003 * force.max() * np.random.default_rng(seed).standard_normal(40)
     return DepthCurve(name, depth, force + noise)
 
@@ -51,6 +54,7 @@ def test_one_k_n_or_not():
     same = explain_curves((curve("a", 2.0, 4.0, 2.5), curve("b", 4.0, 4.0, 3.0, seed=1)))
     assert same.one_k_n_will_do
     assert same.shared_k_n == pytest.approx(4.0, rel=0.05)
+    assert same.k_interval[0] < 4.0 < same.k_interval[1]
     other = explain_curves((curve("a", 2.0, 4.0, 2.5), curve("b", 4.0, 8.0, 3.0, seed=1)))
     assert not other.one_k_n_will_do
 
@@ -62,7 +66,9 @@ def test_what_is_no_ball_is_said():
     cone = DepthCurve("cone", made.depth_mm, made.depth_mm**3)
     found = explain_curves((cone,))
     assert found.curves["cone"].residual_correlation > 0.5
-    assert any("the residual is not noise" in text for text in depth_warnings(Path("c.csv"), found))
+    assert any(
+        "the residual is not noise" in text for text in depth_warnings(Path("c.csv"), found, None)
+    )
     assert abs(explain_curves((made,)).curves["a"].residual_correlation) < 0.5
 
 
@@ -70,6 +76,67 @@ def test_a_known_radius_is_kept():
     found = explain_curves((curve("a", 5.0, 4.0, 0.3),), radius_mm=5.0).curves["a"]
     assert found.radius_mm == pytest.approx(5.0)
     assert found.k_n == pytest.approx(4.0, rel=0.03)
+
+
+def test_a_power_of_the_force_is_found_where_the_radius_is_known():
+    made = [curve(str(k), 4.0, 5.0, 1.5, late_mm=0.2, power=1.3, seed=k) for k in range(3)]
+    found = explain_curves(tuple(made), radius_mm=4.0)
+    # V = 5 F^1.3.
+    assert found.power == pytest.approx(1.3, abs=0.02)
+    expected = 5.0 * found.reference_n**0.3
+    assert found.shared_k_n == pytest.approx(expected, rel=0.02)
+    first = found.curves["0"]
+    assert first.contact_point_mm == pytest.approx(-0.2, abs=0.02)
+    assert first.rmse_linear_n > 2 * first.rmse_n
+    # The written law answers with the same power.
+    force = np.array([0.5, 1.0, 2.0])
+    columns = {"trial": [0, 1, 2], "time_s": [0.0] * 3, "force_normal_n": force}
+    volume, _ = law_of(found, {}).predict(columns)
+    np.testing.assert_allclose(volume, 5.0 * force**1.3, rtol=0.03)
+
+
+def test_a_linear_gel_has_no_power_of_the_force():
+    made = tuple(curve(str(k), 4.0, 5.0, 1.5, late_mm=0.2, seed=k) for k in range(3))
+    found = explain_curves(made, radius_mm=4.0)
+    assert found.power == 1.0
+    assert law_of(found, {}).effects == ()
+
+
+def test_the_interval_holds_another_sessions_curve():
+    compliances = (173.0, 250.0, 310.0, 404.0)
+    made = [curve(str(k), 4.0, k, 1.5, seed=int(k)) for k in compliances]
+    found = explain_curves(tuple(made), radius_mm=4.0)
+    assert not found.one_k_n_will_do
+    assert found.k_interval[0] < 173.0
+    assert found.k_interval[1] > 404.0
+    law = law_of(found, {}).k_n_mm3_per_n
+    assert law.value + 1.96 * law.stderr > 404.0
+
+
+def test_pooling_of_equal_errors_is_the_mean_and_the_scatter_between():
+    # With equal errors DerSimonian and Laird's variance is the sample's less the errors'.
+    pooled = Pooled.of([1.0, 2.0, 6.0], [0.5, 0.5, 0.5])
+    between = np.var([1.0, 2.0, 6.0], ddof=1) - 0.25
+    assert pooled.value == pytest.approx(3.0)
+    assert pooled.scatter == pytest.approx(np.sqrt((between + 0.25) / 3 + between))
+    alone = Pooled.of([2.0], [0.5])
+    assert (alone.value, alone.scatter, alone.p_value) == (2.0, 0.5, 1.0)
+
+
+def test_curves_that_bound_no_ball_are_refused():
+    # A cap's volume is π d² (R − d/3): a pure parabola is that of a ball without end.
+    depth = np.linspace(0.0, 1.0, 40)
+    with pytest.raises(PressError, match="give the ball's radius with --radius-mm"):
+        check_identified(Path("c.csv"), explain_curves((DepthCurve("a", depth, 3.0 * depth**2),)))
+
+
+def test_a_contact_point_before_the_force_rises_is_said():
+    depth = np.linspace(0.0, 1.5, 40)
+    sudden = DepthCurve("a", depth, np.where(depth < 0.5, 0.0, 2.0 + 3.0 * (depth - 0.5)))
+    texts = depth_warnings(Path("c.csv"), explain_curves((sudden,)), None)
+    assert any("but the force rises at 0.50 mm only" in text for text in texts)
+    prompt = explain_curves((curve("a", 2.0, 4.0, 2.5, late_mm=0.1),))
+    assert not any("rises" in text for text in depth_warnings(Path("c.csv"), prompt, None))
 
 
 def test_what_is_wrong_with_a_file_is_said(tmp_path):
