@@ -39,8 +39,7 @@ def bench(
     lines = [f"{name:<24} {value:9.4g} {unit:<3} {what}" for name, value, unit, what in figures]
     if estimate:
         record["recipe"] = estimate
-        lines.append(
-            f"{recipe}: {estimate['grasps']:.0f} grasps at {estimate['grasp_s']:.2f} s, "
-            f"{estimate['total_s'] / 60:.1f} min with one worker"
-        )
+        total = f"{estimate['total_s'] / 60:.1f} min with one worker"
+        each = f"{estimate['grasps']:.0f} grasps at {estimate['grasp_s']:.2f} s"
+        lines.append(f"{recipe}: {each}, {total}")
     print_result(record, lines, json_output)

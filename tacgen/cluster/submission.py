@@ -185,10 +185,8 @@ def require_executor(executor: str) -> None:
     if executor == "slurm":
         missing = [name for name in ("sbatch", "srun", "squeue") if shutil.which(name) is None]
         if missing:
-            problems.append(
-                f"Slurm's {', '.join(missing)} not found here; submit from a login node of the "
-                "cluster, or give --executor local"
-            )
+            fix = "submit from a login node of the cluster, or give --executor local"
+            problems.append(f"Slurm's {', '.join(missing)} not found here; {fix}")
     ClusterError.raise_if(problems)
 
 

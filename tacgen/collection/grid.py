@@ -40,20 +40,15 @@ def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
     Raises ``RecipeError`` if a force exceeds the gripper's, or the grid is too large.
     """
     planned: list[PlannedGrasp] = []
+    size = recipe.dataset.shard_size
     for number, entry in enumerate(recipe.objects):
         points = _points(recipe, entry, number)
         splits = _splits(recipe, number, len(points))
         for point, split in zip(points, splits, strict=True):
             index = len(planned)
-            planned.append(
-                PlannedGrasp(
-                    config=GraspConfig(index, entry.name, *point),
-                    entry=number,
-                    split=split,
-                    shard=index // recipe.dataset.shard_size,
-                    seed=_grasp_seed(recipe.seed, index),
-                )
-            )
+            config, shard = GraspConfig(index, entry.name, *point), index // size
+            seed = _grasp_seed(recipe.seed, index)
+            planned.append(PlannedGrasp(config, number, split, shard, seed))
     return tuple(planned)
 
 

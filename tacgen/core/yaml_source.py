@@ -65,16 +65,11 @@ def read_yaml(path: Path) -> YamlSource:
     return _read(Path(path), ())
 
 
-def read_mapping(path: Path) -> dict[str, Any]:
-    """The content of one YAML mapping, ``extends`` included; same limits and errors."""
-    return _parse(path).data
-
-
 def _read(path: Path, extended_by: tuple[Path, ...]) -> YamlSource:
+    own = _parse(path)
     if path.resolve() in extended_by:
         msg = f"{path}: extends itself; take it out of `extends:`"
         raise RecipeError(msg)
-    own = _parse(path)
     bases = own.data.pop("extends", [])
     merged = YamlSource(path, {}, {})
     bases = [bases] if isinstance(bases, str) else bases

@@ -16,7 +16,7 @@ from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import atomic_path, read_small_text, write_text
 from tacgen.core.lock import holder_of, locked
 from tacgen.core.version import __version__
-from tacgen.core.yaml_source import read_mapping
+from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset.check import content_problems
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.manifest import (
@@ -165,7 +165,7 @@ class DatasetFolder:
 
     def recipe(self) -> dict[str, Any]:
         """What ``recipe.yaml`` says; raises ``RecipeError`` if it is missing or broken."""
-        return read_mapping(self.recipe_path)
+        return read_yaml(self.recipe_path).data
 
     def running(self) -> list[tuple[int, str]]:
         """(shard, who) for each shard that some process holds now."""

@@ -114,11 +114,9 @@ def read_press_folder(
         background = read_rgb(background_path, PressError)
         wide_mm = sensor[0] * background.shape[1]
         if not (np.isnan(wide_mm) or WIDTHS_MM[0] <= wide_mm <= WIDTHS_MM[1]):
-            problems.append(
-                f"{sensor_path}: mm_per_px = {sensor[0]:g} makes the picture {wide_mm:.3g} mm "
-                f"wide; a tactile sensor sees {WIDTHS_MM[0]:g} to {WIDTHS_MM[1]:g} mm: give the "
-                "size of one pixel in mm"
-            )
+            made = f"mm_per_px = {sensor[0]:g} makes the picture {wide_mm:.3g} mm wide"
+            known = f"a tactile sensor sees {WIDTHS_MM[0]:g} to {WIDTHS_MM[1]:g} mm"
+            problems.append(f"{sensor_path}: {made}; {known}: give the size of one pixel in mm")
     if table_path.is_file():
         table = _read_list(table_path, required, ball_radius_mm, problems)
     PressError.raise_if(problems)

@@ -466,10 +466,8 @@ def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
     peak, compliance = _peaks_and_compliances(found.columns, blocks)
     typical_peak, typical = np.nanmedian(peak), np.nanmedian(compliance)
     if typical > PLAUSIBLE_COMPLIANCE_MM3_PER_N[1]:
-        found.warn(
-            f"volume per force is {typical:.3g} mm³/N, far above any gel's: is it in mm³ and N, "
-            "or in px³ or kgf?"
-        )
+        doubt = "is it in mm³ and N, or in px³ or kgf?"
+        found.warn(f"volume per force is {typical:.3g} mm³/N, far above any gel's: {doubt}")
     if len(blocks) < 3 or not typical > 0:
         return
     for block, one_peak, one in zip(blocks, peak, compliance, strict=True):

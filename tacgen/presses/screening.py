@@ -198,11 +198,9 @@ def _press_problem(
     if circle.radius_px <= 1:
         return f"the {source} contact radius is {circle.radius_px:.1f} px", "correct the label"
     if circle.radius_px > MAX_LABEL_SHARE * ball_px:
-        return (
-            f"the {source} contact radius of {circle.radius_px:.1f} px is over {MAX_LABEL_SHARE:g} "
-            f"times the ball's own {ball_px:.1f} px",
-            "check the label, the ball's radius_mm and mm_per_px",
-        )
+        own = f"{MAX_LABEL_SHARE:g} times the ball's own {ball_px:.1f} px"
+        reason = f"the {source} contact radius of {circle.radius_px:.1f} px is over {own}"
+        return reason, "check the label, the ball's radius_mm and mm_per_px"
     outside = outside_share(circle.center_px, circle.radius_px, presses.shape_px)
     if outside > MAX_OUTSIDE:
         return f"{outside:.0%} of its contact lies out of view", "press farther from the edge"
@@ -230,10 +228,8 @@ def _label_problem(presses: PressImages, k: int, label: Circle, seen: Circle) ->
         return "", ""
     apart = float(np.hypot(*(label.center_px - seen.center_px)))
     x, y = seen.center_px
-    return (
-        f"its labelled centre is {apart:.0f} px from the contact seen at ({x:.0f}, {y:.0f})",
-        "correct center_x_px and center_y_px, or leave them empty",
-    )
+    reason = f"its labelled centre is {apart:.0f} px from the contact seen at ({x:.0f}, {y:.0f})"
+    return reason, "correct center_x_px and center_y_px, or leave them empty"
 
 
 def _first_alike(images: NDArray[np.uint8]) -> list[int]:

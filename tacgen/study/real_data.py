@@ -32,10 +32,8 @@ def check_real_data(study: Study, real: RealData, *, quick: bool) -> None:
     """
     problems = []
     if any(row.calibrate_friction for row in study.rows) and real.calibration is None:
-        problems.append(
-            f"{study.name}: a row calibrates friction, which needs real grasps that are not "
-            "tested on; give them with --calibrate-on DIR"
-        )
+        fix = "real grasps that are not tested on; give them with --calibrate-on DIR"
+        problems.append(f"{study.name}: a row calibrates friction, which needs {fix}")
     if any(row.calibrate_contact for row in study.rows) and real.contact is None:
         problems.append(
             f"{study.name}: a row uses the real sensor's contact law; give the contact.yaml that "
