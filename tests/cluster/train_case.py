@@ -6,7 +6,7 @@ import yaml
 
 from tests.learning.conftest import collect, make_spec, recipe_of
 
-EPOCHS = 12
+EPOCHS = 8
 
 
 def write_train_case(folder: Path) -> list[str]:
