@@ -44,10 +44,10 @@ class Candidate:
 
     @property
     def n_parameters(self) -> int:
-        """Number of parameters that a fit of it frees."""
+        """Number of parameters that a fit of it frees: of an oscillation, the frequency too."""
         if self.variant is not None:
             return len(self.variant.free)
-        return self.covariate.n_parameters if self.covariate is not None else 0
+        return int(self.columns.shape[1]) + self.is_oscillation
 
     @property
     def label(self) -> str:

@@ -212,7 +212,7 @@ def _unexplained(
     found = [
         Dependence(c.candidate.name, c.p_value, c.gain)
         for c in attribution.chosen
-        if not c.is_effect
+        if not c.candidate.is_effect
     ]
     explained = max(base.loss - final.loss, 0.0) / max(base.loss, 1e-300)
     least = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)

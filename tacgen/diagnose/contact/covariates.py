@@ -30,20 +30,8 @@ class Covariate:
     scale: float = 1.0
     degree: int = 1
     frequency_hz: float = 0.0
-    n_outputs: int = 1
     p_search: float = 0.0
     """p of having found it among all frequencies that were looked at."""
-
-    @property
-    def n_columns(self) -> int:
-        """Number of columns; ``added`` has its own for each output."""
-        basis = {"levels": len(self.levels), "polynomial": self.degree, "oscillation": 2}[self.kind]
-        return basis * (self.n_outputs if self.how == "added" else 1)
-
-    @property
-    def n_parameters(self) -> int:
-        """Columns, and the frequency."""
-        return self.n_columns + (self.kind == "oscillation")
 
     @property
     def label(self) -> str:
@@ -67,7 +55,7 @@ class Covariate:
         return [scaled**power for power in range(1, self.degree + 1)]
 
     def columns(self, data: ChannelData, response: FloatArray) -> list[FloatArray]:
-        """Columns (N, C) of the linear model, scaled by the response or by its span."""
+        """Columns (N, C) of the linear model, scaled by the response or, for each output, added."""
         if self.how == "gain":
             return [basis[:, None] * response for basis in self.basis(data)]
         axes = 0.1 * data.span * np.eye(response.shape[1])
@@ -92,10 +80,7 @@ def text_covariates(column: str, data: ChannelData) -> list[Covariate]:
     # what is added to one of them alone is not taken for a zero offset beside the others.
     every = len(used) == names.size
     levels = {"gain": used[1:] if every else used, "added": used}
-    return [
-        Covariate(column, "levels", how, levels=levels[how], n_outputs=data.n_outputs)
-        for how in HOWS
-    ]
+    return [Covariate(column, "levels", how, levels=levels[how]) for how in HOWS]
 
 
 def numeric_covariates(column: str, data: ChannelData) -> list[Covariate]:
@@ -106,8 +91,4 @@ def numeric_covariates(column: str, data: ChannelData) -> list[Covariate]:
     if finite.size < 0.5 * values.size or spread <= 1e-9 * (1.0 + float(np.abs(finite).max())):
         return []
     line = Covariate(column, "polynomial", "gain", center=float(finite.mean()), scale=spread)
-    return [
-        replace(line, how=how, degree=degree, n_outputs=data.n_outputs)
-        for degree in (1, 2)
-        for how in HOWS
-    ]
+    return [replace(line, how=how, degree=degree) for degree in (1, 2) for how in HOWS]

@@ -68,7 +68,6 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
                 how,
                 center=start,
                 frequency_hz=float(near[np.argmax(exact)]),
-                n_outputs=data.n_outputs,
                 p_search=_gumbel_p(peaks[0], peaks[1:]),
             )
         )

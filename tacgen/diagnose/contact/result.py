@@ -65,7 +65,7 @@ class ChannelDiagnosis:
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Effects of the list, in the order in which they were added."""
-        return tuple(c.candidate.name for c in self.attribution.chosen if c.is_effect)
+        return tuple(c.candidate.name for c in self.attribution.chosen if c.candidate.is_effect)
 
     def p_value(self, p_value: float) -> float | None:
         """``p_value``, but no less than the trials allow, however many samples they have.
@@ -133,7 +133,9 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "sentence": found.sentence,
         "effects": [
-            _effect(found, one, terms[one.candidate.name]) for one in chosen if one.is_effect
+            _effect(found, one, terms[one.candidate.name])
+            for one in chosen
+            if one.candidate.is_effect
         ],
         "unexplained": [_unexplained(found, d) for d in found.unexplained],
         "error_before": _error(found.before, unit),
@@ -186,7 +188,7 @@ def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, A
     record = _dependence(found, dependence)
     for chosen in found.attribution.chosen:
         name = chosen.candidate.name
-        if name == dependence.covariate and not chosen.is_effect:
+        if name == dependence.covariate and not chosen.candidate.is_effect:
             record["runner_up"] = chosen.runner_up
             record["runner_up_margin"] = finite(chosen.runner_up_margin)
             record["what_would_tell"] = [advice(name, other) for other in chosen.confusable]

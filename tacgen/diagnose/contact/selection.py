@@ -12,11 +12,10 @@ compete on the same terms, so that they are not taken for an effect.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect
 from tacgen.core.arrays import FloatArray
@@ -27,6 +26,7 @@ from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
 from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
 from tacgen.diagnose.contact.oscillation import find_oscillations
+from tacgen.diagnose.contact.rules import SelectionRules
 
 
 @dataclass(frozen=True)
@@ -57,31 +57,10 @@ class FittedSet:
 
 @dataclass(frozen=True)
 class Pool:
-    """Candidates beside a fitted set, and the held-out losses (K, U) with each."""
+    """Candidates beside a fitted set, best first, and what each explains of its loss (K,)."""
 
     candidates: list[Candidate]
-    unit_losses: FloatArray
     gains: FloatArray
-    """What each explains of the held-out sum of squares (K,)."""
-
-    @property
-    def order(self) -> NDArray[np.int64]:
-        """Numbers of the candidates, best first."""
-        return np.argsort(self.unit_losses.sum(axis=1))
-
-    def best_of_each(
-        self, order: Sequence[int] | NDArray[np.int64], n_names: int, variants: int, share: float
-    ) -> list[Candidate]:
-        """The best ``variants`` of each of the ``n_names`` best names; ``order`` best first.
-
-        What gains less than ``share`` of the best one's gain is left out.
-        """
-        by_name: dict[str, list[Candidate]] = {}
-        for index in order:
-            if self.gains[index] >= share * self.gains[order[0]]:
-                found = self.candidates[index]
-                by_name.setdefault(found.name, []).append(found)
-        return [c for found in list(by_name.values())[:n_names] for c in found[:variants]]
 
 
 @dataclass(frozen=True)
@@ -95,11 +74,6 @@ class Chosen:
     runner_up: str = ""
     runner_up_margin: float = np.inf
     margin_in_se: float = np.inf
-
-    @property
-    def is_effect(self) -> bool:
-        """Whether it is a registered effect."""
-        return self.candidate.is_effect
 
 
 @dataclass(frozen=True)
@@ -115,15 +89,15 @@ class Attribution:
     base: FittedSet
     final: FittedSet
     chosen: tuple[Chosen, ...]
-    ranking: tuple[tuple[str, float, float], ...] = field(default=())
+    ranking: tuple[tuple[str, float, float], ...] = ()
     best_covariate: tuple[str, float] = ("", 0.0)
 
 
 class CandidateSets:
     """Fits and cross-validates sets of candidates on one channel, and tests their members.
 
-    ``rng`` is for the shuffles of its tests; ``session_clock`` says whether ``time_s`` runs on from
-    trial to trial.
+    ``rng`` is for the shuffles of its tests; ``session_clock`` says whether ``time_s`` runs on
+    from trial to trial.
     """
 
     def __init__(
@@ -213,8 +187,10 @@ class CandidateSets:
             if one.is_within_trials or self.is_determined(one, *current.members)
         ]
         grams, groups, base = self._grams(fit, found)
-        losses = self._cv_losses(grams, [[*base, *g] for g in groups], current.unit_losses)
-        return Pool(found, losses, current.loss - losses.sum(axis=1))
+        sets = [[*base, *group] for group in groups]
+        losses = self._cv_losses(grams, sets, current.unit_losses).sum(axis=1)
+        order = np.argsort(losses)
+        return Pool([found[i] for i in order], current.loss - losses[order])
 
     def pairs(self, current: FittedSet, pool: Pool) -> list[tuple[Candidate, Candidate]]:
         """The pairs of candidates beside ``current`` that are worth a fit, best first."""
@@ -222,7 +198,7 @@ class CandidateSets:
         grams, groups, base = self._grams(current.fit, found)
         pairs = [
             (a, b)
-            for a, b in combinations(self._pair_members(pool), 2)
+            for a, b in combinations(self._pair_members(found), 2)
             if found[a].name != found[b].name
             and self.is_determined(found[a], found[b], *current.members)
         ]
@@ -240,17 +216,17 @@ class CandidateSets:
                 best.setdefault(frozenset((a.name, b.name)), (a, b))
         return list(best.values())[: rules.pairs_fitted]
 
-    def _pair_members(self, pool: Pool) -> list[int]:
+    def _pair_members(self, candidates: Sequence[Candidate]) -> list[int]:
         """About ``pair_pool`` candidates, every name with its best few."""
         by_name: dict[str, list[int]] = {}
-        for index in pool.order:
-            by_name.setdefault(pool.candidates[index].name, []).append(int(index))
+        for index, candidate in enumerate(candidates):
+            by_name.setdefault(candidate.name, []).append(index)
         kept: set[int] = set()
         for depth in range(1, 8):
             kept = {index for found in by_name.values() for index in found[:depth]}
             if len(kept) >= self.rules.pair_pool:
                 break
-        return [int(index) for index in pool.order if index in kept]
+        return sorted(kept)
 
     def is_determined(self, *members: Candidate) -> bool:
         """Whether there are trials enough for the members that have one number a trial."""
@@ -361,7 +337,8 @@ class Selection:
         data = self.data
         rough_k = linear_compliance(data.history.load(data.channel), data.target)
         base = current = self.sets.fitted((), Model(rough_k or 1e-6))
-        ranking, best_covariate = None, ("", 0.0)
+        ranking: tuple[tuple[str, float, float], ...] = ()
+        best_covariate = ("", 0.0)
         visited = {base.names}
         while len(current.members) < self._max_members:
             pool = self.sets.pool(current, new_oscillations=True)
@@ -376,19 +353,18 @@ class Selection:
                 break
             visited.add(current.names)
         current = self._pruned(current)
-        return Attribution(base, current, self._described(current), ranking or (), best_covariate)
+        return Attribution(base, current, self._described(current), ranking, best_covariate)
 
     def _extended(self, current: FittedSet, pool: Pool, p_values: FloatArray) -> FittedSet | None:
         """The best set with one or two members more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
         n_names = len({candidate.name for candidate in pool.candidates})
         significant = [
-            i
-            for i in pool.order
-            if p_values[i] <= sets.alpha
-            or sets.is_clear(current, pool.gains[i], p_values[i] / n_names)
+            (candidate, gain)
+            for candidate, gain, p in zip(pool.candidates, pool.gains, p_values, strict=True)
+            if p <= sets.alpha or sets.is_clear(current, gain, p / n_names)
         ]
-        best = pool.best_of_each(significant, rules.singles_fitted, 2, rules.single_share)
+        best = _best_of_each(significant, rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [single for single in singles if sets.is_worth(current, single)]
         best_single = min(singles, key=sets.score, default=None)
@@ -422,12 +398,11 @@ class Selection:
 
     def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:
         """The few best candidates beside ``rest``, the same name in other variants included."""
-        pool, rules = self.sets.pool(rest), self.rules
-        picked: list[Candidate] = []
-        for in_full, variants in ((True, 3), (False, 2)):
-            order = [i for i in pool.order if (pool.candidates[i].name in full.names) == in_full]
-            picked += pool.best_of_each(order, rules.singles_fitted, variants, rules.single_share)
-        return picked
+        pool = self.sets.pool(rest)
+        found = list(zip(pool.candidates, pool.gains.tolist(), strict=True))
+        own = [one for one in found if one[0].name in full.names]
+        others = [one for one in found if one[0].name not in full.names]
+        return _best_of_each(own, self.rules, 3) + _best_of_each(others, self.rules, 2)
 
     def _pruned(self, fitted: FittedSet) -> FittedSet:
         """Drop members that are not needed beside the others: covariates, then the least needed."""
@@ -444,21 +419,23 @@ class Selection:
 
     def _best_covariate(self, current: FittedSet, pool: Pool) -> tuple[str, float]:
         """Name and share of the best candidate that is no effect."""
-        total, candidates = self.sets.total(current), pool.candidates
-        found = [i for i in range(len(candidates)) if not candidates[i].is_effect]
-        best = max(found, key=lambda i: (pool.gains[i], candidates[i].name), default=None)
-        return ("", 0.0) if best is None else (candidates[best].name, pool.gains[best] / total)
+        found = [
+            (gain / self.sets.total(current), candidate.name)
+            for candidate, gain in zip(pool.candidates, pool.gains.tolist(), strict=True)
+            if not candidate.is_effect
+        ]
+        share, name = max(found, default=(0.0, ""))
+        return name, share
 
     def _ranking(
         self, current: FittedSet, pool: Pool, p_values: FloatArray
     ) -> tuple[tuple[str, float, float], ...]:
         """(label, gain of held-out RMSE, p) of the best variant of each name, best first."""
         rows: dict[str, tuple[str, float, float]] = {}
-        for index in pool.order:
-            candidate = pool.candidates[index]
-            after = max(self.data.noise_loss + float(pool.unit_losses[index].sum()), 0.0)
+        for candidate, explained, p in zip(pool.candidates, pool.gains, p_values, strict=True):
+            after = max(self.data.noise_loss + current.loss - float(explained), 0.0)
             gain = 1.0 - float(np.sqrt(after / self.sets.total(current)))
-            rows.setdefault(candidate.name, (candidate.label, gain, float(p_values[index])))
+            rows.setdefault(candidate.name, (candidate.label, gain, float(p)))
         return tuple(rows.values())
 
     def _described(self, final: FittedSet) -> tuple[Chosen, ...]:
@@ -485,6 +462,18 @@ class Selection:
                 chosen = replace(chosen, runner_up=name, runner_up_margin=margin, margin_in_se=lead)
             described.append(chosen)
         return tuple(described)
+
+
+def _best_of_each(
+    found: Sequence[tuple[Candidate, float]], rules: SelectionRules, variants: int
+) -> list[Candidate]:
+    """The best ``variants`` of each of the best names; ``found`` with their gains, best first."""
+    by_name: dict[str, list[Candidate]] = {}
+    for candidate, gain in found:
+        if gain >= rules.single_share * found[0][1]:
+            by_name.setdefault(candidate.name, []).append(candidate)
+    best = list(by_name.values())[: rules.singles_fitted]
+    return [candidate for same in best for candidate in same[:variants]]
 
 
 def _is_at_bound(term: Term) -> bool:
