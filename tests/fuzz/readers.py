@@ -313,11 +313,12 @@ def _read_dataset_recipe(path: Path) -> object:
 
 
 def _make_jobs(folder: Path) -> Path:
-    from tacgen.cluster.records import JobsFolder, Submission, Task, write_submission
+    from tacgen.cluster.records import JobsFolder, Submission, Task, write_record
 
     jobs = JobsFolder(folder).create()
-    write_submission(jobs, Submission("slurm", "here", (Task(0, "7_0", (0, 1)),)))
-    return jobs / "submission.json"
+    path = jobs / "submission.json"
+    write_record(path, Submission("slurm", "here", (Task(0, "7_0", (0, 1)),)))
+    return path
 
 
 def _read_jobs(path: Path) -> object:
