@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5o, h5s, h5t
+from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
@@ -114,19 +114,20 @@ def is_image_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
 
 
 def _checked(path: Path, file: h5py.File) -> Shard:
-    found = _array_ids(file)
-    layout = _layout_of(path, file, found)
+    finder = _Finder(file)
+    layout = _layout_of(path, file, finder)
     span = _attribute(file, "index_range", "i", (2,))
     start, stop = (0, -1) if span is None else map(int, span)
-    sizes = _sizes_of(path, layout, found, start, stop)
+    sizes = _sizes_of(path, layout, finder, start, stop)
+    found = {array.path: finder.dataset(array.path) for array in layout.arrays()}
     problems = [
         text
         for array in layout.arrays()
-        for text in _array_problems(found.get(array.path), array, array.resolve(sizes))
+        for text in _array_problems(found[array.path], array, array.resolve(sizes))
     ]
     if problems:
         _refuse(path, problems)
-    arrays = {array.path: h5py.Dataset(found[array.path]) for array in layout.arrays()}
+    arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
     return Shard(path, file, layout, arrays, (start, stop), _text(file, "recipe_sha256"))
 
 
@@ -134,21 +135,30 @@ def _refuse(path: Path, problems: Sequence[str]) -> NoReturn:
     raise DatasetError.from_problems([f"{path}: {text}" for text in problems])
 
 
-def _array_ids(file: h5py.File) -> dict[str, h5d.DatasetID]:
-    """The arrays that hard links alone lead to, by path."""
-    found = {}
+class _Finder:
+    """Finds what stands in a file by hard links alone, opening each group once."""
 
-    def keep(name: str, link: object) -> None:
-        if isinstance(link, h5py.HardLink):
-            stored = h5o.open(file.id, name.encode())
-            if isinstance(stored, h5d.DatasetID):
-                found[f"/{name}"] = stored
+    def __init__(self, file: h5py.File) -> None:
+        self._groups: dict[str, h5g.GroupID | None] = {"": h5g.open(file.id, b"/")}
 
-    file.visititems_links(keep)
-    return found
+    def dataset(self, path: str) -> h5d.DatasetID | None:
+        """The array at ``path``; None where there is none, or a link or group."""
+        found = self._open(path)
+        return found if isinstance(found, h5d.DatasetID) else None
+
+    def _open(self, path: str) -> h5g.GroupID | h5d.DatasetID | None:
+        above, name = path.rsplit("/", 1)
+        if above not in self._groups:
+            group = self._open(above)
+            self._groups[above] = group if isinstance(group, h5g.GroupID) else None
+        parent = self._groups[above]
+        if parent is None or not parent.links.exists(name.encode()):
+            return None
+        is_hard = parent.links.get_info(name.encode()).type == h5l.TYPE_HARD
+        return h5o.open(parent, name.encode()) if is_hard else None
 
 
-def _layout_of(path: Path, file: h5py.File, found: Mapping[str, h5d.DatasetID]) -> Layout:
+def _layout_of(path: Path, file: h5py.File, finder: _Finder) -> Layout:
     kind, sensor, pads = (_text(file, name) for name in ("format", "sensor", "pads"))
     version, names = _attribute(file, "format_version", "i", ()), tuple(pads.split(","))
     if kind != "tacgen" or version is None:
@@ -158,8 +168,8 @@ def _layout_of(path: Path, file: h5py.File, found: Mapping[str, h5d.DatasetID]) 
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     plain = Layout(sensor, names, depth=False, picture=False)
-    depth = plain.tactile(names[0], "depth_mm") in found
-    return Layout(sensor, names, depth, "/scene/picture" in found)
+    depth = finder.dataset(plain.tactile(names[0], "depth_mm")) is not None
+    return Layout(sensor, names, depth, finder.dataset("/scene/picture") is not None)
 
 
 def _text(file: h5py.File, name: str) -> str:
@@ -183,12 +193,10 @@ def _attribute(
     return values
 
 
-def _sizes_of(
-    path: Path, layout: Layout, found: Mapping[str, h5d.DatasetID], start: int, stop: int
-) -> dict[str, int]:
+def _sizes_of(path: Path, layout: Layout, finder: _Finder, start: int, stop: int) -> dict[str, int]:
     """What the letters of the layout stand for here, within the limits."""
     name = layout.tactile(layout.pads[0], "rgb")
-    rgb, scene = found.get(name), found.get("/scene/picture")
+    rgb, scene = finder.dataset(name), finder.dataset("/scene/picture")
     if rgb is None or rgb.rank != 5:
         _refuse(path, [f"{name} is missing, or a link, or not of five axes"])
     picture = scene.shape[1:3] if scene is not None and scene.rank == 4 else (0, 0)
