@@ -37,9 +37,7 @@ REMOVED: dict[str, Any] = {
     "min_swap_gain": 0.0,
     "clear_alpha": 0.0,
     "negative_loss_tolerance": 1e9,
-    "max_newton_gain": 1e9,
     "form_share_left": 0.0,
-    "misfit_in_se": 1e9,
 }
 """The value at which a rule does nothing, for those that can be left out."""
 

@@ -33,21 +33,12 @@ class Candidate:
         return self.effect is not None
 
     @property
-    def is_oscillation(self) -> bool:
-        """Whether it is an oscillation in session time."""
-        return self.covariate is not None and self.covariate.kind == "oscillation"
-
-    @property
-    def is_within_trials(self) -> bool:
-        """Whether it is an effect that acts within trials, and not one that differs among them."""
-        return self.effect is not None and self.effect.kind != "between trials"
-
-    @property
     def n_parameters(self) -> int:
         """Number of parameters that a fit of it frees: of an oscillation, the frequency too."""
         if self.variant is not None:
             return len(self.variant.free)
-        return int(self.columns.shape[1]) + self.is_oscillation
+        found = self.covariate is not None and self.covariate.kind == "oscillation"
+        return int(self.columns.shape[1]) + found
 
     @property
     def label(self) -> str:

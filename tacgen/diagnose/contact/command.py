@@ -219,21 +219,7 @@ def _unexplained(
     left = [d for d in structure if d.p_value <= rules.alpha and d.share > least]
     if not found and left:
         found.append(max(left, key=lambda d: d.share))
-    if not found and structure and _is_misfit(attribution, data):
-        found.append(max(structure, key=lambda d: d.share))
-        name, share = attribution.best_covariate
-        if share > found[0].share:
-            found[0] = next((d for d in structure if d.covariate == name), found[0])
     return tuple(found)
-
-
-def _is_misfit(attribution: Attribution, data: ChannelData) -> bool:
-    """Whether held-out trials keep so much structure that no law that fits was found."""
-    rules, left = data.rules, attribution.final.unit_losses
-    noise_loss = data.noise_loss * left.size / data.n_units
-    least = max(rules.misfit * noise_loss, rules.misfit_share * attribution.base.loss)
-    error = float(left.std() * np.sqrt(left.size))
-    return float(left.sum()) > max(least, rules.misfit_in_se * error)
 
 
 def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:

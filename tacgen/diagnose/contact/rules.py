@@ -41,17 +41,14 @@ class SelectionRules:
     max_share_beside_load: float = 0.4  # of a condition's variation that load and time leave
     max_levels_if_few: int = 4  # of a text column that competes however few trials there are
     trials_per_level: int = 3  # of a text column beyond that
-    coefficients_per_trial: float = 1 / 3  # most, of what has one number a trial
     min_cycles: float = 1.5  # slower within the session is a drift, not an oscillation
     rows_per_period: int = 4  # of the shortest oscillation
     n_oscillation_flips: int = 39  # sign flips whose highest peaks show how high chance goes
 
     # Numbers of the linear algebra
     ridge: float = 1e-8  # of the diagonal: enough for columns that are equal but for noise
-    min_column_share_in_fold: float = 0.02  # of a column's squares that fitted folds must hold
-    negative_loss_tolerance: float = 0.25  # of the noise: chance hardly takes a loss below −0.25
     one_number_a_trial_share: float = 0.97  # of a column that follows the response: permuted
-    max_newton_gain: float = 0.01  # of one more step, beyond which a fit has not converged
+    negative_loss_tolerance: float = 0.25  # of the noise: chance hardly takes a loss below −0.25
 
     # When an effect is kept
     alpha: float = 0.01  # chance of a first false effect, over all candidates together
@@ -81,9 +78,6 @@ class SelectionRules:
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave
-    misfit: float = 1.0  # held-out structure over the noise beyond which no law that fits was found
-    misfit_share: float = 0.5  # of the structure before, that must remain as well
-    misfit_in_se: float = 2.0  # standard errors over trials that it must exceed as well
     residual_degree: int = 3  # in a covariate that a residual is tested for
     residual_levels: int = 12  # most of a text covariate that it is tested for
 

@@ -61,7 +61,7 @@ def cv_losses(
         for fold in range(int(folds.max()) + 1):
             out = np.flatnonzero(folds == fold)
             held = grams[out]
-            weights = _solve(total - held.sum(axis=0), index, rules, total)
+            weights = _solve(total - held.sum(axis=0), index, rules)
             block = held[:, index[:, :, None], index[:, None, :]]
             onto = (block @ weights[None, :, :, None])[..., 0]
             change = ((onto - 2.0 * held[:, index, -1]) * weights).sum(axis=-1)
@@ -108,24 +108,13 @@ def coefficients(total: FloatArray, columns: Sequence[int], rules: SelectionRule
     return np.asarray(_solve(total, np.asarray([columns], dtype=np.int64), rules)[0])
 
 
-def _solve(
-    gram: FloatArray,
-    index: NDArray[np.int64],
-    rules: SelectionRules,
-    whole: FloatArray | None = None,
-) -> FloatArray:
-    """Coefficients (S, P) by the normal equations; 0 for what ``gram`` has hardly any of.
-
-    ``whole`` is of all units: a column that acts in few of them says nothing without those.
-    """
+def _solve(gram: FloatArray, index: NDArray[np.int64], rules: SelectionRules) -> FloatArray:
+    """Coefficients (S, P) by the normal equations."""
     block = gram[index[:, :, None], index[:, None, :]]
     own = np.abs(np.diagonal(block, axis1=1, axis2=2))
     size = np.sqrt(np.maximum(own, 1e-12 * own.max(axis=1, keepdims=True)) + 1e-290)
     scaled = block / (size[:, :, None] * size[:, None, :])
     scaled = scaled + rules.ridge * np.eye(index.shape[1])
-    if whole is not None:
-        lacking = np.diag(gram)[index] < rules.min_column_share_in_fold * np.diag(whole)[index]
-        scaled = scaled + 1e12 * lacking[:, :, None] * np.eye(index.shape[1])
     right = gram[index, -1] / size
     return np.asarray(np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / size)
 

@@ -82,15 +82,13 @@ class Attribution:
 
     ``base`` and ``final`` are fits to the trials that were given; ``chosen`` is in the order in
     which the members were added; ``ranking`` lists the single candidates at the start (label,
-    gain of the held-out RMSE, p); ``best_covariate`` is the covariate that would explain most of
-    what remains, and its share of the held-out sum of squares, significant or not.
+    gain of the held-out RMSE, p).
     """
 
     base: FittedSet
     final: FittedSet
     chosen: tuple[Chosen, ...]
     ranking: tuple[tuple[str, float, float], ...] = ()
-    best_covariate: tuple[str, float] = ("", 0.0)
 
 
 class CandidateSets:
@@ -127,8 +125,6 @@ class CandidateSets:
             grams = scores.unit_grams(self.data, design)
             plain = grams[:, -1, -1]
             losses = self._cv_losses(grams, [range(fit.jacobian.shape[1])], plain)[0]
-            if not self._is_converged(fit):
-                losses = np.maximum(plain, losses)
             self._fits[key] = FittedSet(members, fit, losses)
         return replace(self._fits[key], members=members)
 
@@ -138,12 +134,6 @@ class CandidateSets:
         """Held-out losses (S, U) of sets of columns; of those that cannot be, ``without`` (U,)."""
         losses = scores.cv_losses(grams, self._folds, sets, self.rules)
         return scores.believable(losses, without, self.data.noise_loss, self.rules)
-
-    def _is_converged(self, fit: Fit) -> bool:
-        """Whether one more linear step would change little, so that it may stand for a refit."""
-        step = np.linalg.lstsq(fit.jacobian, fit.residual, rcond=1e-9)[0]
-        predicted = fit.jacobian @ step
-        return float(predicted @ predicted) < self.rules.max_newton_gain * fit.loss
 
     def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
         """``current`` with ``more`` members, fitted from the linear solution."""
@@ -181,11 +171,6 @@ class CandidateSets:
             covariates += self._oscillations
         found = cand.effect_candidates(self.data, fit.model, effects)
         found += cand.covariate_candidates(self.data, fit, covariates)
-        found = [
-            one
-            for one in found
-            if one.is_within_trials or self.is_determined(one, *current.members)
-        ]
         grams, groups, base = self._grams(fit, found)
         sets = [[*base, *group] for group in groups]
         losses = self._cv_losses(grams, sets, current.unit_losses).sum(axis=1)
@@ -200,7 +185,6 @@ class CandidateSets:
             (a, b)
             for a, b in combinations(self._pair_members(found), 2)
             if found[a].name != found[b].name
-            and self.is_determined(found[a], found[b], *current.members)
         ]
         sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
         sums = scores.training_losses(grams.sum(axis=0), sets, rules)
@@ -227,16 +211,6 @@ class CandidateSets:
             if len(kept) >= self.rules.pair_pool:
                 break
         return sorted(kept)
-
-    def is_determined(self, *members: Candidate) -> bool:
-        """Whether there are trials enough for the members that have one number a trial."""
-        widths = [
-            member.columns.shape[1]
-            for member in members
-            if not member.is_oscillation and not member.is_within_trials
-        ]
-        most = self.rules.coefficients_per_trial * self.data.history.n_trials
-        return bool(sum(widths) <= max(1.0, most))
 
     def _grams(
         self, fit: Fit, candidates: Sequence[Candidate]
@@ -296,29 +270,13 @@ class CandidateSets:
     def is_needed(self, full: FittedSet, member: Candidate) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``."""
         rest = self.without(full, member)
-        worth = rest.loss - full.loss
         if not self.is_worth(rest, full):
             return False
-        p_value = self.p_value(full, member)
+        worth, p_value = rest.loss - full.loss, self.p_value(full, member)
         if p_value > self.alpha and not self.is_clear(rest, worth, p_value):
             return False
-        rivals = [rival for rival in full.members if rival.label != member.label]
-        most = max((self._worth_of_rival(full, rival) for rival in rivals), default=0.0)
-        return self._worth(full, member) >= self.rules.least_share_of_rival * most
-
-    def _worth(self, full: FittedSet, member: Candidate) -> float:
-        """What ``full`` gains by ``member`` over the others in whatever forms were fitted."""
-        rest = self.without(full, member)
-        return min(rest.loss, self._least_loss(rest.names)) - full.loss
-
-    def _worth_of_rival(self, full: FittedSet, rival: Candidate) -> float:
-        """What ``rival`` is worth in ``full``, or alone where others can imitate it."""
-        alone = self._least_loss(frozenset()) - self._least_loss(frozenset({rival.name}))
-        return max(self._worth(full, rival), alone)
-
-    def _least_loss(self, names: frozenset[str]) -> float:
-        """Least loss of the sets of these names that were fitted; infinite if there are none."""
-        return min((f.loss for f in self._fits.values() if f.names == names), default=np.inf)
+        most = max(self.without(full, one).loss for one in full.members) - full.loss
+        return worth >= self.rules.least_share_of_rival * most
 
 
 class Selection:
@@ -338,12 +296,10 @@ class Selection:
         rough_k = linear_compliance(data.history.load(data.channel), data.target)
         base = current = self.sets.fitted((), Model(rough_k or 1e-6))
         ranking: tuple[tuple[str, float, float], ...] = ()
-        best_covariate = ("", 0.0)
         visited = {base.names}
         while len(current.members) < self._max_members:
             pool = self.sets.pool(current, new_oscillations=True)
             p_values = self.sets.p_values(current, pool.candidates)
-            best_covariate = self._best_covariate(current, pool)
             ranking = ranking or self._ranking(current, pool, p_values)
             extended = self._extended(current, pool, p_values)
             if extended is None:
@@ -353,7 +309,7 @@ class Selection:
                 break
             visited.add(current.names)
         current = self._pruned(current)
-        return Attribution(base, current, self._described(current), ranking, best_covariate)
+        return Attribution(base, current, self._described(current), ranking)
 
     def _extended(self, current: FittedSet, pool: Pool, p_values: FloatArray) -> FittedSet | None:
         """The best set with one or two members more; None if nothing is significant."""
@@ -405,27 +361,11 @@ class Selection:
         return _best_of_each(own, self.rules, 3) + _best_of_each(others, self.rules, 2)
 
     def _pruned(self, fitted: FittedSet) -> FittedSet:
-        """Drop members that are not needed beside the others: covariates, then the least needed."""
-        while fitted.members:
-            idle = [
-                (m.is_effect, self.sets.without(fitted, m).loss, i)
-                for i, m in enumerate(fitted.members)
-                if not self.sets.is_needed(fitted, m)
-            ]
-            if not idle:
-                break
-            fitted = self.sets.without(fitted, fitted.members[min(idle)[-1]])
+        """Drop members that are not needed beside the others, the least needed first."""
+        while idle := [m for m in fitted.members if not self.sets.is_needed(fitted, m)]:
+            rests = [self.sets.without(fitted, member) for member in idle]
+            fitted = min(rests, key=lambda rest: rest.loss)
         return fitted
-
-    def _best_covariate(self, current: FittedSet, pool: Pool) -> tuple[str, float]:
-        """Name and share of the best candidate that is no effect."""
-        found = [
-            (gain / self.sets.total(current), candidate.name)
-            for candidate, gain in zip(pool.candidates, pool.gains.tolist(), strict=True)
-            if not candidate.is_effect
-        ]
-        share, name = max(found, default=(0.0, ""))
-        return name, share
 
     def _ranking(
         self, current: FittedSet, pool: Pool, p_values: FloatArray

@@ -100,16 +100,6 @@ def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
     np.testing.assert_array_equal(kept, [losses[0], without, without])
 
 
-def test_a_column_that_acts_in_one_unit_says_nothing_without_it():
-    _, grams, _ = grams_of(log(np.random.default_rng(6)))
-    alone = grams.copy()
-    alone[1:, 1, :], alone[1:, :, 1] = 1e-9 * grams[1:, 1, :], 1e-9 * grams[1:, :, 1]
-    folds = np.arange(N_TRIALS) % 5
-    with_it = scores.cv_losses(alone, folds, [[0, 1]], RULES)[0]
-    without = scores.cv_losses(alone, folds, [[0]], RULES)[0]
-    assert with_it[0] == pytest.approx(without[0], rel=1e-6)
-
-
 @pytest.mark.parametrize("memory", [0.0, 0.4, 0.6])
 def test_the_noise_floor_sees_noise_that_goes_on_and_not_what_a_law_leaves(memory):
     rng = np.random.default_rng(8)
