@@ -4,6 +4,7 @@
 by the task, so no two processes write one file. Logs and submitit's own files stand beside them.
 """
 
+import contextlib
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -52,10 +53,12 @@ class JobsFolder:
 
     def create(self) -> Path:
         """The folder of a new submission: the next number."""
-        number = max((int(path.name) for path in self._folders()), default=-1) + 1
-        folder = self.root / f"{number:03d}"
-        folder.mkdir(parents=True)
-        return folder
+        while True:
+            number = max((int(path.name) for path in self._folders()), default=-1) + 1
+            folder = self.root / f"{number:03d}"
+            with contextlib.suppress(FileExistsError):  # another submission took it meanwhile
+                folder.mkdir(parents=True)
+                return folder
 
     def submissions(self) -> dict[Path, Submission]:
         """Every submission by its folder, in order; empty where nothing was submitted.
