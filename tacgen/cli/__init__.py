@@ -12,16 +12,7 @@ import traceback
 import typer
 
 # Importing a module of commands registers them.
-from tacgen.cli import (  # noqa: F401
-    calibrate,
-    cluster,
-    datasets,
-    diagnose,
-    learning,
-    machine,
-    objects,
-    recipes,
-)
+from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects, recipes  # noqa: F401
 from tacgen.cli.app import app
 from tacgen.core.errors import Interrupted, TacgenError
 from tacgen.core.progress import LOG

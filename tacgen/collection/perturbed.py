@@ -1,7 +1,5 @@
 """Changes to the declared simulation, and grasps simulated with them, kept on disk."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -68,7 +66,7 @@ class Perturbation:
             if getattr(self, field.name) != field.default
         }
 
-    def and_then(self, other: Perturbation) -> Perturbation:
+    def and_then(self, other: "Perturbation") -> "Perturbation":
         """Both changes: factors multiply, shifts add, and a replaced figure is the other's."""
         changes = self.changes()
         for name, value in other.changes().items():
@@ -202,7 +200,7 @@ class Outcome:
     status: str = "executed"
 
     @classmethod
-    def of(cls, trace: GraspTrace) -> Outcome:
+    def of(cls, trace: GraspTrace) -> "Outcome":
         """The outcome of a trace."""
         margin = trace.margin
         if margin is None:

@@ -1,7 +1,5 @@
 """One grasp from the plan to the sample that a shard holds: where the stages are joined."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -44,7 +42,7 @@ class GraspPipeline:
         self.simulator = GraspSimulator(recipe.robot.name)
         self._object = lru_cache(maxsize=4)(recipe_object)
 
-    def __enter__(self) -> GraspPipeline:
+    def __enter__(self) -> "GraspPipeline":
         self.simulator.__enter__()
         return self
 

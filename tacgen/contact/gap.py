@@ -1,7 +1,5 @@
 """The gap map: how far each point of the gel's surface is from the object."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The gel at rest: its dome, and the pixel grid of its window."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tacgen.contact.raster import Float64

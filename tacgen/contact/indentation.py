@@ -1,7 +1,5 @@
 """From the volume of the indentation to its depth, exactly, and what the gel then looks like."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ V = k_n F_n and D = k_s F_s (Si et al. 2022, Eq. 1), plus the effects that a cal
 found to show. The same law predicts a press log and drives the simulation.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -76,14 +74,14 @@ class ContactLaw:
         ContactError.raise_if(problems)
 
     @classmethod
-    def default(cls) -> ContactLaw:
+    def default(cls) -> "ContactLaw":
         """The published slope, and one millimetre of summed marker motion a newton."""
         return cls.linear(PUBLISHED_K_N_MM3_PER_N, USUAL_K_S_MM_PER_N)
 
     @classmethod
     def linear(
         cls, k_n_mm3_per_n: float, k_s_mm_per_n: float = math.nan, marker_pitch_mm: float = math.nan
-    ) -> ContactLaw:
+    ) -> "ContactLaw":
         """V = k_n F_n and D = k_s F_s and nothing else."""
         return cls(
             "volume_linear",

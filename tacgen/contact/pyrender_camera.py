@@ -1,7 +1,5 @@
 """The gap map's depth by pyrender, as in the paper: needs EGL, or OSMesa with PyOpenGL 3.1.4."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

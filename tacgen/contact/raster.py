@@ -3,8 +3,6 @@
 One thread, float64, no fast-math and no fused operations: the same bits on every machine.
 """
 
-from __future__ import annotations
-
 import math
 from typing import TypeAlias
 

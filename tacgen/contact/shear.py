@@ -1,7 +1,5 @@
 """From the sum of the markers' shear motion to how far the object has moved, and back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors that a user can fix; the command line turns each into one message and exit code 2."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
@@ -18,7 +16,7 @@ class TacgenError(Exception):
     exit_code = 2
 
     @classmethod
-    def from_problems(cls, problems: Sequence[str]) -> TacgenError:
+    def from_problems(cls, problems: Sequence[str]) -> "TacgenError":
         """One error that lists every problem found, a line each."""
         return cls("\n".join(dict.fromkeys(problems)))
 

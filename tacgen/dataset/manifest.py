@@ -6,8 +6,6 @@ reader adds the small files that it does not hold yet. So no two writers share a
 merging twice, or at the same time on two machines, loses nothing.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter
@@ -61,7 +59,7 @@ class ShardLine:
     objects: dict[str, dict[str, int]]
 
     @model_validator(mode="after")
-    def _checked(self) -> ShardLine:
+    def _checked(self) -> "ShardLine":
         if self.index_range[0] >= self.index_range[1]:
             msg = f"index_range = {self.index_range} is not [start, stop]"
             raise ValueError(msg)

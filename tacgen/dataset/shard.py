@@ -5,8 +5,6 @@ the memory. Such a file is refused before any array is read; the limits are stat
 checks use h5py's low-level interface, which takes a tenth of the time.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ class Shard:
     index_range: tuple[int, int]
     recipe_sha256: str
 
-    def __enter__(self) -> Shard:
+    def __enter__(self) -> "Shard":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -4,8 +4,6 @@ Everything that needs torch is imported where it is used, after ``require_learni
 plainly what is missing; recipes can be checked without it.
 """
 
-from __future__ import annotations
-
 from importlib import metadata
 from importlib.util import find_spec
 

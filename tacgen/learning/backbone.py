@@ -5,8 +5,6 @@ same layers under other names; they are read as safetensors or with ``weights_on
 in them is run.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

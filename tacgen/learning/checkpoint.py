@@ -1,7 +1,5 @@
 """Models and training states on disk: safetensors, and torch files read with ``weights_only``."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

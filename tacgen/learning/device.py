@@ -1,7 +1,5 @@
 """The device that torch computes on, and settings that make its results reproducible."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator

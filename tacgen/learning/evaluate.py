@@ -1,7 +1,5 @@
 """``tacgen eval``: the models of a run on grasps that no part of the training has seen."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ a run that was stopped resumes after its last complete epoch and ends in the sam
 bit.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import multiprocessing

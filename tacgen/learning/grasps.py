@@ -1,7 +1,5 @@
 """Grasps for training and tests: a table of their parameters, and sources of their images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -46,7 +44,7 @@ class GraspTable:
     grasp_frame: NDArray[np.int64]
 
     @classmethod
-    def of(cls, **columns: Any) -> GraspTable:
+    def of(cls, **columns: Any) -> "GraspTable":
         """The table with these columns, each in its type."""
         return cls(**{n: np.asarray(values, _DTYPES[n]) for n, values in columns.items()})
 
@@ -68,7 +66,7 @@ class GraspTable:
         """The rows of these objects in one split."""
         return np.flatnonzero(np.isin(self.objects, list(objects)) & (self.split == split))
 
-    def take(self, rows: NDArray[np.int64]) -> GraspTable:
+    def take(self, rows: NDArray[np.int64]) -> "GraspTable":
         """The table of some rows."""
         return GraspTable(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 

@@ -1,7 +1,5 @@
 """From tactile images to the network's input: choose, resize, subtract, normalise."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal

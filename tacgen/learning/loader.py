@@ -1,7 +1,5 @@
 """Batches of network input: decoded once into memory where they fit, else read when needed."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

@@ -4,8 +4,6 @@ Source: Si et al. 2022, *Grasp Stability Prediction with Sim-to-Real Transfer fr
 arXiv 2208.02885, section III.D.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch

@@ -6,8 +6,6 @@ learnt at all from as many grasps; an axis that the trees need and images do not
 network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

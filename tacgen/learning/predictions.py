@@ -1,7 +1,5 @@
 """Predicted probabilities of success, beside the true outcomes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -40,7 +38,7 @@ class Predictions:
         return [int(i) for i in np.flatnonzero(predicted != (self.table.label == 1))]
 
     @staticmethod
-    def joined(parts: Sequence[Predictions]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def joined(parts: Sequence["Predictions"]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Labels and probabilities of all parts, in their order."""
         labels = np.concatenate([part.table.label for part in parts])
         return labels, np.concatenate([part.probabilities for part in parts])

@@ -1,7 +1,5 @@
 """A trained network on one's own images: the probability that the grasp will hold."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

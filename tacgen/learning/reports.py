@@ -1,7 +1,5 @@
 """The pages of a training and of an evaluation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The folder of a training run: its paths, its identity and its metrics."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence

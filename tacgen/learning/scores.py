@@ -1,7 +1,5 @@
 """How good predictions are: the scores, and the lines of text that report them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

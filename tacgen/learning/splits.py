@@ -1,7 +1,5 @@
 """Which grasps are for fitting, validation and tests: by configuration, never by image."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """``tacgen train``: a trained model for each object of a dataset."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Training recipes: YAML files with the network, its input and how it is trained."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """Objects to grasp: ``object.yaml`` to ``GraspObject``, importing meshes, listing, pictures."""
 
-from __future__ import annotations
-
 from tacgen.objects.load import load_object
 
 __all__ = ["load_object"]

@@ -1,7 +1,5 @@
 """Add a mesh of one's own as an object: ``objects/<name>`` with its description and meshes."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What ``object.yaml`` says: the shape, the measured figures, and where each comes from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Generic, Literal, TypeVar
 
@@ -85,7 +83,7 @@ class ShapeSource(Section):
     """Where the shape comes from."""
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> ShapeSource:
+    def _one_of_both(self) -> "ShapeSource":
         if (self.builder is None) == (self.mesh is None):
             msg = "takes either `builder` or `mesh`; give one of them"
             raise ValueError(msg)

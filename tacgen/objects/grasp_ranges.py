@@ -1,7 +1,5 @@
 """Grasp ranges for an object about which no more is known than its shape, mass and friction."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np

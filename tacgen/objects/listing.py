@@ -1,7 +1,5 @@
 """What `tacgen objects list` and `tacgen objects show` say."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

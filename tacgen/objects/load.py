@@ -1,7 +1,5 @@
 """From an object's name to the ``GraspObject`` that the physics and the gel work with."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A user's mesh file as a closed surface in mm, standing at the origin, and its convex parts."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 from pathlib import Path

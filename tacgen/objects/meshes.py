@@ -1,7 +1,5 @@
 """Closed meshes: mass properties, convex hulls and conversion for boolean operations."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

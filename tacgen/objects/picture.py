@@ -1,7 +1,5 @@
 """A picture of an object: how it looks, and the relief that a pad meets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small shaded orthographic view of a mesh, on the processor alone."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from numpy.typing import NDArray

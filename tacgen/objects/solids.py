@@ -1,7 +1,5 @@
 """Plain solids that ``object.yaml`` names by ``shape.builder`` instead of a mesh file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

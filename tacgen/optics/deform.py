@@ -1,7 +1,5 @@
 """How the gel's surface bends around a contact: a pyramid of Gaussians."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

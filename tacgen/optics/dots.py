@@ -1,7 +1,5 @@
 """Printed dots in pictures of the gel: found, masked, filled in from around, and followed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Marker dots, drawn where the gel's motion has carried them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ slope. What the background picture says is subtracted, so that the gel at rest, 
 flat in the result.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

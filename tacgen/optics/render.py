@@ -1,7 +1,5 @@
 """From the deformed surface of the gel to the sensor's picture of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

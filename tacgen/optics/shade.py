@@ -1,7 +1,5 @@
 """The look-up itself: from the slope of the gel and the place in the image to grey levels."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Gaussian smoothing within a window, in numba: the same bits on every machine."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """The calibrated lookup table: gel slope and image position in, colour change out."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -6,8 +6,6 @@ image of 640×480 pixels that is 2.3 ms of a frame that takes 7.2 ms. Every oper
 operation of its own, none is fused or reordered, so all three give the same bits on any machine.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]

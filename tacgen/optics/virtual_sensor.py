@@ -5,8 +5,6 @@ what tests compare the table renderer with. It shares no code with the renderer.
 those that agree best with real presses of a GelSight (``docs/contact_optics.md``).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -74,7 +72,7 @@ class VirtualSensor:
         shadow: float = 0.0,
         blur_mm: float = 0.0,
         noise_grey: float = 0.0,
-    ) -> VirtualSensor:
+    ) -> "VirtualSensor":
         """The virtual counterpart of ``sensor``, its lights around the window.
 
         ``distance_mm`` is that of each light from the gel's centre; by default 2.4 times half of

@@ -4,8 +4,6 @@ Nothing touches the object on a free path, so the gripper is put at points along
 checked for collisions; no time is simulated.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """An object as a body of PyBullet."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tacgen.core.arrays import FloatArray

@@ -4,8 +4,6 @@ Inside, lengths are in metres and axes are the world's; the frames that come out
 the gel frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -15,14 +13,7 @@ import numpy as np
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import ContactFrame
 from tacgen.core.units import MM_PER_M
-from tacgen.physics.frames import (
-    GEL_AXES_IN_GRIPPER,
-    PAD_SIDE,
-    Pose,
-    inverse,
-    pose,
-    rotation_of,
-)
+from tacgen.physics.frames import GEL_AXES_IN_GRIPPER, PAD_SIDE, Pose, inverse, pose, rotation_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +48,7 @@ class Contacts:
     normal_force_n: FloatArray
     force_n: FloatArray
 
-    def of(self, body: int, link: int) -> Contacts:
+    def of(self, body: int, link: int) -> "Contacts":
         """Those with one link of another body."""
         keep = (self.body == body) & (self.link == link)
         return Contacts(*(getattr(self, column.name)[keep] for column in fields(self)))

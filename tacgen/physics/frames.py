@@ -4,8 +4,6 @@ The gripper frame has its origin midway between the pads' centres, x along the c
 and z up; at yaw 0 it is parallel to the world. Inside this part of tacgen lengths are in metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One grasp, from placing the gripper to the label."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -51,10 +49,7 @@ STEADY_CHUNKS = 5
 STEADY_TOLERANCE = 0.01
 """Relative to the delivered force; half of the 2 % that a pad may be off."""
 
-_ROBOTS: dict[str, type[Robot]] = {
-    "wsg50": FloatingGripper,
-    "ur5e_wsg50": ArmWithGripper,
-}
+_ROBOTS: dict[str, type[Robot]] = {"wsg50": FloatingGripper, "ur5e_wsg50": ArmWithGripper}
 
 
 class GraspSimulator:
@@ -72,7 +67,7 @@ class GraspSimulator:
         self.robot = robot
         self.world = World()
 
-    def __enter__(self) -> GraspSimulator:
+    def __enter__(self) -> "GraspSimulator":
         self.world.__enter__()
         return self
 

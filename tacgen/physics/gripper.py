@@ -4,8 +4,6 @@ The hand's link frame is the gripper frame (``frames.py``). Finger positions cou
 opening towards the middle. Bullet's lengths are metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

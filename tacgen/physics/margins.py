@@ -1,7 +1,5 @@
 """How far a grasp is from slipping: closed forms on the forces at the moment of grasp."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What the snapshots of a grasp amount to: loads, motion in the hand, label and tactile frames."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Advances the simulation and records snapshots at the wanted steps."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Sequence
 

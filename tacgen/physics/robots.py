@@ -1,7 +1,5 @@
 """The robots that carry the gripper: a floating WSG-50, and one on the flange of a UR5e."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import TypeAlias

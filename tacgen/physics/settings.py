@@ -1,7 +1,5 @@
 """Settings of the simulated grasp, and which tactile frames are recorded."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 
@@ -101,7 +99,7 @@ class PhysicsSettings:
     """Fingers with a sensor; set it as ``robot.tactile_pads``."""
 
     @model_validator(mode="after")
-    def _lifts_far_enough(self) -> PhysicsSettings:
+    def _lifts_far_enough(self) -> "PhysicsSettings":
         if self.success_rise_mm >= self.lift_mm:
             msg = (
                 f"success_rise_mm = {self.success_rise_mm:g} is not reached by "

@@ -3,8 +3,6 @@
 Source: Universal Robots, "DH Parameters for calculations of kinematics and dynamics", UR5e.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tacgen.core.arrays import FloatArray

@@ -1,7 +1,5 @@
 """One PyBullet client, rebuilt for every grasp so that grasps are independent."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os
@@ -139,7 +137,7 @@ class World:
             raise PhysicsError(NOT_OPEN)
         return self._client
 
-    def __enter__(self) -> World:
+    def __enter__(self) -> "World":
         # Not `pybullet_utils.bullet_client`: that prints a line for every client.
         self._client = _Client(self._module)
         if not self._client.isConnected():

@@ -1,7 +1,5 @@
 """Images of ball presses: what the readers give and what a fit of the table needs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -78,7 +76,7 @@ class PressImages:
         """Pixels (H, W) of press ``k`` that show a dot; None where there are no dots."""
         return None if self.hidden is None else self.hidden[k]
 
-    def select(self, which: NDArray[Any]) -> PressImages:
+    def select(self, which: NDArray[Any]) -> "PressImages":
         """The presses that an index array or mask picks; notes on the set stay."""
         picked: dict[str, Any] = {name: getattr(self, name) for name in _OF_EACH_PRESS}
         picked |= {name: own[which] for name, own in picked.items() if own is not None}

@@ -5,8 +5,6 @@ any other column is a covariate. What makes a whole file useless raises;
 what makes one press unusable drops that press, with the reason in ``PressLog.dropped``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -119,12 +117,12 @@ class PressLog:
         """Columns beyond the contract's, in the file's order."""
         return tuple(name for name in self.columns if name not in CONTRACT)
 
-    def select(self, mask: BoolArray) -> PressLog:
+    def select(self, mask: BoolArray) -> "PressLog":
         """The samples where ``mask`` (N,) holds; notes on the file stay."""
         rows = frozen_array(self.rows[mask], np.int64)
         return replace(self, columns=_frozen(self.columns, mask), rows=rows)
 
-    def with_shear(self) -> PressLog:
+    def with_shear(self) -> "PressLog":
         """The trials whose shear force and shear motion are known."""
         return self.select(self._shear_mask())
 

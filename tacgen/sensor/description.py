@@ -1,7 +1,5 @@
 """Sensors by name: the YAML files of ``recipes/sensors`` and their tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, ClassVar

@@ -3,8 +3,6 @@
 Engines are in metres; what leaves this module is in mm, N and the gel frame.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The load on a pad's gel over a grasp: the physics' forces put through a contact law."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From a sensor's picture to depth, contact, volume and force: the renderer's inverse."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

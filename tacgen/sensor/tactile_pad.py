@@ -1,7 +1,5 @@
 """A tactile pad: from a posed mesh and the load on the gel to the imprint and the image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

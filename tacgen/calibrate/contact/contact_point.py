@@ -5,8 +5,6 @@ hundredths of a millimetre too early or too late bends V against F. The depth's 
 gauge's zero are then quantities to estimate, trial by trial.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ V = k_n F (F / F_ref)^(p − 1) then has to hold. R is fitted where it is unknow
 of another radius and another power look alike. Where R is known, p is fitted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -98,7 +96,7 @@ class Pooled:
     p_value: float
 
     @classmethod
-    def of(cls, values: Sequence[float], stderr: Sequence[float]) -> Pooled:
+    def of(cls, values: Sequence[float], stderr: Sequence[float]) -> "Pooled":
         """Of values (N,) with standard errors (N,)."""
         value, weight = np.array(values), 1.0 / np.array(stderr) ** 2
         q = float((weight * (value - np.average(value, weights=weight)) ** 2).sum())

@@ -1,7 +1,5 @@
 """What a press log cannot identify, and which press would."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

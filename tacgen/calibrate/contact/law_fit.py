@@ -3,8 +3,6 @@
 ``summary_dict`` is all of it as data, ``summary_text`` for a terminal.
 """
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace

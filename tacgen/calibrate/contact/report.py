@@ -1,7 +1,5 @@
 """The pages of a contact calibration: of a press log, and of force–depth curves."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path

@@ -10,8 +10,6 @@ are correlated. Three things make the interval honest:
   degrees of freedom that so many presses of such unequal weight leave.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

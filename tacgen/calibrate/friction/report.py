@@ -1,7 +1,5 @@
 """The page of a friction sweep: mislabels over μ, and real outcomes beside simulated ones."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

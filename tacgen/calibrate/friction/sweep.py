@@ -1,7 +1,5 @@
 """The friction sweep: simulate the real grasps at every μ and keep the μ that matches best."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence

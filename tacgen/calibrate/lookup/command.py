@@ -1,7 +1,5 @@
 """What ``tacgen calibrate lookup`` and ``score`` do: read, check, fit or score, write."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

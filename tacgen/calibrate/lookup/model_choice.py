@@ -1,7 +1,5 @@
 """Choosing a table's degrees, ridge and background by cross-validation over whole presses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -42,7 +40,7 @@ class PressSums:
     square: FloatArray
     weight: float
 
-    def of_columns(self, index: IntArray) -> PressSums:
+    def of_columns(self, index: IntArray) -> "PressSums":
         """The same for a model of fewer columns."""
         return PressSums(
             self.gram[np.ix_(index, index)], self.moment[index], self.square, self.weight

@@ -1,7 +1,5 @@
 """Ball presses made ready for the fits: pixels, drift of the bare gel, candidate backgrounds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -56,7 +54,7 @@ class Pixels:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def select(self, mask: BoolArray) -> Pixels:
+    def select(self, mask: BoolArray) -> "Pixels":
         """The pixels where ``mask`` (n,) holds."""
         return Pixels(*(getattr(self, name)[mask] for name in self.__slots__))
 
@@ -142,7 +140,7 @@ class PreparedPresses:
     )
 
     @classmethod
-    def of(cls, presses: PressImages, bare_changes: FloatArray | None = None) -> PreparedPresses:
+    def of(cls, presses: PressImages, bare_changes: FloatArray | None = None) -> "PreparedPresses":
         """The set of these presses; their ``bare_changes`` are computed unless they are known."""
         changes = _bare_changes(presses) if bare_changes is None else bare_changes
         change = _bare_gel_change(changes)
@@ -155,7 +153,7 @@ class PreparedPresses:
     def __len__(self) -> int:
         return len(self.presses)
 
-    def select(self, which: BoolArray) -> PreparedPresses:
+    def select(self, which: BoolArray) -> "PreparedPresses":
         """The presses that a mask picks; drift and backgrounds are estimated from them alone."""
         return PreparedPresses.of(self.presses.select(which), self.bare_changes[which])
 

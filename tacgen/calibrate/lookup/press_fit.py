@@ -1,7 +1,5 @@
 """Joint fit of a smooth table and of where each ball is: centres, radii and the gel's rim."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -21,13 +19,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     weighed,
 )
 from tacgen.core.arrays import FloatArray
-from tacgen.presses.geometry import (
-    MAX_RADIUS_SHARE,
-    Membrane,
-    PressedGel,
-    rest_height,
-    rest_slope,
-)
+from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
 EXPECTED_RADIUS_SHARE = 0.95
@@ -132,7 +124,7 @@ class PressModel:
         return asdict(self.labels) | shift | asdict(self.membrane) | dome
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> PressModel:
+    def from_dict(cls, values: Mapping[str, Any]) -> "PressModel":
         """The inverse of ``as_dict``."""
         known = {**values, "shift_mm": np.asarray(values["shift_mm"], dtype=np.float64)}
         labels = LabelModel(**{name: known[name] for name in LabelModel.__slots__})

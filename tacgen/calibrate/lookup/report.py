@@ -1,7 +1,5 @@
 """The page of a table's calibration: pictures of held-out presses, errors, coverage."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ that a stage has logged, or printed dots of known pitch. Without one there is a 
 wider than its ball.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -209,9 +207,7 @@ def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
     samples = prepared.samples(background, RULES.pixels_for_ratio)
     sums = [
         press_sums(
-            sample,
-            sample_design(sample, place, placed.press_model, RATIO_SETTINGS),
-            sample.change,
+            sample, sample_design(sample, place, placed.press_model, RATIO_SETTINGS), sample.change
         )
         for sample, place in zip(samples, placed.geometry, strict=True)
     ]

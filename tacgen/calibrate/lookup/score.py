@@ -1,7 +1,5 @@
 """How far a table's pictures are from real presses, in grey levels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,6 +34,36 @@ _MARGIN_PX = 3
 PICTURES = ("labels", "refined", "bare")
 """What a press is compared with: the table at the label's word, at the place re-estimated, and the
 background without a contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class PressScore:
+    """One press: squared errors summed over its pixels, and the place that was found.
+
+    ``likeness`` holds ``ssim_…`` and ``psnr_db_…`` of the picture within the outermost ring's
+    square, as labelled and refined; where it was asked for, ``gradient_error_deg``: the mean angle,
+    inside the circle, between the normals read from the photograph and those of the refined press.
+    """
+
+    name: str
+    squares: FloatArray  # (n_rings, 3, 3), by ring (the contact first), by ``PICTURES``, RGB
+    counts: IntArray  # (n_rings,), pixels
+    refined_mm: FloatArray  # (3,), centre and contact radius
+    likeness: Mapping[str, float]
+
+    def rmse(self, picture: str) -> float:
+        """Inside the circle, over the channels, grey levels."""
+        return TableScore((self,)).rmse(picture)[0]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its entry in the score's ``images``."""
+        return {
+            "name": self.name,
+            "rmse_labels": self.rmse("labels"),
+            "rmse_refined": self.rmse("refined"),
+            "n_pixels": int(self.counts[0]),
+            **self.likeness,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,36 +108,6 @@ class TableScore:
             **{name: float(np.mean([p.likeness[name] for p in self.presses])) for name in names},
             "rings": self.rings(),
             "images": [press.as_dict() for press in self.presses],
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class PressScore:
-    """One press: squared errors summed over its pixels, and the place that was found.
-
-    ``likeness`` holds ``ssim_…`` and ``psnr_db_…`` of the picture within the outermost ring's
-    square, as labelled and refined; where it was asked for, ``gradient_error_deg``: the mean angle,
-    inside the circle, between the normals read from the photograph and those of the refined press.
-    """
-
-    name: str
-    squares: FloatArray  # (n_rings, 3, 3), by ring (the contact first), by ``PICTURES``, RGB
-    counts: IntArray  # (n_rings,), pixels
-    refined_mm: FloatArray  # (3,), centre and contact radius
-    likeness: Mapping[str, float]
-
-    def rmse(self, picture: str) -> float:
-        """Inside the circle, over the channels, grey levels."""
-        return TableScore((self,)).rmse(picture)[0]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Its entry in the score's ``images``."""
-        return {
-            "name": self.name,
-            "rmse_labels": self.rmse("labels"),
-            "rmse_refined": self.rmse("refined"),
-            "n_pixels": int(self.counts[0]),
-            **self.likeness,
         }
 
 

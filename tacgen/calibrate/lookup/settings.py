@@ -1,7 +1,5 @@
 """What can be set in the fit of a lookup table: candidates, priors and the rules of the choice."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

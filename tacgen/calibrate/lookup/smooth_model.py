@@ -10,8 +10,6 @@ is pressed in answers otherwise than gel of the same slope beside the contact: i
 lower in the lamps' light, and its neighbourhood scatters other light.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ bins − 1 sectors, an odd number as a rule, so half a turn is no whole number o
 sector is halved here. Its features are raw pixels, its channels BGR.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import MappingProxyType

@@ -5,8 +5,6 @@ the changed load. It also holds what the diagnosis, the virtual rig and the repo
 of it, so that adding one is adding a module that calls ``register``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias

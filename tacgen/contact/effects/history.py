@@ -1,7 +1,5 @@
 """The load history of a press log, or of one simulated grasp, as the effects see it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Literal

@@ -4,8 +4,6 @@ Every function takes values (N,) sorted by trial and time and ``starts`` (n_tria
 trial k is rows ``starts[k]`` to ``starts[k + 1]``; no state passes from one trial to the next.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

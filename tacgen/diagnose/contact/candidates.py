@@ -1,7 +1,5 @@
 """Every effect and covariate that could explain a residual, as columns of a linear model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ in B has no share of the noise, be it of the volume or of the force. Sums of suc
 the place of every sum of squares that is judged.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -24,10 +22,7 @@ from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
-TARGETS: dict[Channel, tuple[str, ...]] = {
-    "normal": ("volume_mm3",),
-    "shear": SHEAR_MOTIONS,
-}
+TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
 _MEDIAN_OF_CHI2 = 0.455
 """Median of a squared standard normal number."""
 

@@ -1,7 +1,5 @@
 """Diagnose a press log: fit, trace, score on held-out trials, and extend the contact law."""
 
-from __future__ import annotations
-
 import json
 import platform
 from collections.abc import Sequence
@@ -22,12 +20,7 @@ from tacgen.core.errors import PressError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import heldout
-from tacgen.diagnose.contact.channel import (
-    TARGETS,
-    ChannelData,
-    ChannelSamples,
-    noise_floor,
-)
+from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.residuals import Dependence, dependences

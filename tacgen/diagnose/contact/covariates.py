@@ -1,7 +1,5 @@
 """Columns of a log, and oscillations, that compete with the effects."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

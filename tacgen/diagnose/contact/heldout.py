@@ -4,8 +4,6 @@ The process is smooth in all covariates: it says how far any smooth model could 
 physics and is never the answer; its error is only reported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """One simulated grasp rendered by two contact laws: what an effect changes in the images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -56,11 +54,7 @@ def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, .
     grasped = recipe_object(recipe.objects[planned.entry])
     with GraspSimulator(recipe.robot.name) as simulator:
         trace = run_grasp(
-            simulator,
-            grasped,
-            planned.config,
-            recipe.physics_settings,
-            frames=recipe.frames,
+            simulator, grasped, planned.config, recipe.physics_settings, frames=recipe.frames
         )
     frames = next(iter(trace.frames.values()), ())
     if not frames:

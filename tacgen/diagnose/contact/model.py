@@ -1,7 +1,5 @@
 """A contact law under fit: a compliance and effects, each in one variant, refitted jointly."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -48,7 +46,7 @@ class Model:
     terms: tuple[Term, ...] = ()
     covariates: tuple[CovariateTerm, ...] = ()
 
-    def without(self, name: str, covariate: Covariate | None) -> Model:
+    def without(self, name: str, covariate: Covariate | None) -> "Model":
         """The model less ``covariate``, or less the effect ``name``."""
         if covariate is None:
             return replace(self, terms=tuple(t for t in self.terms if t.name != name))

@@ -1,7 +1,5 @@
 """Oscillations of a residual in the session's clock."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft

@@ -1,7 +1,5 @@
 """The page of a contact diagnosis: residual before and after, what it was traced to, ranking."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

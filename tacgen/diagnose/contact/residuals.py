@@ -1,7 +1,5 @@
 """What the residual of a model still depends on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The result of diagnosing a press log, the content of ``diagnosis.json``, notes on the data."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -213,11 +211,7 @@ def advice(name: str, other: str) -> str:
 
 
 def _dependence(found: ChannelDiagnosis, d: Dependence) -> dict[str, Any]:
-    return {
-        "covariate": d.covariate,
-        "p_value": found.p_value(d.p_value),
-        "share": finite(d.share),
-    }
+    return {"covariate": d.covariate, "p_value": found.p_value(d.p_value), "share": finite(d.share)}
 
 
 def _estimate(value: float, stderr: float, unit: str) -> dict[str, Any]:
@@ -225,11 +219,7 @@ def _estimate(value: float, stderr: float, unit: str) -> dict[str, Any]:
 
 
 def _error(errors: Errors, unit: str) -> dict[str, Any]:
-    return {
-        "rmse": finite(errors.rmse),
-        "nrmse": finite(errors.nrmse),
-        "unit": unit,
-    }
+    return {"rmse": finite(errors.rmse), "nrmse": finite(errors.nrmse), "unit": unit}
 
 
 def finite(value: float) -> float | None:

@@ -3,8 +3,6 @@
 ``docs/method.md`` has them as a table, with the study that set each.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

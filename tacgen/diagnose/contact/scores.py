@@ -6,8 +6,6 @@ candidates and pairs cost milliseconds. The products are between the two halves 
 (`channel`), so that a loss is what is left of structure, without the noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

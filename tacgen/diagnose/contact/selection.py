@@ -9,8 +9,6 @@ compete on the same terms, so that they are not taken for an effect.
 ``CandidateSets`` fits sets of candidates and tests their members; ``Selection`` searches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -47,7 +45,7 @@ class FittedSet:
         """Names of the members."""
         return frozenset(member.name for member in self.members)
 
-    def lead_in_se(self, other: FittedSet) -> float:
+    def lead_in_se(self, other: "FittedSet") -> float:
         """By how many standard errors over units it predicts better than ``other``."""
         difference = other.unit_losses - self.unit_losses
         return float(difference.sum()) / (

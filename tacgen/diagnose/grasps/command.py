@@ -1,7 +1,5 @@
 """``tacgen diagnose grasps``: traces mislabels of simulated grasps to wrong figures."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace

@@ -5,8 +5,6 @@ diagnosis of labels considers: V = k_n F. So how strongly a real image differs f
 one is compared with simulated images of the same grasp at several forces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

@@ -6,8 +6,6 @@ cross-validation over grasps, averaged over every size of the held-out part (Fon
 the marginal likelihood and cross-validation). A parameter that explains nothing lowers it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
@@ -255,7 +253,7 @@ class ModelComparison:
         self.others = [Evidence(model) for model in models]
         self.names = tuple(dict.fromkeys(model.candidate.name for model in models))
 
-    def given(self, chosen: CandidateScore) -> ModelComparison:
+    def given(self, chosen: CandidateScore) -> "ModelComparison":
         """The comparison where what was chosen holds."""
         at, best, declared = chosen.nearest, chosen.model, self.declared.model
         base = replace(

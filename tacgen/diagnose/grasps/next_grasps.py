@@ -1,7 +1,5 @@
 """Which real grasps to make next: those on which the leading explanations disagree most."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -7,8 +7,6 @@ Parameters with a closed form of their own start from there too, and are simulat
 matters: about the values that lead (``refined``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

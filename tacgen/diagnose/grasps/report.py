@@ -1,7 +1,5 @@
 """The page of a grasp diagnosis: outcomes real and simulated, ranking, and what to do next."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

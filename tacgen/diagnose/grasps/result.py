@@ -1,7 +1,5 @@
 """The diagnosis of real grasp labels, and how it stands in ``diagnosis.json``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -257,10 +255,7 @@ def diagnosis_record(
                 "p_value": step.p_value,
                 "critical_gain": finite(step.critical_gain),
                 "candidates": [
-                    {
-                        "description": describe(score),
-                        "log_evidence_gain": finite(score.gain),
-                    }
+                    {"description": describe(score), "log_evidence_gain": finite(score.gain)}
                     for score in step.scores
                 ],
             }

@@ -5,8 +5,6 @@ margin's form and the rounds of refining were set on its second and third set of
 means that no study varied the figure.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

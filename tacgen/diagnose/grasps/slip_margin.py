@@ -1,7 +1,5 @@
 """From simulated outcomes to one continuous number a grasp: how far it is from the other label."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

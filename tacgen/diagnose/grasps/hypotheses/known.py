@@ -1,7 +1,5 @@
 """The hypotheses that a diagnosis of grasps compares; a further one is a further module here."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tacgen.collection.perturbed import Perturbation

@@ -3,8 +3,6 @@
 Every module of this folder is imported, and those of hypotheses register them (``known``).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
