@@ -171,7 +171,9 @@ def _refuse_press_as_background(presses: PressImages) -> None:
     """
     chosen = presses.images[:: max(1, len(presses) // 15)]
     median = np.asarray(np.median(chosen, axis=0), dtype=np.uint8)
-    place = find_circle(presses.background, median)
+    # What a camera clips in the presses is no contact of the background.
+    background = np.minimum(presses.background, presses.images.max())
+    place = find_circle(background, median)
     if place.problem:
         return
     found = [(find_circle(image, median), image) for image in chosen]
@@ -183,7 +185,7 @@ def _refuse_press_as_background(presses: PressImages) -> None:
     if not seen or np.mean(elsewhere) < MOVED_SHARE:
         return
     usual = float(np.median([_change_in(image, median, circle) for circle, image in seen]))
-    if _change_in(presses.background, median, place) > PRESS_STRENGTH * usual:
+    if _change_in(background, median, place) > PRESS_STRENGTH * usual:
         x, y = place.center_px
         fix = "it is a press itself; take it anew with nothing on the gel"
         msg = f"the background shows a contact at ({x:.0f}, {y:.0f}): {fix}"

@@ -10,10 +10,8 @@ from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
-from tacgen.diagnose.optics.extended_table import effects_of, with_effects
-from tacgen.diagnose.optics.model import ModelState
 from tacgen.optics import load_table, save_table
-from tacgen.optics.effects import Stage, optical_effect, optical_effects
+from tacgen.optics.effects import Stage, optical_effects
 from tests.small_world import write_world
 
 pytestmark = pytest.mark.slow
@@ -21,6 +19,7 @@ pytestmark = pytest.mark.slow
 EFFECTS = {
     "blur": {"sigma_mm": 0.6},
     "shadow": {"strength": 0.7, "length_mm": 4.0},
+    "defocus": {"sigma_mm": 0.4},
     "illumination": {"r_uu": 0.2, "r_vv": 0.1, "r_u": 0.8, "r_v": -0.3, "g_u": -0.5, "g_v": 0.4},
     "cross_talk": {"rg": 0.2, "rb": 0.1, "gb": 0.1, "br": 0.3},
     "background_gain": {"gain_r": 1.1, "gain_g": 0.95, "offset_r": 3.0, "offset_b": -4.0},
@@ -77,14 +76,3 @@ def test_collect_writes_the_images_of_all_effects_together(tmp_path, monkeypatch
 
 def test_the_effects_are_all_that_the_renderer_applies():
     assert list(EFFECTS) == [effect.name for effect in optical_effects(Stage.SURFACE)]
-
-
-def test_a_tables_effects_are_read_back_as_they_were_written():
-    state = with_effects(ModelState(), EFFECTS)
-    written = effects_of(state)
-    assert list(written) == list(EFFECTS)
-    for name, values in EFFECTS.items():
-        identity = {key: p.identity for key, p in optical_effect(name).parameters.items()}
-        assert written[name] == {**identity, **values}
-    assert effects_of(with_effects(ModelState(), written)) == written
-    assert effects_of(with_effects(ModelState(), {"blur": {"sigma_mm": 0.0}})) == {}

@@ -13,17 +13,20 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.diagnose.optics.diagnose import diagnose_optics
+from tacgen.optics.table import LookupTable
 from tacgen.presses.press_images import PressImages
 from validation.optics.optics_images import SENSORS, STRENGTHS, make
 
 COUNT = 28
-EFFECTS = tuple(name for name in STRENGTHS if name != "cross_talk")
+EFFECTS = tuple(STRENGTHS)
 OUTSIDE = {"scratch": "place_on_gel", "ageing": "image_number"}
 
 
@@ -38,10 +41,10 @@ def cases() -> Iterator[tuple[str, str, float, int]]:
             yield from ((kind, effect, strength, seed) for effect in EFFECTS)
 
 
-def run(kind: str, effect: str, strength: float, seed: int) -> dict[str, Any]:
-    """One case, as a record."""
-    made = make(kind, "" if effect == "none" else effect, strength, seed + 100, COUNT)
-    presses = PressImages(
+def presses_of(kind: str, effect: str, strength: float, seed: int) -> PressImages:
+    """Presses on a sensor with an effect."""
+    made = make(kind, effect, strength, seed, COUNT)
+    return PressImages(
         images=made.images,
         background=made.background,
         names=tuple(str(k) for k in range(COUNT)),
@@ -50,8 +53,20 @@ def run(kind: str, effect: str, strength: float, seed: int) -> dict[str, Any]:
         ball_radius_mm=np.full(COUNT, made.ball_mm),
         mm_per_px=made.mm_per_px,
     )
+
+
+@lru_cache
+def table_of_before(kind: str) -> LookupTable:
+    """A table of the same sensor from other presses, without any effect."""
+    return fit_lookup(presses_of(kind, "", 1.0, 99))
+
+
+def run(kind: str, effect: str, strength: float, seed: int) -> dict[str, Any]:
+    """One case, as a record."""
+    presses = presses_of(kind, "" if effect == "none" else effect, strength, seed + 100)
+    table = table_of_before(kind)
     start = time.process_time()
-    found = diagnose_optics(presses)
+    found = diagnose_optics(presses, table)
     return {
         "case": [kind, effect, strength, seed],
         "found": [one.name for one in found.effects],

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tacgen.core.files import write_text
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis, diagnose_optics
-from tacgen.diagnose.optics.extended_table import extended_table
 from tacgen.diagnose.optics.pictures import press_pictures
 from tacgen.diagnose.optics.report import write_optics_page
 from tacgen.optics.table import load_table, save_table
@@ -29,17 +28,16 @@ def diagnose_presses(
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
     presses = usable_presses(raw)
     diagnosis = diagnose_optics(presses, given)
-    table = extended_table(presses, diagnosis.selection.chosen, diagnosis.reference, given)
     record = diagnosis.as_dict()
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / "diagnosis.json", json.dumps(record, indent=2) + "\n")
-    save_table(table, out / "table.npz")
+    save_table(diagnosis.table, out / "table.npz")
     write_optics_page(
         out / "report.html",
         record["channels"]["rgb"],
         press_pictures(presses, diagnosis),
-        applied=sorted(table.effects),
+        applied=sorted(diagnosis.table.effects),
         excluded=[str(press) for press in presses.dropped],
     )
     return diagnosis, presses

@@ -1,73 +1,104 @@
-"""Which optical effects ball presses show: forward selection over whole presses, held-out error."""
+"""Which optical effects ball presses show beside a calibrated table."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.calibrate.lookup.smooth_model import position_terms
-from tacgen.calibrate.lookup.table_fit import camera_noise_grey
+from tacgen.calibrate.lookup.table_fit import calibrate, camera_noise_grey
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
-from tacgen.diagnose.optics.extended_table import first_state, reference_of
-from tacgen.diagnose.optics.model import GivenTable, PlainTable, Problem, scene_of
-from tacgen.diagnose.optics.model_comparison import FittedModel, ModelComparison, Selection
-from tacgen.diagnose.optics.pixels import gather_pixels
-from tacgen.diagnose.optics.residuals import Dependence
+from tacgen.core.version import __version__
+from tacgen.diagnose.optics.fit import Known, Model, PressFit, typical
+from tacgen.diagnose.optics.rendering import views_of
+from tacgen.diagnose.optics.residuals import Dependence, dependences
 from tacgen.diagnose.optics.rules import RULES, SelectionRules
-from tacgen.diagnose.optics.surface import Profiles
-from tacgen.optics.effects import Candidate, optical_effect, optical_effects
+from tacgen.diagnose.optics.selection import Scored, Selection, Step, log_gain, select
+from tacgen.diagnose.optics.sharpness import LostNoise, lost_noise
+from tacgen.optics.effects import Candidate, PressScene, Stage, optical_effect, optical_effects
 from tacgen.optics.table import LookupTable
 from tacgen.presses.press_images import PressImages
 
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """An effect that was added, what it is worth and what came second."""
+    """An effect that was added, what it is worth and what came second.
+
+    ``heldout_gain`` and its standard error, grey levels, are over all presses, each by parameters
+    that it had no part in; what the effect does not concern of a press's place and exposure is
+    estimated from its picture. Of pictures out of focus they are of the test presses' noise.
+    """
 
     name: str
     label: str
     parameters: dict[str, dict[str, Any]]
     cv_gain: float
     heldout_gain: float
+    heldout_gain_stderr: float
     p_value: float
     runner_up: str
     runner_up_gain: float
-    equals: tuple[str, ...]
+    as_good: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its entry in ``diagnosis.json``."""
+        names = {"label": "how"}
+        return {
+            names.get(name, name): list(value) if isinstance(value, tuple) else value
+            for name in self.__slots__
+            for value in [getattr(self, name)]
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class PressErrors:
+    """RMSE on the test presses, grey levels.
+
+    Attributes
+    ----------
+    squares : (n_test,) float
+        Mean squared error of each press, with place and exposure as stated.
+    inside : float
+        Within the labelled circles alone.
+    refined : float
+        With place and exposure of each press estimated from one half of its pixels and scored on
+        the other.
+    """
+
+    squares: FloatArray
+    inside: float
+    refined: float
+
+    @property
+    def rmse(self) -> float:
+        """With place and exposure as stated."""
+        return float(np.sqrt(self.squares.mean()))
 
 
 @dataclass(frozen=True, slots=True)
 class OpticsDiagnosis:
     """The outcome, with everything that the report shows.
 
-    Attributes
-    ----------
-    before_squares, after_squares : (n_test,) float
-        Mean squared error of each test press, in and around its contact.
-    tests : (n_test,) int
-        Which presses they are.
-    inside_before, inside_after : float
-        RMSE within the labelled circles alone.
+    ``table`` is the table that was compared, with the effects that were found.
     """
 
     effects: tuple[FoundEffect, ...]
     unexplained: tuple[Dependence, ...]
     cannot_tell: tuple[str, ...]
     selection: Selection
-    reference: NDArray[np.float32]
-    given: LookupTable | None
-    before_squares: FloatArray
-    after_squares: FloatArray
-    inside_before: float
-    inside_after: float
+    table: LookupTable
+    tests: NDArray[np.int64]
+    test_fit: PressFit
+    test_start: Model
+    before: PressErrors
+    after: PressErrors
     noise_floor: float
     n_fit: int
-    tests: NDArray[np.int64]
     mean_grey: float
 
     @property
@@ -80,17 +111,17 @@ class OpticsDiagnosis:
     @property
     def rmse_before(self) -> float:
         """On test presses, grey levels."""
-        return float(np.sqrt(self.before_squares.mean()))
+        return self.before.rmse
 
     @property
     def rmse_after(self) -> float:
         """On test presses, grey levels."""
-        return float(np.sqrt(self.after_squares.mean()))
+        return self.after.rmse
 
     @property
     def gain_interval(self) -> tuple[float, float]:
         """95 % interval of the gain in RMSE, by bootstrap over the test presses."""
-        before, after = self.before_squares, self.after_squares
+        before, after = self.before.squares, self.after.squares
         rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(len(before),)))
         drawn = rng.integers(0, len(before), (2000, len(before)))
         gains = np.sqrt(before[drawn].mean(axis=1)) - np.sqrt(after[drawn].mean(axis=1))
@@ -107,7 +138,7 @@ class OpticsDiagnosis:
         if self.effects:
             names = ", ".join(f"{e.name} ({e.heldout_gain:.2f} grey levels)" for e in self.effects)
             return (
-                f"Found {names}: the error on held-out presses falls from {self.rmse_before:.2f} "
+                f"Found {names}: the error on held-out presses goes from {self.rmse_before:.2f} "
                 f"to {self.rmse_after:.2f} grey levels.{rest}"
             )
         if rest:
@@ -122,28 +153,14 @@ class OpticsDiagnosis:
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``."""
-        effects = [
-            {
-                "name": effect.name,
-                "how": effect.label,
-                "parameters": effect.parameters,
-                "heldout_gain": effect.heldout_gain,
-                "cv_gain": effect.cv_gain,
-                "p_value": effect.p_value,
-                "runner_up": effect.runner_up,
-                "runner_up_gain": effect.runner_up_gain,
-                "as_good": list(effect.equals),
-            }
-            for effect in self.effects
-        ]
         channel = {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "effects": effects,
+            "effects": [effect.as_dict() for effect in self.effects],
             "unexplained": [dependence.as_dict() for dependence in self.unexplained],
             "cannot_tell": list(self.cannot_tell),
-            "error_before": self._error(self.rmse_before, self.inside_before),
-            "error_after": self._error(self.rmse_after, self.inside_after),
+            "error_before": self._error(self.before),
+            "error_after": self._error(self.after),
             "gain_interval_95": list(self.gain_interval),
             "noise_floor": {
                 "rmse": self.noise_floor,
@@ -151,123 +168,217 @@ class OpticsDiagnosis:
             },
             "trials": {"fit": self.n_fit, "test": len(self.tests)},
             "steps": [
-                {"error_before": step.before, "chosen": step.selected, "rmse": step.rmse}
+                {
+                    "error_before": step.before,
+                    "chosen": step.chosen.name if step.chosen else "",
+                    "rmse": {one.name: one.rmse for one in reversed(step.tried)},
+                }
                 for step in self.selection.steps
             ],
         }
         return {"schema": 1, "channels": {"rgb": channel}}
 
-    def _error(self, rmse: float, inside: float) -> dict[str, Any]:
+    def _error(self, errors: PressErrors) -> dict[str, Any]:
         return {
-            "rmse": rmse, "nrmse": rmse / self.mean_grey, "unit": "grey", "inside_circle": inside
-        }  # fmt: skip
+            "rmse": errors.rmse,
+            "nrmse": errors.rmse / self.mean_grey,
+            "unit": "grey",
+            "inside_circle": errors.inside,
+            "refined": errors.refined,
+        }
 
 
 def diagnose_optics(
     presses: PressImages, table: LookupTable | None = None, rules: SelectionRules = RULES
 ) -> OpticsDiagnosis:
-    """Trace the residuals of a table on ball presses to optical effects.
+    """Trace to optical effects what a calibrated table does not explain of ball presses.
 
-    Without ``table`` a plain one, which gives a slope the same colour wherever it is, is fitted to
-    the presses themselves, each scored by a fit to others.
+    ``table`` was fitted to other presses: what has changed since is diagnosed. Without it a table
+    is fitted to these presses as ``tacgen calibrate lookup`` does, and each press is compared with
+    one that it was held out of: only what the table cannot express is found.
 
     Raises
     ------
     PressError
         If there are too few presses to hold any out, or the table is of another resolution.
     """
+    _check(presses, table, rules)
+    testing = np.arange(len(presses)) % rules.test_every == rules.test_every - 1
+    shown, tests = presses.select(~testing), presses.select(testing)
+    if table is None:
+        calibration = calibrate(shown)
+        whole, tables = calibration.table, list(calibration.fold_tables)
+    else:
+        whole, tables = table, [table]
+    fit = PressFit(views_of(shown, tables, rules), rules)
+    test_fit = PressFit(views_of(tests, [whole], rules), rules)
+    noise = camera_noise_grey(presses)
+    scene = _scene(shown, fit, has_table=table is not None)
+    start, test_start = fit.start(whole.effects), test_fit.start(whole.effects)
+    focus = lost_noise(shown, tests, table, rules)
+    without: set[str] = set()
+    if focus is not None:
+        fixed = {**start.fixed, focus.effect.name: {"sigma_mm": focus.sigma_mm}}
+        start, without = replace(start, fixed=fixed), {focus.effect.reported_name}
+    while True:
+        selection = select(fit, start, scene, without)
+        gains = [_gain(test_fit, test_start, selection, k) for k in range(len(selection.added))]
+        weak = [
+            _chosen(step).candidate.effect
+            for step, (gain, error, objected) in zip(selection.added, gains, strict=True)
+            if gain <= error or objected
+        ]
+        if not weak:
+            break
+        without.add(weak[0])
+    found = selection.chosen
+    left = dependences(fit, found)
+    return OpticsDiagnosis(
+        effects=(
+            *([_out_of_focus(focus)] if focus else []),
+            *(
+                _found(fit, selection, step, gain)
+                for step, gain in zip(selection.added, gains, strict=True)
+            ),
+        ),
+        unexplained=tuple(left),
+        cannot_tell=_cannot_tell(scene, selection),
+        selection=selection,
+        table=_extended(whole, found, noise),
+        tests=np.nonzero(testing)[0],
+        test_fit=test_fit,
+        test_start=test_start,
+        before=_errors(test_fit, test_start),
+        after=_errors(test_fit, on_presses(test_fit, test_start, found)),
+        noise_floor=noise,
+        n_fit=len(shown),
+        mean_grey=float(presses.images.mean()),
+    )
+
+
+def _check(presses: PressImages, table: LookupTable | None, rules: SelectionRules) -> None:
     if len(presses) < rules.min_presses:
         msg = (
             f"{len(presses)} usable presses are too few to hold any out; take at least "
             f"{rules.min_presses}, better 30, spread over the gel"
         )
         raise PressError(msg)
-    reference = reference_of(presses, table, rules)
-    pixels = gather_pixels(presses, reference, rules=rules)
-    start, labels = first_state(table, pixels.labels)
-    pixels = replace(pixels, labels=labels)
-    testing = np.arange(len(presses)) % rules.test_every == rules.test_every - 1
-    problem = Problem(
-        pixels.of_presses(~testing),
-        PlainTable(rules.table_degree) if table is None else GivenTable(table),
-        Profiles(pixels.labels[:, 2], pixels.dome_radius_mm, rules),
-        rules,
-    )
-    noise_grey = camera_noise_grey(presses)
-    comparison = ModelComparison(problem, np.nonzero(~testing)[0].astype(float), noise_grey)
-    selection = comparison.select(start)
-    tests = pixels.of_presses(testing)
-    errors = [model.errors_on(tests) for model in selection.path]
-    squares = [tests.mean_by_press((error**2).mean(axis=1)) for error in errors]
-    return OpticsDiagnosis(
-        effects=_effects(selection, squares),
-        unexplained=tuple(comparison.dependences(selection.chosen)),
-        cannot_tell=_cannot_tell(replace(problem, pixels=pixels), selection),
-        selection=selection,
-        reference=reference,
-        given=table,
-        before_squares=squares[0],
-        after_squares=squares[-1],
-        inside_before=_rmse(errors[0][tests.inside]),
-        inside_after=_rmse(errors[-1][tests.inside]),
-        noise_floor=noise_grey,
-        n_fit=int((~testing).sum()),
-        tests=np.nonzero(testing)[0],
-        mean_grey=float(presses.images.mean()),
-    )
-
-
-def _rmse(errors: FloatArray) -> float:
-    return float(np.sqrt((errors**2).mean()))
-
-
-def _effects(selection: Selection, squares: Sequence[FloatArray]) -> tuple[FoundEffect, ...]:
-    rmse = [float(np.sqrt(square.mean())) for square in squares]
-    found = []
-    for k, candidate in enumerate(selection.chosen.candidates):
-        step = selection.step_of(candidate.effect)
-        found.append(
-            FoundEffect(
-                name=candidate.effect,
-                label=candidate.label,
-                parameters=_parameters(selection.chosen, candidate),
-                cv_gain=selection.path[k].rmse - selection.path[k + 1].rmse,
-                heldout_gain=rmse[k] - rmse[k + 1],
-                p_value=step.p_value[candidate.effect],
-                runner_up=step.runner_up,
-                runner_up_gain=step.before - step.rmse.get(step.runner_up, step.before),
-                equals=step.equals,
-            )
+    if table is not None and table.shape_px != presses.shape_px:
+        msg = (
+            f"the table renders {table.shape_px} pixels (rows, columns), the presses are "
+            f"{presses.shape_px}: give the table of the presses' own resolution"
         )
-    return tuple(found)
+        raise PressError(msg)
 
 
-def _parameters(model: FittedModel, candidate: Candidate) -> dict[str, dict[str, Any]]:
+def _scene(presses: PressImages, fit: PressFit, *, has_table: bool) -> PressScene:
+    return PressScene(
+        contact_radius_mm=float(np.mean([view.radius_mm for view in fit.views])),
+        ball_radii_mm=np.asarray(presses.ball_radius_mm),
+        mm_per_px=presses.mm_per_px,
+        has_table=has_table,
+        grey=np.concatenate([view.pixels.grey for view in fit.views]),
+    )
+
+
+def _chosen(step: Step) -> Scored:
+    if step.chosen is None:
+        msg = "this step chose nothing"
+        raise ValueError(msg)
+    return step.chosen
+
+
+def on_presses(fit: PressFit, start: Model, found: Model) -> Model:
+    """A model that was found, on other presses, which are placed anew."""
+    return fit.placed(replace(found, places=start.places), shared=False)
+
+
+def _gain(fit: PressFit, start: Model, selection: Selection, k: int) -> tuple[float, float, bool]:
+    """What added step ``k`` lowers the error by, its standard error, whether the tests object.
+
+    In grey levels, over all presses, each by parameters that it had no part in.
+    """
+    step = selection.added[k]
+    before = selection.start if k == 0 else _chosen(selection.added[k - 1]).model
+    pairs = [
+        fit.squares(on_presses(fit, start, model), step.known, heldout=False)
+        for model in (before, _chosen(step).model)
+    ]
+    tested, _ = log_gain(*pairs)
+    before_squares = np.append(step.squares, pairs[0])
+    gain, error = log_gain(before_squares, np.append(_chosen(step).squares, pairs[1]))
+    rmse = math.sqrt(typical(before_squares))
+    return rmse * (1 - math.exp(-0.5 * gain)), 0.5 * rmse * error, tested <= 0
+
+
+def _errors(fit: PressFit, model: Model) -> PressErrors:
+    stated = fit.residuals(model, fit.linearised(model, Known.ALL), heldout=False)
+    inside = [r[view.pixels.inside] for r, view in zip(stated, fit.views, strict=True)]
+    refined = fit.squares(model, heldout=False)
+    return PressErrors(
+        np.array([(residual**2).mean() for residual in stated]),
+        float(np.sqrt((np.concatenate(inside) ** 2).mean())),
+        float(np.sqrt(refined.mean())),
+    )
+
+
+def _out_of_focus(focus: LostNoise) -> FoundEffect:
+    sigma = _number(focus.sigma_mm, focus.sigma_stderr_mm, "mm")
+    return FoundEffect(
+        name=focus.effect.reported_name,
+        label="Gaussian over the whole picture, by its noise",
+        parameters={"sigma_mm": sigma},
+        cv_gain=focus.gain,
+        heldout_gain=focus.gain,
+        heldout_gain_stderr=focus.gain_stderr,
+        p_value=focus.p_value,
+        runner_up="",
+        runner_up_gain=0.0,
+        as_good=(),
+    )
+
+
+def _found(
+    fit: PressFit, selection: Selection, step: Step, gain: tuple[float, float, bool]
+) -> FoundEffect:
+    one, second = _chosen(step), step.runner_up
+    return FoundEffect(
+        name=one.name,
+        label=one.candidate.label,
+        parameters=_parameters(fit, selection.chosen, one.candidate, step.known),
+        cv_gain=step.before - one.rmse,
+        heldout_gain=gain[0],
+        heldout_gain_stderr=gain[1],
+        p_value=one.p_value,
+        runner_up=second.name if second else "",
+        runner_up_gain=step.before - second.rmse if second else 0.0,
+        as_good=step.as_good,
+    )
+
+
+def _parameters(
+    fit: PressFit, model: Model, candidate: Candidate, known: Known
+) -> dict[str, dict[str, Any]]:
     """The fitted parameters of an effect, with standard errors over the presses."""
-    state, effect = model.state, optical_effect(candidate.effect)
-    errors = model.system.stderr()[3 * model.problem.table.n_columns :]
-    stderr = {one.key: float(e) for one, e in zip(model.shared, errors, strict=True)}
-    found = {}
-    for name, parameter in candidate.shared.items():
-        key = (effect.name, name)
-        found[name] = _number(state.shared[key], stderr[key], parameter.unit)
-    n_presses = model.problem.pixels.n_presses
-    for name, parameter in candidate.own.items():
-        values = state.own[effect.name, name]
-        # A parameter that all presses share has its own entry.
-        shown = f"press_{name}" if name in candidate.shared else name
-        spread = float(values.std(ddof=1))
-        found[f"{shown}_mean"] = _number(
-            float(values.mean()), spread / math.sqrt(n_presses), parameter.unit
-        )
-        found[f"{shown}_scatter"] = _number(
-            spread, spread / math.sqrt(2 * n_presses - 2), parameter.unit
-        )
-    for name, relative in candidate.chosen.items():
-        value = state.shared[effect.name, name]
-        found[name] = _number(value, relative * value, effect.parameters[name].unit)
-    if candidate.color_by_place:
-        found["change_over_image"] = _number(light_by_place(model), None, "1")
+    effect, errors = optical_effect(candidate.effect), fit.stderr(model, known)
+    found = {
+        name: _number(model.shared[effect.name, name], errors[effect.name, name], parameter.unit)
+        for name, parameter in candidate.shared.items()
+    }
+    chosen = {
+        name: value
+        for (owner, name), value in model.shared.items()
+        if owner == effect.name and name not in found
+    }
+    for name, value in chosen.items():
+        found[name] = _number(value, None, effect.parameters[name].unit)
+    own = fit.own_values(model, known) if candidate.each else np.zeros((0, 3))
+    for name, values in zip(candidate.each, own.T, strict=False):
+        unit, count = effect.parameters[name].unit, len(values)
+        mean, scatter = float(values.mean()), float(values.std(ddof=1))
+        identity = effect.parameters[name].identity
+        found[f"{name}_mean"] = _number(identity + mean, scatter / math.sqrt(count), unit)
+        found[f"{name}_scatter"] = _number(scatter, scatter / math.sqrt(2 * count - 2), unit)
     return found
 
 
@@ -275,30 +386,35 @@ def _number(value: float, stderr: float | None, unit: str) -> dict[str, Any]:
     return {"value": value, "stderr": stderr, "unit": unit}
 
 
-def light_by_place(model: FittedModel) -> float:
-    """RMS over the gel of what the place changes a slope's colour by, as a share of that colour."""
-    table = model.problem.table
-    if not isinstance(table, PlainTable):
-        return 0.0
-    weights = table.position_weights(model.state.weights)[table.moving]
-    side = np.linspace(-0.5, 0.5, 9)
-    u, v = (grid.ravel() for grid in np.meshgrid(side, side))
-    moved = np.einsum("pf,tfc->ptc", position_terms(u, v)[:, :5], weights[:, :5])
-    return float(np.sqrt((moved**2).mean() / (weights[:, 5] ** 2).mean()))
+def _extended(table: LookupTable, found: Model, noise_grey: float) -> LookupTable:
+    """The table with the effects that were found, which the renderer applies.
+
+    What belongs to the presses (labels, the scatter of exposures) stays out; the camera's noise is
+    theirs.
+    """
+    rendered = {effect.name for effect in optical_effects(Stage.SURFACE)}
+    effects = {name: v for name, v in found.effects().items() if name in rendered}
+    provenance = {**table.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
+    return replace(
+        table,
+        effects=MappingProxyType(effects),
+        noise_grey=noise_grey,
+        provenance=MappingProxyType(provenance),
+    )
 
 
-def _cannot_tell(problem: Problem, selection: Selection) -> tuple[str, ...]:
+def _cannot_tell(scene: PressScene, selection: Selection) -> tuple[str, ...]:
     """What these presses cannot tell apart, and what measurement would."""
-    scene, found = scene_of(problem, selection.chosen.state), selection.chosen.candidates
+    found = selection.chosen.candidates
     lines = [
         line
         for effect in optical_effects()
         if (line := effect.cannot_tell(scene, [c for c in found if c.effect == effect.name]))
     ]
-    for step in selection.steps:
-        if step.selected and step.equals:
+    for step in selection.added:
+        if step.as_good:
             lines.append(
-                f"{step.selected} was selected; the presses hardly tell it from "
-                f"{', '.join(step.equals)}: more presses, over the whole gel, would."
+                f"{_chosen(step).name} was selected; the presses hardly tell it from "
+                f"{', '.join(step.as_good)}: more presses, over the whole gel, would."
             )
     return tuple(lines)

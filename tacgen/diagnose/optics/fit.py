@@ -1,284 +1,289 @@
-"""Fitting the images' chain: Gauss–Newton over whole presses, folds held out, held-out error.
-
-What a press has of its own (its centre, its exposure) is eliminated press by press, so that one
-small system remains for what all presses share, a sum over presses: holding a fold out is leaving
-its terms out of the sum.
-"""
+"""Fits of optical effects on top of a table's rendering, and their errors on held-out presses."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.optics.model import (
-    Colors,
-    FreeParameter,
-    ModelState,
-    PlainTable,
-    Problem,
-    colors_of,
-    photograph,
-    render,
-)
+from tacgen.calibrate.lookup.model_choice import fold_of
+from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.diagnose.optics.rendering import Effects, PressView
+from tacgen.diagnose.optics.rules import SelectionRules
+from tacgen.optics.effects import Candidate, Parameter, Stage, optical_effect
+
+Key = tuple[str, str]
+"""An effect and one of its parameters."""
+
+
+class Known(IntFlag):
+    """What of a press is taken as stated; the rest is estimated from its picture."""
+
+    NOTHING = 0
+    PLACE = 1
+    """Centre and radius are those of the label."""
+    EXPOSURE = 2
+    """The picture is as bright as the table says."""
+    ALL = 3
+
+
+def known_for(stage: Stage) -> Known:
+    """What must be taken as stated for effects of a stage to show."""
+    return {Stage.PRESS: Known.PLACE, Stage.EXPOSURE: Known.EXPOSURE}.get(stage, Known.NOTHING)
 
 
 @dataclass(frozen=True, slots=True)
-class System:
-    """Normal matrix (N, D, D) and gradient (N, D) of every press, own parameters eliminated."""
+class Model:
+    """Effects with their values, and where each press is.
 
-    matrices: FloatArray
-    gradients: FloatArray
-    penalty: FloatArray
-    pull: FloatArray
-
-    def step(self, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """The Gauss–Newton step of the presses that are kept."""
-        matrix = self.matrices[kept].sum(axis=0)
-        # A parameter that nothing depends on stays where it is.
-        matrix = matrix + np.diag(self.penalty + 1e-9 * (np.diag(matrix) + 1e-9))
-        return np.linalg.solve(matrix, self.gradients[kept].sum(axis=0) + self.pull)
-
-    def stderr(self) -> NDArray[np.float64]:
-        """Standard errors (D,), robust to whatever goes together within a press."""
-        inverse = np.linalg.pinv(self.matrices.sum(axis=0) + np.diag(self.penalty))
-        spread = self.gradients.T @ self.gradients
-        return np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
-
-
-def moved(
-    state: ModelState, free: Sequence[FreeParameter], amounts: Sequence[FloatArray | float]
-) -> ModelState:
-    """``state`` with each parameter moved by its amount, as far as its bounds allow."""
-    shared, own = dict(state.shared), dict(state.own)
-    for one, amount in zip(free, amounts, strict=True):
-        value = np.clip(state.value(one) + amount, one.parameter.lower, one.parameter.upper)
-        if one.each_press:
-            own[one.key] = value
-        else:
-            shared[one.key] = float(value)
-    return replace(state, shared=shared, own=own)
-
-
-def _derivatives(
-    problem: Problem,
-    state: ModelState,
-    free: Sequence[FreeParameter],
-    colors: Colors,
-    grey: FloatArray,
-) -> FloatArray:
-    """Of the grey levels (n, 3), by each parameter: (n, 3, len(free))."""
-    columns = np.zeros((*grey.shape, len(free)))
-    for k, one in enumerate(free):
-        step = one.parameter.step
-        if not np.all(state.value(one) < one.parameter.upper - step):
-            step = -step
-        shifted = moved(state, [one], [step])
-        change = colors_of(problem, shifted).change if one.is_of_surface else colors.change
-        columns[..., k] = (photograph(problem, shifted, change) - grey) / step
-    return columns
-
-
-def linearize(
-    problem: Problem,
-    state: ModelState,
-    shared: Sequence[FreeParameter],
-    own: Sequence[FreeParameter],
-    weight: FloatArray | None = None,
-) -> tuple[System, list[tuple[FloatArray, FloatArray]], float]:
-    """The system at ``state``, what each press's own step needs, and the mean squared error."""
-    pixels, rules = problem.pixels, problem.rules
-    colors = colors_of(problem, state)
-    grey = photograph(problem, state, colors.change)
-    nudged = photograph(problem, state, colors.change + rules.derivative_grey)
-    per_change = (nudged - grey) / rules.derivative_grey
-    error = pixels.grey - grey
-    mean_square = float((error**2).mean())
-    by_shared = _derivatives(problem, state, shared, colors, grey)
-    by_own = _derivatives(problem, state, own, colors, grey)
-    n_columns = problem.table.n_columns
-    size = 3 * n_columns + len(shared)
-    noise = max(mean_square, rules.least_square_grey) * rules.correlated_pixels
-    prior = np.array([noise / one.parameter.prior**2 for one in own])
-    matrices = np.zeros((pixels.n_presses, size, size))
-    gradients = np.zeros((pixels.n_presses, size))
-    backs: list[tuple[FloatArray, FloatArray]] = []
-    for k, part in enumerate(pixels.parts):
-        cross, square = np.zeros((size, len(own))), np.diag(prior)
-        pull: FloatArray = np.zeros(len(own))
-        for channel in range(3):
-            columns = np.hstack(
-                [
-                    colors.columns[part] * per_change[part, channel, None],
-                    by_shared[part, channel],
-                ]
-            )
-            weights = np.arange(channel * n_columns, (channel + 1) * n_columns)
-            at = np.concatenate([weights, 3 * n_columns + np.arange(len(shared))])
-            residual, beside = error[part, channel], by_own[part, channel]
-            kept = 1.0 if weight is None else weight[part, channel, None]
-            matrices[k][np.ix_(at, at)] += (columns * kept).T @ columns
-            gradients[k][at] += (columns * kept).T @ residual
-            cross[at] += (columns * kept).T @ beside
-            square = square + (beside * kept).T @ beside
-            pull = pull + (beside * kept).T @ residual
-        if own:
-            now = np.array([float(state.value(one)[k]) for one in own])
-            solved = np.linalg.solve(square, np.column_stack([cross.T, pull - prior * now]))
-            matrices[k] -= cross @ solved[:, :-1]
-            gradients[k] -= cross @ solved[:, -1]
-            backs.append((solved[:, -1], solved[:, :-1]))
-    penalties = _penalties(problem, state, shared, matrices, noise)
-    return System(matrices, gradients, *penalties), backs, mean_square
-
-
-def _penalties(
-    problem: Problem,
-    state: ModelState,
-    shared: Sequence[FreeParameter],
-    matrices: FloatArray,
-    noise: float,
-) -> tuple[FloatArray, FloatArray]:
-    """The table's ridge and the parameters' priors: diagonal, and pull towards doing nothing."""
-    held = [one.parameter.prior for one in shared]
-    penalty = np.array([noise / prior**2 if prior else 0.0 for prior in held])
-    apart = np.array([float(state.value(one)) - one.identity for one in shared])
-    if not isinstance(problem.table, PlainTable):
-        return penalty, -penalty * apart
-    n_weights = 3 * problem.table.n_columns
-    mean = float(np.einsum("kii->k", matrices[:, :n_weights, :n_weights]).sum()) / n_weights
-    ridge = np.tile(problem.rules.table_ridge * mean * problem.table.roughness(), 3)
-    both = np.concatenate([ridge, penalty])
-    return both, -both * np.concatenate([state.weights.T.ravel(), apart])
-
-
-def advance(
-    problem: Problem, state: ModelState, shared: Sequence[FreeParameter], step: FloatArray
-) -> ModelState:
-    """``state`` after a step of the table's weights and the shared parameters."""
-    n_weights = 3 * problem.table.n_columns
-    after = moved(state, shared, [*step[n_weights:]])
-    if not n_weights:
-        return after
-    return replace(after, weights=state.weights + step[:n_weights].reshape(3, -1).T)
-
-
-def fit(
-    problem: Problem,
-    state: ModelState,
-    shared: Sequence[FreeParameter],
-    own: Sequence[FreeParameter],
-    *,
-    steps: int,
-    weight: FloatArray | None = None,
-) -> tuple[ModelState, System]:
-    """Gauss–Newton; a step that makes the fit worse is shortened. Returns state and system."""
-    rules = problem.rules
-    kept = np.ones(problem.pixels.n_presses, dtype=bool)
-    system, backs, least = linearize(problem, state, shared, own, weight)
-    for _ in range(steps):
-        step = _bounded(problem, shared, system.step(kept))
-        moves = np.array([back[0] - back[1] @ step for back in backs])
-        for share in rules.step_shares:
-            after = advance(problem, state, shared, share * step)
-            if own:
-                after = moved(after, own, [*(share * _own_step(problem, own, moves))])
-            if weight is not None or mean_square(problem, after) < least:
-                break
-        else:
-            break
-        state = after
-        system, backs, square = linearize(problem, state, shared, own, weight)
-        if weight is None and square > (1 - rules.converged_share) * least:
-            break
-        least = square
-    return state, system
-
-
-def _own_step(
-    problem: Problem, own: Sequence[FreeParameter], moves: FloatArray
-) -> NDArray[np.float64]:
-    """The step (n_own, N) of each press's parameters, within a share of their range."""
-    share = problem.rules.max_press_step_range
-    limits = np.array([share * (one.parameter.upper - one.parameter.lower) for one in own])
-    return np.asarray(np.clip(moves, -limits, limits).T)
-
-
-def _bounded(problem: Problem, shared: Sequence[FreeParameter], step: FloatArray) -> FloatArray:
-    """The step, each parameter's within the range in which the linear model holds."""
-    rules = problem.rules
-    limits = [
-        min(
-            rules.max_step_differences * one.parameter.step,
-            rules.max_step_range * (one.parameter.upper - one.parameter.lower),
-        )
-        for one in shared
-    ]
-    n_weights = 3 * problem.table.n_columns
-    bounded = step.copy()
-    bounded[n_weights:] = np.clip(step[n_weights:], -np.array(limits), limits)
-    return bounded
-
-
-def mean_square(problem: Problem, state: ModelState) -> float:
-    """Mean squared error, grey levels."""
-    return float(((problem.pixels.grey - render(problem, state)) ** 2).mean())
-
-
-def without_fold(
-    problem: Problem,
-    state: ModelState,
-    system: System,
-    shared: Sequence[FreeParameter],
-    kept: NDArray[np.bool_],
-) -> ModelState:
-    """What a fit to the kept presses alone gives: one more step from the fit to all."""
-    return advance(problem, state, shared, _bounded(problem, shared, system.step(kept)))
-
-
-def heldout_errors(
-    problem: Problem, state: ModelState, own: Sequence[FreeParameter], noise: float
-) -> FloatArray:
-    """Residuals (n, 3) of presses that ``state`` was not fitted to.
-
-    A press's own parameters are estimated on one colour of the chess board of blocks and scored
-    on the other, both ways.
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+    fixed : mapping
+        Effects that the table has, as it has them.
+    shared : mapping
+        Parameter → its value for all presses.
+    places : (N, 3) float
+        Estimated centre and contact radius, mm.
     """
-    pixels = problem.pixels
-    if not own:
-        return np.asarray(pixels.grey - render(problem, state))
-    errors = np.zeros_like(pixels.grey)
-    for odd in (False, True):
-        seen = pixels.odd == odd
-        grey = render(problem, own_fit(problem, state, own, seen, noise))
-        errors[~seen] = (pixels.grey - grey)[~seen]
-    return errors
+
+    candidates: tuple[Candidate, ...]
+    fixed: Effects
+    shared: Mapping[Key, float]
+    places: FloatArray
+
+    @property
+    def free(self) -> dict[Key, Parameter]:
+        """The shared parameters that a fit frees."""
+        return {(c.effect, name): p for c in self.candidates for name, p in c.shared.items()}
+
+    def effects(self, key: Key | None = None, step: float = 0.0) -> dict[str, dict[str, float]]:
+        """The effects as a table has them; with one parameter a step farther."""
+        found = {name: dict(values) for name, values in self.fixed.items()}
+        for (name, parameter), value in self.shared.items():
+            size = step if (name, parameter) == key else 0.0
+            found.setdefault(name, {})[parameter] = value + size
+        return found
+
+    def still(self, known: Known) -> Known:
+        """``known`` less what a candidate of this model gives every press its own value of."""
+        for candidate in self.candidates:
+            if candidate.each:
+                known &= ~known_for(optical_effect(candidate.effect).stage)
+        return known
 
 
-def own_fit(
-    problem: Problem,
-    state: ModelState,
-    own: Sequence[FreeParameter],
-    seen: NDArray[np.bool_],
-    noise: float,
-) -> ModelState:
-    """Each press's own parameters from the pixels that are ``seen`` (n,)."""
-    pixels, rules = problem.pixels, problem.rules
-    scale = noise * rules.correlated_pixels
-    prior = np.array([scale / one.parameter.prior**2 for one in own])
-    nonlinear = any(one.is_of_surface for one in own)
-    for _ in range(rules.press_steps if nonlinear else rules.linear_press_steps):
-        colors = colors_of(problem, state)
-        grey = photograph(problem, state, colors.change)
-        slopes = _derivatives(problem, state, own, colors, grey) * seen[:, None, None]
-        square = np.zeros((pixels.n_presses, len(own), len(own)))
-        np.add.at(square, pixels.press, np.einsum("nci,ncj->nij", slopes, slopes))
-        pull = np.zeros((pixels.n_presses, len(own)))
-        np.add.at(pull, pixels.press, np.einsum("nci,nc->ni", slopes, pixels.grey - grey))
-        now = np.stack([state.value(one) for one in own], axis=-1)
-        step = np.linalg.solve(square + np.diag(prior), (pull - prior * now)[..., None])[..., 0]
-        state = moved(state, own, [*_own_step(problem, own, step)])
-    return state
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """One press near a model: residuals (m,), columns of shared (m, q) and own (m, p) parameters.
+
+    ``held`` (p,) is the prior precision of the own parameters, ``off`` (p,) how far they are from
+    what it expects.
+    """
+
+    residual: FloatArray
+    shared: FloatArray
+    own: FloatArray
+    held: FloatArray
+    off: FloatArray
+    odd: BoolArray
+
+    def own_step(self, residual: FloatArray, rows: BoolArray | slice = slice(None)) -> FloatArray:
+        """The own parameters' step (p,) that explains a residual best, on some of the rows."""
+        own = self.own[rows]
+        gram = own.T @ own + np.diag(self.held)
+        return np.linalg.solve(gram, own.T @ residual[rows] - self.held * self.off)
+
+    def reduced(self) -> tuple[FloatArray, FloatArray]:
+        """Normal matrix (q, q) and moment (q,) of the shared ones, the own ones eliminated."""
+        cross = self.shared.T @ self.own
+        solved = np.linalg.solve(self.own.T @ self.own + np.diag(self.held), cross.T)
+        gram = self.shared.T @ self.shared - cross @ solved
+        moment = self.shared.T @ self.residual
+        moment -= solved.T @ (self.own.T @ self.residual - self.held * self.off)
+        return gram, moment
+
+    def heldout_residual(self, step: FloatArray) -> FloatArray:
+        """Residuals after a step of the shared ones; the own ones are estimated on the other half.
+
+        The halves are the two colours of a chess board of 8 × 8 pixels.
+        """
+        residual = self.residual - self.shared @ step
+        after = residual.copy()
+        for half in (self.odd, ~self.odd):
+            after[half] -= self.own[half] @ self.own_step(residual, ~half)
+        return after
+
+
+class PressFit:
+    """Fits models to a set of presses and scores them on held-out ones."""
+
+    def __init__(self, views: Sequence[PressView], rules: SelectionRules) -> None:
+        self.views, self.rules = views, rules
+        self.folds = fold_of(len(views), rules.folds)
+        self._lit: dict[tuple[int, str, bytes], FloatArray] = {}
+
+    def start(self, fixed: Effects) -> Model:
+        """The table alone, every press placed as it fits best around its label."""
+        places = np.array([view.place_by_label(fixed)[0] for view in self.views])
+        return self.placed(Model((), fixed, {}, places))
+
+    def placed(self, model: Model, *, shared: bool = True) -> Model:
+        """The model with the places of presses, and its parameters, where they fit best.
+
+        Without ``shared`` the parameters stay.
+        """
+        candidates = model.candidates if shared else ()
+        still = replace(model, candidates=candidates)
+        still = self._descend(still, Known.NOTHING, self.rules.place_steps, move=True)
+        return replace(still, candidates=model.candidates)
+
+    def fitted(self, model: Model, known: Known = Known.NOTHING, steps: int = 0) -> Model:
+        """The model with its parameters where they fit best; places move along linearly."""
+        return self._descend(model, known, steps or self.rules.steps, move=False)
+
+    def _descend(self, model: Model, known: Known, steps: int, *, move: bool) -> Model:
+        best, lowest = model, np.inf
+        for _ in range(steps):
+            parts = self.linearised(model, known)
+            error = typical(self.scored(model, parts, heldout=False))
+            if error > lowest * (1 - self.rules.converged_share):
+                break
+            best, lowest = model, error
+            model = self._stepped(model, parts, move=move)
+        return best
+
+    def _stepped(self, model: Model, parts: Sequence[Linearised], *, move: bool) -> Model:
+        step = self.solved(model, parts)
+        shared = dict(model.shared)
+        for (key, p), size in zip(model.free.items(), step, strict=True):
+            longest = (p.upper - p.lower) * self.rules.longest_step
+            moved = shared[key] + float(np.clip(size, -longest, longest))
+            shared[key] = min(max(moved, p.lower), p.upper)
+        places = model.places.copy()
+        for k, part in enumerate(parts) if move else ():
+            own = part.own_step(part.residual - part.shared @ step)
+            longest = self.rules.longest_step * self.views[k].radius_mm
+            places[k] += np.clip(own[:3], -longest, longest)
+        return replace(model, shared=shared, places=places)
+
+    def solved(self, model: Model, parts: Sequence[Linearised]) -> FloatArray:
+        """Step (q,) of the shared parameters over presses."""
+        free = model.free
+        if not free:
+            return np.zeros(0)
+        reduced = [part.reduced() for part in parts]
+        gram, moment = (np.sum([one[i] for one in reduced], axis=0) for i in (0, 1))
+        held = np.array([self.variance / p.prior**2 if p.prior else 0.0 for p in free.values()])
+        off = np.array([model.shared[key] - p.identity for key, p in free.items()])
+        gram += np.diag(held + 1e-9 * np.trace(gram) + 1e-6)
+        return np.asarray(np.linalg.solve(gram, moment - held * off))
+
+    @property
+    def variance(self) -> float:
+        """Of a residual, times how many neighbours count as one."""
+        return self.rules.residual_grey**2 * self.rules.correlated_pixels
+
+    def squares(
+        self, model: Model, known: Known = Known.NOTHING, *, heldout: bool = True
+    ) -> FloatArray:
+        """Mean squared error (N,) of each press, by parameters of the other folds' presses.
+
+        Without ``heldout`` by the parameters as they are.
+        """
+        return self.scored(model, self.linearised(model, known), heldout=heldout)
+
+    def scored(self, model: Model, parts: Sequence[Linearised], *, heldout: bool) -> FloatArray:
+        """The same of linearised presses."""
+        residuals = self.residuals(model, parts, heldout=heldout)
+        return np.array([(residual**2).mean() for residual in residuals])
+
+    def residuals(
+        self, model: Model, parts: Sequence[Linearised], *, heldout: bool = True
+    ) -> list[FloatArray]:
+        """Residuals (n, 3) of each press."""
+        steps = self.fold_steps(model, parts) if heldout else None
+        still = np.zeros(len(model.free))
+        return [
+            part.heldout_residual(still if steps is None else steps[fold]).reshape(-1, 3)
+            for part, fold in zip(parts, self.folds, strict=True)
+        ]
+
+    def fold_steps(self, model: Model, parts: Sequence[Linearised]) -> FloatArray:
+        """Steps (n_folds, q) of the shared parameters where a fold's presses are omitted."""
+        return np.array(
+            [
+                self.solved(model, [p for p, f in zip(parts, self.folds, strict=True) if f != fold])
+                for fold in range(int(self.folds.max()) + 1)
+            ]
+        )
+
+    def stderr(self, model: Model, known: Known) -> dict[Key, float]:
+        """Standard errors of the shared parameters: a jackknife over the folds of presses."""
+        steps = self.fold_steps(model, self.linearised(model, known))
+        errors = np.sqrt((len(steps) - 1) * steps.var(axis=0))
+        return dict(zip(model.free, errors.tolist(), strict=True))
+
+    def own_values(self, model: Model, known: Known) -> FloatArray:
+        """What each press (N, 3) differs by in what else is ``known``: radii, or shares of gain."""
+        if known == Known.PLACE:
+            effects = model.effects()
+            stated = np.array([view.place_by_label(effects)[0] for view in self.views])
+            radii = np.array([view.radius_mm for view in self.views])
+            return np.asarray((model.places - stated) / radii[:, None])
+        parts = self.linearised(model)
+        return np.array([part.own_step(part.residual)[3:] for part in parts])
+
+    def linearised(self, model: Model, known: Known = Known.NOTHING) -> list[Linearised]:
+        """Every press near the model."""
+        known = model.still(known)
+        return [self._linearised(model, k, known) for k in range(len(self.views))]
+
+    def _linearised(self, model: Model, k: int, known: Known) -> Linearised:
+        view, rules, effects = self.views[k], self.rules, model.effects()
+        place = None if known & Known.PLACE else model.places[k]
+        here = self.grey(k, effects, place)
+        shared = [
+            (self.grey(k, model.effects(key, p.step), place) - here).ravel() / p.step
+            for key, p in model.free.items()
+        ]
+        own, scatter, off = [], [], []
+        if place is not None:
+            nudge = rules.nudge_radii * view.radius_mm
+            for axis in np.eye(3):
+                moved = self.grey(k, effects, place + nudge * axis)
+                own.append((moved - here).ravel() / nudge)
+            scatter += [share * view.radius_mm for share in rules.label_scatter_radii]
+            off += (place - view.place_by_label(effects)[0]).tolist()
+        if not known & Known.EXPOSURE:
+            own += [(here * channel).ravel() for channel in np.eye(3)]
+            scatter += [rules.exposure_scatter] * 3
+            off += [0.0] * 3
+        return Linearised(
+            (view.pixels.grey - here).ravel(),
+            np.reshape(shared, (-1, here.size)).T,
+            np.reshape(own, (-1, here.size)).T,
+            self.variance / np.array(scatter) ** 2,
+            np.array(off),
+            np.repeat(view.pixels.odd_block, 3),
+        )
+
+    def grey(self, k: int, effects: Effects, place: FloatArray | None) -> FloatArray:
+        """Grey levels (n, 3) of press ``k``, at a place or at that of its label."""
+        view = self.views[k]
+        early = {
+            name: values
+            for name, values in effects.items()
+            if optical_effect(name).stage <= Stage.FOCUS
+        }
+        key = (k, repr(early), b"" if place is None else place.tobytes())
+        if key not in self._lit:
+            self._lit[key] = view.lit(effects, place)
+        return view.photographed(self._lit[key], effects)
+
+
+def typical(squares: FloatArray) -> float:
+    """Geometric mean over the presses (N,): one that is off does not decide."""
+    return float(np.exp(np.log(squares + 1e-6).mean()))

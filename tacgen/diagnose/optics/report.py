@@ -40,8 +40,9 @@ def write_optics_page(
     before, after = channel["error_before"], channel["error_after"]
     floor = channel["noise_floor"]["rmse"]
     bars = [
-        ("within 1.6 contact radii", before["rmse"], after["rmse"], floor),
+        ("contact and bare gel, as labelled", before["rmse"], after["rmse"], floor),
         ("inside the labelled circles", before["inside_circle"], after["inside_circle"], floor),
+        ("place and exposure re-estimated", before["refined"], after["refined"], floor),
     ]
     facts = [
         ("95 % interval of the reduction", interval(channel["gain_interval_95"], "grey")),
@@ -57,7 +58,7 @@ def write_optics_page(
         pictures_section(
             "Test presses",
             pictures,
-            "Left to right: the photograph, the plain model, the model with the effects, and the "
+            "Left to right: the photograph, the table, the table with the effects, and the "
             f"residual of each, {DIFFERENCE_GAIN}× about grey.",
         ),
         facts_section("Errors in numbers", facts),
@@ -104,6 +105,7 @@ def _effects(channel: Mapping[str, Any]) -> list[Section]:
             effect["how"],
             effect["cv_gain"],
             effect["heldout_gain"],
+            effect["heldout_gain_stderr"],
             p_value(effect["p_value"]),
             effect["runner_up"],
             effect["runner_up_gain"],
@@ -111,8 +113,8 @@ def _effects(channel: Mapping[str, Any]) -> list[Section]:
         )
         for effect in effects
     ]
-    header = ("effect", "form", "gain, cross-validated", "gain, test presses", "p", "runner-up",
-              "its gain", "equally good")  # fmt: skip
+    header = ("effect", "form", "gain, cross-validated", "gain, all presses", "its error",
+              "p", "runner-up", "its gain", "equally good")  # fmt: skip
     parameters = [
         (effect["name"], name, estimate(value))
         for effect in effects
@@ -123,7 +125,8 @@ def _effects(channel: Mapping[str, Any]) -> list[Section]:
             "Effects, in the order in which they were added",
             header,
             rows,
-            "Gains in grey levels of RMSE within 1.6 contact radii.",
+            "Gains in grey levels of RMSE of a typical press, with what an effect does not "
+            "concern of place and exposure re-estimated.",
         ),
         table_section("Parameters", ("effect", "parameter", "value ± standard error"), parameters),
     ]

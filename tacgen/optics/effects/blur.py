@@ -1,4 +1,4 @@
-"""A membrane that bridges what is narrower than its own thickness."""
+"""A membrane that bridges what is narrower than its own thickness, and a lens out of focus."""
 
 from __future__ import annotations
 
@@ -10,16 +10,32 @@ import numpy as np
 
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.effects import effect as base
-from tacgen.optics.smooth import half_kernel, radial_gaussian, smooth
+from tacgen.optics.smooth import half_kernel, smooth
 
-FIRST_SIGMA_RADII = 0.15
-"""Width that a fit begins at, in contact radii: at 0 the derivative vanishes."""
+FIRST_SIGMA_PX = 1.0
+"""Width that a fit begins at: at 0 the derivative vanishes."""
 
 MAX_SIGMA_RADII = 0.8
-"""Beyond this width no contact is left to see."""
+"""Beyond this width, in contact radii, no contact is left to see."""
 
-STEP_RADII = 0.02
-"""Of the finite difference: half of a radial profile's own step."""
+STEP_PX = 0.25
+"""Of the finite difference: a kernel narrower than that is a single pixel."""
+
+
+WHOLE_PICTURE_MM = 1000.0
+"""Wider than any sensor."""
+
+
+def _blurred(array: FloatArray, sigma_px: float) -> FloatArray:
+    """A Gaussian on a map (h, w); beyond the edges it goes on with its slope there."""
+    kernel = half_kernel(sigma_px)
+    reach = min(len(kernel) - 1, min(array.shape) - 1)
+    if reach < 1:
+        return array.copy()
+    padded = np.pad(array, reach, mode="reflect", reflect_type="odd").astype(np.float32)
+    whole = (0, padded.shape[0], 0, padded.shape[1])
+    smooth(padded, whole, kernel, np.empty_like(padded))
+    return np.ascontiguousarray(padded[reach:-reach, reach:-reach])
 
 
 class Blur(base.OpticalEffect):
@@ -32,41 +48,44 @@ class Blur(base.OpticalEffect):
     def apply(
         self, array: FloatArray, patch: base.Patch, *, sigma_mm: float = 0.0, **_: Any
     ) -> FloatArray:
-        """A Gaussian on the height map; beyond the edges it goes on with its slope there."""
-        kernel = half_kernel(sigma_mm / patch.mm_per_px)
-        reach = min(len(kernel) - 1, min(array.shape) - 1)
-        if reach < 1:
-            return array.copy()
-        padded = np.pad(array, reach, mode="reflect", reflect_type="odd").astype(np.float32)
-        whole = (0, padded.shape[0], 0, padded.shape[1])
-        smooth(padded, whole, kernel, np.empty_like(padded))
-        return np.ascontiguousarray(padded[reach:-reach, reach:-reach])
+        """A Gaussian on the height map."""
+        return _blurred(array, sigma_mm / patch.mm_per_px)
 
     def reach_mm(self, depth_mm: float, *, sigma_mm: float = 0.0, **_: Any) -> float:
         """Three standard deviations, up to the kernel's next multiple of four pixels."""
         return 4 * sigma_mm
 
-    def on_profile(
-        self, slope: FloatArray, step_mm: float, *, sigma_mm: float = 0.0, **_: float
-    ) -> FloatArray:
-        """The same Gaussian in the plane, on the slope of a round surface."""
-        return radial_gaussian(len(slope), sigma_mm / step_mm, order=1) @ slope
-
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """One width."""
-        radius = scene.contact_radius_mm
-        sigma = replace(
-            self.parameters["sigma_mm"], upper=MAX_SIGMA_RADII * radius, step=STEP_RADII * radius
-        )
-        return [
-            base.Candidate(
-                self.name,
-                "membrane",
-                {"sigma_mm": sigma},
-                starts=lambda _: [{"sigma_mm": FIRST_SIGMA_RADII * radius}],
-                hides_form=True,
-            )
-        ]
+        upper, step = MAX_SIGMA_RADII * scene.contact_radius_mm, STEP_PX * scene.mm_per_px
+        sigma = replace(self.parameters["sigma_mm"], upper=upper, step=step)
+        start = {"sigma_mm": FIRST_SIGMA_PX * scene.mm_per_px}
+        return [base.Candidate(self.name, "Gaussian", {"sigma_mm": sigma}, starts=(start,))]
+
+
+class Defocus(base.OpticalEffect):
+    """The whole picture, the bare gel's too, is smoothed by a Gaussian."""
+
+    name = "defocus"
+    reported_name = Blur.name
+    stage = base.Stage.FOCUS
+    parameters = Blur.parameters
+
+    def apply(
+        self, array: FloatArray, patch: base.Patch, *, sigma_mm: float = 0.0, **_: Any
+    ) -> FloatArray:
+        """A Gaussian on each channel."""
+        sigma_px = sigma_mm / patch.mm_per_px
+        return np.dstack([_blurred(array[..., k], sigma_px) for k in range(3)])
+
+    def reach_mm(self, depth_mm: float, **_: Any) -> float:
+        """The whole picture: at a window's edge neighbours would be missing."""
+        return WHOLE_PICTURE_MM
+
+    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+        """None: the noise of the pictures shows it, not their error."""
+        return []
 
 
 base.register(Blur())
+base.register(Defocus())

@@ -8,7 +8,7 @@ reports.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import MappingProxyType
@@ -26,10 +26,6 @@ CHANNELS = ("r", "g", "b")
 """What names of parameters begin or end with where there is one for each channel."""
 
 
-Relief = tuple[slice, NDArray[np.float32], float, list[FloatArray]]
-"""Pixels of a press, height map, cell of it in mm, rows and columns of the pixels in it."""
-
-
 class Stage(IntEnum):
     """Where in the chain an effect acts; the renderer and the fits go through it in this order."""
 
@@ -39,15 +35,17 @@ class Stage(IntEnum):
     """On the height map, before the look-up."""
     SHADOW = 2
     """On the light of each lamp, which the gel's relief may hide."""
-    LIGHT = 3
+    FOCUS = 3
+    """On the sharpness of the picture."""
+    LIGHT = 4
     """On the strength of the light."""
-    COLOR = 4
+    COLOR = 5
     """On the channels, which may leak into each other."""
-    EXPOSURE = 5
+    EXPOSURE = 6
     """On the camera's exposure."""
-    LENS = 6
+    LENS = 7
     """On what passes the lens."""
-    CAMERA = 7
+    CAMERA = 8
     """On the grey levels that the camera puts out."""
 
 
@@ -91,6 +89,8 @@ class Patch:
         Top, bottom, left, right of a patch that the renderer draws.
     height_mm : (h, w) float32, optional
         The deformed gel over that window.
+    time : float
+        When in the session the picture was taken, from −½ to ½.
     """
 
     background: FloatArray
@@ -99,11 +99,12 @@ class Patch:
     mm_per_px: float
     window: Window = (0, 0, 0, 0)
     height_mm: NDArray[np.float32] | None = None
+    time: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class PressScene:
-    """What an effect may ask about ball presses and the model fitted to them.
+    """What an effect may ask about the presses that are diagnosed.
 
     Attributes
     ----------
@@ -111,33 +112,18 @@ class PressScene:
         Mean labelled radius of the contacts.
     ball_radii_mm : (N,) float
         Stated radius of each press's ball.
+    mm_per_px : float
     has_table : bool
-        Whether the colours are those of a given table, not fitted to the same presses.
-    patch, grey : Patch and (n, 3) float
-        The pixels of all presses, in a row, and their photographed grey levels.
-    rendered : callable
-        Grey levels (n, 3) by the model, with the effect of a name switched off.
-    light_azimuths_rad : callable
-        Direction (3,) that each channel is lit from.
-    reliefs : callable
-        From a reach (contact radii) and cells per radius, of each press: its pixels, its height
-        map (mm), that one's cell (mm), and row and column in it of the pixels. The balls are where
-        their labels say, so that nothing is learnt from held-out presses.
+        Whether the table was fitted to other presses before, not to these.
+    grey : (n, 3) float
+        Photographed grey levels of the pixels of all presses.
     """
 
     contact_radius_mm: float
     ball_radii_mm: FloatArray
+    mm_per_px: float
     has_table: bool
-    patch: Patch
     grey: FloatArray
-    rendered: Callable[[str], FloatArray]
-    light_azimuths_rad: Callable[[], FloatArray]
-    reliefs: Callable[[float, int], Iterator[Relief]]
-
-
-def start_as_it_is(scene: PressScene) -> Sequence[Mapping[str, float]]:
-    """One start, which changes nothing."""
-    return ({},)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,32 +134,20 @@ class Candidate:
     ----------
     effect, label : str
         The effect's name, and the way in plain language.
-    shared, own : mapping
-        Parameters of all presses, and what those of each press differ by.
-    starts : callable
-        Values to begin with; of several, those that fit best after one step.
-    chosen : mapping
-        Parameters that ``starts`` picks from a few values, and the relative standard error of it.
-    color_by_place : bool
-        Whether the low terms of a fitted table change with the place in the image.
-    hides_form : bool
-        Whether it may hide which form the gel has around a ball: it is tried with each.
-    first_weight : callable, optional
-        Weights (n, 3) of the first steps from grey levels (n, 3): the pixels to trust then.
-    form : str
-        The form of the gel to try it with; the model's own where empty.
+    shared : mapping
+        Parameters that all presses share.
+    each : tuple of str
+        Parameters that every press has its own value of: of its place where the effect acts on
+        the presses, of its exposure where it acts on that.
+    starts : tuple of mappings
+        Values to begin with; of several, those from which the fit ends best.
     """
 
     effect: str
     label: str
     shared: Mapping[str, Parameter] = field(default_factory=lambda: MappingProxyType({}))
-    own: Mapping[str, Parameter] = field(default_factory=lambda: MappingProxyType({}))
-    starts: Callable[[PressScene], Sequence[Mapping[str, float]]] = start_as_it_is
-    chosen: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    color_by_place: bool = False
-    hides_form: bool = False
-    first_weight: Callable[[FloatArray], FloatArray] | None = None
-    form: str = ""
+    each: tuple[str, ...] = ()
+    starts: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
 
 
 class OpticalEffect:
@@ -182,27 +156,27 @@ class OpticalEffect:
     Attributes
     ----------
     name : str
-        What a table's ``effects`` and ``diagnosis.json`` call it.
+        What a table's ``effects`` call it, and ``diagnosis.json`` too.
+    reported_name : str
+        What ``diagnosis.json`` calls it, where it shares the name of another.
     stage : Stage
     parameters : mapping
         Name → ``Parameter``; those of stage ``PRESS`` are never written into a table.
     follows_form_errors : bool
-        Whether it can bend to the errors of form that a fitted table leaves around each contact.
-    is_evident : bool
-        Whether the grey levels show it by themselves, whatever a fitted table hides of it.
+        Whether it can bend to the errors that a table leaves around every contact.
     """
 
     name: ClassVar[str]
+    reported_name: ClassVar[str] = ""
     stage: ClassVar[Stage]
     parameters: ClassVar[Mapping[str, Parameter]]
     follows_form_errors: ClassVar[bool] = False
-    is_evident: ClassVar[bool] = False
 
     def apply(self, array: FloatArray, patch: Patch, **values: Any) -> FloatArray:
         """The image (..., 3), or the height map of a ``SURFACE`` effect, changed; a new array.
 
-        The renderer calls it with single numbers, a fit with (n,) of them, one a pixel. The
-        result has the type of ``array``.
+        Of the stages after ``FOCUS`` it changes each pixel by itself. The result has the type of
+        ``array``.
         """
         raise NotImplementedError
 
@@ -215,27 +189,10 @@ class OpticalEffect:
         return 0.0
 
     def on_press(
-        self, place_mm: FloatArray, ball_mm: FloatArray, **values: Any
-    ) -> tuple[FloatArray, FloatArray]:
-        """Centre and contact radius (N, 3) and ball radii (N,) of presses, changed."""
+        self, place_mm: FloatArray, ball_mm: float, **values: float
+    ) -> tuple[FloatArray, float]:
+        """Expected centre and contact radius (3,) and ball radius of a press, changed."""
         return place_mm, ball_mm
-
-    def on_profile(self, slope: FloatArray, step_mm: float, **values: float) -> FloatArray:
-        """The gel's radial slope (n,) at multiples of a step from a ball's centre, changed."""
-        return slope
-
-    def on_pixels(self, grey: FloatArray, patch: Patch, **values: Any) -> FloatArray:
-        """The grey levels (n, 3) of pixels of many presses, changed, as a fit needs it."""
-        return self.apply(grey, patch, **values)
-
-    def before_fit(
-        self, scene: PressScene, before: Mapping[str, FloatArray], **values: float
-    ) -> dict[str, FloatArray]:
-        """What ``on_pixels`` needs, an entry (or row) a pixel; it stays while a model is fitted.
-
-        ``before`` is what the same model had for the presses that it was fitted to.
-        """
-        return {}
 
     def candidates(self, scene: PressScene) -> list[Candidate]:
         """The ways in which these presses may show it."""
@@ -303,6 +260,6 @@ def check_effects(effects: Mapping[str, Mapping[str, float]]) -> None:
     TableError.raise_if(problems)
 
 
-def by_channel(values: Sequence[Any], array: FloatArray) -> FloatArray:
-    """Numbers of the three channels, or (n,) of them, along the last axis, in the array's type."""
-    return np.stack(np.broadcast_arrays(*values), axis=-1).astype(array.dtype)
+def by_channel(values: Sequence[float], array: FloatArray) -> FloatArray:
+    """Numbers of the three channels in the array's type."""
+    return np.array(values, dtype=array.dtype)

@@ -23,6 +23,7 @@ class Illumination(base.OpticalEffect):
 
     name = "illumination"
     stage = base.Stage.LIGHT
+    follows_form_errors = True
     parameters = MappingProxyType(
         {
             f"{channel}_{place}": base.Parameter(0.0, -4.0, 4.0, step=0.02, prior=1.0)
@@ -44,20 +45,18 @@ class Illumination(base.OpticalEffect):
         return patch.background + (array - patch.background) * brighter
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
-        """Strength alone; or, in a table that is fitted, colours that turn with the place."""
-        listed = [base.Candidate(self.name, "light of each channel by place", self.parameters)]
+        """Only beside a table from before: one fitted to the same presses holds the light."""
         if not scene.has_table:
-            label = "lamps close by: strength and direction by place"
-            listed.append(base.Candidate(self.name, label, color_by_place=True))
-        return listed
+            return []
+        return [base.Candidate(self.name, "light of each channel by place", self.parameters)]
 
     def cannot_tell(self, scene: base.PressScene, found: Sequence[base.Candidate]) -> str:
         """Lamps close by are a property of the sensor."""
-        if not any(candidate.color_by_place for candidate in found):
+        if scene.has_table:
             return ""
         return (
-            "illumination: lamps close by belong to the sensor, and a table of `tacgen calibrate "
-            "lookup` holds them in its terms of position. Only against --table is it a change."
+            "illumination: a table fitted to the same presses holds how their light differs over "
+            "the gel; whether it has changed is seen against the table from before (--table)."
         )
 
 

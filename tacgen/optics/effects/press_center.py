@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -23,22 +22,20 @@ class PressCenter(base.OpticalEffect):
             "growth": base.Parameter(0.0, -0.4, 0.4, prior=0.1),
         }
     )
-    follows_form_errors = True
 
     def on_press(
-        self, place_mm: FloatArray, ball_mm: FloatArray, **values: Any
-    ) -> tuple[FloatArray, FloatArray]:
-        """Centres move by shares of the labelled radius, radii grow by a share of it."""
-        shift = np.stack([values.get("shift_x", 0.0), values.get("shift_y", 0.0)], axis=-1)
-        center = place_mm[:, :2] + shift * place_mm[:, 2:]
-        return np.column_stack([center, place_mm[:, 2] * (1 + values.get("growth", 0.0))]), ball_mm
+        self, place_mm: FloatArray, ball_mm: float, **values: float
+    ) -> tuple[FloatArray, float]:
+        """The centre moves by shares of the labelled radius, the radius grows by a share of it."""
+        shift = [values.get("shift_x", 0.0), values.get("shift_y", 0.0), values.get("growth", 0.0)]
+        return place_mm + place_mm[2] * np.array(shift), ball_mm
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
-        """Centres alone, or radii with them."""
+        """All centres off by the same, or each by its own."""
         centers = {name: self.parameters[name] for name in ("shift_x", "shift_y")}
         return [
-            base.Candidate(self.name, "each press's centre", own=centers),
-            base.Candidate(self.name, "each press's centre and radius", own=self.parameters),
+            base.Candidate(self.name, "all centres off by the same", centers),
+            base.Candidate(self.name, "each press's place", each=tuple(self.parameters)),
         ]
 
 

@@ -34,9 +34,6 @@ TOP_QUANTILE = 0.9998
 SEARCH_GREY = 12
 """Grey levels below the brightest in which the fullest one is looked for: noise above it."""
 
-MARGIN_GREY = 2.0
-"""A pixel this far below the level is not clipped: the camera's noise."""
-
 
 def clip_level(grey: FloatArray) -> float:
     """The grey level near the brightest that most values (n, 3) stand at."""
@@ -65,7 +62,6 @@ class Saturation(base.OpticalEffect):
             "knee_grey": base.Parameter(0.0, 0.0, 25.0, "grey", step=0.3),
         }
     )
-    is_evident = True
 
     def apply(
         self,
@@ -83,19 +79,15 @@ class Saturation(base.OpticalEffect):
         return level - knee * np.logaddexp(np.zeros_like(knee), (level - array) / knee)
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
-        """Where the brightest values pile up; the first steps trust the pixels below."""
+        """Where the brightest values pile up."""
         if not seems_clipped(scene.grey):
             return []
-        level = clip_level(scene.grey)
-        start = {"level_grey": level, "knee_grey": FIRST_KNEE_GREY}
+        start = {"level_grey": clip_level(scene.grey), "knee_grey": 0.0}
+        level = {"level_grey": self.parameters["level_grey"]}
+        soft = {**start, "knee_grey": FIRST_KNEE_GREY}
         return [
-            base.Candidate(
-                self.name,
-                "the camera clips",
-                self.parameters,
-                starts=lambda _: [start],
-                first_weight=lambda grey: (grey < level - MARGIN_GREY).astype(np.float64),
-            )
+            base.Candidate(self.name, "the camera clips", level, starts=(start,)),
+            base.Candidate(self.name, "the camera bends", self.parameters, starts=(soft,)),
         ]
 
 

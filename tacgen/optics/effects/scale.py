@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.effects import effect as base
-
-FIRST_FACTORS = (0.7, 0.8, 0.9, 1.0, 1.12, 1.25)
-"""Contact radii over the labelled ones that a fit begins at: between them it finds its way, from
-farther off a wrong one may hold it."""
 
 
 class Scale(base.OpticalEffect):
@@ -27,15 +22,13 @@ class Scale(base.OpticalEffect):
             "ball_per_stated": base.Parameter(1.0, 0.6, 1.8, step=0.005, prior=0.15),
         }
     )
-    follows_form_errors = True
 
     def on_press(
-        self, place_mm: FloatArray, ball_mm: FloatArray, **values: Any
-    ) -> tuple[FloatArray, FloatArray]:
-        """Contact and ball radii times their factors."""
-        radius = place_mm[:, 2] * values.get("contact_per_label", 1.0)
-        balls = ball_mm * values.get("ball_per_stated", 1.0)
-        return np.column_stack([place_mm[:, :2], radius]), balls
+        self, place_mm: FloatArray, ball_mm: float, **values: float
+    ) -> tuple[FloatArray, float]:
+        """Contact and ball radius times their factors."""
+        place = place_mm * np.array([1.0, 1.0, values.get("contact_per_label", 1.0)])
+        return place, ball_mm * values.get("ball_per_stated", 1.0)
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """The ball, or the labelled circles."""
@@ -48,8 +41,6 @@ class Scale(base.OpticalEffect):
                 self.name,
                 "contact radius over the labelled one",
                 {contact: self.parameters[contact]},
-                starts=lambda _: [{contact: factor} for factor in FIRST_FACTORS],
-                hides_form=True,
             ),
         ]
 

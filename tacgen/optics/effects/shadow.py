@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.effects import effect as base
@@ -24,16 +23,8 @@ PENUMBRA_MM = 0.2
 
 LENGTHS_MM = (1.0, 2.0, 4.0, 7.0)
 """Shadows of 1 mm of relief that a fit tries: lights 45° to 8° above the gel."""
-LENGTH_STDERR = 0.5
-"""Relative standard error of such a choice: the lengths double from one to the next."""
 FIRST_STRENGTH = 0.4
 """Where a fit begins: half of what is expected of a lamp at a side."""
-UNLIT_QUANTILE = 0.002
-"""Of the changes of colour: the darkest, a few noisy pixels aside, is where no light arrives."""
-REACH_RADII = 2.4  # beyond the pixels that the fit looks at
-CELLS_PER_RADIUS = 24
-"""How far, and how finely, a ball's dent is drawn to cast its shadows in a fit: beyond the pixels
-that are looked at, and to a hundredth of the contact."""
 
 _NOTHING_MM = np.float32(1e6)
 
@@ -180,6 +171,7 @@ class Shadow(base.OpticalEffect):
 
     name = "shadow"
     stage = base.Stage.SHADOW
+    follows_form_errors = True
     parameters = MappingProxyType(
         {
             "strength": base.Parameter(0.0, 0.0, 1.0, step=0.02),
@@ -223,70 +215,11 @@ class Shadow(base.OpticalEffect):
             )
         return image
 
-    def on_pixels(
-        self,
-        grey: FloatArray,
-        patch: base.Patch,
-        *,
-        strength: float = 0.0,
-        hidden: FloatArray | None = None,
-        unlit: FloatArray | None = None,
-        **_: Any,
-    ) -> FloatArray:
-        """The same on pixels whose hidden light is known."""
-        if hidden is None or unlit is None:
-            return grey
-        return grey - strength * hidden * np.maximum(grey - patch.background - unlit, 0)
-
-    def before_fit(
-        self, scene: base.PressScene, before: Mapping[str, FloatArray], **values: float
-    ) -> dict[str, FloatArray]:
-        """Share of each channel's light that each pixel misses; its change where none arrives."""
-        hidden = hidden_light(scene, values.get("length_mm", 0.0))
-        unlit = before["unlit"][0] if "unlit" in before else self._unlit(scene)
-        return {"hidden": hidden, "unlit": np.broadcast_to(unlit, hidden.shape)}
-
-    def _unlit(self, scene: base.PressScene) -> FloatArray:
-        change = scene.rendered(self.name) - scene.patch.background
-        return np.quantile(change, UNLIT_QUANTILE, axis=0)
-
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """One strength, and one of a few lengths."""
-        return [
-            base.Candidate(
-                self.name,
-                "cast by the dent",
-                {"strength": self.parameters["strength"]},
-                starts=self._starts,
-                chosen={"length_mm": LENGTH_STDERR},
-            )
-        ]
-
-    def _starts(self, scene: base.PressScene) -> Sequence[Mapping[str, float]]:
-        """The length whose shadows explain most of the residuals."""
-        grey, unlit = scene.rendered(""), self._unlit(scene)
-        lit = np.maximum(grey - scene.patch.background - unlit, 0)
-        explained = {}
-        for length_mm in LENGTHS_MM:
-            column = -hidden_light(scene, length_mm) * lit
-            along = max(float((column * (scene.grey - grey)).sum()), 0.0)
-            explained[length_mm] = along**2 / max(float((column**2).sum()), 1e-9)
-        best = max(explained, key=lambda length_mm: explained[length_mm])
-        return [{"strength": FIRST_STRENGTH, "length_mm": best}]
-
-
-def hidden_light(scene: base.PressScene, length_mm: float) -> NDArray[np.float64]:
-    """Share (n, 3) of each channel's light that each pixel of a scene misses."""
-    hidden = np.zeros(scene.grey.shape)
-    norm = math.hypot(1, length_mm)
-    flat, rise = length_mm / norm, 1 / norm
-    azimuths = scene.light_azimuths_rad()
-    for part, relief, cell_mm, places in scene.reliefs(REACH_RADII, CELLS_PER_RADIUS):
-        for channel, azimuth in enumerate(azimuths):
-            towards = (flat * math.cos(azimuth), flat * math.sin(azimuth), -rise)
-            shade = cast_shadow(relief, cell_mm, towards)
-            hidden[part, channel] = map_coordinates(shade, places, order=1, mode="nearest")
-    return hidden
+        strength = {"strength": self.parameters["strength"]}
+        starts = tuple({"strength": FIRST_STRENGTH, "length_mm": x} for x in LENGTHS_MM)
+        return [base.Candidate(self.name, "cast by the dent", strength, starts=starts)]
 
 
 SHADOW = base.register(Shadow())

@@ -1,0 +1,191 @@
+"""Ball presses as a table with optical effects renders them, at some of their pixels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
+from tacgen.calibrate.lookup.press_fit import PressModel
+from tacgen.calibrate.lookup.score import press_model_of
+from tacgen.calibrate.lookup.smooth_model import position_terms
+from tacgen.core.arrays import FloatArray
+from tacgen.diagnose.optics.rules import SelectionRules
+from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
+from tacgen.optics.render import Shader
+from tacgen.optics.smooth import grown
+from tacgen.optics.table import LookupTable
+from tacgen.presses.geometry import MAX_RADIUS_SHARE
+from tacgen.presses.press_images import PressImages, label_mm, place_mm
+
+Effects = Mapping[str, Mapping[str, float]]
+"""Effect → parameter → value, as in a table."""
+
+_MARGIN_PX = 3
+"""The differences of a look-up reach so far beyond the pixels that are read."""
+
+_KEPT_SHADERS = 6
+"""A step of a fit goes through a few values of an effect, press by press."""
+
+
+class TableRenderer:
+    """Renders presses with one table and effects that a fit changes from call to call."""
+
+    def __init__(self, table: LookupTable, model: PressModel) -> None:
+        self.table, self.model = table, model
+        height, width = table.shape_px
+        self._height_mm = np.zeros((height, width), dtype=np.float32)
+        self._image = np.zeros((height, width, 3), dtype=np.float32)
+        self._shaders: dict[str, Shader] = {}
+
+    def lit(
+        self, place: FloatArray, ball_mm: float, pixels: Pixels, effects: Effects
+    ) -> FloatArray:
+        """Grey levels (n, 3) of a ball at a place (3,) after the effects up to the focus."""
+        shader, shape = self._shader(effects), self.table.shape_px
+        depth_mm = ball_mm - math.sqrt(max(ball_mm**2 - place[2] ** 2, 0.0))
+        window = grown(pixels.window, shader.image_reach_px(depth_mm) + _MARGIN_PX, shape)
+        top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
+        rows, columns = np.mgrid[top:bottom, left:right]
+        x_mm, y_mm = place_mm(columns, rows, shape, self.table.mm_per_px)
+        self._height_mm[top:bottom, left:right] = self.model.height(place, ball_mm, x_mm, y_mm)
+        shader.light(self._height_mm, window, self._image)
+        shader.finish(self._height_mm, window, self._image)
+        return self._image[pixels.rows, pixels.columns].astype(np.float64)
+
+    def _shader(self, effects: Effects) -> Shader:
+        """The table made ready with some effects; the last few are kept."""
+        key = repr(effects)
+        if key not in self._shaders:
+            while len(self._shaders) >= _KEPT_SHADERS:
+                del self._shaders[next(iter(self._shaders))]
+            self._shaders[key] = Shader(replace(self.table, effects=effects))
+        return self._shaders[key]
+
+
+def _patch(table: LookupTable, pixels: Pixels, time: float) -> Patch:
+    """Pixels as an optical effect sees them."""
+    background = table.background[pixels.rows, pixels.columns].astype(np.float64)
+    u, v = pixels.position[:, 3], pixels.position[:, 4]
+    return Patch(background, u, v, table.mm_per_px, time=time)
+
+
+def _bare_pixels(presses: PressImages, k: int, rules: SelectionRules) -> Pixels:
+    """A lattice of the pixels of press ``k`` that lie beyond its contact."""
+    corner = math.hypot(*presses.shape_px) / float(presses.radius_px[k])
+    whole = disc_pixels(presses, k, reach=corner, inner=rules.bare_beyond_radii)
+    step = max(1, round(math.sqrt(len(whole) / rules.bare_pixels)))
+    return whole.select((whole.rows % step == step // 2) & (whole.columns % step == step // 2))
+
+
+@dataclass(frozen=True, slots=True)
+class PressView:
+    """One press: some of its pixels, and the table that renders it.
+
+    Attributes
+    ----------
+    pixels : Pixels
+    patch : Patch
+        The pixels (n,) as an optical effect sees them.
+    expected : (3,) float
+        Centre and contact radius by the label, mm.
+    radius_mm, ball_mm : float
+        Labelled radius of the contact; radius of the ball.
+    renderer : TableRenderer
+    """
+
+    pixels: Pixels
+    patch: Patch
+    expected: FloatArray
+    radius_mm: float
+    ball_mm: float
+    renderer: TableRenderer
+
+    @classmethod
+    def of(
+        cls, presses: PressImages, k: int, renderer: TableRenderer, rules: SelectionRules
+    ) -> PressView:
+        """Press ``k`` on a lattice of at most ``limit`` of its pixels."""
+        label, ball = label_mm(presses)[k], float(presses.ball_radius_mm[k])
+        labels = renderer.model.labels
+        expected = labels.geometry(label)
+        expected[2] = label[2] * labels.contact_radius_mm / labels.reference_radius_mm
+        pixels = disc_pixels(presses, k, reach=rules.reach_radii, limit=rules.pixels_per_press)
+        bare = _bare_pixels(presses, k, rules)
+        pixels = Pixels(
+            *(np.concatenate([getattr(p, n) for p in (pixels, bare)]) for n in Pixels.__slots__)
+        )
+        time = k / max(len(presses) - 1, 1) - 0.5
+        patch = _patch(renderer.table, pixels, time)
+        return cls(pixels, patch, expected, float(label[2]), ball, renderer)
+
+    def on_square(self, presses: PressImages, k: int, reach: float) -> PressView:
+        """The same press ``k``, on all pixels of a square of half a width of ``reach`` radii."""
+        half, shape = reach * float(presses.radius_px[k]), presses.shape_px
+        spans = [
+            np.arange(*(int(np.clip(at + sign * half, 0, end)) for sign in (-1, 1)), dtype=float)
+            for at, end in zip(presses.center_px[k], shape[::-1], strict=True)
+        ]
+        columns, rows = (part.ravel() for part in np.meshgrid(*spans))
+        x_mm, y_mm = place_mm(columns, rows, shape, presses.mm_per_px)
+        position = position_terms((columns + 0.5) / shape[1] - 0.5, (rows + 0.5) / shape[0] - 0.5)
+        rows, columns = rows.astype(int), columns.astype(int)
+        grey = presses.images[k][rows, columns].astype(np.float64)
+        everywhere = np.ones(len(rows), dtype=bool)
+        pixels = Pixels(rows, columns, x_mm, y_mm, position, grey, everywhere)
+        patch = _patch(self.renderer.table, pixels, self.patch.time)
+        return replace(self, pixels=pixels, patch=patch)
+
+    def place_by_label(self, effects: Effects) -> tuple[FloatArray, float]:
+        """Centre and contact radius (3,) by the label, and the ball's radius, mm."""
+        place, ball = self.expected, self.ball_mm
+        for effect, values in _active(effects, Stage.PRESS, Stage.PRESS):
+            place, ball = effect.on_press(place, ball, **values)
+        return np.append(place[:2], _possible(place[2], ball)), ball
+
+    def lit(self, effects: Effects, place: FloatArray | None = None) -> FloatArray:
+        """Grey levels (n, 3) after the stages up to the focus, at a place or at the label's."""
+        labelled, ball = self.place_by_label(effects)
+        place = labelled if place is None else np.append(place[:2], _possible(place[2], ball))
+        early = {
+            effect.name: values for effect, values in _active(effects, Stage.SURFACE, Stage.FOCUS)
+        }
+        return self.renderer.lit(place, ball, self.pixels, early)
+
+    def photographed(self, lit: FloatArray, effects: Effects) -> FloatArray:
+        """Grey levels (n, 3) after the stages that follow, which act pixel by pixel."""
+        grey = lit
+        for effect, values in _active(effects, Stage.LIGHT, Stage.CAMERA):
+            grey = effect.apply(grey, self.patch, **values)
+        return np.clip(grey, 0.0, 255.0)
+
+
+def _possible(radius_mm: float, ball_mm: float) -> float:
+    return float(np.clip(radius_mm, 0.05 * ball_mm, MAX_RADIUS_SHARE * ball_mm))
+
+
+def _active(
+    effects: Effects, first: Stage, last: Stage
+) -> list[tuple[OpticalEffect, Mapping[str, float]]]:
+    return [
+        (effect, effects[effect.name])
+        for effect in optical_effects(first, last)
+        if effect.name in effects
+    ]
+
+
+def views_of(
+    presses: PressImages, tables: Sequence[LookupTable], rules: SelectionRules
+) -> list[PressView]:
+    """Every press k, rendered by table k mod their number."""
+    renderers = [
+        TableRenderer(replace(table, effects=MappingProxyType({})), press_model_of(table, presses))
+        for table in tables
+    ]
+    return [
+        PressView.of(presses, k, renderers[k % len(tables)], rules) for k in range(len(presses))
+    ]

@@ -1,0 +1,191 @@
+"""Forward selection of optical effects by the error on held-out presses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from tacgen.core.arrays import FloatArray
+from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, typical
+from tacgen.optics.effects import Candidate, PressScene, optical_effect, optical_effects
+
+ORDER = (
+    (Known.NOTHING, False),
+    (Known.EXPOSURE, False),
+    (Known.PLACE, False),
+    (Known.EXPOSURE, True),
+    (Known.PLACE, True),
+)
+"""What is sought after what, and whether with a value of its own for each press. Effects that need
+no picture's exposure and place as stated come first; what is left of these is judged after them."""
+
+
+def log_gain(before: FloatArray, after: FloatArray) -> tuple[float, float]:
+    """Mean over presses of the fall of the logarithm of squared errors (N,), and its error."""
+    gain = np.log(before + 1e-6) - np.log(after + 1e-6)
+    return float(gain.mean()), float(gain.std(ddof=1) / math.sqrt(len(gain)) + 1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A model with one candidate more, and its squared errors (N,) on held-out presses."""
+
+    model: Model
+    squares: FloatArray
+    gain: float
+    p_value: float
+
+    @property
+    def candidate(self) -> Candidate:
+        """What was added."""
+        return self.model.candidates[-1]
+
+    @property
+    def name(self) -> str:
+        """The effect that was added."""
+        return self.candidate.effect
+
+    @property
+    def rmse(self) -> float:
+        """Of a typical press, grey levels."""
+        return math.sqrt(typical(self.squares))
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step: squared errors (N,) before it, every candidate, and which was chosen."""
+
+    known: Known
+    squares: FloatArray
+    tried: tuple[Scored, ...]
+    chosen: Scored | None
+    as_good: tuple[str, ...] = ()
+
+    @property
+    def before(self) -> float:
+        """RMSE of a typical press, grey levels."""
+        return math.sqrt(typical(self.squares))
+
+    @property
+    def runner_up(self) -> Scored | None:
+        """The best one of another effect."""
+        name = self.chosen.name if self.chosen else ""
+        others = [one for one in self.tried if one.name != name]
+        return others[0] if others else None
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The table alone, and the steps with one effect more each; the last of a kind chose none."""
+
+    start: Model
+    steps: tuple[Step, ...]
+
+    @property
+    def added(self) -> list[Step]:
+        """The steps that chose an effect."""
+        return [step for step in self.steps if step.chosen is not None]
+
+    @property
+    def chosen(self) -> Model:
+        """The model with all effects that were chosen."""
+        models = [step.chosen.model for step in self.steps if step.chosen is not None]
+        return models[-1] if models else self.start
+
+
+def select(fit: PressFit, start: Model, scene: PressScene, without: set[str]) -> Selection:
+    """Add the effect that lowers the held-out error most, until none lowers it clearly.
+
+    Effects whose names are in ``without`` are not tried.
+    """
+    model, steps = start, []
+    for known, each in ORDER:
+        while len(model.candidates) < fit.rules.max_effects:
+            step = _step(fit, model, scene, known, each, without)
+            if step is None:
+                break
+            steps.append(step)
+            if step.chosen is None:
+                break
+            model = step.chosen.model
+    return Selection(start, tuple(steps))
+
+
+def _step(
+    fit: PressFit, model: Model, scene: PressScene, known: Known, each: bool, without: set[str]
+) -> Step | None:
+    taken = {(c.effect, bool(c.each)) for c in model.candidates}
+    listed = [
+        candidate
+        for effect in optical_effects()
+        if known_for(effect.stage) == known and effect.name not in without
+        for candidate in effect.candidates(scene)
+        if bool(candidate.each) == each and (effect.name, each) not in taken
+    ]
+    if not listed:
+        return None
+    before = fit.squares(model, known)
+    tried = sorted(
+        (_scored(fit, model, candidate, known, before) for candidate in listed),
+        key=lambda one: -one.gain,
+    )
+    worth = [one for one in tried if _is_worth(fit, one, len(tried))]
+    if not worth:
+        return Step(known, before, tuple(tried), None)
+    # Of those that are not clearly worse than the best one, the one with the fewest parameters.
+    close = [one for one in worth if _is_as_good(fit, one, worth[0])]
+    chosen = min(close, key=lambda one: len(one.candidate.shared))
+    as_good = sorted({one.name for one in close} - {chosen.name})
+    if known == Known.NOTHING:
+        # How bright the presses are in the mean is the effect's too.
+        moved = fit.fitted(fit.placed(chosen.model), Known.EXPOSURE)
+        chosen = replace(chosen, model=moved)
+    return Step(known, before, tuple(tried), chosen, tuple(as_good))
+
+
+def _scored(
+    fit: PressFit, model: Model, candidate: Candidate, known: Known, before: FloatArray
+) -> Scored:
+    starts = [_with(model, candidate, start) for start in candidate.starts]
+    if len(starts) > 1:
+        first = [fit.fitted(one, known, steps=1) for one in starts]
+        starts = [min(first, key=lambda one: typical(fit.squares(one, known)))]
+    fitted = fit.fitted(starts[0], known)
+    squares = fit.squares(fitted, known)
+    gain, error = log_gain(before, squares)
+    p_value = float(student.sf(gain / error, len(squares) - 1))
+    return Scored(fitted, squares, gain, p_value)
+
+
+def _with(model: Model, candidate: Candidate, start: Mapping[str, float]) -> Model:
+    """The model and one candidate more; what the table has of its effect is where it starts."""
+    shared, name = dict(model.shared), candidate.effect
+    table = model.fixed.get(name, {})
+    for key, parameter in candidate.shared.items():
+        shared.setdefault((name, key), table.get(key, parameter.identity))
+    for key, value in start.items():
+        if key not in table:
+            shared[name, key] = value
+    return replace(model, candidates=(*model.candidates, candidate), shared=shared)
+
+
+def _is_worth(fit: PressFit, one: Scored, n_tried: int) -> bool:
+    rules, effect = fit.rules, optical_effect(one.candidate.effect)
+    known = known_for(effect.stage)
+    least = rules.least_gain if known == Known.NOTHING else rules.least_gain_of_stated
+    if effect.follows_form_errors:
+        least = rules.least_gain_of_form
+    if one.candidate.each:
+        place = known == Known.PLACE
+        least = rules.least_gain_of_places if place else rules.least_gain_of_exposures
+    return one.gain >= least and one.p_value <= rules.false_alarm / n_tried
+
+
+def _is_as_good(fit: PressFit, one: Scored, best: Scored) -> bool:
+    """Whether the best one's lead is no clearer than chance."""
+    lead, error = log_gain(one.squares, best.squares)
+    return one is best or lead < fit.rules.clear_lead_in_se * error
