@@ -163,6 +163,6 @@ def score_text(score: TableScore, *, json_output: bool = False) -> str:
             ),
             f"  SSIM {found['ssim_labels']:.3f}, re-estimated {found['ssim_refined']:.3f}; PSNR "
             f"{found['psnr_db_labels']:.1f} dB, re-estimated {found['psnr_db_refined']:.1f} dB"
-            + (f"; normals read from the photographs {normals:.1f}° off" if normals else ""),
+            + (f"; normals read from the press images {normals:.1f}° off" if normals else ""),
         ]
     )

@@ -42,7 +42,7 @@ class PressScore:
 
     ``likeness`` holds ``ssim_…`` and ``psnr_db_…`` of the picture within the outermost ring's
     square, as labelled and refined; where it was asked for, ``gradient_error_deg``: the mean angle,
-    inside the circle, between the normals read from the photograph and those of the refined press.
+    inside the circle, between the normals read from the press image and those of the refined press.
     """
 
     name: str
@@ -151,7 +151,7 @@ class PressRenderer:
 def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = False) -> TableScore:
     """Score a table on presses; every press must have a circle, labelled or found.
 
-    ``gradients`` also reads the surface normals back from the photographs, half a second a press.
+    ``gradients`` also reads the surface normals back from the press images, half a second a press.
 
     Raises ``PressError`` if the presses are not of the table's resolution.
     """
@@ -185,7 +185,7 @@ def _gradient_error_deg(
     k: int,
     geometry: FloatArray,
 ) -> float:
-    """Mean angle between the normals that a photograph shows and those of a press at a place."""
+    """Mean angle between the normals that a press image shows and those of a press at a place."""
     depth = reader.shape_of(presses.images[k], presses.hidden_in(k)).depth_mm
     rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
     x_mm, y_mm = place_mm(columns, rows, (len(depth), depth.shape[1]), reader.mm_per_px)

@@ -281,7 +281,7 @@ class PressFit:
         key = (k, repr(early), b"" if place is None else place.tobytes())
         if key not in self._lit:
             self._lit[key] = view.lit(effects, place)
-        return view.photographed(self._lit[key], effects)
+        return view.finished(self._lit[key], effects)
 
 
 def typical(squares: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""Pictures of test presses: photographs beside the table and the table with its effects."""
+"""Pictures of test presses: press images beside the table and the table with its effects."""
 
 from __future__ import annotations
 
@@ -51,5 +51,5 @@ def _before_and_after(
 
 def _picture(view: PressView, model: Model, k: int) -> NDArray[np.uint8]:
     effects = model.effects()
-    grey: FloatArray = view.photographed(view.lit(effects, model.places[k]), effects)
+    grey: FloatArray = view.finished(view.lit(effects, model.places[k]), effects)
     return np.rint(grey).astype(np.uint8)

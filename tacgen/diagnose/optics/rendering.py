@@ -156,7 +156,7 @@ class PressView:
         }
         return self.renderer.lit(place, ball, self.pixels, early)
 
-    def photographed(self, lit: FloatArray, effects: Effects) -> FloatArray:
+    def finished(self, lit: FloatArray, effects: Effects) -> FloatArray:
         """Grey levels (n, 3) after the stages that follow, which act pixel by pixel."""
         grey = lit
         for effect, values in _active(effects, Stage.LIGHT, Stage.CAMERA):

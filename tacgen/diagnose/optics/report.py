@@ -58,7 +58,7 @@ def write_optics_page(
         pictures_section(
             "Test presses",
             pictures,
-            "Left to right: the photograph, the table, the table with the effects, and the "
+            "Left to right: the press image, the table, the table with the effects, and the "
             f"residual of each, {DIFFERENCE_GAIN}× about grey.",
         ),
         facts_section("Errors in numbers", facts),

@@ -1,4 +1,4 @@
-"""Exposure, or lamps, that changed since the background was photographed."""
+"""Exposure, or lamps, that changed since the background was taken."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class PressScene:
     has_table : bool
         Whether the table was fitted to other presses before, not to these.
     grey : (n, 3) float
-        Photographed grey levels of the pixels of all presses.
+        Grey levels of the pixels of all press images.
     """
 
     contact_radius_mm: float

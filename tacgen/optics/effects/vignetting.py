@@ -14,7 +14,7 @@ from tacgen.optics.effects import effect as base
 class Vignetting(base.OpticalEffect):
     """1 − strength · r² of the light arrives, r = 1 at the corners.
 
-    ``change_strength`` is for a background that was photographed through the same lens: only what
+    ``change_strength`` is for a background that was taken through the same lens: only what
     a contact changes is dimmed.
     """
 
