@@ -66,7 +66,7 @@ class CrossTalk(base.OpticalEffect):
             return ""
         return (
             "cross_talk: a table fitted to the same presses has its own colours, which hold any "
-            "mixing of the channels; give the table from before (--table), or take an image of the gel "
+            "mixing of the channels; give the table from before (--table), or press the gel "
             "with one lamp on at a time."
         )
 
