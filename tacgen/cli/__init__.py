@@ -13,7 +13,7 @@ import typer
 
 # Importing a module of commands registers them.
 from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects, recipes  # noqa: F401
-from tacgen.cli.app import app
+from tacgen.cli.common import app
 from tacgen.core.errors import Interrupted, TacgenError
 from tacgen.core.progress import LOG
 

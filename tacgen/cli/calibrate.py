@@ -7,35 +7,13 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from tacgen.cli.app import (
-    CALIBRATION,
-    IN_RECIPE,
-    BallRadiusOption,
-    ForceFlag,
-    JsonFlag,
-    MarkerPitchOption,
-    MmPerPxOption,
-    PressesArgument,
-    RealGraspsOption,
-    RecipeArgument,
-    ResultsOption,
-    WorkersOption,
-    app,
-    calibrate_app,
-    contact_lines,
-    hand_over,
-    note,
-    print_result,
-    refuse_existing,
-    table_lines,
-    warn,
-)
+from tacgen.cli import common
 
 ReportOption = Annotated[Path | None, Option(help="Folder for a report (HTML).")]
 TableOutput = Annotated[Path, Option("--out", help="Table file to write (table.npz).")]
 
 
-@app.command("import", rich_help_panel=CALIBRATION)
+@common.app.command("import", rich_help_panel=common.CALIBRATION)
 def import_(
     format_name: Annotated[
         str,
@@ -47,9 +25,9 @@ def import_(
     ],
     source: Annotated[Path, Argument(metavar="SRC", help="Folder or file in that format.")],
     out: Annotated[Path, Option(help="Folder to write; it must not exist yet.")],
-    mm_per_px: MmPerPxOption = None,
-    ball_radius_mm: BallRadiusOption = None,
-    json_output: JsonFlag = False,
+    mm_per_px: common.MmPerPxOption = None,
+    ball_radius_mm: common.BallRadiusOption = None,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Convert the ball presses or real grasps of another project into tacgen's layout."""
     from tacgen.core.errors import DatasetError, require_known
@@ -66,50 +44,51 @@ def import_(
     else:
         count, notes = import_grasps(format_name, source, out)
         kind, follow = "grasps", f"tacgen eval RUN --real {out}"
-    note(notes)
+    common.note(notes)
     record = {"folder": str(out), "format": format_name, kind: count, "notes": list(notes)}
-    print_result(record, f"{out}: {count} {kind}", json_output)
-    hand_over(follow)
+    common.print_result(record, f"{out}: {count} {kind}", json_output)
+    common.hand_over(follow)
 
 
-@calibrate_app.command("lookup")
+@common.calibrate_app.command("lookup")
 def calibrate_lookup(
-    presses: PressesArgument,
+    presses: common.PressesArgument,
     out: TableOutput,
     report: ReportOption = None,
-    mm_per_px: MmPerPxOption = None,
-    ball_radius_mm: BallRadiusOption = None,
+    mm_per_px: common.MmPerPxOption = None,
+    ball_radius_mm: common.BallRadiusOption = None,
     without_dots: Annotated[
         bool,
         Option("--without-dots", help="Remove printed dots from the background (optics.markers)."),
     ] = False,
-    force: ForceFlag = False,
-    json_output: JsonFlag = False,
+    force: common.ForceFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Fit the lookup table to images of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
 
-    refuse_existing(force, out)
+    common.refuse_existing(force, out)
     made, used = command.calibrate_lookup(
         presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
         without_dots=without_dots,
     )  # fmt: skip
-    warn(command.warning_lines(used, made.scale))
-    typer.echo(command.lookup_text(made, used, json_output=json_output))
-    hand_over(
-        *table_lines(out),
+    common.warn(command.warning_lines(used, made.scale))
+    text = command.score_text(made.heldout)
+    common.print_result(command.lookup_record(made, used), text, json_output)
+    common.hand_over(
+        *common.table_lines(out),
         f"tacgen calibrate score {out} OTHER_PRESSES",
         f"tacgen read IMAGE --sensor SENSOR --table {out} --out readings",
     )
 
 
-@calibrate_app.command("score")
+@common.calibrate_app.command("score")
 def calibrate_score(
     table: Annotated[Path, Argument(help="Table file (table.npz).")],
-    presses: PressesArgument,
-    mm_per_px: MmPerPxOption = None,
-    ball_radius_mm: BallRadiusOption = None,
-    json_output: JsonFlag = False,
+    presses: common.PressesArgument,
+    mm_per_px: common.MmPerPxOption = None,
+    ball_radius_mm: common.BallRadiusOption = None,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Compute a table's image error on presses, at the labelled and the fitted ball centres."""
     from tacgen.calibrate.lookup import command
@@ -117,30 +96,30 @@ def calibrate_score(
     score, used = command.score_presses(
         table, presses, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
-    warn(command.warning_lines(used))
-    typer.echo(command.score_text(score, json_output=json_output))
-    hand_over(f"tacgen diagnose optics {presses} --table {table} --out optics")
+    common.warn(command.warning_lines(used))
+    common.print_result(score.as_dict(), command.score_text(score), json_output)
+    common.hand_over(f"tacgen diagnose optics {presses} --table {table} --out optics")
 
 
-@calibrate_app.command("import")
+@common.calibrate_app.command("import")
 def calibrate_import(
     polycalib: Annotated[Path, Argument(help="Taxim's polycalib.npz.")],
     background: Annotated[Path, Option(help="Gel without contact: .npy (BGR) or an image file.")],
     mm_per_px: Annotated[float, Option(help="Pixel size on the gel, mm.")],
     out: TableOutput,
-    force: ForceFlag = False,
+    force: common.ForceFlag = False,
 ) -> None:
     """Convert a Taxim calibration into a table that renders the same images."""
     from tacgen.calibrate.lookup.taxim_import import import_polycalib
     from tacgen.optics import save_table
 
-    refuse_existing(force, out)
+    common.refuse_existing(force, out)
     save_table(import_polycalib(polycalib, background, mm_per_px), out)
     typer.echo(str(out))
-    hand_over(*table_lines(out))
+    common.hand_over(*common.table_lines(out))
 
 
-@calibrate_app.command("contact")
+@common.calibrate_app.command("contact")
 def calibrate_contact(
     log: Annotated[
         Path,
@@ -163,12 +142,12 @@ def calibrate_contact(
         ),
     ] = "auto",
     force_unit: Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")] = None,
-    marker_pitch_mm: MarkerPitchOption = None,
+    marker_pitch_mm: common.MarkerPitchOption = None,
     radius_mm: Annotated[float | None, Option(help="Ball of force-depth curves, mm.")] = None,
     table: Annotated[Path | None, Option(help="table.npz, to read volumes in images.")] = None,
     save_log: Annotated[Path | None, Option(help="Also write the measured press log here.")] = None,
-    force: ForceFlag = False,
-    json_output: JsonFlag = False,
+    force: common.ForceFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error."""
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
@@ -176,30 +155,30 @@ def calibrate_contact(
     from tacgen.calibrate.contact.depth_curves import is_depth_table
 
     images = log.is_dir()
-    refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
+    common.refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
         radius_mm=radius_mm, table=table, save_log=save_log,
     )  # fmt: skip
-    warn(result.warnings)
+    common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
     measured = log if not images else save_log or out.with_suffix(".csv")
     follow_up = [f"tacgen diagnose contact {measured} --out diagnosis"]
-    hand_over(*contact_lines(out), *([] if is_depth_table(measured) else follow_up))
+    common.hand_over(*common.contact_lines(out), *([] if is_depth_table(measured) else follow_up))
 
 
-@app.command(rich_help_panel=CALIBRATION)
+@common.app.command(rich_help_panel=common.CALIBRATION)
 def friction(
-    recipe: RecipeArgument,
-    real: RealGraspsOption,
-    out: ResultsOption,
+    recipe: common.RecipeArgument,
+    real: common.RealGraspsOption,
+    out: common.ResultsOption,
     mu: Annotated[str, Option(help="Coefficients to try: start:stop:step.")] = "0:1:0.05",
-    workers: WorkersOption = 2,
+    workers: common.WorkersOption = 2,
     write_objects: Annotated[
         bool, Option("--write-objects", help="Also write object.yaml files with the fitted μ.")
     ] = False,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Fit each object's friction μ so that simulated grasps match the labels of real ones."""
     from tacgen.calibrate.friction.report import verdict_of, write_friction_report
@@ -221,21 +200,21 @@ def friction(
             loaded, grasps, mu_range(mu), out, workers=workers, show=show
         )
     warnings = data_warnings(grasps, outcomes, mu_range(mu))
-    warn(warnings)
+    common.warn(warnings)
     write_friction_report(out / "report.html", grasps, outcomes, fits, warnings)
     if write_objects:
         write_object_copies(fits, out / "objects")
     verdicts = [verdict_of(name, fit) for name, fit in friction_json(fits).items()]
-    print_result(friction_json(fits), verdicts, json_output)
-    hand_over(
-        IN_RECIPE,
+    common.print_result(friction_json(fits), verdicts, json_output)
+    common.hand_over(
+        common.IN_RECIPE,
         "objects:",
         *(f"  - {{name: {name}, friction: {fit.mu:g}}}" for name, fit in fits.items()),
         f"tacgen diagnose grasps {real} --recipe {recipe} --out diagnosis",
     )
 
 
-@app.command(rich_help_panel=CALIBRATION)
+@common.app.command(rich_help_panel=common.CALIBRATION)
 def read(
     images: Annotated[list[Path], Argument(help="Images of the sensor (PNG or JPEG).")],
     sensor: Annotated[str, Option(help="Name of the sensor, or the path of its YAML.")],
@@ -243,7 +222,7 @@ def read(
     table: Annotated[Path | None, Option(help="Table of `tacgen calibrate lookup`.")] = None,
     contact: Annotated[Path | None, Option(help="Law of `tacgen calibrate contact`.")] = None,
     background: Annotated[Path | None, Option(help="Gel at rest; else the table's own.")] = None,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Read depth, contact, volume and force from images of a calibrated sensor."""
     from tacgen.core.safe_io import read_rgb
@@ -252,18 +231,18 @@ def read(
 
     at_rest = None if background is None else read_rgb(background)
     rows = read_files(ImageReader(Sensor(sensor, table, contact), at_rest), images, out)
-    print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
-    hand_over(
+    common.print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
+    common.hand_over(
         f"look at {out}; from Python: tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}))"
     )
 
 
-@app.command(rich_help_panel=CALIBRATION)
+@common.app.command(rich_help_panel=common.CALIBRATION)
 def rig(
-    recipe: RecipeArgument,
+    recipe: common.RecipeArgument,
     out: Annotated[Path, Option(help="Folder for the press log and the images.")],
     seed: Annotated[int | None, Option(help="Seed instead of the recipe's.", min=0)] = None,
-    force: ForceFlag = False,
+    force: common.ForceFlag = False,
 ) -> None:
     """Simulate a ball-press rig: press log, press images or both, with known effects."""
     from tacgen.rig import load_rig_recipe, run_rig
@@ -271,11 +250,11 @@ def rig(
     loaded = load_rig_recipe(recipe)
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})
-    refuse_existing(force, out / "truth.yaml")
+    common.refuse_existing(force, out / "truth.yaml")
     for path in run_rig(loaded, out):
         typer.echo(str(path))
     commands = {
         "images": [f"tacgen calibrate lookup {out}/presses --out table.npz"],
         "log": [f"tacgen calibrate contact {out}/press_log.csv --out contact.yaml"],
     }
-    hand_over(*commands.get(loaded.output, commands["images"] + commands["log"]))
+    common.hand_over(*commands.get(loaded.output, commands["images"] + commands["log"]))

@@ -8,14 +8,14 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from tacgen.cli.app import CLUSTER, JsonFlag, app, hand_over, print_record, print_result
+from tacgen.cli import common
 from tacgen.core.errors import ClusterError
 
 COMMAND_SETTINGS: dict[str, Any] = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
 """Default resources of the job of a command: enough to train a network on one GPU."""
 
 
-@app.command(rich_help_panel=CLUSTER)
+@common.app.command(rich_help_panel=common.CLUSTER)
 def submit(
     work: Annotated[
         list[str],
@@ -47,7 +47,7 @@ def submit(
     gpus: Annotated[int | None, Option(min=0, help="Number of GPUs, for a command only.")] = None,
     partition: Annotated[str | None, Option(help="Slurm partition.")] = None,
     account: Annotated[str | None, Option(help="Slurm account.")] = None,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Submit a recipe's missing shards, or a long command, to a scheduler.
 
@@ -71,21 +71,21 @@ def submit(
         submitted = submission.submit(loaded, out, executor, failed_only=failed)
         if not submitted.shards:
             typer.echo("tacgen: nothing to submit: every shard is done or in a job", err=True)
-        print_record(asdict(submitted), json_output)
+        common.print_record(asdict(submitted), json_output)
     else:
         if failed:
             msg = "--failed: only for a recipe; remove it"
             raise ClusterError(msg)
         submission.require_command(work)
-        commands: Any = typer.main.get_command(app)
+        commands: Any = typer.main.get_command(common.app)
         # Wrong options raise an error here, as when the command itself is called.
         out = Path(commands.commands[work[0]].make_context(work[0], work[1:]).params["out"])
         sbatch = {"gpus": gpus} if gpus else None
         section = cluster_section(Cluster(**COMMAND_SETTINGS), **settings, sbatch=sbatch)
         submitted = submission.submit_command(work, out, _run_command, executor, section)
         record = {"folder": submitted.folder, "executor": executor, "job": submitted.jobs[0]}
-        print_record(record, json_output)
-    hand_over(f"tacgen status {out}")
+        common.print_record(record, json_output)
+    common.hand_over(f"tacgen status {out}")
     if wait:
         if is_recipe:
             found = submission.wait_for(out)
@@ -100,13 +100,13 @@ def submit(
 
 def _run_command(arguments: Sequence[str]) -> None:
     """Run a command inside a job; its errors go to the job's record."""
-    app(list(arguments), standalone_mode=False)
+    common.app(list(arguments), standalone_mode=False)
 
 
-@app.command(rich_help_panel=CLUSTER)
+@common.app.command(rich_help_panel=common.CLUSTER)
 def status(
     folder: Annotated[Path, Argument(help="Folder of a dataset, or --out of a submitted command.")],
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Show the progress of a dataset or of jobs: done, running, failed and why, time left."""
     from tacgen.cluster import states
@@ -114,8 +114,8 @@ def status(
     jobs = () if (folder / "dataset.json").exists() else states.job_states(folder)
     if jobs:
         record = {"root": str(folder), "jobs": [asdict(job) for job in jobs]}
-        print_result(record, states.jobs_text(folder, jobs), json_output)
+        common.print_result(record, states.jobs_text(folder, jobs), json_output)
     else:
         found = states.status(folder)
-        print_result(found.as_dict(), states.status_text(found), json_output)
-        hand_over(f"tacgen inspect {folder}")
+        common.print_result(found.as_dict(), states.status_text(found), json_output)
+        common.hand_over(f"tacgen inspect {folder}")

@@ -7,25 +7,14 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from tacgen.cli.app import (
-    DATASETS,
-    DatasetArgument,
-    JsonFlag,
-    RecipeArgument,
-    WorkersOption,
-    app,
-    hand_over,
-    print_record,
-    print_result,
-    warn,
-)
+from tacgen.cli import common
 
 
-@app.command(rich_help_panel=DATASETS)
+@common.app.command(rich_help_panel=common.DATASETS)
 def collect(
-    recipe: RecipeArgument,
+    recipe: common.RecipeArgument,
     out: Annotated[Path, Option(help="Folder of the dataset; a stopped collection resumes.")],
-    workers: WorkersOption = 1,
+    workers: common.WorkersOption = 1,
     shard: Annotated[
         str, Option(help="I/N: only part I of N (from 0); auto: the part of this job-array task.")
     ] = "0/1",
@@ -34,7 +23,7 @@ def collect(
         bool, Option("--repair", help="Verify the dataset first and collect damaged shards again.")
     ] = False,
     grasp_limit_s: Annotated[float, Option(min=1.0, help="Time limit of a grasp, s.")] = 120.0,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Simulate the grasps of a recipe and write images, labels and forces as a dataset."""
     from tacgen.core.workers import start_early
@@ -53,7 +42,7 @@ def collect(
     part, parts, origin = parse_share(shard, os.environ)
     share = range(part, plan["shards"], parts)
     if dry_run:
-        print_record(plan, json_output)
+        common.print_record(plan, json_output)
         return
     if parts > 1:
         typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
@@ -62,18 +51,18 @@ def collect(
         loaded, out, workers=workers, shards=share, redo=redo, item_limit_s=grasp_limit_s,
         progress=not json_output,
     )  # fmt: skip
-    print_record(result.summary(), json_output)
+    common.print_record(result.summary(), json_output)
     if not (result.made or result.found):
         return
     summary = summarize(out)
-    warn(not_executed_lines(summary))
+    common.warn(not_executed_lines(summary))
     if none_executed(summary):
         raise typer.Exit(1)
-    hand_over(f"tacgen inspect {out}", f"tacgen train train_single --data {out} --out run")
+    common.hand_over(f"tacgen inspect {out}", f"tacgen train train_single --data {out} --out run")
 
 
-@app.command(rich_help_panel=DATASETS)
-def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
+@common.app.command(rich_help_panel=common.DATASETS)
+def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) -> None:
     """List the grasps of a recipe with the shard of each, as CSV."""
     import pandas as pd
 
@@ -81,27 +70,29 @@ def grid(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     from tacgen.collection.recipe import load_recipe
 
     rows = grid_rows(plan_recipe(load_recipe(recipe)))
-    print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
-    hand_over(f"tacgen collect {recipe} --out data")
+    common.print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
+    common.hand_over(f"tacgen collect {recipe} --out data")
 
 
-@app.command(rich_help_panel=DATASETS)
-def inspect(folder: DatasetArgument, json_output: JsonFlag = False) -> None:
+@common.app.command(rich_help_panel=common.DATASETS)
+def inspect(folder: common.DatasetArgument, json_output: common.JsonFlag = False) -> None:
     """Show the contents of a dataset: counts, labels by object, splits, sizes, origin."""
     from tacgen.dataset.summary import none_executed, summarize, summary_text
 
     summary = summarize(folder)
-    print_result(summary, summary_text(summary), json_output)
+    common.print_result(summary, summary_text(summary), json_output)
     if none_executed(summary):
         raise typer.Exit(1)
-    hand_over(f"tacgen verify {folder}", f"tacgen train train_single --data {folder} --out run")
+    common.hand_over(
+        f"tacgen verify {folder}", f"tacgen train train_single --data {folder} --out run"
+    )
 
 
-@app.command(rich_help_panel=DATASETS)
+@common.app.command(rich_help_panel=common.DATASETS)
 def verify(
-    folder: DatasetArgument,
+    folder: common.DatasetArgument,
     decode: Annotated[bool, Option("--decode", help="Also decompress every image.")] = False,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Check every hash, shape and label; lists damaged shards and exits 1 if there are any."""
     from tqdm import tqdm
@@ -120,25 +111,25 @@ def verify(
             ]
         )
     text = f"{found.n_grasps} grasps in {found.n_shards} shards, all intact"
-    print_result(found.as_dict(), text, json_output)
+    common.print_result(found.as_dict(), text, json_output)
     if found.problems:
         raise typer.Exit(1)
-    hand_over(f"tacgen train train_single --data {folder} --out run")
+    common.hand_over(f"tacgen train train_single --data {folder} --out run")
 
 
-@app.command(rich_help_panel=DATASETS)
-def merge(folder: DatasetArgument) -> None:
+@common.app.command(rich_help_panel=common.DATASETS)
+def merge(folder: common.DatasetArgument) -> None:
     """Join the manifest lines of all shards, from all machines, in manifest.jsonl."""
     from tacgen.dataset import DatasetFolder
 
     lines = DatasetFolder(folder).merge()
     typer.echo(f"{folder}/manifest.jsonl: {len(lines)} shards")
-    hand_over(f"tacgen verify {folder}")
+    common.hand_over(f"tacgen verify {folder}")
 
 
-@app.command(rich_help_panel=DATASETS)
+@common.app.command(rich_help_panel=common.DATASETS)
 def export(
-    folder: DatasetArgument,
+    folder: common.DatasetArgument,
     out: Annotated[Path, Option(help="Folder to write; it must not exist yet.")],
     format_name: Annotated[
         str,
@@ -150,7 +141,7 @@ def export(
     ] = "lerobot",
     split: Annotated[str | None, Option(help="Export only the train or the test grasps.")] = None,
     no_images: Annotated[bool, Option("--no-images", help="No images (real-grasps only).")] = False,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Write the executed grasps of a dataset in another format."""
     from tacgen.dataset.export import export_dataset
@@ -159,12 +150,12 @@ def export(
     text = f"{out}: {result['content']}"
     if result["not_executed"]:
         text += f"; {result['not_executed']} grasps that were not executed are not exported"
-    print_result(result, text, json_output)
+    common.print_result(result, text, json_output)
 
 
-@app.command(rich_help_panel=DATASETS)
+@common.app.command(rich_help_panel=common.DATASETS)
 def view(
-    folder: DatasetArgument,
+    folder: common.DatasetArgument,
     grasp: Annotated[int | None, Option(help="Show one grasp, with depth and forces.")] = None,
     no_browser: Annotated[bool, Option("--no-browser", help="Only print the page's path.")] = False,
 ) -> None:
@@ -181,14 +172,14 @@ def view(
         msg = f"{page}: there is no gallery; `tacgen collect` writes it when it has finished"
         raise DatasetError(msg)
     typer.echo(str(page))
-    hand_over(f"tacgen verify {folder}" if grasp is None else f"tacgen view {folder}")
+    common.hand_over(f"tacgen verify {folder}" if grasp is None else f"tacgen view {folder}")
     if not no_browser:
         webbrowser.open(page.resolve().as_uri())
 
 
-@app.command(rich_help_panel=DATASETS)
+@common.app.command(rich_help_panel=common.DATASETS)
 def render(
-    recipe: RecipeArgument,
+    recipe: common.RecipeArgument,
     out: Annotated[Path, Option("--gif", help="Animation (GIF) to write.")],
     grasp: Annotated[int, Option(min=0, help="Number of the grasp.")] = 0,
 ) -> None:
@@ -198,4 +189,4 @@ def render(
 
     outcome = write_gif(load_recipe(recipe), grasp, out)
     typer.echo(f"{out}: grasp {grasp}, {outcome}")
-    hand_over(f"tacgen collect {recipe} --out data")
+    common.hand_over(f"tacgen collect {recipe} --out data")

@@ -5,17 +5,17 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from tacgen.cli.app import NETWORKS, JsonFlag, WorkersOption, app, hand_over, print_result
+from tacgen.cli import common
 from tacgen.core.errors import LearningError
 
 
-@app.command(rich_help_panel=NETWORKS)
+@common.app.command(rich_help_panel=common.NETWORKS)
 def train(
     recipe: Annotated[str, Argument(help="Training recipe: YAML, or a shipped one's name.")],
     data: Annotated[Path, Option(help="Dataset that `tacgen collect` wrote.")],
     out: Annotated[Path, Option(help="Folder of the run; an interrupted training is resumed.")],
     workers: Annotated[int, Option(min=1, help="Models to train in parallel.")] = 1,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Train networks that predict from tactile images whether a grasp will hold."""
     from tacgen.learning import require_learning_extra
@@ -26,11 +26,11 @@ def train(
     from tacgen.learning.train import train as train_models
 
     summary = train_models(load_train_recipe(recipe), data, out, workers=workers)
-    print_result(summary, training_lines(summary), json_output)
-    hand_over(f"tacgen eval {out} --data {data}")
+    common.print_result(summary, training_lines(summary), json_output)
+    common.hand_over(f"tacgen eval {out} --data {data}")
 
 
-@app.command("eval", rich_help_panel=NETWORKS)
+@common.app.command("eval", rich_help_panel=common.NETWORKS)
 def evaluate(
     run: Annotated[Path | None, Argument(help="Folder of a run that `tacgen train` wrote.")] = None,
     data: Annotated[Path | None, Option(help="Test on the test grasps of this dataset.")] = None,
@@ -42,7 +42,7 @@ def evaluate(
             "position (no image) of each training grasp in --data."
         ),
     ] = None,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Test a run on simulated or real grasps; once both are tested, prints the sim-to-real gap."""
     from tacgen.learning import require_learning_extra
@@ -52,8 +52,8 @@ def evaluate(
         from tacgen.learning.parameter_baseline import baseline_lines, evaluate_baseline
 
         scores = evaluate_baseline(baseline, run, data, real)
-        print_result(scores, baseline_lines(scores), json_output)
-        hand_over(f"tacgen train train_single --data {data} --out run")
+        common.print_result(scores, baseline_lines(scores), json_output)
+        common.hand_over(f"tacgen train train_single --data {data} --out run")
         return
     if run is None:
         msg = "eval: give the RUN to test, a folder that `tacgen train --out` made"
@@ -62,12 +62,12 @@ def evaluate(
     from tacgen.learning.scores import evaluation_lines
 
     result = evaluate_run(run, data, real)
-    print_result(result, evaluation_lines(result), json_output)
+    common.print_result(result, evaluation_lines(result), json_output)
     on_real = [f"tacgen eval {run} --real REAL_GRASPS"] if real is None else []
-    hand_over(*on_real, f"tacgen predict {run} IMAGE …")
+    common.hand_over(*on_real, f"tacgen predict {run} IMAGE …")
 
 
-@app.command(rich_help_panel=NETWORKS)
+@common.app.command(rich_help_panel=common.NETWORKS)
 def predict(
     run: Annotated[Path, Argument(help="Folder of a run that `tacgen train` wrote.")],
     images: Annotated[
@@ -80,7 +80,7 @@ def predict(
     background: Annotated[
         Path | None, Option(help="Image of your gel at rest; else that of the training data.")
     ] = None,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Predict from your own images the probability that each grasp will hold."""
     from tacgen.learning import require_learning_extra
@@ -92,11 +92,11 @@ def predict(
     at_rest = None if background is None else read_rgb(background)
     rows = predict_files(Predictor(run, object_name, at_rest), images)
     lines = [f"{row['probability']:.3f}  {row['images']}" for row in rows]
-    print_result(rows, lines, json_output)
-    hand_over(f"tacgen eval {run} --real REAL_GRASPS   # how often it is right")
+    common.print_result(rows, lines, json_output)
+    common.hand_over(f"tacgen eval {run} --real REAL_GRASPS   # how often it is right")
 
 
-@app.command(rich_help_panel=NETWORKS)
+@common.app.command(rich_help_panel=common.NETWORKS)
 def study(
     recipe: Annotated[str, Argument(help="Study: YAML, or a shipped one, such as paper_table.")],
     out: Annotated[Path, Option(help="Folder for datasets, runs and the table.")],
@@ -108,8 +108,8 @@ def study(
     contact: Annotated[Path | None, Option(help="contact.yaml, for rows that use it.")] = None,
     row: Annotated[list[str] | None, Option(help="Run this row only; may be repeated.")] = None,
     quick: Annotated[bool, Option("--quick", help="Run the study's reduced version.")] = False,
-    workers: WorkersOption = 1,
-    json_output: JsonFlag = False,
+    workers: common.WorkersOption = 1,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Collect, train and test every variant of a study; writes a table (Markdown, HTML, JSON)."""
     from tacgen.learning import require_learning_extra
@@ -121,6 +121,6 @@ def study(
 
     given = RealData(real, calibrate_on, contact)
     result = run_study(load_study(recipe), out, given, rows=row or (), quick=quick, workers=workers)
-    print_result(result, (out / "table.md").read_text(encoding="utf-8"), json_output)
+    common.print_result(result, (out / "table.md").read_text(encoding="utf-8"), json_output)
     check_finished(result)
-    hand_over(f"open {out / 'table.html'} in a browser")
+    common.hand_over(f"open {out / 'table.html'} in a browser")

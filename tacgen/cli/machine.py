@@ -6,28 +6,28 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from tacgen.cli.app import MACHINE, JsonFlag, app, hand_over, print_result
+from tacgen.cli import common
 
 
-@app.command(rich_help_panel=MACHINE)
-def doctor(json_output: JsonFlag = False) -> None:
+@common.app.command(rich_help_panel=common.MACHINE)
+def doctor(json_output: common.JsonFlag = False) -> None:
     """Check what tacgen needs on this machine and state how to install what is missing."""
     from tacgen.cli.doctor import examine
 
     findings = examine()
-    print_result([asdict(finding) for finding in findings], map(str, findings), json_output)
+    common.print_result([asdict(finding) for finding in findings], map(str, findings), json_output)
     if any(finding.needed and not finding.ok for finding in findings):
         raise typer.Exit(1)
-    hand_over("tacgen collect quickstart --out data --workers 2")
+    common.hand_over("tacgen collect quickstart --out data --workers 2")
 
 
-@app.command(rich_help_panel=MACHINE)
+@common.app.command(rich_help_panel=common.MACHINE)
 def bench(
     recipe: Annotated[
         str | None, Option(help="Also estimate how long this recipe takes here.")
     ] = None,
     repeats: Annotated[int, Option(min=5, help="Repetitions of each measurement.")] = 30,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Measure the time of frames and grasps on this machine: medians, one thread."""
     from tacgen.collection.bench import estimate_s, run_benchmarks
@@ -42,4 +42,4 @@ def bench(
         total = f"{estimate['total_s'] / 60:.1f} min with one worker"
         each = f"{estimate['grasps']:.0f} grasps at {estimate['grasp_s']:.2f} s"
         lines.append(f"{recipe}: {each}, {total}")
-    print_result(record, lines, json_output)
+    common.print_result(record, lines, json_output)

@@ -5,34 +5,26 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from tacgen.cli.app import (
-    ForceFlag,
-    JsonFlag,
-    hand_over,
-    note,
-    object_names,
-    objects_app,
-    print_result,
-)
+from tacgen.cli import common
 
 
-@objects_app.command("list")
-def objects_list(json_output: JsonFlag = False) -> None:
+@common.objects_app.command("list")
+def objects_list(json_output: common.JsonFlag = False) -> None:
     """List all objects: those that tacgen ships and those in ./objects."""
     from tacgen.objects.listing import object_rows, rows_text
 
     rows = object_rows()
-    print_result(rows, rows_text(rows), json_output)
-    hand_over(f"tacgen objects show {rows[0]['name']} --out {rows[0]['name']}.png")
+    common.print_result(rows, rows_text(rows), json_output)
+    common.hand_over(f"tacgen objects show {rows[0]['name']} --out {rows[0]['name']}.png")
 
 
-@objects_app.command("show")
+@common.objects_app.command("show")
 def objects_show(
     name: Annotated[
-        str, Argument(help="Name of an object, or its folder.", autocompletion=object_names)
+        str, Argument(help="Name of an object, or its folder.", autocompletion=common.object_names)
     ],
     out: Annotated[Path | None, Option(help="Also write a picture of the object (PNG).")] = None,
-    json_output: JsonFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Show the properties of an object, each with its source."""
     from tacgen.core.resources import find_object_folder
@@ -45,10 +37,10 @@ def objects_show(
     facts = object_facts(obj, read_description(find_object_folder(name)))
     if out is not None:
         write_picture(obj, out)
-    print_result(facts, facts_text(facts), json_output)
+    common.print_result(facts, facts_text(facts), json_output)
 
 
-@objects_app.command("add")
+@common.objects_app.command("add")
 def objects_add(
     mesh: Annotated[Path, Argument(help="Mesh file: OBJ, STL, PLY or GLB.")],
     mass_kg: Annotated[float, Option("--mass", help="Mass of the object, kg.")],
@@ -63,8 +55,8 @@ def objects_add(
     yaw_rad: Annotated[
         float, Option("--yaw", help="Angle about z along which the fingers shall close, rad.")
     ] = 0.0,
-    force: ForceFlag = False,
-    json_output: JsonFlag = False,
+    force: common.ForceFlag = False,
+    json_output: common.JsonFlag = False,
 ) -> None:
     """Import a mesh into ./objects; recipes can then name it."""
     from tacgen.core.progress import print_status
@@ -78,12 +70,12 @@ def objects_add(
         mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, yaw_rad=yaw_rad,
         force=force,
     )  # fmt: skip
-    note(added.notes)
+    common.note(added.notes)
     folder = Path("objects") / added.object.name
     facts = object_facts(added.object, read_description(folder))
     write_picture(added.object, folder / "picture.png")
-    print_result(facts, facts_text(facts), json_output)
-    hand_over(
+    common.print_result(facts, facts_text(facts), json_output)
+    common.hand_over(
         f"look at {folder / 'picture.png'}",
         "in a recipe in this folder:",
         f"objects: [{added.object.name}]",

@@ -12,15 +12,7 @@ import yaml
 from pydantic import BaseModel
 from typer import Argument
 
-from tacgen.cli.app import (
-    DATASETS,
-    JsonFlag,
-    RecipeArgument,
-    app,
-    hand_over,
-    print_result,
-    recipe_app,
-)
+from tacgen.cli import common
 from tacgen.core.errors import RecipeError, require_known
 
 PROJECT_FILES = {
@@ -46,8 +38,8 @@ def recipe_kinds() -> dict[str, tuple[type[BaseModel], Callable[[str], BaseModel
     }
 
 
-@recipe_app.command("show")
-def recipe_show(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
+@common.recipe_app.command("show")
+def recipe_show(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) -> None:
     """Print a recipe with every setting: what it extends and all defaults filled in."""
     from tacgen.core.resources import find_recipe
     from tacgen.core.yaml_source import kind_of, read_yaml
@@ -57,12 +49,12 @@ def recipe_show(recipe: RecipeArgument, json_output: JsonFlag = False) -> None:
     name, load = kinds.get(kind_of(read_yaml(path).data), kinds["Recipe"])
     settings = load(str(path)).model_dump(mode="json")
     text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None)
-    print_result(settings, text.rstrip("\n"), json_output)
+    common.print_result(settings, text.rstrip("\n"), json_output)
     options = {"collect": "--out data", "train": "--data data --out run"}
-    hand_over(f"tacgen {name} {recipe} {options.get(name, f'--out {name}')}")
+    common.hand_over(f"tacgen {name} {recipe} {options.get(name, f'--out {name}')}")
 
 
-@recipe_app.command("schema")
+@common.recipe_app.command("schema")
 def recipe_schema(
     kind: Annotated[
         str, Argument(help="collect, rig, train or study: the command that runs the recipe.")
@@ -70,7 +62,7 @@ def recipe_schema(
 ) -> None:
     """Print the JSON schema of a kind of recipe, with which editors complete and check keys."""
     typer.echo(json.dumps(schema_of(kind), indent=2, ensure_ascii=False))
-    hand_over(
+    common.hand_over(
         f"tacgen recipe schema {kind} > .{kind}.schema.json",
         "and as the first line of the recipe (VS Code with the YAML extension, PyCharm, …):",
         f"# yaml-language-server: $schema=.{kind}.schema.json",
@@ -91,7 +83,7 @@ def schema_of(kind: str) -> dict[str, Any]:
     return schema
 
 
-@app.command(rich_help_panel=DATASETS)
+@common.app.command(rich_help_panel=common.DATASETS)
 def init(name: Annotated[str, Argument(help="Name of the project and of its new folder.")]) -> None:
     """Write a project to start from: a commented recipe, an object and a README."""
     folder = Path(name)
@@ -107,4 +99,4 @@ def init(name: Annotated[str, Argument(help="Name of the project and of its new 
         (folder / target).parent.mkdir(parents=True, exist_ok=True)
         (folder / target).write_text(text.replace("PROJECT", folder.name), encoding="utf-8")
         typer.echo(folder / target)
-    hand_over(f"cd {folder}", "tacgen collect recipe.yaml --out data --workers 2")
+    common.hand_over(f"cd {folder}", "tacgen collect recipe.yaml --out data --workers 2")

@@ -26,8 +26,7 @@ from tacgen.core.yaml_source import read_yaml, validate
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
-PUBLISHED_K_N_MM3_PER_N = 5.135
-"""taxim-robot's slope of 200 039 px³/N at its 0.0295 mm/px."""
+PUBLISHED_K_N_MM3_PER_N = 5.135  # taxim-robot's slope of 200 039 px³/N at its 0.0295 mm/px
 USUAL_K_S_MM_PER_N = 1.0
 """Assumed: summed marker motion a newton; a press log with shear gives a sensor's own."""
 
@@ -70,8 +69,7 @@ class ContactLaw:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        problems = _law_problems(self)
-        ContactError.raise_if(problems)
+        ContactError.raise_if(_law_problems(self))
 
     @classmethod
     def default(cls) -> "ContactLaw":
@@ -79,16 +77,10 @@ class ContactLaw:
         return cls.linear(PUBLISHED_K_N_MM3_PER_N, USUAL_K_S_MM_PER_N)
 
     @classmethod
-    def linear(
-        cls, k_n_mm3_per_n: float, k_s_mm_per_n: float = math.nan, marker_pitch_mm: float = math.nan
-    ) -> "ContactLaw":
+    def linear(cls, k_n_mm3_per_n: float, k_s_mm_per_n: float = math.nan) -> "ContactLaw":
         """V = k_n F_n and D = k_s F_s and nothing else."""
-        return cls(
-            "volume_linear",
-            Estimate(k_n_mm3_per_n, 0.0, "mm3/N"),
-            Estimate(k_s_mm_per_n, 0.0, "mm/N"),
-            marker_pitch_mm,
-        )
+        k_n, k_s = Estimate(k_n_mm3_per_n, 0.0, "mm3/N"), Estimate(k_s_mm_per_n, 0.0, "mm/N")
+        return cls("volume_linear", k_n, k_s)
 
     def predict(
         self, columns: Mapping[str, ArrayLike], *, simulate: bool = False

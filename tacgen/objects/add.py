@@ -24,8 +24,7 @@ from tacgen.objects.meshes import mass_properties, volume_mm3
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'
 HERTZ_MM = 3 * np.pi / 16 * 5.0
 """Moment per newton and per unit friction of a Hertzian patch of 5 mm radius."""
-DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005
-"""Osmium, and a little less than the lightest foam."""
+DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005  # Osmium, and a little less than the lightest foam
 NOTED_ERROR_MM = 1.0  # a collision surface this far off moves the contact visibly
 NO_NAMES = {"textured", "nontextured", "model", "mesh", "object", "meshes", "untitled"}
 

@@ -13,21 +13,16 @@ from tacgen.physics.gripper import STROKE_MM
 
 MARGIN_MM = 5.0  # to either side between open pads and the object
 PAD_MM = (20.0, 16.0)  # width and height of the sensing surface
-LOWEST_PAD_MM = 10.5
-"""Height of the pad's centre at which its lower edge clears the table."""
+LOWEST_PAD_MM = 10.5  # height of the pad's centre at which its lower edge clears the table
 MIN_FORCE_N, MAX_FORCE_N = 1.0, 40.0
-GEL_REACH_MM = 0.5
-"""Indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick."""
+GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad
 COARSE_STEP_DEG = 5.0
-CLEARLY_LARGER = 1.3
-"""Areas vary by some 10 % with the raster of 0.5 mm."""
+CLEARLY_LARGER = 1.3  # areas vary by some 10 % with the raster of 0.5 mm
 FACET_ANGLES_DEG = (3.0, 40.0)
 """Smaller angles are hardly seen; larger ones are edges of the object, as of an octagon (45°)."""
-FACET_WIDTH_MM = 0.5
-"""The shipped objects' facets where pads touch."""
-FACET_AREA_SHARE = 0.1
-"""A tenth of the surface: less is a rounded edge."""
+FACET_WIDTH_MM = 0.5  # the shipped objects' facets where pads touch
+FACET_AREA_SHARE = 0.1  # a tenth of the surface: less is a rounded edge
 THRESHOLD_SHARES = (0.4, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0)
 """Of the least holding force: from certain failure to certain success."""
 

@@ -15,6 +15,7 @@ from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.objects.load import MAX_FILE_BYTES
 from tacgen.objects.meshes import from_manifold, hull, to_manifold, volume_mm3
+from tacgen.physics.frames import rotation_about_z
 from tacgen.physics.gripper import STROKE_MM
 
 UP_AXES = ("x", "y", "z")
@@ -22,13 +23,11 @@ FORMATS = ("obj", "stl", "ply", "glb")
 SMALLEST_MM, LARGEST_MM = 2.0, 1000.0
 MAX_TRIANGLES = 2_000_000  # limits the time and memory of the import
 MANY_TRIANGLES = 200_000  # from here on frames become slower
-MAX_HOLE_SHARE = 0.15
-"""A hole is filled if its rim is at most this share of the mesh's diagonal."""
+MAX_HOLE_SHARE = 0.15  # a hole is filled if its rim is at most this share of the mesh's diagonal
 MAX_PARTS = 24  # PyBullet's time a step grows with the parts
 MAX_PART_VERTICES = 128  # limits PyBullet's time a step
 DETAIL_MM = 0.2  # finest detail that the search for convex parts sees
-CONCAVITY = 0.05
-"""CoACD's threshold: the concavity left, as a share of the object's size."""
+CONCAVITY = 0.05  # CoACD's threshold: the concavity left, as a share of the object's size
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +59,7 @@ def import_surface(
     # A cyclic change of axes, which mirrors nothing, turns the file's `up` to z.
     vertices = np.roll(vertices, {"x": -1, "y": 1, "z": 0}[up], axis=1)
     if yaw_rad:
-        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-        vertices = vertices @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        vertices = vertices @ rotation_about_z(yaw_rad)
     _check_size(path, vertices, scale)
     mesh, notes = _closed(path, vertices, faces)
     low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
@@ -227,7 +225,7 @@ def _united(path: Path, mesh: Mesh) -> Mesh:
     )
 
 
-def convex_parts(surface: Mesh, *, seed: int = 0) -> tuple[Mesh, ...]:
+def convex_parts(surface: Mesh) -> tuple[Mesh, ...]:
     """At most ``MAX_PARTS`` convex hulls that together follow ``surface``.
 
     Source: Wei et al. 2022, Approximate Convex Decomposition for 3D Meshes with
@@ -244,6 +242,6 @@ def convex_parts(surface: Mesh, *, seed: int = 0) -> tuple[Mesh, ...]:
         max_ch_vertex=MAX_PART_VERTICES,
         mcts_iterations=100,
         mcts_nodes=15,
-        seed=seed,
+        seed=0,
     )
     return tuple(hull(vertices) for vertices, _ in parts)

@@ -11,8 +11,7 @@ from tacgen.core.files import atomic_path
 from tacgen.core.records import GraspObject
 from tacgen.objects.shading import depth_view, shaded_view, view_axes
 
-WINDOW_PX, MM_PER_PX = (480, 640), 0.0295
-"""The window of the default sensor."""
+WINDOW_PX, MM_PER_PX = (480, 640), 0.0295  # the window of the default sensor
 VIEWS = (("from the front", 35.0, 25.0), ("as the pad comes", 0.0, 0.0), ("from above", 0.0, 89.9))
 
 

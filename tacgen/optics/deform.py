@@ -68,17 +68,9 @@ def _clear_negligible(surface: NDArray[Any], least_mm: float) -> tuple[int, int,
 class Deformer:
     """Turns the indentation under an object into the deformation of the whole gel."""
 
-    def __init__(
-        self,
-        mm_per_px: float,
-        *,
-        pyramid_sigma_mm: tuple[float, ...] = PYRAMID_SIGMA_MM,
-        final_sigma_mm: float = FINAL_SIGMA_MM,
-        firm_contact: tuple[float, float] = FIRM_CONTACT,
-    ) -> None:
-        self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in pyramid_sigma_mm]
-        self._final = Gaussian(final_sigma_mm / mm_per_px)
-        self._firm_contact = firm_contact
+    def __init__(self, mm_per_px: float) -> None:
+        self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in PYRAMID_SIGMA_MM]
+        self._final = Gaussian(FINAL_SIGMA_MM / mm_per_px)
         self._memory = np.empty((3, 0), dtype=np.float32)
 
     def _maps(self, height: int, width: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -113,16 +105,12 @@ class Deformer:
         frame = aligned(grown(contact, self.reach_px + 1, shape_px), COARSEST, shape_px)
         depth, surface, scratch = self._maps(frame[1] - frame[0], frame[3] - frame[2])
         depth.fill(0)
-        patch = (
-            contact[0] - frame[0],
-            contact[1] - frame[0],
-            contact[2] - frame[2],
-            contact[3] - frame[2],
-        )
+        top, left = frame[0], frame[2]
+        patch = (contact[0] - top, contact[1] - top, contact[2] - left, contact[3] - left)
         depth[patch[0] : patch[1], patch[2] : patch[3]] = depth_mm
         surface[...] = depth
         deepest_mm = max(float(depth_mm.max(initial=0.0)), NEGLIGIBLE_MM)
-        loose_mm, firm_mm = (share * deepest_mm for share in self._firm_contact)
+        loose_mm, firm_mm = (share * deepest_mm for share in FIRM_CONTACT)
         reach = 1
         for blur in (*self._pyramid, self._final):
             # One pixel beyond what is deformed, so that the edge is at rest.
@@ -134,8 +122,7 @@ class Deformer:
         top, bottom, left, right = _clear_negligible(surface, NEGLIGIBLE_MM)
         if top >= bottom:
             return np.zeros((0, 0), dtype=np.float32), (0, 0, 0, 0)
-        row, column = frame[0], frame[2]
-        window = (row + top, row + bottom, column + left, column + right)
+        window = (frame[0] + top, frame[0] + bottom, frame[2] + left, frame[2] + right)
         return surface[top:bottom, left:right], window
 
 

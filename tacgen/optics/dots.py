@@ -12,8 +12,7 @@ from tacgen.core.errors import PressError
 
 Image = NDArray[np.uint8]
 
-DARKER_THAN = 0.8
-"""A dot's pixels are darker than their surroundings by at least this factor."""
+DARKER_THAN = 0.8  # a dot's pixels are darker than their surroundings by at least this factor
 
 SURROUNDINGS_SHARE = 0.12
 """Width of the surroundings that a dot is compared with, as a share of the picture's height."""
@@ -24,8 +23,7 @@ SMALLEST_PX, LARGEST_SHARE = 4, 0.01
 MIN_PRINTED = 8
 """A gel has printed dots where at least so many stand on a grid; fewer are dust and shading."""
 
-SAME_AREA = (0.4, 2.5)
-"""Areas of printed dots, relative to their median."""
+SAME_AREA = (0.4, 2.5)  # areas of printed dots, relative to their median
 
 MAX_UNEVEN = 0.25
 """Largest relative scatter (median) of the distance from a dot to its nearest neighbour."""
@@ -33,8 +31,7 @@ MAX_UNEVEN = 0.25
 MERGED_AREA = 4.0
 """A dark spot in a press of more than so many dots' area is the shade of the contact."""
 
-MIN_TRACKED = 4
-"""Dots whose motion tells a shear from the noise of one."""
+MIN_TRACKED = 4  # dots whose motion tells a shear from the noise of one
 
 
 @dataclass(frozen=True, slots=True)

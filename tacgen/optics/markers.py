@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
 
-INK_TRANSMISSION = 0.25
-"""Share of the light that a dot reflects."""
+INK_TRANSMISSION = 0.25  # share of the light that a dot reflects
 
 
 @njit(cache=True, nogil=True)
@@ -38,12 +37,7 @@ def _draw(
 
 
 def draw_markers(
-    image: NDArray[np.float32],
-    centers_mm: FloatArray,
-    radius_mm: float,
-    mm_per_px: float,
-    *,
-    transmission: float = INK_TRANSMISSION,
+    image: NDArray[np.float32], centers_mm: FloatArray, radius_mm: float, mm_per_px: float
 ) -> None:
     """Darken ``image`` (H, W, 3) in place under the dots, with edges a pixel soft.
 
@@ -52,4 +46,4 @@ def draw_markers(
     n_rows, n_columns = image.shape[:2]
     columns = centers_mm[:, 0] / mm_per_px + (n_columns / 2 - 0.5)
     rows = centers_mm[:, 1] / mm_per_px + (n_rows / 2 - 0.5)
-    _draw(image, columns, rows, radius_mm / mm_per_px, transmission)
+    _draw(image, columns, rows, radius_mm / mm_per_px, INK_TRANSMISSION)

@@ -30,8 +30,7 @@ TILE_PX = 32
 """Over so few pixels the table's dependence on place is a small correction to a first guess."""
 GRID_NODES = 101  # slopes a side: steps of 0.06, refined afterwards
 STEEPEST_RAD = 1.25  # of the slopes searched; tables seldom reach further
-PLACES = 13
-"""Nodes of position, each way, of a table that is a quadratic in position."""
+PLACES = 13  # nodes of position, each way, of a table that is a quadratic in position
 LONGEST_STEP_NODES = 2.0
 """Longest step of Gauss–Newton, in nodes of the slope grid: so far colour is nearly linear."""
 SLOPE_PRIOR_GREY = 0.3
@@ -46,8 +45,7 @@ CONTACT_PASSES = 3
 """Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large
 after the first and 1 % after the third, and more change nothing."""
 BLUR_PX = 0.7  # lowers the camera's noise; below a contact's finest feature
-CONTACT_SHARE = 0.02
-"""Depths below this share of the deepest are not contact."""
+CONTACT_SHARE = 0.02  # depths below this share of the deepest are not contact
 UNBENDING_PASSES = 4
 """Of an exact surface they leave 0.1 % of the volume too much; more of them amplify noise."""
 

@@ -311,11 +311,8 @@ class Renderer:
     def _deformed(self, deformation_mm: NDArray[np.float32], window: Window) -> Window:
         """Put the deformed gel's grey levels into the image; returns the window they fill."""
         shader, shape_px = self._shader, self._rest_mm.shape
-        top, bottom, left, right = window
-        rest, height = (
-            self._rest_mm[top:bottom, left:right],
-            self._height_mm[top:bottom, left:right],
-        )
+        area = np.s_[window[0] : window[1], window[2] : window[3]]
+        rest, height = self._rest_mm[area], self._height_mm[area]
         np.subtract(rest, deformation_mm, out=height)
         lit = grown(window, shader.slope_reach_px, shape_px)
         seen = lit

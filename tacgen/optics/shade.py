@@ -245,10 +245,8 @@ def shade_window(
                 change,
                 3 * k,
             )
-        image_row, background_row = (
-            image[r, left:right].reshape(-1),
-            background[r, left:right].reshape(-1),
-        )
+        image_row = image[r, left:right].reshape(-1)
+        background_row = background[r, left:right].reshape(-1)
         for k in range(3 * width):
             image_row[k] = background_row[k] + change[k]
 
@@ -338,10 +336,8 @@ def shade_response(
                 change,
                 3 * k,
             )
-        image_row, background_row = (
-            image[r, left:right].reshape(-1),
-            background[r, left:right].reshape(-1),
-        )
+        image_row = image[r, left:right].reshape(-1)
+        background_row = background[r, left:right].reshape(-1)
         for k in range(3 * width):
             image_row[k] = background_row[k] + change[k] + in_contact[k]
 

@@ -12,8 +12,7 @@ from scipy.special import ive
 Window = tuple[int, int, int, int]
 """Half-open rectangle of pixels: top, bottom, left, right."""
 
-COARSEST = 4
-"""The largest number of pixels, along a side, that a wide Gaussian averages into one."""
+COARSEST = 4  # the largest number of pixels, along a side, that a wide Gaussian averages into one
 
 _REACH_SIGMAS = 3.0  # beyond it a Gaussian has 0.3 % of its sum
 

@@ -22,8 +22,7 @@ Leds = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
 
 DEFAULT_ELEVATION_RAD = math.radians(20.0)
 """Assumed for lights of unknown height: side-lit gels have theirs at 10° to 30°."""
-N_FEATURES = 6
-"""x², y², xy, x, y, 1 in image position, Taxim's order."""
+N_FEATURES = 6  # x², y², xy, x, y, 1 in image position, Taxim's order
 
 
 def features(u: FloatArray, v: FloatArray) -> NDArray[np.float64]:
@@ -278,7 +277,7 @@ def load_table(path: Path | str) -> LookupTable:
     )
 
 
-def leds_of_table(table: LookupTable, elevation_rad: float = DEFAULT_ELEVATION_RAD) -> Leds:
+def leds_of_table(table: LookupTable) -> Leds:
     """One light a channel, in the direction whose slopes the table brightens most.
 
     For tables of sensors whose lights nobody described; the elevation cannot be read off a table.
@@ -293,9 +292,9 @@ def leds_of_table(table: LookupTable, elevation_rad: float = DEFAULT_ELEVATION_R
         x, y = (brightness * np.cos(angle)).sum(), (brightness * np.sin(angle)).sum()
         azimuth = math.atan2(y, x)
         direction = (
-            math.cos(elevation_rad) * math.cos(azimuth),
-            math.cos(elevation_rad) * math.sin(azimuth),
-            -math.sin(elevation_rad),
+            math.cos(DEFAULT_ELEVATION_RAD) * math.cos(azimuth),
+            math.cos(DEFAULT_ELEVATION_RAD) * math.sin(azimuth),
+            -math.sin(DEFAULT_ELEVATION_RAD),
         )
         rgb = [0.0, 0.0, 0.0]
         rgb[channel] = 1.0

@@ -14,8 +14,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 _LANES = 8  # floats in an AVX register
-NODE_FLOATS = 24
-"""Floats of a node: six features of four lanes, red, green, blue and one unused."""
+NODE_FLOATS = 24  # floats of a node: six features of four lanes, red, green, blue and one unused
 
 
 def _data(context: Any, builder: Any, array_type: Any, array: Any) -> Any:

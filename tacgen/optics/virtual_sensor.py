@@ -16,8 +16,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Sensor
 
-KNEE = 0.9
-"""Share of full scale at which the camera begins to saturate."""
+KNEE = 0.9  # share of full scale at which the camera begins to saturate
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ from tacgen.physics.world import World
 
 WAYPOINT_SPACING_MM = 6.0
 """Between points that are checked for collisions: half a finger's thickness."""
-ABOVE_MM = 10.0
-"""Clearance between the object's top and the pads before they descend; chosen."""
+ABOVE_MM = 10.0  # clearance between the object's top and the pads before they descend; chosen
 
 
 def grasp_target(config: GraspConfig, settings: PhysicsSettings) -> GripperTarget:

@@ -42,12 +42,9 @@ from tacgen.physics.settings import (
 )
 from tacgen.physics.world import World
 
-CHUNK_STEPS = 5
-"""Between checks of the closing fingers: 10 ms."""
-STEADY_CHUNKS = 5
-"""Checks in a row, 52 ms, for which a steady force keeps to the delivered one."""
-STEADY_TOLERANCE = 0.01
-"""Relative to the delivered force; half of the 2 % that a pad may be off."""
+CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
+STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
+STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that a pad may be off
 
 _ROBOTS: dict[str, type[Robot]] = {"wsg50": FloatingGripper, "ur5e_wsg50": ArmWithGripper}
 

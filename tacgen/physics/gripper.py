@@ -14,25 +14,18 @@ from tacgen.physics.frames import PAD_SIDE
 from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
 from tacgen.physics.world import HULL_MARGIN_MM, Collides, Link, World, link_arguments
 
-STROKE_MM = 110.0
-"""Largest opening. Source: Weiss Robotics, WSG 50 data sheet."""
-HAND_MASS_KG = 1.2
-"""Source: Weiss Robotics, WSG 50 data sheet."""
-FINGER_MASS_KG = 0.15
-"""A finger with its sensor; assumed."""
+STROKE_MM = 110.0  # largest opening. Source: Weiss Robotics, WSG 50 data sheet
+HAND_MASS_KG = 1.2  # Source: Weiss Robotics, WSG 50 data sheet
+FINGER_MASS_KG = 0.15  # a finger with its sensor; assumed
 
 PAD_WIDTH_MM, PAD_HEIGHT_MM = 24.0, 19.0
 """A GelSight's window of 18.9 × 14.2 mm (640 × 480 at 0.0295 mm/px) and 2.5 mm around it."""
-PAD_DEPTH_MM = 6.0
-"""From the dome's top to the finger; assumed."""
-PAD_PITCH_MM = 2.0
-"""Of the vertices on the dome: chords of a 30 mm dome lie 17 µm inside it."""
-FINGER_THICKNESS_MM = 12.0
-"""Assumed."""
+PAD_DEPTH_MM = 6.0  # from the dome's top to the finger; assumed
+PAD_PITCH_MM = 2.0  # of the vertices on the dome: chords of a 30 mm dome lie 17 µm inside it
+FINGER_THICKNESS_MM = 12.0  # assumed
 FINGER_LENGTH_MM = 150.0
 """From the pad's centre to the palm; assumed, so that tall objects can be held low."""
-PALM_HALF_EXTENTS_MM = (73.0, 25.0, 35.0)
-"""Of the gripper's housing; assumed."""
+PALM_HALF_EXTENTS_MM = (73.0, 25.0, 35.0)  # of the gripper's housing; assumed
 
 
 @lru_cache(maxsize=8)

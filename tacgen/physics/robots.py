@@ -27,23 +27,19 @@ AXIS_FORCE_N = 2000.0
 """Of the floating gripper's vertical axis: far more than any grasp, so that it follows."""
 SAME_SPEED_M_S = 1e-9
 """Commands this close are one: a float's rounding along the lift's constant part."""
-BASE_POSITION_M = (-0.5, 0.0, 0.0)
-"""Of the arm: the object is well within its reach of 850 mm."""
+BASE_POSITION_M = (-0.5, 0.0, 0.0)  # of the arm: the object is well within its reach of 850 mm
 FLANGE_HEIGHT_M = (FINGER_LENGTH_MM + 2 * PALM_HALF_EXTENTS_MM[2]) * M_PER_MM
 """Of the flange above the pads' centre."""
 FLANGE_IN_GRIPPER = pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, FLANGE_HEIGHT_M))
 ELBOW_UP_RAD = np.array([0.2699, -1.6352, -1.9463, -1.1309, 1.5708, -1.3009])
 """Joint angles that hold the gripper, pointing down, 100 mm above the middle of the table."""
-LINK_RADIUS_M = 0.05
-"""Of the rods in place of the links, whose inertia is not published."""
+LINK_RADIUS_M = 0.05  # of the rods in place of the links, whose inertia is not published
 POSITION_GAIN = 0.2
 """Share of a joint's position error that a step corrects; PyBullet's own default is 0.1."""
-LIFT_KNOT_MM = 10.0
-"""Between solved joint angles of the lift: a spline goes through them."""
-FLOATING_HAND = 0
+LIFT_KNOT_MM = 10.0  # between solved joint angles of the lift: a spline goes through them
+FLOATING_HAND = 0  # numbers of the links
 ARM_JOINTS = tuple(range(6))
 ARM_HAND = 6
-"""Numbers of the links."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,12 +26,9 @@ JOINT_TORQUE_LIMIT_N_M = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 JOINT_LIMIT_RAD = 2 * np.pi
 
 POSITION_TOLERANCE_M = 1e-7  # far below a pixel of the sensor
-ANGLE_TOLERANCE_RAD = 1e-7
-"""Far below what moves a label (0.1 mm)."""
-_ITERATIONS = 200
-"""A place that is out of reach is given up after so many."""
-_LARGEST_STEP_RAD = 0.3
-"""Keeps the solution on the branch of its seed."""
+ANGLE_TOLERANCE_RAD = 1e-7  # far below what moves a label (0.1 mm)
+_ITERATIONS = 200  # a place that is out of reach is given up after so many
+_LARGEST_STEP_RAD = 0.3  # keeps the solution on the branch of its seed
 _DAMPING = 1e-3
 """Small beside the arm's singular values, so that it acts near singular poses only."""
 

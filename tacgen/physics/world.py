@@ -22,10 +22,8 @@ from tacgen.physics.settings import PhysicsSettings
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
 """Larger than any grasp's reach; thick enough that nothing falls through in a step."""
-HULL_MARGIN_MM = 1.0
-"""What Bullet adds around a convex hull; on a link it cannot be taken off."""
-NO_TURN = (0.0, 0.0, 0.0, 1.0)
-"""The quaternion x, y, z, w of no rotation."""
+HULL_MARGIN_MM = 1.0  # what Bullet adds around a convex hull; on a link it cannot be taken off
+NO_TURN = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
 
 NOT_OPEN = "the simulator is not open; use it in a `with` block"
 

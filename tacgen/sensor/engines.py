@@ -16,10 +16,8 @@ from tacgen.core.units import MM_PER_M
 from tacgen.physics.contacts import object_contacts
 from tacgen.physics.frames import inverse, pose, rotation_of
 
-SPHERE_SUBDIVISIONS = 6
-"""82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm."""
-SECTIONS = 512
-"""Around a cylinder or capsule: on 20 mm of radius its facets are within 0.4 µm."""
+SPHERE_SUBDIVISIONS = 6  # 82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm
+SECTIONS = 512  # around a cylinder or capsule: on 20 mm of radius its facets are within 0.4 µm
 
 
 class EngineContacts(ABC):

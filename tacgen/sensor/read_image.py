@@ -33,8 +33,7 @@ MARKER_STDERR_PX = 0.1
 MOST_AT_STEEPEST = 0.01
 """Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
 were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
-LARGEST_FORCE_N = 1000.0
-"""No gel survives this; a law that needs more for a volume is saturated."""
+LARGEST_FORCE_N = 1000.0  # no gel survives this; a law that needs more for a volume is saturated
 
 
 @dataclass(frozen=True, slots=True)

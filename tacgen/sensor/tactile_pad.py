@@ -21,8 +21,7 @@ from tacgen.sensor.gel_response import GelLoad
 USUAL_REACH_MM = 1.25
 """Triangles this far beyond first touch are left out of the first look at a contact."""
 
-FIELD_POINTS = 1500
-"""Points of a contact patch that the markers' motion is worked out from."""
+FIELD_POINTS = 1500  # points of a contact patch that the markers' motion is worked out from
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import tacgen
 from tacgen.cli import app
-from tacgen.cli.app import ORDER_OF_WORK
+from tacgen.cli.common import ORDER_OF_WORK
 
 ROOT = typer.main.get_command(app)
 

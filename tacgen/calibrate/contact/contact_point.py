@@ -14,8 +14,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3
 from tacgen.presses.press_log import PressLog
 
-MIN_CONTACT_SAMPLES = 6
-"""Fewer samples in contact do not carry a slope and a contact point."""
+MIN_CONTACT_SAMPLES = 6  # fewer samples in contact do not carry a slope and a contact point
 TAIL_SHARE = 0.02  # of the largest force: several times the noise; beyond it residuals are tails
 
 

@@ -23,10 +23,8 @@ from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.press_log import column_names, column_problems, numeric_columns, read_table
 from tacgen.report.page import templates
 
-RADII_MM = (0.1, 100.0)
-"""Indenters outside this range are no balls that a gel is pressed with."""
-POWERS = (0.5, 3.0)
-"""Of the force; measured gels lie between 1.1 and 1.4."""
+RADII_MM = (0.1, 100.0)  # indenters outside this range are no balls that a gel is pressed with
+POWERS = (0.5, 3.0)  # of the force; measured gels lie between 1.1 and 1.4
 MIN_SAMPLES = 8  # two for each of the four parameters of a curve
 N_SHAPES = 121  # radii, or powers, of a curve's profile: 6 % apart, or 0.02
 N_STARTS = 13  # contact points tried along a curve: its loss has several minima
@@ -237,9 +235,10 @@ def _explain(
     limit = squares * (1.0 + 3.841 / (max(independent, MIN_SAMPLES) - 3))
     inside = [one for one in profile if one[1] <= limit] + [(shape, squares, stiffness, shift_mm)]
     span = (min(one[0] for one in inside), max(one[0] for one in inside))
-    compliances = [
-        _compliance(c, one if radius_mm else 1.0, reference_n) for one, _, c, _ in inside
-    ]
+    # V/F at the reference force of F = stiffness · V^(1/p).
+    powers = [one[0] if radius_mm else 1.0 for one in inside]
+    fitted = zip(powers, (one[2] for one in inside), strict=True)
+    compliances = [float(reference_n ** (p - 1.0) * c**-p) for p, c in fitted]
     pushed = (curve.depth_mm > 0) & (curve.force_n > 0)
     exponent, _ = np.polyfit(np.log(curve.depth_mm[pushed]), np.log(curve.force_n[pushed]), 1)
     risen = int(np.argmax(curve.force_n > RISE_SHARE * curve.force_n.max()))
@@ -261,11 +260,6 @@ def _explain(
         early_n=float(expected[max(risen - 1, 0)]),
         samples=count,
     )
-
-
-def _compliance(stiffness: float, power: float, reference_n: float) -> float:
-    """V/F, mm³/N, at the reference force of F = stiffness · V^(1/p)."""
-    return float(reference_n ** (power - 1.0) * stiffness**-power)
 
 
 def _predict(

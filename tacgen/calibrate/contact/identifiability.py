@@ -6,12 +6,9 @@ import numpy as np
 
 from tacgen.presses.press_log import PressLog
 
-FEW_TRIALS = 10
-"""With fewer presses the t quantile makes intervals clearly wider."""
-SMALL_SPREAD_MM = 1.0
-"""Positions closer together than a contact is wide are one place."""
-HOLD_S = 1.0
-"""A hold long enough to tell creep from the speed of loading."""
+FEW_TRIALS = 10  # with fewer presses the t quantile makes intervals clearly wider
+SMALL_SPREAD_MM = 1.0  # positions closer together than a contact is wide are one place
+HOLD_S = 1.0  # a hold long enough to tell creep from the speed of loading
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,13 +3,11 @@
 ``summary_dict`` is all of it as data, ``summary_text`` for a terminal.
 """
 
-import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 from scipy.special import fdtrc
 
 from tacgen.calibrate.contact.contact_point import ContactPoint, free_contact_points
@@ -19,19 +17,14 @@ from tacgen.contact.law import ContactLaw
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
-from tacgen.core.version import __version__
+from tacgen.core.version import versions
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
 from tacgen.report.formatting import p_value, percent, unit_text
 from tacgen.report.page import templates
 
-MIN_TRIALS = 3
-"""Two presses give no scatter to tell an outlier by."""
-
-DISAGREEMENT_P = 0.01
-"""Welch's p below which groups that differ are a warning."""
-
-STRUCTURE_FACTOR = 1.5
-"""Held-out errors this many times a sample's own noise are no noise."""
+MIN_TRIALS = 3  # two presses give no scatter to tell an outlier by
+DISAGREEMENT_P = 0.01  # Welch's p below which groups that differ are a warning
+STRUCTURE_FACTOR = 1.5  # held-out errors this many times a sample's own noise are no noise
 
 MAX_FOLDS = 20  # limits the time of cross-validation over presses
 MIN_SAMPLES_FOR_NOISE = 10
@@ -40,10 +33,8 @@ BLOCKS_OF_A_TRIAL = 8
 """Parts into which a group of one single trial is cut, as its samples are not independent."""
 
 SYMBOLS = {"normal": "k_n", "shear": "k_s"}
-AGREEMENT_LEVEL = 0.05
-"""Welch's p below which groups are said to differ."""
-MAX_GROUPS_SHOWN = 12
-"""Groups that a terminal's text lists; the page has all."""
+AGREEMENT_LEVEL = 0.05  # Welch's p below which groups are said to differ
+MAX_GROUPS_SHOWN = 12  # groups that a terminal's text lists; the page has all
 
 PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
 """Of the response and of the compliance."""
@@ -307,12 +298,7 @@ def _provenance(fit: ContactFit) -> dict[str, Any]:
         del error["by_trial"]
     return {
         "data": {fit.log.path.name: fit.log.sha256},
-        "versions": {
-            "tacgen": __version__,
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": versions("numpy", "scipy"),
         "trials": {"fit": len(fit.log.trials), "left_out": len(fit.log.dropped)},
         "samples": len(fit.log),
         "contact_point": "free" if fit.contact_points else "fixed",

@@ -22,8 +22,7 @@ from tacgen.report import figures as plots
 from tacgen.report.formatting import percent, unit_text, with_error
 from tacgen.report.page import write_page
 
-MAX_WORST = 8
-"""Presses in the table of the largest held-out errors."""
+MAX_WORST = 8  # presses in the table of the largest held-out errors
 RESPONSES = {"normal": "V", "shear": "D"}
 
 

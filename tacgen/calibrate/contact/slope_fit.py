@@ -18,8 +18,7 @@ from scipy.special import stdtrit
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 
-TUKEY = 4.685
-"""95 % efficiency at normal noise (Holland & Welsch 1977)."""
+TUKEY = 4.685  # 95 % efficiency at normal noise (Holland & Welsch 1977)
 MAX_ITERATIONS = 100  # of reweighting; it ends earlier where it has converged
 TOLERANCE = 1e-9  # relative; far below any standard error
 SCALE_ITERATIONS = 5

@@ -13,8 +13,7 @@ from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page
 
-FEW_GRASPS = 10
-"""Below so many labels a bootstrap's interval is short by chance."""
+FEW_GRASPS = 10  # below so many labels a bootstrap's interval is short by chance
 
 
 def write_friction_report(

@@ -29,8 +29,7 @@ Key = tuple[str, float]
 """(grasp_id, μ)."""
 
 
-N_BOOTSTRAP = 2000
-"""Draws of the bootstrap: each 2.5 % tail has 50; chosen."""
+N_BOOTSTRAP = 2000  # draws of the bootstrap: each 2.5 % tail has 50; chosen
 
 
 @dataclass(frozen=True, slots=True)

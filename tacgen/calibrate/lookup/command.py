@@ -1,6 +1,5 @@
 """What ``tacgen calibrate lookup`` and ``score`` do: read, check, fit or score, write."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -133,16 +132,9 @@ def what_to_press_next(presses: PressImages, made: Calibration) -> list[str]:
     return advice
 
 
-def lookup_text(made: Calibration, presses: PressImages, *, json_output: bool = False) -> str:
-    """What ``tacgen calibrate lookup`` prints: held-out score, scale, rejected presses."""
-    return json.dumps(lookup_record(made, presses)) if json_output else score_text(made.heldout)
-
-
-def score_text(score: TableScore, *, json_output: bool = False) -> str:
-    """The score as text for a terminal, or as JSON."""
+def score_text(score: TableScore) -> str:
+    """The score as text for a terminal."""
     found = score.as_dict()
-    if json_output:
-        return json.dumps(found)
 
     def line(name: str, which: str) -> str:
         rgb = ", ".join(f"{value:.2f}" for value in found[f"rmse_{which}_rgb"])

@@ -7,16 +7,21 @@ from itertools import product
 import numpy as np
 
 from tacgen.calibrate.lookup.prepared import PreparedPresses, Sample
-from tacgen.calibrate.lookup.press_fit import JointFit, sample_design
+from tacgen.calibrate.lookup.press_fit import (
+    JointFit,
+    PressSums,
+    model_of_sums,
+    press_sums,
+    sample_design,
+)
 from tacgen.calibrate.lookup.settings import RULES, BackgroundRecipe, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     N_CONTACT,
     feature_index,
     n_light_terms,
     n_position_features,
-    solve_ridge,
 )
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,25 +31,6 @@ class Choice:
     settings: FitSettings
     background: BackgroundRecipe
     errors: dict[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class PressSums:
-    """Weighted normal equations of one press.
-
-    Moments hold the three channels of one background after those of another.
-    """
-
-    gram: FloatArray
-    moment: FloatArray
-    square: FloatArray
-    weight: float
-
-    def of_columns(self, index: IntArray) -> "PressSums":
-        """The same for a model of fewer columns."""
-        return PressSums(
-            self.gram[np.ix_(index, index)], self.moment[index], self.square, self.weight
-        )
 
 
 def fold_of(count: int, n_folds: int = RULES.n_folds) -> IntArray:
@@ -90,12 +76,6 @@ def choose(prepared: PreparedPresses, fit: JointFit) -> Choice:
     return Choice(settings, RULES.backgrounds[chosen], errors)
 
 
-def _clearly_better(squares: FloatArray, than: FloatArray) -> bool:
-    """Whether squared errors (N,) of the presses are less by more than one standard error."""
-    gain = than - squares
-    return bool(gain.sum() > np.sqrt(len(gain)) * gain.std(ddof=1))
-
-
 def _best(squares: dict[FitSettings, FloatArray], n_backgrounds: int) -> tuple[FitSettings, int]:
     """Settings, and which background, from squared errors (N, n_backgrounds) of each."""
     best = [
@@ -104,7 +84,8 @@ def _best(squares: dict[FitSettings, FloatArray], n_backgrounds: int) -> tuple[F
     ]
     chosen = 0
     for k in range(1, n_backgrounds):
-        if _clearly_better(best[k][1][:, k], best[chosen][1][:, chosen]):
+        gain = best[chosen][1][:, chosen] - best[k][1][:, k]
+        if gain.sum() > np.sqrt(len(gain)) * gain.std(ddof=1):
             chosen = k
     return best[chosen][0], chosen
 
@@ -124,34 +105,14 @@ def _targets(sample: Sample, backgrounds: Sequence[FloatArray], offset: FloatArr
     return np.hstack([sample.change - under[rows, columns] - offset for under in backgrounds])
 
 
-def press_sums(sample: Sample, features: FloatArray, target: FloatArray) -> PressSums:
-    """Normal equations of one press: features (n, k) and targets (n, 3 · n_backgrounds)."""
-    root = np.sqrt(sample.weight)[:, None]
-    weighted = features * root
-    return PressSums(
-        gram=weighted.T @ weighted,
-        moment=weighted.T @ (target * root),
-        square=sample.weight @ target**2,
-        weight=float(sample.weight.sum()),
-    )
-
-
-def _weights(sums: Sequence[PressSums], which: BoolArray, settings: FitSettings) -> FloatArray:
-    """Weights (k, 3 · n_backgrounds) of the model of the chosen presses."""
-    train = [sums[i] for i in np.nonzero(which)[0].tolist()]
-    total = max(sum(entry.weight for entry in train), 1.0)
-    gram = np.sum([entry.gram for entry in train], axis=0) / total
-    moment = np.sum([entry.moment for entry in train], axis=0) / total
-    return solve_ridge(gram, moment, settings).weights.reshape(len(gram), -1)
-
-
 def held_out_squares(
     sums: Sequence[PressSums], folds: IntArray, settings: FitSettings
 ) -> FloatArray:
     """Squared error of each press (N, n_backgrounds) by models that did not see its fold."""
     squares = np.zeros((len(sums), sums[0].moment.shape[1]))
     for fold in np.unique(folds):
-        w = _weights(sums, folds != fold, settings)
+        train = [sums[i] for i in np.nonzero(folds != fold)[0].tolist()]
+        w = model_of_sums(train, settings).weights.reshape(len(train[0].gram), -1)
         for i in np.nonzero(folds == fold)[0].tolist():
             squares[i] = (
                 sums[i].square

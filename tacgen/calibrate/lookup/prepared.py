@@ -15,24 +15,19 @@ from tacgen.optics.dots import coarse, filled_in
 from tacgen.optics.smooth import Window
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-BLOCK_PX = 8
-"""Side of the blocks that take turns in estimating and scoring: those of JPEG."""
+BLOCK_PX = 8  # side of the blocks that take turns in estimating and scoring: those of JPEG
 
 BARE_BEYOND_RADII = 2.2
 """Pixels farther from a contact's centre than this many contact radii count as bare gel."""
 
-MIN_VIEWS = 3
-"""Presses that must leave a pixel bare for their median to be used there."""
+MIN_VIEWS = 3  # presses that must leave a pixel bare for their median to be used there
 
 LIGHT_SMOOTH = 0.05
 """Width, as a share of the image's, of the Gaussian that leaves the light of the reference image:
 a table's nodes of position stand as far apart."""
 
-_FINE_SIGMA_PX = 4.0
-"""A Gaussian of this width is as good as any wider one, on fewer pixels."""
-
-_COARSE_PX = 160
-"""Width of the images that the drift is estimated on: light drifts smoothly."""
+_FINE_SIGMA_PX = 4.0  # a Gaussian of this width is as good as any wider one, on fewer pixels
+_COARSE_PX = 160  # width of the images that the drift is estimated on: light drifts smoothly
 
 _CARRIED_OVER = 0.05
 """Width, as a share of the image's, of the Gaussian that carries the drift over to pixels that

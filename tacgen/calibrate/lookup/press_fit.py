@@ -1,6 +1,6 @@
 """Joint fit of a smooth table and of where each ball is: centres, radii and the gel's rim."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,12 +13,11 @@ from tacgen.calibrate.lookup.smooth_model import (
     design,
     first_features,
     light_terms,
-    n_light_terms,
     n_position_features,
     solve_ridge,
     weighed,
 )
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
@@ -184,6 +183,45 @@ def _rest_terms(sample: Sample, press_model: PressModel, degree: int) -> FloatAr
     return light_terms(*rest_slope(x, y, press_model.dome_radius_mm), np.zeros_like(x), degree)
 
 
+@dataclass(frozen=True, slots=True)
+class PressSums:
+    """Weighted normal equations of one press.
+
+    Moments hold the three channels of one background after those of another.
+    """
+
+    gram: FloatArray
+    moment: FloatArray
+    square: FloatArray
+    weight: float
+
+    def of_columns(self, index: IntArray) -> "PressSums":
+        """The same for a model of fewer columns."""
+        return PressSums(
+            self.gram[np.ix_(index, index)], self.moment[index], self.square, self.weight
+        )
+
+
+def press_sums(sample: Sample, features: FloatArray, target: FloatArray) -> PressSums:
+    """Normal equations of one press: features (n, k) and targets (n, 3 · n_backgrounds)."""
+    root = np.sqrt(sample.weight)[:, None]
+    weighted = features * root
+    return PressSums(
+        gram=weighted.T @ weighted,
+        moment=weighted.T @ (target * root),
+        square=sample.weight @ target**2,
+        weight=float(sample.weight.sum()),
+    )
+
+
+def model_of_sums(sums: Sequence[PressSums], settings: FitSettings) -> SmoothModel:
+    """The smooth model of some presses by ridge regression."""
+    total = max(sum(entry.weight for entry in sums), 1.0)
+    gram = np.sum([entry.gram for entry in sums], axis=0) / total
+    moment = np.sum([entry.moment for entry in sums], axis=0) / total
+    return solve_ridge(gram, moment, settings)
+
+
 def place_jointly(
     prepared: PreparedPresses,
     background: FloatArray,
@@ -247,16 +285,11 @@ def _fit_model(
     samples: list[Sample], geometry: FloatArray, press_model: PressModel, settings: FitSettings
 ) -> SmoothModel:
     """The smooth model by ridge regression, for a given geometry of the presses."""
-    size = n_light_terms(settings.degree) * n_position_features(settings.position_degree)
-    gram, moment, weight = np.zeros((size, size)), np.zeros((size, 3)), 0.0
-    for sample, place in zip(samples, geometry, strict=True):
-        features = sample_design(sample, place, press_model, settings)
-        root = np.sqrt(sample.weight)[:, None]
-        weighted = features * root
-        gram += weighted.T @ weighted
-        moment += weighted.T @ (sample.change * root)
-        weight += float(sample.weight.sum())
-    return solve_ridge(gram / max(weight, 1.0), moment / max(weight, 1.0), settings)
+    sums = [
+        press_sums(sample, sample_design(sample, place, press_model, settings), sample.change)
+        for sample, place in zip(samples, geometry, strict=True)
+    ]
+    return model_of_sums(sums, settings)
 
 
 def _drift_share(

@@ -21,10 +21,8 @@ MAX_PICTURES, SHOWN_FIRST = 40, 6
 """Presses that the page shows, and those of them at its top, from the best to the worst."""
 PICTURE_WIDTH_PX = 320  # four pictures fit into a page's width
 DIFFERENCE_GAIN = 4  # errors of a few grey levels become visible
-RADIUS_EDGES = np.linspace(0, 2.5, 26)
-"""Rings, in labelled radii, whose residual is shown."""
-SLOPE_BINS, DIRECTION_BINS = 12, 24
-"""Of the map of coverage."""
+RADIUS_EDGES = np.linspace(0, 2.5, 26)  # rings, in labelled radii, whose residual is shown
+SLOPE_BINS, DIRECTION_BINS = 12, 24  # of the map of coverage
 DRAWN_PIXELS = 150  # of a press, in the figure of fit and residual
 CHANNEL_COLORS = {"R": "C3", "G": "C2", "B": "C0"}
 

@@ -13,19 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares, press_sums
+from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares
 from tacgen.calibrate.lookup.prepared import PreparedPresses
-from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, sample_design
+from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, press_sums, sample_design
 from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.dots import find_spots, nearest_px
 from tacgen.presses.press_images import PressImages
 
-MIN_RULER_PRESSES = 4
-"""Two places fix a scale and a turn; as many more tell the error."""
-
-MIN_RATIO_PRESSES = 3
-"""Presses of a second ball that its size is judged from."""
+MIN_RULER_PRESSES = 4  # two places fix a scale and a turn; as many more tell the error
+MIN_RATIO_PRESSES = 3  # presses of a second ball that its size is judged from
 
 UNEVEN_LIGHT = 0.005
 """Light that changes across the picture moves the centres that are found in it, by up to this
@@ -40,8 +37,7 @@ RADIUS_FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1)
 RATIO_SETTINGS = FitSettings(degree=4, position_degree=2, ridge=1e-4)
 """A model of few terms tells the size of a ball as well and is fitted five times a ball."""
 
-BOOTSTRAPS = 200
-"""Draws of presses: the standard error of a ratio to 5 %."""
+BOOTSTRAPS = 200  # draws of presses: the standard error of a ratio to 5 %
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,8 +47,7 @@ def position_terms(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
 
 
-N_LIGHT = 3
-"""Features of position that are the light's: one for each channel."""
+N_LIGHT = 3  # features of position that are the light's: one for each channel
 
 
 def n_position_features(degree: int) -> int:
@@ -116,8 +115,7 @@ def ridge_costs(degree: int, position_degree: int) -> FloatArray:
 CONTACT_DEPTH_MM = 1.0
 """Depth at which half of what a contact adds shows: 0.5 to 1.5 mm fit the measured sets alike."""
 
-N_CONTACT = 3
-"""Terms of the contact itself."""
+N_CONTACT = 3  # terms of the contact itself
 
 
 def n_light_terms(degree: int) -> int:

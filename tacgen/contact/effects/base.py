@@ -31,8 +31,7 @@ Parameters: TypeAlias = Mapping[str, float]
 Bounds: TypeAlias = Callable[[LoadHistory, Parameters], tuple[float, float]]
 
 _LOGARITHMIC_UNITS = ("s", "N", "mm3", "trials")
-MIN_GAIN = 0.02
-"""Least factor on the compliance: beyond the fitted range a gel stays a gel."""
+MIN_GAIN = 0.02  # least factor on the compliance: beyond the fitted range a gel stays a gel
 _MIN_RATIO = 1e-3  # keeps the logarithm of a ratio finite
 
 

@@ -4,8 +4,7 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
-MIN_TRIALS = 6
-"""With fewer, the first trials are most of them."""
+MIN_TRIALS = 6  # with fewer, the first trials are most of them
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
@@ -23,7 +22,8 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
 
 def _trials_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
     """What goes on for more than a fifth of the session is a drift."""
-    return 0.0, max(5.0, 0.22 * history.session_trials)
+    # Trials by their numbers, those that are held out included.
+    return 0.0, max(5.0, 0.22 * (float(np.ptp(history.trial)) + 1.0))
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:

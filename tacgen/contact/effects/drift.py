@@ -4,8 +4,7 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
-MIN_TRIALS = 6
-"""With fewer, any sequence of trials drifts."""
+MIN_TRIALS = 6  # with fewer, any sequence of trials drifts
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:

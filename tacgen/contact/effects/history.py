@@ -169,11 +169,6 @@ class LoadHistory:
         return max(float(np.median(ends)), self.sample_period_s)
 
     @cached_property
-    def session_trials(self) -> float:
-        """Trials of the session by their numbers, those that are held out included."""
-        return float(np.ptp(self.trial)) + 1.0
-
-    @cached_property
     def sample_period_s(self) -> float:
         """Median time between samples of a trial; 1 where no trial has two."""
         steps = np.delete(np.diff(self.time_s), self.starts[1:-1] - 1)

@@ -8,8 +8,7 @@ from tacgen.contact.effects import base, kernels
 
 SPREAD = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Widths of the Prandtl-Ishlinskii operator's plays, as shares of its largest."""
-MIN_UNLOADING_SHARE = 0.02
-"""Rows of unloading that a log must have for a way back to show."""
+MIN_UNLOADING_SHARE = 0.02  # rows of unloading that a log must have for a way back to show
 
 
 def _apply(

@@ -23,8 +23,7 @@ from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
 TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
-_MEDIAN_OF_CHI2 = 0.455
-"""Median of a squared standard normal number."""
+_MEDIAN_OF_CHI2 = 0.455  # median of a squared standard normal number
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,8 @@
 """Diagnose a press log: fit, trace, score on held-out trials, and extend the contact law."""
 
 import json
-import platform
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from tacgen.core.arrays import BoolArray
 from tacgen.core.errors import PressError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
+from tacgen.core.version import versions
 from tacgen.diagnose.contact import heldout
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
@@ -231,11 +230,7 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
             }
             effects.append(FittedEffect(term.name, name, parameters))
     provenance: dict[str, Any] = {
-        "versions": {
-            "tacgen": version("tacgen"),
-            "numpy": version("numpy"),
-            "python": platform.python_version(),
-        },
+        "versions": versions("numpy"),
         "trials": {n: {"fit": f.n_fit, "test": f.n_test} for n, f in channels.items()},
         "heldout_rmse": {n: f.after.rmse for n, f in channels.items()},
         "refitted_to": "all trials, after the choice was made and scored on held-out ones",

@@ -19,8 +19,7 @@ from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.rules import SelectionRules
 from tacgen.presses.press_log import Columns
 
-_MAX_ROWS = 700
-"""Of the training set: its kernel matrix is factored nine times."""
+_MAX_ROWS = 700  # of the training set: its kernel matrix is factored nine times
 _LENGTHS, _NOISES = (1.0, 2.0, 4.0), (0.03, 0.2, 0.8)
 """Tried by marginal likelihood, in standard deviations of the covariates and of the residual."""
 

@@ -12,8 +12,7 @@ from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import Covariate
 
 _MAX_STEPS = 25  # of Gauss-Newton; it ends earlier where it has converged
-_MAX_LOG_STEP = 0.5
-"""Longest step of what is fitted on a logarithmic scale: a factor of 1.6 each."""
+_MAX_LOG_STEP = 0.5  # longest step of what is fitted on a logarithmic scale: a factor of 1.6 each
 
 
 @dataclass(frozen=True)
@@ -210,7 +209,9 @@ class _Space:
             for name in term.variant.free:
                 parameter = term.effect.parameter(name)
                 logarithmic = parameter.is_logarithmic
-                scale = 1.0 if logarithmic else _probed(term, name)
+                # The size at which a parameter is probed is that of a number of its kind.
+                probed = (abs(probe[name]) for probe in term.variant.probes if name in probe)
+                scale = 1.0 if logarithmic else next(probed, 0.0) or 1.0
                 low, high = parameter.bounds_on(data.history, term.values)
                 value = float(np.clip(term.values[name], low, high))
                 self.slots.append((index, name, scale, logarithmic))
@@ -265,8 +266,3 @@ class _Space:
             changed = self._data.reduce(self.model(moved).response(self._data))
             columns.append((changed - response) / (moved[i] - vector[i]))
         return np.stack(columns, axis=1)
-
-
-def _probed(term: Term, name: str) -> float:
-    """The size at which a parameter is probed: that of a number of its kind."""
-    return next((abs(probe[name]) for probe in term.variant.probes if name in probe), 0.0) or 1.0

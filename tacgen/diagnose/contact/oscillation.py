@@ -12,8 +12,7 @@ from tacgen.diagnose.contact.model import Fit
 _MAX_POINTS = 1 << 17
 """Of the search's clock; a session that needs more is searched for slower oscillations only."""
 _POINTS_PER_PERIOD = 8  # four times what sampling needs: the peak is not missed
-_REFINED = 41
-"""Frequencies between the neighbours of the best one that are tried afterwards."""
+_REFINED = 41  # frequencies between the neighbours of the best one that are tried afterwards
 
 
 def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Covariate]:

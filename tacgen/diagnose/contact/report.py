@@ -16,8 +16,7 @@ from tacgen.report.formatting import unit_text
 from tacgen.report.page import write_page
 
 ALWAYS_DRAWN = ("load", "time_in_trial_s", "time_s")
-MAX_DRAWN = 4
-"""Covariates that the residual is drawn over."""
+MAX_DRAWN = 4  # covariates that the residual is drawn over
 
 
 def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:

@@ -37,7 +37,7 @@ def test_similarity_of_equal_and_of_inverted_pictures():
 def test_a_score_names_similarity_and_the_error_of_normals():
     table = fit_lookup(virtual_presses(31, count=8))
     score = score_table(table, virtual_presses(32, count=3), gradients=True)
-    found = json.loads(score_text(score, json_output=True))
+    found = json.loads(json.dumps(score.as_dict()))
     assert 0.9 < found["ssim_refined"] <= 1
     assert found["psnr_db_refined"] > 35
     assert found["gradient_error_deg"] < 10
