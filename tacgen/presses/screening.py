@@ -109,6 +109,8 @@ def _check_background(presses: PressImages) -> None:
 
     Raises ``PressError`` with what is wrong and the fix.
     """
+    # What a camera clips in the presses is no other background.
+    presses = replace(presses, background=np.minimum(presses.background, presses.images.max()))
     height, width = presses.shape_px
     size = (COMPARED_WIDTH_PX, max(8, round(COMPARED_WIDTH_PX * height / width)))
     rest = coarse(presses.background, size, None)
@@ -171,9 +173,7 @@ def _refuse_press_as_background(presses: PressImages) -> None:
     """
     chosen = presses.images[:: max(1, len(presses) // 15)]
     median = np.asarray(np.median(chosen, axis=0), dtype=np.uint8)
-    # What a camera clips in the presses is no contact of the background.
-    background = np.minimum(presses.background, presses.images.max())
-    place = find_circle(background, median)
+    place = find_circle(presses.background, median)
     if place.problem:
         return
     found = [(find_circle(image, median), image) for image in chosen]
@@ -185,7 +185,7 @@ def _refuse_press_as_background(presses: PressImages) -> None:
     if not seen or np.mean(elsewhere) < MOVED_SHARE:
         return
     usual = float(np.median([_change_in(image, median, circle) for circle, image in seen]))
-    if _change_in(background, median, place) > PRESS_STRENGTH * usual:
+    if _change_in(presses.background, median, place) > PRESS_STRENGTH * usual:
         x, y = place.center_px
         fix = "it is a press itself; take it anew with nothing on the gel"
         msg = f"the background shows a contact at ({x:.0f}, {y:.0f}): {fix}"

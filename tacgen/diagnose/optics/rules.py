@@ -70,7 +70,7 @@ class SelectionRules:
     mixed colours, vignetting or a gain leave 0.8 and more of it, a Gaussian of 1.5 pixels 0.52."""
     clear_lead_in_se: float = 2.0
     """A candidate whose lead is below this many standard errors is replaced by one with fewer
-    parameters."""
+    parameters; an effect whose gain over all presses is, is dropped."""
     max_effects: int = 4
     """More at once have never been seen."""
 
