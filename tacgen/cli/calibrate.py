@@ -181,14 +181,8 @@ def friction(
     json_output: common.JsonFlag = False,
 ) -> None:
     """Fit each object's friction μ so that simulated grasps match the labels of real ones."""
+    from tacgen.calibrate.friction import sweep
     from tacgen.calibrate.friction.report import verdict_of, write_friction_report
-    from tacgen.calibrate.friction.sweep import (
-        data_warnings,
-        friction_json,
-        mu_range,
-        sweep_friction,
-        write_object_copies,
-    )
     from tacgen.collection.recipe import known_objects, load_recipe
     from tacgen.core.progress import progress_counter
     from tacgen.dataset.real_grasps import read_real_grasps
@@ -196,16 +190,16 @@ def friction(
     loaded = load_recipe(recipe)
     grasps = read_real_grasps(real, known_objects=known_objects(loaded))
     with progress_counter("grasp") as show:
-        fits, outcomes = sweep_friction(
-            loaded, grasps, mu_range(mu), out, workers=workers, show=show
+        fits, outcomes = sweep.sweep_friction(
+            loaded, grasps, sweep.mu_range(mu), out, workers=workers, show=show
         )
-    warnings = data_warnings(grasps, outcomes, mu_range(mu))
+    warnings = sweep.data_warnings(grasps, outcomes, sweep.mu_range(mu))
     common.warn(warnings)
     write_friction_report(out / "report.html", grasps, outcomes, fits, warnings)
     if write_objects:
-        write_object_copies(fits, out / "objects")
-    verdicts = [verdict_of(name, fit) for name, fit in friction_json(fits).items()]
-    common.print_result(friction_json(fits), verdicts, json_output)
+        sweep.write_object_copies(fits, out / "objects")
+    verdicts = [verdict_of(name, fit) for name, fit in sweep.friction_json(fits).items()]
+    common.print_result(sweep.friction_json(fits), verdicts, json_output)
     common.hand_over(
         common.IN_RECIPE,
         "objects:",

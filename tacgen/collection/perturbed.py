@@ -185,14 +185,12 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
 class Outcome:
     """How one simulated grasp ended, and how far it was from ending otherwise.
 
-    Margins and ratios are those of ``records.SlipMargin``; all are NaN, and the label is −1,
-    where the grasp was not executed.
+    Ratios are those of ``records.SlipMargin``; all numbers are NaN, and the label is −1, where the
+    grasp was not executed.
     """
 
     label: int
     failure_mode: str
-    translational_margin: float
-    rotational_margin: float
     friction_ratio: float = NAN
     torsion_ratio: float = NAN
     rise_mm: float = NAN
@@ -204,16 +202,15 @@ class Outcome:
         """The outcome of a trace."""
         margin = trace.margin
         if margin is None:
-            return cls(trace.label, trace.failure_mode, NAN, NAN, status=trace.status)
-        limits = margin.translational, margin.rotational, margin.friction_ratio
-        moved = margin.torsion_ratio, trace.rise_mm, trace.turn_rad
-        return cls(trace.label, trace.failure_mode, *limits, *moved)
+            return cls(trace.label, trace.failure_mode, status=trace.status)
+        ratios = margin.friction_ratio, margin.torsion_ratio
+        return cls(trace.label, trace.failure_mode, *ratios, trace.rise_mm, trace.turn_rad)
 
 
 Place = tuple[str, float, float, float, float, float]
 """A configuration without its number: what was asked for."""
 Key = tuple[Place, Perturbation]
-_CRASHED = Outcome(-1, "", NAN, NAN, status="crashed")
+_CRASHED = Outcome(-1, "", status="crashed")
 
 
 def place_of(config: GraspConfig) -> Place:

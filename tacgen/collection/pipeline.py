@@ -26,7 +26,6 @@ from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 # Streams of one grasp's random numbers.
 _STREAM_VARIATION, _STREAM_NOISE = range(2)
-_PADS = {"left": ("left",), "right": ("right",), "both": ("left", "right")}
 
 
 class GraspPipeline:
@@ -185,7 +184,7 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
         recipe_sha256=recipe.sha256(),
         calibration=calibration,
         sensor=sensor,
-        pads=_PADS[recipe.robot.tactile_pads],
+        pads=recipe.physics_settings.sensing_pads,
         time_s=frame_times_s(recipe),
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from tacgen.contact.effects import CHANNELS, STAGES, Channel, Effect, LoadHistory, find_effect
 from tacgen.core.arrays import FloatArray
@@ -33,13 +33,26 @@ USUAL_K_S_MM_PER_N = 1.0
 _ESTIMATES = {"k_n_mm3_per_n": "mm3/N", "k_s_mm_per_n": "mm/N", "k_depth_mm_per_n": "mm/N"}
 
 
+def _estimate(given: Any) -> Any:
+    """A number, or a mapping with ``value`` and perhaps ``stderr`` and ``unit``."""
+    if isinstance(given, Estimate):
+        return given
+    given = given if isinstance(given, Mapping) else {"value": given}
+    return {key: one for key, one in given.items() if one is not None}
+
+
+Given = Annotated[Estimate, BeforeValidator(_estimate)]
+
+
 @dataclass(frozen=True, slots=True)
 class FittedEffect:
     """An effect of the registry with fitted parameters; those not given have their identity."""
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     name: str
     channel: str
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[str, Given] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:
@@ -272,30 +285,13 @@ def load_law(path: Path | str) -> ContactLaw:
         return ContactLaw(
             law=file.law,
             marker_pitch_mm=file.marker_pitch_mm,
-            effects=tuple(FittedEffect(**dict(effect)) for effect in file.effects),
+            effects=file.effects,
             provenance=file.provenance,
             **estimates,
         )
     except ContactError as error:
         problems = [f"{path}: {line}" for line in str(error).splitlines()]
         raise ContactError.from_problems(problems) from None
-
-
-def _estimate(given: Any) -> Any:
-    """A number, or a mapping with ``value`` and perhaps ``stderr`` and ``unit``."""
-    given = given if isinstance(given, Mapping) else {"value": given}
-    return {key: one for key, one in given.items() if one is not None}
-
-
-Given = Annotated[Estimate, BeforeValidator(_estimate)]
-
-
-class EffectEntry(Section):
-    """An effect of a ``contact.yaml``."""
-
-    name: str
-    channel: str
-    parameters: dict[str, Given] = Field(default_factory=dict)
 
 
 class LawFile(Section):
@@ -306,5 +302,5 @@ class LawFile(Section):
     k_s_mm_per_n: Given | None = None
     k_depth_mm_per_n: Given | None = None
     marker_pitch_mm: float = math.nan
-    effects: tuple[EffectEntry, ...] = ()
+    effects: tuple[FittedEffect, ...] = ()
     provenance: dict[str, Any] = Field(default_factory=dict)

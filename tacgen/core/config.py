@@ -45,10 +45,6 @@ class Located(Section):
         """Folder of the YAML file that holds the section; None if no file does."""
         return self._folder
 
-    def set_folder(self, folder: Path) -> None:
-        """Set the folder at which relative paths start."""
-        self._folder = folder
-
 
 def set_folders(
     value: object, folder_of: Callable[[tuple[str | int, ...]], Path], key_path: Any = ()
@@ -59,7 +55,7 @@ def set_folders(
             set_folders(item, folder_of, (*key_path, i))
     elif isinstance(value, Section):
         if isinstance(value, Located):
-            value.set_folder(folder_of((*key_path, value.path_key)))
+            value._folder = folder_of((*key_path, value.path_key))
         for name in type(value).model_fields:
             set_folders(getattr(value, name), folder_of, (*key_path, name))
 

@@ -8,16 +8,9 @@ from typing import Any
 
 from tacgen.core.errors import DatasetError, RecipeError, TacgenError
 from tacgen.core.files import sha256_of_content
+from tacgen.dataset import manifest
 from tacgen.dataset.check import byte_problems, content_problems
 from tacgen.dataset.folder import DatasetFolder
-from tacgen.dataset.manifest import (
-    ShardLine,
-    manifest_problems,
-    part_number,
-    part_paths,
-    read_lines,
-    read_part,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,21 +78,21 @@ def verify(
     return Verification(tuple(problems), len(lines), n_grasps, n_bytes)
 
 
-def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Problem]]:
+def _all_lines(folder: DatasetFolder) -> tuple[dict[int, manifest.ShardLine], list[Problem]]:
     """Every line that can be read; a shard's own wins over the merged one, which must agree."""
     problems = []
     try:
-        merged = read_lines(folder.manifest_path)
+        merged = manifest.read_lines(folder.manifest_path)
     except DatasetError as error:
         merged = {}
         problems.append(Problem("manifest.jsonl", _without_path(error, folder.manifest_path)))
     lines = dict(merged)
-    for path in part_paths(folder.root):
+    for path in manifest.part_paths(folder.root):
         name = path.relative_to(folder.root).as_posix()
         try:
-            line = read_part(path)
+            line = manifest.read_part(path)
         except DatasetError as error:
-            problems.append(Problem(name, _without_path(error, path), part_number(path)))
+            problems.append(Problem(name, _without_path(error, path), manifest.part_number(path)))
             continue
         if line.shard in merged and merged[line.shard] != line:
             reason = f"{name} says otherwise about the shard; `tacgen merge` brings them together"
@@ -108,7 +101,7 @@ def _all_lines(folder: DatasetFolder) -> tuple[dict[int, ShardLine], list[Proble
     return dict(sorted(lines.items())), problems
 
 
-def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[Problem]:
+def _whole_problems(folder: DatasetFolder, lines: dict[int, manifest.ShardLine]) -> list[Problem]:
     n_grasps = None
     problems = []
     if lines or folder.plan_path.exists():
@@ -122,12 +115,12 @@ def _whole_problems(folder: DatasetFolder, lines: dict[int, ShardLine]) -> list[
     strays = sorted(files - {line.file for line in lines.values()})
     reason = "is not in the manifest: unfinished, or not of this dataset"
     problems += [Problem(name, reason) for name in strays]
-    found = manifest_problems(list(lines.values()), n_grasps)
+    found = manifest.manifest_problems(list(lines.values()), n_grasps)
     return problems + [Problem("manifest.jsonl", reason) for reason in found]
 
 
 def _plan_problems(
-    folder: DatasetFolder, plan: dict[str, Any], lines: list[ShardLine]
+    folder: DatasetFolder, plan: dict[str, Any], lines: list[manifest.ShardLine]
 ) -> list[Problem]:
     """Where ``dataset.json`` or ``recipe.yaml`` differ from the shards."""
     problems = []

@@ -61,9 +61,8 @@ class Predictor:
         unknown, rows = torch.zeros(1, dtype=torch.int64), np.zeros(1, np.int64)
         batches = (as_batch([grasp], self._reference, self.spec) for grasp in inputs)
         with exact_torch(self._threads):
-            return predict(self._network, ((one, unknown, rows) for one in batches), self._device)[
-                0
-            ]
+            labelled = ((one, unknown, rows) for one in batches)
+            return predict(self._network, labelled, self._device)[0]
 
     def _input(self, grasp: NDArray[Any]) -> NDArray[np.uint8]:
         """The frames of one grasp (t, h, w, 3) at the network's size."""

@@ -63,24 +63,24 @@ def add_object(
     folder = into / name
     _check_target(folder, force)
 
-    surface = import_surface(mesh_path, scale=scale, up=up, yaw_rad=yaw_rad)
-    notes = [*surface.notes, *_check_density(mesh_path, surface.mesh, mass_kg)]
-    parts = convex_parts(surface.mesh)
-    ranges, range_notes = suggest_ranges(surface.mesh, mass_kg=mass_kg, friction=friction)
+    surface, notes = import_surface(mesh_path, scale=scale, up=up, yaw_rad=yaw_rad)
+    notes += _check_density(mesh_path, surface, mass_kg)
+    parts = convex_parts(surface)
+    ranges, range_notes = suggest_ranges(surface, mass_kg=mass_kg, friction=friction)
     description = describe(
-        name, mesh_path, surface.mesh, mass_kg=mass_kg, friction=friction, ranges=ranges
+        name, mesh_path, surface, mass_kg=mass_kg, friction=friction, ranges=ranges
     )
-    _write(folder, surface.mesh, parts, description, force)
+    _write(folder, surface, parts, description, force)
     notes += range_notes
-    better_rad = yaw_rad + suggest_yaw(surface.mesh, ranges["z_mm"])
+    better_rad = yaw_rad + suggest_yaw(surface, ranges["z_mm"])
     if better_rad != yaw_rad:
         notes.append(
             "the pads would meet larger opposite faces at another angle about z: add it with "
             f"--yaw {better_rad:.3f} --force"
         )
-    if note := facet_note(surface.mesh):
+    if note := facet_note(surface):
         notes.append(note)
-    off_mm = collision_error_mm(surface.mesh, parts, ranges)
+    off_mm = collision_error_mm(surface, parts, ranges)
     if off_mm > NOTED_ERROR_MM:
         notes.append(
             f"where it is grasped the {len(parts)} convex parts are up to {off_mm:.1f} mm off "

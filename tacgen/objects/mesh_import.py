@@ -1,7 +1,6 @@
 """A user's mesh file as a closed surface in mm, standing at the origin, and its convex parts."""
 
 import io
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +29,10 @@ DETAIL_MM = 0.2  # finest detail that the search for convex parts sees
 CONCAVITY = 0.05  # CoACD's threshold: the concavity left, as a share of the object's size
 
 
-@dataclass(frozen=True, slots=True)
-class ImportedSurface:
-    """The closed surface and what a user should know about how it came to be."""
-
-    mesh: Mesh
-    notes: tuple[str, ...]
-
-
 def import_surface(
     path: Path, *, scale: float = 1.0, up: str = "z", yaw_rad: float = 0.0
-) -> ImportedSurface:
-    """Read, check, repair and place a mesh.
+) -> tuple[Mesh, list[str]]:
+    """Read, check, repair and place a mesh: the closed surface, and notes on what was done.
 
     ``scale`` is the mm that one unit of the file stands for, 1000 for a mesh in metres; ``up`` the
     file's axis that points up, y in glTF.
@@ -76,7 +67,7 @@ def import_surface(
             f"{len(mesh.faces)} triangles: frames take longer than with up to {MANY_TRIANGLES}; "
             "a decimated mesh would do"
         )
-    return ImportedSurface(placed, tuple(notes))
+    return placed, notes
 
 
 def _read(path: Path) -> trimesh.Trimesh:

@@ -11,12 +11,6 @@ _BITS = 12  # 4096 quantiles of the normal distribution: finer than a grey level
 _LEVELS = 1 << _BITS
 
 
-def _normal_quantiles() -> NDArray[np.float32]:
-    """Equally likely values of a standard normal, scaled to unit variance: ±3.7 at most."""
-    values = ndtri((np.arange(_LEVELS) + 0.5) / _LEVELS)
-    return np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
-
-
 @njit(cache=True, nogil=True)
 def _add(
     image: NDArray[Any], words: NDArray[Any], quantiles: NDArray[Any], sigma: np.float32
@@ -35,7 +29,9 @@ class CameraNoise:
 
     def __init__(self, sigma_grey: float) -> None:
         self.sigma_grey = sigma_grey
-        self._quantiles = _normal_quantiles()
+        # Equally likely values of a standard normal, scaled to unit variance: ±3.7 at most.
+        values = ndtri((np.arange(_LEVELS) + 0.5) / _LEVELS)
+        self._quantiles = np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
 
     def add(self, image: NDArray[np.float32], rng: np.random.Generator) -> None:
         """Add noise to a C-contiguous ``image`` in place."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
+from tacgen.optics import shade
 from tacgen.optics.effects import (
     OpticalEffect,
     Patch,
@@ -19,15 +20,6 @@ from tacgen.optics.effects import (
 )
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
-from tacgen.optics.shade import (
-    feature_factors,
-    packed_contact,
-    packed_nodes,
-    packed_response,
-    quantize,
-    shade_response,
-    shade_window,
-)
 from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import ContactLight, Leds, LookupTable
 
@@ -55,11 +47,11 @@ class Shader:
     def __init__(self, table: LookupTable, *, shadows: bool = False, leds: Leds = ()) -> None:
         check_effects(table.effects)
         self.table = table
-        self._nodes = packed_nodes(table)
-        self._along = feature_factors(table.shape_px)
-        self._response = None if table.response is None else packed_response(table.response)
+        self._nodes = shade.packed_nodes(table)
+        self._along = shade.feature_factors(table.shape_px)
+        self._response = None if table.response is None else shade.packed_response(table.response)
         contact = table.contact or _no_contact(table)
-        self._contact = packed_contact(contact.change)
+        self._contact = shade.packed_contact(contact.change)
         self._contact_depth_mm = contact.depth_mm
         self._rest_mm = contact.rest_mm(table.shape_px, table.mm_per_px)
         if table.contact is None:
@@ -109,7 +101,7 @@ class Shader:
         for active in self._surface:
             height_map_mm = self._on_surface(active, height_map_mm, window)
         if self._response is not None:
-            shade_response(
+            shade.shade_response(
                 height_map_mm,
                 window,
                 self.table.mm_per_px,
@@ -122,7 +114,7 @@ class Shader:
                 self._contact_depth_mm,
             )
             return
-        shade_window(
+        shade.shade_window(
             height_map_mm,
             window,
             self.table.mm_per_px,
@@ -225,7 +217,7 @@ def render_rgb(
     if rng is not None:
         CameraNoise(table.noise_grey).add(image, rng)
     rgb = np.empty(image.shape, dtype=np.uint8)
-    quantize(image, whole, rgb)
+    shade.quantize(image, whole, rgb)
     return rgb
 
 
@@ -274,7 +266,7 @@ class Renderer:
         self._rest_image = self._rest_lit.copy()
         self._shader.finish(self._rest_mm, self._whole, self._rest_image)
         self._rest_rgb = np.empty(self._rest_image.shape, dtype=np.uint8)
-        quantize(self._rest_image, self._whole, self._rest_rgb)
+        shade.quantize(self._rest_image, self._whole, self._rest_rgb)
         self._height_mm = self._rest_mm.copy()
         self._image = self._rest_image.copy()
 
@@ -304,7 +296,7 @@ class Renderer:
             rgb = np.empty(self._image.shape, dtype=np.uint8)
         else:
             rgb = self._rest_rgb.copy()
-        quantize(self._image, changed, rgb)
+        shade.quantize(self._image, changed, rgb)
         self._image[top:bottom, left:right] = self._rest_image[top:bottom, left:right]
         return rgb
 

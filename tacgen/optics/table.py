@@ -111,37 +111,34 @@ class LookupTable:
     contact: ContactLight | None = None
 
     def __post_init__(self) -> None:
+        problems = []
         if self.coefficients.ndim != 4 or self.coefficients.shape[2:] != (3, N_FEATURES):
-            msg = (
+            problems.append(
                 f"coefficients have shape {self.coefficients.shape}, "
                 f"not (n_slope, n_direction, 3, {N_FEATURES})"
             )
-            raise TableError(msg)
         if self.background.ndim != 3 or self.background.shape[2] != 3:
-            msg = f"background has shape {self.background.shape}, not (H, W, 3)"
-            raise TableError(msg)
+            problems.append(f"background has shape {self.background.shape}, not (H, W, 3)")
         if self.response is not None and (
             self.response.ndim != 5 or min(self.response.shape) < 2 or self.response.shape[4] != 3
         ):
-            msg = (
+            problems.append(
                 f"response has shape {self.response.shape}, not (n_slope, n_direction, n_rows, "
                 "n_columns, 3) with at least two nodes each way"
             )
-            raise TableError(msg)
         if self.contact is not None and (
             self.response is None
             or self.contact.change.shape != (*self.response.shape[2:4], 3, 3)
             or not self.contact.depth_mm > 0
         ):
-            msg = (
+            problems.append(
                 f"contact has shape {self.contact.change.shape} and depth "
                 f"{self.contact.depth_mm:g} mm, not (n_rows, n_columns, 3, 3) with the response's "
                 "nodes of position and a depth above 0"
             )
-            raise TableError(msg)
         if self.interpolation not in ("linear", "floor"):
-            msg = f"interpolation is {self.interpolation!r}, not 'linear' or 'floor'"
-            raise TableError(msg)
+            problems.append(f"interpolation is {self.interpolation!r}, not 'linear' or 'floor'")
+        TableError.raise_if(problems)
 
     @property
     def shape_px(self) -> tuple[int, int]:
@@ -286,17 +283,13 @@ def leds_of_table(table: LookupTable) -> Leds:
     n_slope, n_direction = constant.shape[:2]
     angle = -math.pi + 2 * math.pi * np.arange(n_direction) / n_direction
     middle = slice(max(1, n_slope // 8), max(2, n_slope // 2))
+    level, down = math.cos(DEFAULT_ELEVATION_RAD), -math.sin(DEFAULT_ELEVATION_RAD)
     leds = []
     for channel in range(3):
         brightness = constant[middle, :, channel].mean(axis=0)
         x, y = (brightness * np.cos(angle)).sum(), (brightness * np.sin(angle)).sum()
         azimuth = math.atan2(y, x)
-        direction = (
-            math.cos(DEFAULT_ELEVATION_RAD) * math.cos(azimuth),
-            math.cos(DEFAULT_ELEVATION_RAD) * math.sin(azimuth),
-            -math.sin(DEFAULT_ELEVATION_RAD),
-        )
-        rgb = [0.0, 0.0, 0.0]
-        rgb[channel] = 1.0
-        leds.append((direction, (rgb[0], rgb[1], rgb[2])))
+        direction = (level * math.cos(azimuth), level * math.sin(azimuth), down)
+        rgb = (float(channel == 0), float(channel == 1), float(channel == 2))
+        leds.append((direction, rgb))
     return tuple(leds)

@@ -17,20 +17,12 @@ from tacgen.core.records import (
     frozen_array,
 )
 from tacgen.core.units import M_PER_MM
+from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.contacts import Bodies, Snapshot, object_contacts
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.margins import Capacity, slip_margin, torsion_factor
-from tacgen.physics.outcome import (
-    capacity_of,
-    failure_mode,
-    first_slip,
-    frames_of,
-    label_of,
-    motion_of,
-    object_poses_mm,
-)
 from tacgen.physics.recorder import Recorder, frame_end_steps
 from tacgen.physics.robots import ArmWithGripper, FloatingGripper, Robot
 from tacgen.physics.settings import (
@@ -185,7 +177,7 @@ class _Grasp:
 
     def _load_pads(self, grasped: Sequence[Snapshot]) -> Capacity:
         """Couple the jaws and set the torsion that the pads can hold beside the weight."""
-        capacity = capacity_of(grasped, self.bodies, self.obj, self.settings)
+        capacity = outcome.capacity_of(grasped, self.bodies, self.obj, self.settings)
         self.robot.fingers.set_spinning_friction(
             self.bodies.spinning_friction_m * torsion_factor(capacity.friction_share)
         )
@@ -217,22 +209,22 @@ class _Grasp:
         self, grasped: Sequence[Snapshot], capacity: Capacity, lifted: Sequence[Snapshot]
     ) -> GraspTrace:
         settings = self.settings
-        motion = motion_of(lifted, self.bodies, settings.sensing_pads[0])
+        motion = outcome.motion_of(lifted, self.bodies, settings.sensing_pads[0])
         rise_mm, turn_rad = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
         if not (math.isfinite(rise_mm) and math.isfinite(turn_rad)):
             return self._not_executed("crashed", "the simulation became unstable; shorten its step")
-        label = label_of(rise_mm, turn_rad, settings)
+        label = outcome.label_of(rise_mm, turn_rad, settings)
         windows = [self.recorder.window(end) for end in self.frame_ends] or [list(grasped)]
         return GraspTrace(
             config=self.config,
             status="executed",
             label=label,
-            failure_mode="" if label == LABEL_SUCCESS else failure_mode(motion, settings),
-            frames=frames_of(windows, self.bodies, settings.sensing_pads),
-            object_pose=object_poses_mm([window[-1] for window in windows], self.bodies),
+            failure_mode="" if label == LABEL_SUCCESS else outcome.failure_mode(motion, settings),
+            frames=outcome.frames_of(windows, self.bodies, settings.sensing_pads),
+            object_pose=outcome.object_poses_mm([window[-1] for window in windows], self.bodies),
             rise_mm=rise_mm,
             turn_rad=turn_rad,
-            margin=slip_margin(capacity, self.obj.mass_kg, *first_slip(motion, settings)),
+            margin=slip_margin(capacity, self.obj.mass_kg, *outcome.first_slip(motion, settings)),
             reason=self.note,
         )
 

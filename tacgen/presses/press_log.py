@@ -261,7 +261,11 @@ def _checked(columns: Columns, path: Path) -> PressLog:
     for block in blocks:
         _check_cells(found, block)
         _check_clock(found, block)
-    _shorten(found)
+    # One line for what is the same of very many presses, after the first few.
+    more = len(found.warnings) - MAX_WARNED
+    if more > 0:
+        del found.warnings[MAX_WARNED:]
+        found.warn(f"{more} more presses have empty cells or gaps in their clock likewise")
     _check_repeats(found, blocks)
     for block in blocks:
         _check_contact(found, block)
@@ -394,14 +398,6 @@ def _check_cells(found: _Findings, block: IntArray) -> None:
     found.keep[block] &= ~bad
     fix = "these samples are dropped, fill the cells or delete the rows"
     found.warn(f"row {where}: trial {found.trial(block)}: {what}; {fix}")
-
-
-def _shorten(found: _Findings) -> None:
-    """One line for what is the same of very many presses, after the first few."""
-    more = len(found.warnings) - MAX_WARNED
-    if more > 0:
-        del found.warnings[MAX_WARNED:]
-        found.warn(f"{more} more presses have empty cells or gaps in their clock likewise")
 
 
 def _check_clock(found: _Findings, block: IntArray) -> None:

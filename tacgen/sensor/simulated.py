@@ -245,8 +245,6 @@ class Sensor:
 
 def as_mesh(mesh: Any, scale: float = 1.0) -> Mesh:
     """A trimesh, a ``Mesh`` or (vertices_mm, faces) as a ``Mesh``; else a ``ContactError``."""
-    if isinstance(mesh, Mesh) and scale == 1.0:
-        return mesh
     if isinstance(mesh, Mesh):
         vertices, faces = mesh.vertices_mm, mesh.faces
     elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):

@@ -193,9 +193,7 @@ class _StudyRun:
         folder = self.out / "friction" / recipe.sha256()[:12]
         grasps = calibration_grasps(recipe, real)
         fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), folder, workers=self.workers)
-        fitted = friction_json(fits)
-        write_text(folder / "friction.json", json.dumps(fitted, indent=1))
-        return fitted
+        return friction_json(fits)
 
     def _settings_sha256(self, row: Row) -> str:
         """A hash of all settings of a row, before anything is calibrated."""

@@ -62,7 +62,7 @@ def test_a_box_in_metres_becomes_an_object_by_name(own_folder):
 
 @pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb"])
 def test_every_format_gives_the_same_solid(kind):
-    surface = import_surface(exported(box(), f"solid.{kind}")).mesh
+    surface = import_surface(exported(box(), f"solid.{kind}"))[0]
     assert volume_mm3(surface) == pytest.approx(30 * 40 * 60, rel=1e-5)
     assert trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False).is_watertight
 
@@ -72,7 +72,7 @@ def test_the_up_axis_is_turned_to_z_without_mirroring():
     for up, turn in (("y", [1, 0, 0]), ("x", [0, 1, 0])):
         angle = -np.pi / 2 if up == "y" else np.pi / 2
         lying = solid.copy().apply_transform(trimesh.transformations.rotation_matrix(angle, turn))
-        surface = import_surface(exported(lying, f"cone_{up}.stl"), up=up).mesh
+        surface = import_surface(exported(lying, f"cone_{up}.stl"), up=up)[0]
         tip = surface.vertices_mm[np.argmax(surface.vertices_mm[:, 2])]
         np.testing.assert_allclose(tip, [0, 0, 50], atol=1e-3)
         assert volume_mm3(surface) > 0
@@ -83,19 +83,19 @@ def test_unmerged_corners_inward_faces_and_a_small_hole_are_mended():
     solid.update_faces(np.arange(len(solid.faces)) != 100)
     solid.invert()
     solid.unmerge_vertices()
-    imported = import_surface(exported(solid, "ball.ply"))
-    closed = trimesh.Trimesh(imported.mesh.vertices_mm, imported.mesh.faces, process=False)
+    surface, notes = import_surface(exported(solid, "ball.ply"))
+    closed = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
     assert closed.is_watertight
     assert closed.is_winding_consistent
     assert closed.volume == pytest.approx(4 / 3 * np.pi * 20**3, rel=0.02)
-    assert any("hole" in note for note in imported.notes)
+    assert any("hole" in note for note in notes)
 
 
 def test_overlapping_bodies_are_united():
     two = trimesh.util.concatenate([box(), box().apply_translation([10.0, 0.0, 0.0])])
-    imported = import_surface(exported(two, "two.stl"))
-    assert volume_mm3(imported.mesh) == pytest.approx(40 * 40 * 60, rel=1e-4)
-    assert any("2 separate bodies" in note for note in imported.notes)
+    surface, notes = import_surface(exported(two, "two.stl"))
+    assert volume_mm3(surface) == pytest.approx(40 * 40 * 60, rel=1e-4)
+    assert any("2 separate bodies" in note for note in notes)
 
 
 def refused(mesh, file_name, **arguments):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,22 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.calibrate.contact.depth_curves import (
-    DepthReport,
-    check_identified,
-    depth_text,
-    depth_warnings,
-    explain_curves,
-    is_depth_table,
-    law_of,
-    read_depth_curves,
-)
+from tacgen.calibrate.contact import depth_curves
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of
 from tacgen.core.version import __version__
-from tacgen.optics.table import LookupTable, load_table
+from tacgen.optics.table import load_table
 from tacgen.presses.press_log import read_press_log
 
 if TYPE_CHECKING:
@@ -40,7 +32,7 @@ CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
 class ContactCalibration:
     """What was fitted, the law that was written, and warnings."""
 
-    fit: ContactFit | DepthReport
+    fit: ContactFit | depth_curves.DepthReport
     law: ContactLaw
     warnings: tuple[str, ...]
 
@@ -75,7 +67,7 @@ def calibrate_contact(
         measured = found.warnings
         if np.isnan(marker_pitch_mm):
             marker_pitch_mm = found.marker_pitch_mm
-    elif is_depth_table(log):
+    elif depth_curves.is_depth_table(log):
         return _explain_depths(Path(log), Path(out), report, radius_mm)
     fit = fit_contact(
         read_press_log(log, force_unit=force_unit),
@@ -94,8 +86,10 @@ def calibrate_contact(
 
 def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
     """The press log that a folder of images with forces holds, written to ``log``."""
-    from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
+    from tacgen.calibrate.lookup.table_fit import fit_lookup
+    from tacgen.presses.press_folder import WITH_FORCES, read_press_folder, read_presses
     from tacgen.presses.press_forces import measure_presses
+    from tacgen.presses.screening import usable_presses
 
     images = read_press_folder(folder, WITH_FORCES)
     lookup = None
@@ -108,7 +102,10 @@ def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, 
                 f"{images.background.shape[0]}; use the table of this sensor and camera setting"
             )
             raise PressError(msg)
-    own = _table_of(folder) if lookup is None else None
+    own = None
+    if lookup is None:
+        with contextlib.suppress(PressError):  # too few balls of known radius
+            own = fit_lookup(usable_presses(read_presses(folder), least=MIN_FOR_OWN_TABLE))
     found = measure_presses(images, lookup or own)
     if own is not None:
         warning = (
@@ -120,24 +117,12 @@ def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, 
     return log, found
 
 
-def _table_of(folder: Path) -> LookupTable | None:
-    """A table fitted to the pictures of balls of known radius; None where they are too few."""
-    from tacgen.calibrate.lookup.table_fit import fit_lookup
-    from tacgen.presses.press_folder import read_presses
-    from tacgen.presses.screening import usable_presses
-
-    try:
-        return fit_lookup(usable_presses(read_presses(folder), least=MIN_FOR_OWN_TABLE))
-    except PressError:
-        return None
-
-
 def result_text(result: ContactCalibration, *, json_output: bool) -> str:
     """What the command prints."""
     if isinstance(result.fit, ContactFit):
         record, text = summary_dict(result.fit), summary_text
     else:
-        record, text = asdict(result.fit), depth_text
+        record, text = asdict(result.fit), depth_curves.depth_text
     return json.dumps(record, indent=2) if json_output else text(record)
 
 
@@ -145,10 +130,10 @@ def _explain_depths(
     log: Path, out: Path, report: Path | None, radius_mm: float | None
 ) -> ContactCalibration:
     """The law of curves without volumes is the k_n that all of them share."""
-    curves = read_depth_curves(log)
-    found = explain_curves(curves, radius_mm)
-    check_identified(log, found)
-    warnings = depth_warnings(log, found, radius_mm)
+    curves = depth_curves.read_depth_curves(log)
+    found = depth_curves.explain_curves(curves, radius_mm)
+    depth_curves.check_identified(log, found)
+    warnings = depth_curves.depth_warnings(log, found, radius_mm)
     provenance: dict[str, Any] = {
         "data": {log.name: sha256_of(log)},
         "versions": {"tacgen": __version__},
@@ -156,7 +141,7 @@ def _explain_depths(
         "curves": asdict(found)["curves"],
         "warnings": list(warnings),
     }
-    law = law_of(found, provenance)
+    law = depth_curves.law_of(found, provenance)
     save_law(law, out)
     if report is not None:
         from tacgen.calibrate.contact.report import write_depth_page

@@ -109,30 +109,16 @@ class Pooled:
 
 @dataclass(frozen=True, slots=True)
 class DepthReport:
-    """Every curve's best ball by name, and the law of all of them.
-
-    Attributes
-    ----------
-    curves : dict
-    shared_k_n, k_interval : float
-        mm³/N at ``reference_n``; the interval (95 %) holds another curve's.
-    reference_n : float
-        Half of the largest force.
-    power, power_scatter : float
-        Of the force, 1 for V = k_n F; what curves scatter by.
-    one_k_n_will_do : bool
-    p_value : float
-        Of curves that share one k_n.
-    """
+    """Every curve's best ball by name, and the law of all of them."""
 
     curves: dict[str, BallFit]
-    shared_k_n: float
-    k_interval: tuple[float, float]
-    reference_n: float
-    power: float
-    power_scatter: float
+    shared_k_n: float  # mm³/N at ``reference_n``
+    k_interval: tuple[float, float]  # 95 %, of another curve's k_n
+    reference_n: float  # half of the largest force
+    power: float  # of the force; 1 for V = k_n F
+    power_scatter: float  # by which curves scatter
     one_k_n_will_do: bool
-    p_value: float
+    p_value: float  # of curves that share one k_n
 
 
 def is_depth_table(path: Path) -> bool:

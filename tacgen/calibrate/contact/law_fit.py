@@ -45,8 +45,7 @@ class Agreement:
     """Welch's test that all groups share one k: the law does not depend on them."""
 
     p_value: float
-    spread: float
-    """(largest − smallest k) / pooled k."""
+    spread: float  # (largest − smallest k) / pooled k
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +77,7 @@ class ChannelFit:
 class ContactFit:
     """The contact law of a press log."""
 
-    log: PressLog
-    """The samples that were fitted, contact points shifted where they were free."""
+    log: PressLog  # the samples that were fitted, contact points shifted where they were free
     normal: ChannelFit
     shear: ChannelFit | None
     contact_points: tuple[ContactPoint, ...]

@@ -10,14 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from tacgen.collection.perturbed import (
-    Outcome,
-    Perturbation,
-    check_forces,
-    place_of,
-    simulate_perturbed,
-    unexecuted_note,
-)
+from tacgen.collection import perturbed
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import RecipeError
@@ -99,18 +92,18 @@ def sweep_friction(
     *,
     workers: int,
     show: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[dict[str, FrictionFit], dict[Key, Outcome]]:
+) -> tuple[dict[str, FrictionFit], dict[Key, perturbed.Outcome]]:
     """Fit every object's friction to its real grasps: the fits by name, and every outcome.
 
     Finished simulations are kept in ``out/outcomes.jsonl``; an interrupted sweep goes on from them.
     Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
-    check_forces(recipe, real)
-    changes = {mu: Perturbation(friction=mu) for mu in mu_values}
+    perturbed.check_forces(recipe, real)
+    changes = {mu: perturbed.Perturbation(friction=mu) for mu in mu_values}
     wanted = [(grasp.config, change) for grasp in real.grasps for change in changes.values()]
-    found = simulate_perturbed(recipe, wanted, out, workers=workers, show=show)
+    found = perturbed.simulate_perturbed(recipe, wanted, out, workers=workers, show=show)
     outcomes = {
-        (grasp.grasp_id, mu): found[place_of(grasp.config), change]
+        (grasp.grasp_id, mu): found[perturbed.place_of(grasp.config), change]
         for grasp in real.grasps
         for mu, change in changes.items()
     }
@@ -127,7 +120,7 @@ def sweep_friction(
 
 
 def data_warnings(
-    real: RealGrasps, outcomes: Mapping[Key, Outcome], mu_values: Sequence[float]
+    real: RealGrasps, outcomes: Mapping[Key, perturbed.Outcome], mu_values: Sequence[float]
 ) -> list[str]:
     """Problems of the data, grasps that cannot be simulated among them."""
     # A grasp that is executed at one μ is so at all: of its labels the best is looked at.
@@ -135,7 +128,10 @@ def data_warnings(
         max((outcomes[grasp.grasp_id, mu] for mu in mu_values), key=lambda one: one.label)
         for grasp in real.grasps
     ]
-    return [*real.warnings, *unexecuted_note(real.grasps, best, "count as mislabels at every μ")]
+    return [
+        *real.warnings,
+        *perturbed.unexecuted_note(real.grasps, best, "count as mislabels at every μ"),
+    ]
 
 
 def mu_range(text: str) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ from tacgen.calibrate.lookup.scale import ScaleEvidence
 from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.table_fit import Calibration, calibrate
 from tacgen.optics.dots import filled_in
-from tacgen.optics.table import LookupTable, load_table, save_table
+from tacgen.optics.table import load_table, save_table
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.screening import usable_presses
@@ -62,16 +62,11 @@ def score_presses(
     table = load_table(table_path)
     if Path(presses_path).is_file():
         mm_per_px = mm_per_px or table.mm_per_px
-        ball_radius_mm = ball_radius_mm or _ball_of(table)
+        balls = table.provenance.get("ball_radius_mm", ())
+        ball_radius_mm = ball_radius_mm or (float(balls[0]) if len(balls) == 1 else None)
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
     presses = usable_presses(raw, least=1)
     return score_table(table, presses, gradients=True), presses
-
-
-def _ball_of(table: LookupTable) -> float | None:
-    """The ball that a table was made with, where it was one."""
-    balls = table.provenance.get("ball_radius_mm", ())
-    return float(balls[0]) if len(balls) == 1 else None
 
 
 def warning_lines(presses: PressImages, scale: ScaleEvidence | None = None) -> Iterator[str]:

@@ -6,14 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from tacgen.calibrate.lookup.prepared import PreparedPresses, Sample
-from tacgen.calibrate.lookup.press_fit import (
-    JointFit,
-    PressSums,
-    model_of_sums,
-    press_sums,
-    sample_design,
-)
+from tacgen.calibrate.lookup import press_fit
+from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.settings import RULES, BackgroundRecipe, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     N_CONTACT,
@@ -38,7 +32,7 @@ def fold_of(count: int, n_folds: int = RULES.n_folds) -> IntArray:
     return np.arange(count) % min(n_folds, count)
 
 
-def choose(prepared: PreparedPresses, fit: JointFit) -> Choice:
+def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
     """The settings with the least error on held-out presses, for presses placed as in ``fit``.
 
     The error is weighted as the fit is. A background other than the reference image is chosen only
@@ -49,16 +43,12 @@ def choose(prepared: PreparedPresses, fit: JointFit) -> Choice:
     samples = prepared.samples(nothing, RULES.pixels_to_choose)
     highest = FitSettings(max(RULES.degrees), max(RULES.position_degrees))
     backgrounds = [prepared.backgrounds[recipe] for recipe in RULES.backgrounds]
-    sums = [
-        press_sums(
-            sample,
-            sample_design(sample, place, fit.press_model, highest),
-            _targets(sample, backgrounds, offset),
-        )
-        for sample, place, offset in zip(
-            samples, fit.geometry, fit.drift_share * prepared.drift, strict=True
-        )
-    ]
+    offsets, sums = fit.drift_share * prepared.drift, []
+    for sample, place, offset in zip(samples, fit.geometry, offsets, strict=True):
+        at = sample.pixels.rows, sample.pixels.columns
+        target = np.hstack([sample.change - under[at] - offset for under in backgrounds])
+        design = press_fit.sample_design(sample, place, fit.press_model, highest)
+        sums.append(press_fit.press_sums(sample, design, target))
     squares: dict[FitSettings, FloatArray] = {}
     for degree, position_degree in product(RULES.degrees, RULES.position_degrees):
         index = _columns_of(FitSettings(degree, position_degree), highest)
@@ -99,20 +89,14 @@ def _columns_of(settings: FitSettings, highest: FitSettings) -> IntArray:
     return np.asarray((terms[:, None] * n_features + features).ravel())
 
 
-def _targets(sample: Sample, backgrounds: Sequence[FloatArray], offset: FloatArray) -> FloatArray:
-    """Change (n, 3 · n_backgrounds) of a press against every background."""
-    rows, columns = sample.pixels.rows, sample.pixels.columns
-    return np.hstack([sample.change - under[rows, columns] - offset for under in backgrounds])
-
-
 def held_out_squares(
-    sums: Sequence[PressSums], folds: IntArray, settings: FitSettings
+    sums: Sequence[press_fit.PressSums], folds: IntArray, settings: FitSettings
 ) -> FloatArray:
     """Squared error of each press (N, n_backgrounds) by models that did not see its fold."""
     squares = np.zeros((len(sums), sums[0].moment.shape[1]))
     for fold in np.unique(folds):
         train = [sums[i] for i in np.nonzero(folds != fold)[0].tolist()]
-        w = model_of_sums(train, settings).weights.reshape(len(train[0].gram), -1)
+        w = press_fit.model_of_sums(train, settings).weights.reshape(len(train[0].gram), -1)
         for i in np.nonzero(folds == fold)[0].tolist():
             squares[i] = (
                 sums[i].square

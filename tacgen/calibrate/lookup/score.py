@@ -9,14 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup import press_fit
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
-from tacgen.calibrate.lookup.press_fit import (
-    EXPECTED_RADIUS_SHARE,
-    LABEL_SCATTER_RADII,
-    PressModel,
-    place_press,
-    plain_press_model,
-)
 from tacgen.calibrate.lookup.settings import RULES
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
@@ -114,7 +108,7 @@ class TableScore:
 class PressRenderer:
     """Renders ball presses with a table, the way the simulation does: height map → picture."""
 
-    def __init__(self, table: LookupTable, press_model: PressModel) -> None:
+    def __init__(self, table: LookupTable, press_model: press_fit.PressModel) -> None:
         self._shader = Shader(table)
         self._model = press_model
         self._shape = table.shape_px
@@ -164,7 +158,9 @@ def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = F
     press_model = press_model_of(table, presses)
     renderer = PressRenderer(table, press_model)
     expected = press_model.labels.geometry(label_mm(presses))
-    expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
+    expected[:, 2] = np.minimum(
+        expected[:, 2], press_fit.EXPECTED_RADIUS_SHARE * presses.ball_radius_mm
+    )
     reader = None
     if gradients:
         reader = Reconstructor(table, presses.background, presses.dome_radius_mm)
@@ -180,7 +176,7 @@ def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = F
 
 def _gradient_error_deg(
     reader: Reconstructor,
-    press_model: PressModel,
+    press_model: press_fit.PressModel,
     presses: PressImages,
     k: int,
     geometry: FloatArray,
@@ -226,13 +222,13 @@ def structural_similarity(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) 
     return float((similarity / ((mean_x**2 + mean_y**2 + c1) * (spread + c2))).mean())
 
 
-def press_model_of(table: LookupTable, presses: PressImages) -> PressModel:
+def press_model_of(table: LookupTable, presses: PressImages) -> press_fit.PressModel:
     """How a label becomes a press for ``table``: as learnt with it, or the label itself."""
     learnt = table.provenance.get("press_model")
     if learnt:
-        return PressModel.from_dict(learnt)
+        return press_fit.PressModel.from_dict(learnt)
     radius_mm = float(np.median(presses.radius_px) * presses.mm_per_px)
-    return plain_press_model(radius_mm, presses.dome_radius_mm)
+    return press_fit.plain_press_model(radius_mm, presses.dome_radius_mm)
 
 
 def _score_press(
@@ -253,9 +249,9 @@ def _score_press(
         place = expected
         if estimating.any() and scoring.any():
             seen = pixels.select(estimating)
-            place = place_press(
+            place = press_fit.place_press(
                 partial(renderer.grey, ball_radius_mm=ball, pixels=seen), seen.grey, expected,
-                LABEL_SCATTER_RADII, np.ones(len(seen)), radii_mm,
+                press_fit.LABEL_SCATTER_RADII, np.ones(len(seen)), radii_mm,
                 nudge=0.01, steps=10, tolerance=2e-3,
             )  # fmt: skip
         if scoring.any():

@@ -22,14 +22,9 @@ class FitSettings:
 class BackgroundRecipe:
     """How a background is made.
 
-    Attributes
-    ----------
-    smooth : float
-        Gaussian width, as a share of the image's width, that the reference is smoothed with;
-        0 leaves it as it is.
-    drift : bool
-        Whether the median change of the bare gel over the presses is added (lamps and camera
-        drift between the reference and the presses).
+    The reference is smoothed by a Gaussian, ``smooth`` wide as a share of the image's width. With
+    ``drift`` the median change of the bare gel over the presses is added: lamps and camera drift
+    between the reference and the presses.
     """
 
     smooth: float = 0.0

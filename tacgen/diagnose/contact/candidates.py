@@ -51,15 +51,6 @@ def known_columns() -> frozenset[str]:
     return frozenset({*CONTRACT, *(name for effect in all_effects() for name in effect.needs)})
 
 
-def usable_effects(data: ChannelData) -> list[Effect]:
-    """Effects of the channel whose columns the log has and in which it varies."""
-    return [
-        effect
-        for effect in all_effects()
-        if effect.channel == data.channel and effect.can_act_on(data.history)
-    ]
-
-
 def effect_candidates(
     data: ChannelData, model: Model, effects: Sequence[Effect]
 ) -> list[Candidate]:

@@ -18,19 +18,11 @@ from tacgen.core.errors import PressError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
 from tacgen.core.version import versions
-from tacgen.diagnose.contact import heldout
+from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.residuals import Dependence, dependences
-from tacgen.diagnose.contact.result import (
-    ChannelDiagnosis,
-    Diagnosis,
-    channel_notes,
-    diagnosis_record,
-    log_notes,
-    shown_parameters,
-)
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.diagnose.contact.selection import Attribution, Selection
 from tacgen.presses.press_log import SHEAR_FORCES, Columns, read_press_log
@@ -38,7 +30,9 @@ from tacgen.presses.press_log import SHEAR_FORCES, Columns, read_press_log
 SEED = 20220804  # any; results are repeatable
 
 
-def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")) -> Diagnosis:
+def diagnose_log(
+    path: Path, out: Path, *, marker_pitch_mm: float = float("nan")
+) -> result.Diagnosis:
     """Diagnose the press log at ``path``; write diagnosis.json, contact.yaml and report.html.
 
     Raises ``PressError`` if the log cannot be used; the message says what and where.
@@ -46,13 +40,13 @@ def diagnose_log(path: Path, out: Path, *, marker_pitch_mm: float = float("nan")
     from tacgen.diagnose.contact.report import write_report
 
     log = read_press_log(path)
-    diagnosis = diagnose(log.columns, notes=log_notes(log), session_clock=log.session_clock)
+    diagnosis = diagnose(log.columns, notes=result.log_notes(log), session_clock=log.session_clock)
     provenance = {"data_sha256": {path.name: log.sha256}, **diagnosis.law.provenance}
     law = replace(diagnosis.law, marker_pitch_mm=marker_pitch_mm, provenance=provenance)
     diagnosis = replace(diagnosis, law=law)
     save_law(law, out / "contact.yaml")
     write_report(diagnosis, out / "report.html", title=f"Diagnosis of {path.name}")
-    record = diagnosis_record(diagnosis)
+    record = result.diagnosis_record(diagnosis)
     write_text(out / "diagnosis.json", json.dumps(record, indent=1, ensure_ascii=False) + "\n")
     return diagnosis
 
@@ -63,7 +57,7 @@ def diagnose(
     notes: Sequence[str] = (),
     session_clock: bool = True,
     rules: SelectionRules = DEFAULT_RULES,
-) -> Diagnosis:
+) -> result.Diagnosis:
     """Diagnose the columns (N,) of a press log, as ``PressLog.columns`` has them.
 
     The required ones are finite, shear is NaN where it was not measured; ``session_clock`` says
@@ -71,7 +65,7 @@ def diagnose(
     samples to fit.
     """
     notes = list(notes)
-    channels: dict[str, ChannelDiagnosis] = {}
+    channels: dict[str, result.ChannelDiagnosis] = {}
     # Thousands of products of small matrices: threads would only wait for each other.
     with threadpool_limits(limits=1):
         for channel in CHANNELS:
@@ -80,10 +74,10 @@ def diagnose(
                 notes.append(note)
             if usable is not None:
                 channels[channel] = _Channel(usable, channel, session_clock, rules).diagnosis()
-                notes += channel_notes(channels[channel])
+                notes += result.channel_notes(channels[channel])
     if "normal" not in channels:
         raise PressError.from_problems(notes)
-    return Diagnosis(channels, _law_of(channels), tuple(dict.fromkeys(notes)))
+    return result.Diagnosis(channels, _law_of(channels), tuple(dict.fromkeys(notes)))
 
 
 class _Channel:
@@ -98,7 +92,7 @@ class _Channel:
         square = sum(np.asarray(columns[name], np.float64) ** 2 for name in TARGETS[channel])
         self._rms = float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
 
-    def diagnosis(self) -> ChannelDiagnosis:
+    def diagnosis(self) -> result.ChannelDiagnosis:
         rules, rng = self._rules, self._rng
         n_trials = np.unique(self._columns["trial"]).size
         every, gp = self._samples(self._columns), float("nan")
@@ -127,7 +121,7 @@ class _Channel:
         skip = () if self._session_clock else ("time_s",)
         before_structure = dependences(data, base, rng, skip)
         after_structure = dependences(data, final, rng, skip)
-        return ChannelDiagnosis(
+        return result.ChannelDiagnosis(
             data=data,
             attribution=attribution,
             base=base,
@@ -214,7 +208,7 @@ def _unexplained(
     return tuple(found)
 
 
-def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
+def _law_of(channels: dict[str, result.ChannelDiagnosis]) -> ContactLaw:
     effects = []
     compliance = {"normal": Estimate(1.0), "shear": Estimate(float("nan"), float("nan"), "mm/N")}
     for name, found in channels.items():
@@ -226,7 +220,7 @@ def _law_of(channels: dict[str, ChannelDiagnosis]) -> ContactLaw:
                 key: Estimate(
                     value, errors.effects[term.name].get(key, 0.0), term.effect.parameter(key).unit
                 )
-                for key, value in shown_parameters(term).items()
+                for key, value in result.shown_parameters(term).items()
             }
             effects.append(FittedEffect(term.name, name, parameters))
     provenance: dict[str, Any] = {

@@ -28,8 +28,7 @@ class Covariate:
     scale: float = 1.0
     degree: int = 1
     frequency_hz: float = 0.0
-    p_search: float = 0.0
-    """p of having found it among all frequencies that were looked at."""
+    p_search: float = 0.0  # p of having found it among all frequencies that were looked at
 
     @property
     def label(self) -> str:

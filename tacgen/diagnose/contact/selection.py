@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from tacgen.contact.effects import Effect
+from tacgen.contact.effects import Effect, all_effects
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
@@ -102,7 +102,11 @@ class CandidateSets:
         self.data, self.rules = data, data.rules
         rules, few = self.rules, data.few_trials
         self.effects: list[Effect] = [
-            e for e in cand.usable_effects(data) if session_clock or not e.needs_session_clock
+            e
+            for e in all_effects()
+            if e.channel == data.channel
+            and e.can_act_on(data.history)
+            and (session_clock or not e.needs_session_clock)
         ]
         self.alpha = rules.few_alpha if few else rules.alpha
         self._min_gain = rules.few_min_gain if few else rules.min_gain

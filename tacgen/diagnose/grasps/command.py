@@ -10,15 +10,7 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from tacgen.collection.perturbed import (
-    Outcome,
-    check_forces,
-    declared_entry,
-    perturbed_entry,
-    perturbed_settings,
-    recipe_object,
-    unexecuted_note,
-)
+from tacgen.collection import perturbed
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.files import write_text
@@ -75,7 +67,7 @@ def diagnose_grasps(
 
     Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
-    check_forces(recipe, real)
+    perturbed.check_forces(recipe, real)
     configs = tuple(grasp.config for grasp in real.grasps)
     simulations = PerturbedSimulations(recipe, configs, out, workers, show)
     comparison = simulations.comparison()
@@ -117,11 +109,13 @@ def extended_recipe(
         return recipe
     names = dict.fromkeys([*(entry.name for entry in recipe.objects), *objects])
     entries = [
-        perturbed_entry(declared_entry(recipe, name), combined_perturbation(found, name))
+        perturbed.perturbed_entry(
+            perturbed.declared_entry(recipe, name), combined_perturbation(found, name)
+        )
         for name in names
     ]
     before = recipe.physics_settings
-    after = perturbed_settings(before, combined_perturbation(found, ""))
+    after = perturbed.perturbed_settings(before, combined_perturbation(found, ""))
     content = recipe.resolved()
     content["name"] = f"{recipe.name}_extended"
     content["objects"] = [entry.model_dump(mode="json") for entry in entries]
@@ -178,7 +172,9 @@ def labels_of(grasps: Sequence[RealGrasp]) -> Labels:
 
 def record_of(findings: GraspFindings, recipe: Recipe, objects: Sequence[str]) -> dict[str, Any]:
     """The content of ``diagnosis.json``."""
-    declared = {name: recipe_object(declared_entry(recipe, name)) for name in objects}
+    declared = {
+        name: perturbed.recipe_object(perturbed.declared_entry(recipe, name)) for name in objects
+    }
     record = diagnosis_record(findings.diagnosis, declared)
     channel = record["channels"]["grasp"]
     wrong = findings.simulated_after != findings.diagnosis.real
@@ -213,7 +209,7 @@ def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, FloatArray]:
     return found | {"order": np.arange(len(grasps), dtype=float)}
 
 
-def _notes(recipe: Recipe, real: RealGrasps, declared: Sequence[Outcome]) -> list[str]:
+def _notes(recipe: Recipe, real: RealGrasps, declared: Sequence[perturbed.Outcome]) -> list[str]:
     """What the reader should know about the data."""
     notes = list(real.warnings)
     if len(real.grasps) < RULES.few_grasps:
@@ -227,7 +223,7 @@ def _notes(recipe: Recipe, real: RealGrasps, declared: Sequence[Outcome]) -> lis
         for name in real.by_object()
         if name not in known
     ]
-    notes += unexecuted_note(real.grasps, declared, "count as mislabels")
+    notes += perturbed.unexecuted_note(real.grasps, declared, "count as mislabels")
     if any(recipe.randomize.model_dump().values()):
         notes.append("a diagnosis ignores the recipe's domain randomisation")
     return notes

@@ -10,15 +10,8 @@ from scipy.stats import binom, rankdata
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspObject
 from tacgen.diagnose.contact.result import SCHEMA, Verdict, finite
+from tacgen.diagnose.grasps import model_comparison
 from tacgen.diagnose.grasps.hypotheses import advice
-from tacgen.diagnose.grasps.model_comparison import (
-    CandidateScore,
-    Choice,
-    Labels,
-    ModelComparison,
-    confusable,
-    heldout_success,
-)
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.report.formatting import decimals_for
 
@@ -45,7 +38,7 @@ class GraspDiagnosis:
     ``final`` those with everything that was found.
     """
 
-    steps: tuple[Choice, ...]
+    steps: tuple[model_comparison.Choice, ...]
     real: IntArray
     simulated_before: IntArray
     heldout: IntArray
@@ -55,7 +48,7 @@ class GraspDiagnosis:
     reading: str = ""
 
     @property
-    def found(self) -> tuple[CandidateScore, ...]:
+    def found(self) -> tuple[model_comparison.CandidateScore, ...]:
         """What was named, in the order in which it was added."""
         return tuple(step.scores[0] for step in self.steps if step.accepted)
 
@@ -116,7 +109,7 @@ class GraspDiagnosis:
                 value = f"{score.second_mode:.{decimals_for(score.stderr)}f}"
                 unit = "times the declared" if parameter.is_factor else parameter.unit
                 text += f" {score.name} at {value} {unit} explains these labels nearly as well."
-        unsure = confusable(self.steps[0].scores)
+        unsure = model_comparison.confusable(self.steps[0].scores)
         if unsure:
             text += (
                 f" These labels cannot separate {self.found[0].name} from {', '.join(unsure)}; the "
@@ -127,7 +120,7 @@ class GraspDiagnosis:
         return text
 
 
-def describe(score: CandidateScore) -> str:
+def describe(score: model_comparison.CandidateScore) -> str:
     """A finding in words, such as ``grip_force at 0.80 ± 0.03 times the declared``."""
     digits = decimals_for(score.stderr)
     sign = "" if score.candidate.parameter.is_factor else "+"
@@ -136,9 +129,9 @@ def describe(score: CandidateScore) -> str:
 
 
 def diagnose_labels(
-    comparison: ModelComparison,
-    labels: Labels,
-    steps: Sequence[Choice],
+    comparison: model_comparison.ModelComparison,
+    labels: model_comparison.Labels,
+    steps: Sequence[model_comparison.Choice],
     simulated: IntArray,
     covariates: Mapping[str, FloatArray],
     notes: Sequence[str],
@@ -156,7 +149,9 @@ def diagnose_labels(
     folds, heldout, final = _folds(real, rng), simulated, simulated
     probability: FloatArray = np.clip(simulated, 0, 1).astype(np.float64)
     if accepted:
-        heldout = (heldout_success(comparison, labels, accepted, folds) > 0.5).astype(np.int64)
+        heldout = (
+            model_comparison.heldout_success(comparison, labels, accepted, folds) > 0.5
+        ).astype(np.int64)
         for step in accepted:
             comparison = comparison.given(step.scores[0])
         probability = comparison.declared.success_probability(labels)
@@ -266,10 +261,10 @@ def diagnosis_record(
 
 
 def _effect(
-    diagnosis: GraspDiagnosis, step: Choice, declared: Mapping[str, GraspObject]
+    diagnosis: GraspDiagnosis, step: model_comparison.Choice, declared: Mapping[str, GraspObject]
 ) -> dict[str, Any]:
     score, *others = step.scores
-    unsure = confusable(step.scores)
+    unsure = model_comparison.confusable(step.scores)
     return {
         "name": score.name,
         "description": describe(score),
@@ -287,7 +282,7 @@ def _effect(
 
 
 def _parameters(
-    score: CandidateScore, declared: Mapping[str, GraspObject]
+    score: model_comparison.CandidateScore, declared: Mapping[str, GraspObject]
 ) -> dict[str, dict[str, Any]]:
     """The parameter, and for one object the figure that its factor amounts to."""
     objects, parameter = score.candidate.objects, score.candidate.parameter
@@ -298,7 +293,7 @@ def _parameters(
     return found
 
 
-def _estimate(score: CandidateScore, factor: float, unit: str) -> dict[str, Any]:
+def _estimate(score: model_comparison.CandidateScore, factor: float, unit: str) -> dict[str, Any]:
     value, stderr = factor * score.value, factor * score.stderr
     return {"value": finite(value), "stderr": finite(stderr), "unit": unit}
 

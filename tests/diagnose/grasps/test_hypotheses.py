@@ -55,7 +55,7 @@ def simulated(recipe, wanted, out, **_):
         label = int(held > 0.9)
         place = config.object, config.force_n, config.x_mm, config.y_mm, config.z_mm
         found[(*place, config.yaw_rad), change] = Outcome(
-            label, "" if label else "translational_slip", 0.0, 0.0, held / 0.9, np.inf, 1.0, 0.0
+            label, "" if label else "translational_slip", held / 0.9, np.inf, 1.0, 0.0
         )
     return found
 
