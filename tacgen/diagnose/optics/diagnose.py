@@ -225,8 +225,8 @@ def diagnose_optics(
         gains = [_gain(test_fit, test_start, selection, k) for k in range(len(selection.added))]
         weak = [
             _chosen(step).candidate.effect
-            for step, (gain, error) in zip(selection.added, gains, strict=True)
-            if gain <= rules.clear_lead_in_se * error
+            for step, (gain, error, objected) in zip(selection.added, gains, strict=True)
+            if objected or gain <= rules.clear_lead_in_se * error
         ]
         if not weak:
             break
@@ -293,11 +293,11 @@ def on_presses(fit: PressFit, start: Model, found: Model) -> Model:
     return fit.placed(replace(found, places=start.places), shared=False)
 
 
-def _gain(fit: PressFit, start: Model, selection: Selection, k: int) -> tuple[float, float]:
-    """What added step ``k`` lowers the error by, and its standard error, grey levels.
+def _gain(fit: PressFit, start: Model, selection: Selection, k: int) -> tuple[float, float, bool]:
+    """What added step ``k`` lowers the error by, its standard error, and whether tests object.
 
-    Over all presses, those of ``fit``, which are the test presses, too; each by parameters that it
-    had no part in.
+    In grey levels, over all presses, those of ``fit``, which are the test presses, too; each by
+    parameters that it had no part in.
     """
     step = selection.added[k]
     before = selection.start if k == 0 else _chosen(selection.added[k - 1]).model
@@ -305,10 +305,11 @@ def _gain(fit: PressFit, start: Model, selection: Selection, k: int) -> tuple[fl
         fit.squares(on_presses(fit, start, model), step.known, heldout=False)
         for model in (before, _chosen(step).model)
     ]
+    objected = len(fit.views) >= fit.rules.min_objecting and log_gain(*pairs)[0] <= 0
     before_squares = np.append(step.squares, pairs[0])
     gain, error = log_gain(before_squares, np.append(_chosen(step).squares, pairs[1]))
     rmse = math.sqrt(typical(before_squares))
-    return rmse * (1 - math.exp(-0.5 * gain)), 0.5 * rmse * error
+    return rmse * (1 - math.exp(-0.5 * gain)), 0.5 * rmse * error, objected
 
 
 def _errors(fit: PressFit, model: Model) -> PressErrors:
@@ -339,7 +340,7 @@ def _out_of_focus(focus: LostNoise) -> FoundEffect:
 
 
 def _found(
-    fit: PressFit, selection: Selection, step: Step, gain: tuple[float, float]
+    fit: PressFit, selection: Selection, step: Step, gain: tuple[float, float, bool]
 ) -> FoundEffect:
     one, second = _chosen(step), step.runner_up
     return FoundEffect(

@@ -71,6 +71,8 @@ class SelectionRules:
     clear_lead_in_se: float = 2.0
     """A candidate whose lead is below this many standard errors is replaced by one with fewer
     parameters; an effect whose gain over all presses is, is dropped."""
+    min_objecting: int = 4
+    """Test presses whose mean gain must not be negative: those of fewer differ by themselves."""
     max_effects: int = 4
     """More at once have never been seen."""
 
