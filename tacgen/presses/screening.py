@@ -50,15 +50,18 @@ PRESS_STRENGTH = 0.3
 that overlap, 0.45 to 3 for a press (rig and three real sensors)."""
 
 
-def usable_presses(presses: PressImages, *, least: int = MIN_PRESSES) -> PressImages:
+def usable_presses(
+    presses: PressImages, *, least: int = MIN_PRESSES, same_light: bool = True
+) -> PressImages:
     """The presses that a fit or a score can use, each with a circle; the others are listed.
 
-    Printed dots are found and masked.
+    Printed dots are found and masked. Without ``same_light`` the background may differ.
 
     Raises ``PressError`` if the background does not match the presses or fewer than ``least`` are
     left.
     """
-    _check_background(presses)
+    if same_light:
+        _check_background(presses)
     presses = _with_dots_masked(presses)
     center, radius = presses.center_px.copy(), presses.radius_px.copy()
     found = ~presses.labelled

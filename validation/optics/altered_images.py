@@ -100,7 +100,7 @@ def run(path: Path, name: str, kept: Path) -> Iterator[dict[str, Any]]:
             start = time.process_time()
             record: dict[str, Any] = {"case": [name, half, effect]}
             try:
-                found = diagnose_optics(usable_presses(given), table)
+                found = diagnose_optics(usable_presses(given, same_light=False), table)
             except PressError as error:
                 yield {**record, "error": str(error)}
                 continue

@@ -26,7 +26,8 @@ def diagnose_presses(
     """Diagnose the presses at a path; write diagnosis.json, table.npz and report.html."""
     given = None if table_path is None else load_table(table_path)
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
-    presses = usable_presses(raw)
+    # Beside a table from before a lens or a camera that changed is what is looked for.
+    presses = usable_presses(raw, same_light=given is None)
     diagnosis = diagnose_optics(presses, given)
     record = diagnosis.as_dict()
     out = Path(out)
