@@ -5,7 +5,7 @@
 Of each set every other press calibrates a table; the presses between, clean and with one effect
 each, are diagnosed against it, and the halves are exchanged. Results are kept in FOLDER, one line
 a case, so that a run goes on where it stopped. Thresholds of the diagnosis were chosen on
-``taxim`` and ``fots_gelsight``; the other sets only judge.
+``taxim`` and ``fots_gelsight``, with a look at ``digit_a``; the other sets only judge.
 """
 
 from __future__ import annotations
