@@ -17,6 +17,8 @@ from tacgen.core.errors import LearningError
 from tacgen.core.files import is_file
 
 FEATURES = 512  # width of ResNet-18's last stage
+WIDTHS = [64, 128, 256, FEATURES]  # of its stages
+DEPTHS = [2, 2, 2, 2]  # their blocks
 HUB_NAME = "microsoft/resnet-18"
 TORCHVISION_FILE = "resnet18-f37072fd.pth"
 NO_WEIGHTS = "none"
@@ -45,10 +47,8 @@ class Backbone(nn.Module):
         from transformers import ResNetConfig, ResNetModel  # takes seconds to import
 
         super().__init__()
-        sizes, depths = [64, 128, 256, FEATURES], [2, 2, 2, 2]
-        self.network = ResNetModel(
-            ResNetConfig(embedding_size=64, hidden_sizes=sizes, depths=depths, layer_type="basic")
-        )
+        shape = {"embedding_size": WIDTHS[0], "hidden_sizes": WIDTHS, "depths": DEPTHS}
+        self.network = ResNetModel(ResNetConfig(**shape, layer_type="basic"))
         self.origin = NO_WEIGHTS
 
     def forward(self, images: Tensor) -> Tensor:

@@ -123,19 +123,11 @@ def write_real(folder: Path, n: int = 8, n_frames: int = 3, background: bool = T
 @pytest.fixture(scope="module")
 def small_backbone() -> Iterator[None]:
     """ResNet-18 with narrow layers, one a stage: for tests of what goes on around the network."""
-    import transformers  # slow to import, as are these; studies' tests need none
-
-    from tacgen.learning import backbone, networks
-
-    whole = transformers.ResNetConfig
-    widths = {"embedding_size": 16, "hidden_sizes": [16, 16, 16, 32], "depths": [1, 1, 1, 1]}
-
-    def small(**options: object) -> object:
-        return whole(**(options | widths))
+    from tacgen.learning import backbone, networks  # slow to import; studies' tests need none
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(transformers, "ResNetConfig", small)
-        patch.setattr(backbone, "FEATURES", 32)
+        patch.setattr(backbone, "WIDTHS", [16, 16, 16, 32])
+        patch.setattr(backbone, "DEPTHS", [1, 1, 1, 1])
         patch.setattr(networks, "FEATURES", 32)
         yield
 
