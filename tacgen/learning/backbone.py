@@ -47,8 +47,11 @@ class Backbone(nn.Module):
         from transformers import ResNetConfig, ResNetModel  # takes seconds to import
 
         super().__init__()
-        shape = {"embedding_size": WIDTHS[0], "hidden_sizes": WIDTHS, "depths": DEPTHS}
-        self.network = ResNetModel(ResNetConfig(**shape, layer_type="basic"))
+        self.network = ResNetModel(
+            ResNetConfig(
+                embedding_size=WIDTHS[0], hidden_sizes=WIDTHS, depths=DEPTHS, layer_type="basic"
+            )
+        )
         self.origin = NO_WEIGHTS
 
     def forward(self, images: Tensor) -> Tensor:
