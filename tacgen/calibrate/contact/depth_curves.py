@@ -218,13 +218,19 @@ def _explain(
     left = curve.force_n - expected
     correlation = float((left[1:] * left[:-1]).mean() / max(float((left**2).mean()), 1e-300))
     independent = count * (1 - max(correlation, 0.0)) / (1 + max(correlation, 0.0))
-    limit = squares * (1.0 + 3.841 / (max(independent, MIN_SAMPLES) - 3))
-    inside = [one for one in profile if one[1] <= limit] + [(shape, squares, stiffness, shift_mm)]
-    span = (min(one[0] for one in inside), max(one[0] for one in inside))
-    # V/F at the reference force of F = stiffness · V^(1/p).
-    powers = [one[0] if radius_mm else 1.0 for one in inside]
-    fitted = zip(powers, (one[2] for one in inside), strict=True)
-    compliances = [float(reference_n ** (p - 1.0) * c**-p) for p, c in fitted]
+    variance = squares / (max(independent, MIN_SAMPLES) - 3)
+    k_n = reference_n ** (power - 1.0) * stiffness**-power
+    fitted, free = (k_n, shift_mm, power), radius_mm is not None and len(shapes) > 1
+    errors = _standard_errors(curve, fitted, free, radius, reference_n)
+    log_k, _, bend = math.sqrt(variance) * errors
+    k_interval = k_n * math.exp(-1.96 * log_k), k_n * math.exp(1.96 * log_k)
+    span = (power - 1.96 * bend, power + 1.96 * bend)
+    if radius_mm is None:
+        limit = squares + 3.841 * variance
+        inside = [one for one in profile if one[1] <= limit] + [(shape, 0.0, stiffness, 0.0)]
+        span = (min(one[0] for one in inside), max(one[0] for one in inside))
+        compliances = [1.0 / one[2] for one in inside]
+        k_interval = min(*compliances, k_interval[0]), max(*compliances, k_interval[1])
     pushed = (curve.depth_mm > 0) & (curve.force_n > 0)
     exponent, _ = np.polyfit(np.log(curve.depth_mm[pushed]), np.log(curve.force_n[pushed]), 1)
     risen = int(np.argmax(curve.force_n > RISE_SHARE * curve.force_n.max()))
@@ -232,8 +238,8 @@ def _explain(
     return BallFit(
         radius_mm=radius,
         radius_interval_mm=(radius, radius) if radius_mm else span,
-        k_n=compliances[-1],
-        k_interval=(min(compliances), max(compliances)),
+        k_n=k_n,
+        k_interval=k_interval,
         power=power,
         power_interval=span if radius_mm else (1.0, 1.0),
         contact_point_mm=shift_mm,
@@ -246,6 +252,28 @@ def _explain(
         early_n=float(expected[max(risen - 1, 0)]),
         samples=count,
     )
+
+
+def _standard_errors(
+    curve: DepthCurve,
+    fitted: tuple[float, float, float],
+    power_free: bool,
+    radius_mm: float,
+    reference_n: float,
+) -> FloatArray:
+    """Of log k_n, contact point and power (3,) of a least-squares fit, per unit of its noise."""
+
+    def force_n(log_k: float, shift_mm: float, power: float) -> FloatArray:
+        stiffness = (math.exp(log_k) * reference_n ** (1.0 - power)) ** (-1.0 / power)
+        return _predict(curve.depth_mm, radius_mm, power, stiffness, shift_mm)
+
+    steps = np.diag([1e-4, 1e-4 * float(curve.depth_mm.max()), 1e-4])[: 3 if power_free else 2]
+    at = np.array([math.log(fitted[0]), *fitted[1:]])
+    design = np.stack(
+        [(force_n(*(at + step)) - force_n(*(at - step))) / (2 * step.max()) for step in steps]
+    )
+    errors = np.sqrt(np.diag(np.linalg.pinv(design @ design.T)))
+    return np.append(errors, 0.0)[:3]
 
 
 def _predict(

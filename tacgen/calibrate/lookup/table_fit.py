@@ -1,7 +1,5 @@
 """Press images → lookup table."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
@@ -210,11 +208,13 @@ def image_noise_grey(image: NDArray[np.uint8]) -> float:
 
     Second differences along rows hold nothing of a smooth picture; for white noise of σ they
     have √6 σ. Each whole number stands for what is rounded to it; saturated pixels do not count.
+    An image of one colour has that of rounding.
     """
     grey = image[::2].astype(int)
     second = grey[:, :-2] - 2 * grey[:, 1:-1] + grey[:, 2:]
-    below = np.cumsum(np.bincount(np.abs(second[grey[:, 1:-1] < grey.max()])))
-    shares = np.append(0.0, below / below[-1])
+    counts = np.bincount(np.abs(second[grey[:, 1:-1] < grey.max()]), minlength=1)
+    below = np.cumsum(counts)
+    shares = np.append(0.0, below / max(below[-1], 1))
     median = np.interp(0.5, shares, np.append(0.0, np.arange(len(below)) + 0.5))
     return 1.4826 * float(median) / math.sqrt(6)
 

@@ -1,7 +1,5 @@
 """What ``tacgen diagnose optics`` does: read presses, diagnose, write table, JSON and page."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

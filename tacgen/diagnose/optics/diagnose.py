@@ -1,7 +1,5 @@
 """Which optical effects ball presses show beside a calibrated table."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Fits of optical effects on top of a table's rendering, and their errors on held-out presses."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntFlag

@@ -1,7 +1,5 @@
 """Pictures of test presses: press images beside the table and the table with its effects."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

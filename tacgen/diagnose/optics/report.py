@@ -1,7 +1,5 @@
 """The page of an optics diagnosis: error, pictures of presses, effects, candidates."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the residuals of held-out presses still follow that no listed effect explains."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every threshold and every number of steps of the diagnosis of images, in one record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """Forward selection of optical effects by the error on held-out presses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

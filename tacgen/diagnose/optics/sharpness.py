@@ -1,7 +1,5 @@
 """Whether pictures are less sharp than those that a table was calibrated on."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -62,9 +60,10 @@ def lost_noise(
 ) -> LostNoise | None:
     """The Gaussian that explains the noise of the pictures shown, where it is clearly too little.
 
-    Nothing without a table from before: one fitted to the same presses has their noise.
+    Nothing without a table from before: one fitted to the same presses has their noise. Nor of one
+    whose noise is about that of rounding.
     """
-    if table is None or table.noise_grey**2 <= ROUNDING:
+    if table is None or table.noise_grey**2 <= 2 * ROUNDING:
         return None
     share, tested = (
         np.array([image_noise_grey(image) for image in presses.images]) / table.noise_grey
@@ -91,7 +90,5 @@ def lost_noise(
 def _sigma_px(share: float, noise_grey: float) -> float:
     """The width that leaves this share of a camera's noise; at least, where rounding hides it."""
     left = max((share * noise_grey) ** 2 - ROUNDING, ROUNDING) / (noise_grey**2 - ROUNDING)
-    if left >= 1:
-        return 0.0
-    target = max(math.sqrt(left), noise_share(WIDEST_PX))
+    target = max(math.sqrt(min(left, 1.0)), noise_share(WIDEST_PX))
     return float(brentq(lambda sigma: noise_share(sigma) - target, 0.0, WIDEST_PX))

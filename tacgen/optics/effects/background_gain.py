@@ -1,7 +1,5 @@
 """Exposure, or lamps, that changed since the background was taken."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import Any
 

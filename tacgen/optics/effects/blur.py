@@ -1,7 +1,5 @@
 """A membrane that bridges what is narrower than its own thickness, and a lens out of focus."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any

@@ -1,7 +1,5 @@
 """Colours that leak into each other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any

@@ -6,8 +6,6 @@ which parameters it has, what it does to an image or a surface, and how ball pre
 reports.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -178,7 +176,7 @@ class OpticalEffect:
         Of the stages after ``FOCUS`` it changes each pixel by itself. The result has the type of
         ``array``.
         """
-        raise NotImplementedError
+        return array.copy()
 
     def prepare(self, table: LookupTable, leds: Leds, **values: float) -> dict[str, Any]:
         """What ``apply`` needs beside its parameters, computed once for a table."""

@@ -1,7 +1,5 @@
 """Light that differs with the place on the gel."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any

@@ -1,7 +1,5 @@
 """Labels that miss the place of a press."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A camera that clips."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A wrong size of the pixel, the ball or the labelled circles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import MappingProxyType
 

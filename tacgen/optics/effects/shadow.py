@@ -1,7 +1,5 @@
 """Cast shadows: where the gel's own relief hides a light."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from types import MappingProxyType

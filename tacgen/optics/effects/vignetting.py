@@ -1,7 +1,5 @@
 """A lens that darkens towards the corners."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import Any
 

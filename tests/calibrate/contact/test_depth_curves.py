@@ -113,6 +113,22 @@ def test_the_interval_holds_another_sessions_curve():
     assert law.value + 1.96 * law.stderr > 404.0
 
 
+def test_the_interval_of_one_curve_of_a_known_ball_holds_its_k_n():
+    made = [curve("a", 4.0, 5.0, 1.5, late_mm=0.2, seed=seed) for seed in range(60)]
+    intervals = [explain_curves((one,), radius_mm=4.0).k_interval for one in made]
+    held = np.mean([low < 5.0 < high for low, high in intervals])
+    # 95 % of 60 draws: three standard errors are 8 %.
+    assert held >= 0.87
+    widths = [np.log(high / low) for low, high in intervals]
+    # The same fit by least squares: both columns of F = c V(d + s), noise of 0.3 % of the largest.
+    depth = made[0].depth_mm
+    volume = ball_volume_mm3(depth - 0.2, 4.0)
+    columns = np.column_stack([volume, np.gradient(volume, depth) / 5.0])
+    noise = 0.003 * volume.max() / 5.0
+    stderr = 5.0 * noise * np.sqrt(np.linalg.inv(columns.T @ columns)[0, 0])
+    assert np.median(widths) == pytest.approx(2 * 1.96 * stderr, rel=0.25)
+
+
 def test_pooling_of_equal_errors_is_the_mean_and_the_scatter_between():
     # With equal errors DerSimonian and Laird's variance is the sample's less the errors'.
     pooled = Pooled.of([1.0, 2.0, 6.0], [0.5, 0.5, 0.5])

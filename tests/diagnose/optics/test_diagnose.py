@@ -89,18 +89,13 @@ def test_what_was_put_in_comes_out_in_numbers():
 
 
 @pytest.mark.slow
-def test_what_is_on_no_list_is_unexplained_and_says_what_it_follows():
-    diagnosis = diagnose_optics(presses("three", "ageing"), table_of_before("three"))
+@pytest.mark.parametrize(
+    ("effect", "covariate"), [("ageing", "image_number"), ("scratch", "place_on_gel")]
+)
+def test_what_is_on_no_list_is_unexplained_and_says_what_it_follows(effect, covariate):
+    diagnosis = diagnose_optics(presses("three", effect), table_of_before("three"))
     assert diagnosis.verdict == "unexplained"
-    assert diagnosis.unexplained[0].covariate == "image_number"
-    assert names(diagnosis) == []
-
-
-@pytest.mark.slow
-def test_a_scratch_is_unexplained_and_stays_in_its_place():
-    diagnosis = diagnose_optics(presses("three", "scratch"), table_of_before("three"))
-    assert diagnosis.verdict == "unexplained"
-    assert diagnosis.unexplained[0].covariate == "place_on_gel"
+    assert diagnosis.unexplained[0].covariate == covariate
     assert names(diagnosis) == []
 
 
