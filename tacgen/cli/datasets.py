@@ -157,14 +157,31 @@ def export(
 def view(
     folder: common.DatasetArgument,
     grasp: Annotated[int | None, Option(help="Show one grasp, with depth and forces.")] = None,
-    no_browser: Annotated[bool, Option("--no-browser", help="Only print the page's path.")] = False,
+    rerun: Annotated[
+        bool, Option("--rerun", help="Show the grasp in motion, in Rerun (the extra `view`).")
+    ] = False,
+    no_browser: Annotated[
+        bool, Option("--no-browser", help="Only write and print the path.")
+    ] = False,
 ) -> None:
-    """Open the gallery of a dataset, or a page of one grasp, in the browser."""
+    """Open the gallery of a dataset, or a page of one grasp, in the browser or in Rerun."""
+    import subprocess
+    import sys
     import webbrowser
 
     from tacgen.core.errors import DatasetError
     from tacgen.dataset.grasp_page import write_grasp_page
 
+    if rerun:
+        from tacgen.collection.rerun_recording import write_recording
+
+        recording = folder / f"grasp-{grasp or 0:05d}.rrd"
+        write_recording(folder, grasp or 0, recording)
+        typer.echo(str(recording))
+        common.hand_over(f"rerun {recording}")
+        if not no_browser:
+            subprocess.run([sys.executable, "-m", "rerun", str(recording)], check=False)
+        return
     page = folder / ("index.html" if grasp is None else f"grasp-{grasp:05d}.html")
     if grasp is not None:
         write_grasp_page(folder, grasp, page)

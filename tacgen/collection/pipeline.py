@@ -1,7 +1,7 @@
 """One grasp from the plan to the sample that a shard holds: where the stages are joined."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,16 +16,27 @@ from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw, load_law
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
-from tacgen.core.records import ContactFrame, Estimate, GraspObject, GraspTrace
+from tacgen.core.records import Estimate, GraspConfig, GraspObject, GraspTrace
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import GraspSimulator, run_grasp
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import gel_loads
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
 
 # Streams of one grasp's random numbers.
 _STREAM_VARIATION, _STREAM_NOISE = range(2)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedGrasp:
+    """The physics of one planned grasp, with what was drawn for it where the recipe varies."""
+
+    planned: PlannedGrasp
+    grasped: GraspObject
+    config: GraspConfig
+    variation: Variation
+    trace: GraspTrace
 
 
 class GraspPipeline:
@@ -48,26 +59,41 @@ class GraspPipeline:
     def __exit__(self, *raised: object) -> None:
         self.simulator.__exit__(*raised)
 
-    def sample(self, planned: PlannedGrasp) -> GraspSample:
-        """Simulate one grasp and render the images of its pads."""
+    def simulate(self, planned: PlannedGrasp) -> SimulatedGrasp:
+        """The physics of one grasp."""
         entry = self.recipe.objects[planned.entry]
         draws = rng_of(planned.seed, _STREAM_VARIATION)
         variation = draw_variation(self.recipe.randomize, draws)
         grasped = perturbed_object(self._object(entry), variation.perturbation)
         config = vary_config(planned.config, variation)
+        recipe = self.recipe
         trace = run_grasp(
-            self.simulator, grasped, config, self.recipe.physics_settings, frames=self.recipe.frames
+            self.simulator, grasped, config, recipe.physics_settings, frames=recipe.frames
         )
-        frame = grasp_frame(trace)
-        noise = rng_of(planned.seed, _STREAM_NOISE)
-        pads = {
-            pad: self._render(grasped, frames, frame, planned.config.index, variation, noise)
-            for pad, frames in trace.frames.items()
-            if trace.status == "executed"
-        }
+        return SimulatedGrasp(planned, grasped, config, variation, trace)
+
+    def render(
+        self, grasp: SimulatedGrasp, pad: str, *, rng: np.random.Generator | None = None
+    ) -> list[TactileFrame]:
+        """The frames of a pad, before its gain; ``rng`` draws the camera's noise."""
+        frames, index = grasp.trace.frames[pad], grasp.planned.config.index
+        factor = grasp.variation.k_n_factor
+        loads = gel_loads(self._law, frames, grasp_index=index, k_n_factor=factor)
+        return [
+            self._pad.render(grasp.grasped.surface, frame.pose_gel_object, load, rng=rng)
+            for frame, load in zip(frames, loads, strict=True)
+        ]
+
+    def sample(self, planned: PlannedGrasp) -> GraspSample:
+        """Simulate one grasp and render the images of its pads."""
+        grasp = self.simulate(planned)
+        trace, frame = grasp.trace, grasp_frame(grasp.trace)
+        executed = trace.status == "executed"
+        noise = rng_of(planned.seed, _STREAM_NOISE) if self.recipe.optics.noise else None
+        pads = {pad: self._pad_sample(grasp, pad, frame, noise) for pad in trace.frames if executed}
         picture = None
         if self.recipe.dataset.scene_pictures:
-            picture = grasp_picture(grasped, config, trace, frame)
+            picture = grasp_picture(grasp.grasped, grasp.config, trace, frame)
         return GraspSample(
             config=planned.config,
             seed=planned.seed,
@@ -76,7 +102,7 @@ class GraspPipeline:
             label=trace.label,
             failure_mode=trace.failure_mode,
             pads=pads,
-            object_pose=trace.object_pose if trace.status == "executed" else None,
+            object_pose=trace.object_pose if executed else None,
             rise_mm=trace.rise_mm,
             turn_rad=trace.turn_rad,
             margin=trace.margin,
@@ -85,27 +111,16 @@ class GraspPipeline:
             reason=trace.reason,
         )
 
-    def _render(
-        self,
-        grasped: GraspObject,
-        frames: tuple[ContactFrame, ...],
-        grasp_frame: int,
-        grasp_index: int,
-        variation: Variation,
-        noise: np.random.Generator,
+    def _pad_sample(
+        self, grasp: SimulatedGrasp, pad: str, frame: int, noise: np.random.Generator | None
     ) -> PadSample:
-        factor = variation.k_n_factor
-        loads = gel_loads(self._law, frames, grasp_index=grasp_index, k_n_factor=factor)
-        rng = noise if self.recipe.optics.noise else None
-        rendered = [
-            self._pad.render(grasped.surface, frame.pose_gel_object, load, rng=rng)
-            for frame, load in zip(frames, loads, strict=True)
-        ]
-        grasped_at, depth_mm = rendered[grasp_frame].imprint, None
+        rendered, frames = self.render(grasp, pad, rng=noise), grasp.trace.frames[pad]
+        depth_mm = None
         if self.recipe.dataset.depth:
-            depth_mm = grasped_at.depth_map_mm(self._pad.sensor).astype(np.float16)
+            whole = rendered[frame].imprint.depth_map_mm(self._pad.sensor)
+            depth_mm = whole.astype(np.float16)
         return PadSample(
-            rgb=with_gain(np.stack([one.rgb for one in rendered]), variation.gain_factor),
+            rgb=with_gain(np.stack([one.rgb for one in rendered]), grasp.variation.gain_factor),
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
             indentation_mm=np.array([one.imprint.indentation_mm for one in rendered]),

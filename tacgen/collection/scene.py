@@ -17,10 +17,11 @@ from tacgen.physics.gripper import FINGER_THICKNESS_MM, PAD_DEPTH_MM, PAD_HEIGHT
 PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
 
-_PAD_COLOR, _FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
-_PAD_MM = (PAD_DEPTH_MM, PAD_WIDTH_MM, PAD_HEIGHT_MM)
+PAD_COLOR, FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
+# Along the gripper's x, y and z.
+PAD_MM = (PAD_DEPTH_MM, PAD_WIDTH_MM, PAD_HEIGHT_MM)
 # The fingers are cut off above, so that the object fills the picture.
-_FINGER_MM = (FINGER_THICKNESS_MM, PAD_WIDTH_MM, 75.0)
+FINGER_MM = (FINGER_THICKNESS_MM, PAD_WIDTH_MM, 75.0)
 _TABLE_RADIUS_MM = 78.0
 
 Part = tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int, int]]
@@ -33,7 +34,7 @@ def grasp_picture(
     pose = np.eye(4)
     openings_mm = (55.0, 55.0)
     if trace.frames and len(trace.object_pose):
-        pose = _pose_matrix(trace.object_pose[frame])
+        pose = pose_matrix(trace.object_pose[frame])
         openings_mm = _openings_mm(config, trace, pose, frame)
     vertices = grasped.surface.vertices_mm @ pose[:3, :3].T + pose[:3, 3]
     parts: list[Part] = [(vertices, grasped.surface.faces.astype(np.int64), grasped.color_rgb)]
@@ -41,7 +42,8 @@ def grasp_picture(
     return _shade(parts)
 
 
-def _pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The (4, 4) transform of x, y, z and a quaternion x, y, z, w (7,)."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_of(pose[3:].tolist())
     matrix[:3, 3] = pose[:3]
@@ -78,14 +80,14 @@ def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part
     """Two fingers with their pads; the left one is on the −x side."""
     turn, (corners, faces) = rotation_about_z(config.yaw_rad), _unit_box()
     center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
-    finger_z = (_FINGER_MM[2] - PAD_HEIGHT_MM) / 2
+    finger_z = (FINGER_MM[2] - PAD_HEIGHT_MM) / 2
     parts = []
     for side, opening_mm in zip((-1.0, 1.0), openings_mm, strict=True):
         pad_x = side * (opening_mm + PAD_DEPTH_MM / 2)
         finger_x = side * (opening_mm + PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2)
         for extents, place, color in (
-            (_PAD_MM, (pad_x, 0.0, 0.0), _PAD_COLOR),
-            (_FINGER_MM, (finger_x, 0.0, finger_z), _FINGER_COLOR),
+            (PAD_MM, (pad_x, 0.0, 0.0), PAD_COLOR),
+            (FINGER_MM, (finger_x, 0.0, finger_z), FINGER_COLOR),
         ):
             parts.append(((corners * extents + place) @ turn.T + center_mm, faces, color))
     return parts

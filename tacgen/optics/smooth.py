@@ -1,13 +1,11 @@
 """Gaussian smoothing within a window, in numba: the same bits on every machine."""
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import ive
 
 Window = tuple[int, int, int, int]
 """Half-open rectangle of pixels: top, bottom, left, right."""
@@ -204,32 +202,3 @@ class Gaussian:
         _coarsen(surface, window, self.factor, coarse)
         smooth(coarse, (0, shape[0], 0, shape[1]), self.kernel, np.empty_like(coarse))
         _refine(coarse, self.factor, window, surface)
-
-
-NARROWEST_STEPS = 1 / 3
-"""Below this width, in steps of a radial profile, a Gaussian does nothing that the steps hold."""
-
-
-def radial_gaussian(n: int, sigma_steps: float, *, order: int) -> NDArray[np.float64]:
-    """A Gaussian in the plane as a matrix (n, n) on a radial profile.
-
-    It acts on the values of a round surface at 0, 1, … n − 1 steps from its centre (order 0), or
-    on its slopes there (order 1). Beyond the last one the profile goes on with its value.
-    """
-    return _radial_gaussian(n, round(sigma_steps, 5), order)
-
-
-@lru_cache(maxsize=512)
-def _radial_gaussian(n: int, sigma: float, order: int) -> NDArray[np.float64]:
-    if sigma < NARROWEST_STEPS:
-        return np.eye(n)
-    wide = np.arange(0.0, n - 0.5 + 5 * sigma)
-    out, source = wide[:n, None], wide[None, :]
-    weight = np.exp(-0.5 * ((out - source) / sigma) ** 2) * ive(order, out * source / sigma**2)
-    kernel = weight * source / sigma**2
-    if order == 0:
-        kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-12)
-    kernel[:, n - 1] += kernel[:, n:].sum(axis=1)
-    kept = kernel[:, :n]
-    kept.setflags(write=False)
-    return np.asarray(kept)

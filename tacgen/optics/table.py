@@ -146,36 +146,6 @@ class LookupTable:
         return self.background.shape[0], self.background.shape[1]
 
 
-def response_at(
-    table: LookupTable, gx: FloatArray, gy: FloatArray, u: FloatArray, v: FloatArray
-) -> FloatArray:
-    """Grey levels (n, 3) of a table's response to slopes (n,) at positions (n,), in float64."""
-    if table.response is None:
-        msg = "the table has coefficients only"
-        raise TableError(msg)
-    n_slope, n_direction, n_rows, n_columns, _ = table.response.shape
-    share = np.minimum(np.arctan(np.hypot(gx, gy)) / table.max_slope_rad, 1.0)
-    turn = (np.arctan2(gy, gx) + np.pi) / (2 * np.pi)
-    at = np.stack(
-        [
-            share * (n_slope - 1),
-            turn * n_direction,
-            (v + 0.5) * (n_rows - 1),
-            (u + 0.5) * (n_columns - 1),
-        ]
-    )
-    last = np.array([[n_slope - 2], [n_direction - 1], [n_rows - 2], [n_columns - 2]])
-    below = np.clip(at.astype(int), 0, last)
-    above_share = at - below
-    change = np.zeros((len(gx), 3))
-    for corner in np.ndindex(2, 2, 2, 2):
-        step = np.array(corner)[:, None]
-        weight = np.where(step == 1, above_share, 1.0 - above_share).prod(axis=0)
-        i, j, row, column = below + step
-        change += weight[:, None] * table.response[i, j % n_direction, row, column]
-    return change
-
-
 def contact_at(
     table: LookupTable,
     gx: FloatArray,

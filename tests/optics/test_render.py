@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 from tacgen.core.errors import TableError
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
 from tacgen.optics.render import Renderer
-from tacgen.optics.table import ContactLight, contact_at, response_at
+from tacgen.optics.table import ContactLight, contact_at
 from validation.optics.sampled_table import with_reference
 
 SHAPE = (90, 120)
@@ -154,12 +154,6 @@ def test_a_response_is_linear_between_its_nodes():
     rendered = render_rgb(bumps(), made).astype(float)
     expected = np.clip(plain_response(bumps(), made), 0, 255)
     assert abs(rendered - expected).max() <= 0.5 + 2e-3
-    gy, gx = np.gradient(np.float32(bumps()).astype(float), MM_PER_PX)
-    u, v = (part.ravel() for part in np.meshgrid(*(np.arange(n) / n for n in SHAPE[::-1])))
-    half = 0.5 - 0.5 / np.array(SHAPE[::-1])
-    looked_up = response_at(made, gx.ravel(), gy.ravel(), u - half[0], v - half[1])
-    plain = plain_response(bumps(), made) - made.background
-    np.testing.assert_allclose(looked_up.reshape(plain.shape), plain, atol=1e-9)
 
 
 def test_a_response_that_is_linear_in_position_renders_as_its_coefficients():

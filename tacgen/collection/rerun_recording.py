@@ -1,0 +1,125 @@
+"""One grasp of a dataset as a recording for the Rerun viewer (the extra ``view``)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.pipeline import GraspPipeline
+from tacgen.collection.recipe import load_recipe
+from tacgen.collection.scene import FINGER_COLOR, FINGER_MM, PAD_COLOR, PAD_MM, pose_matrix
+from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
+from tacgen.core.errors import DatasetError
+from tacgen.core.files import atomic_path
+from tacgen.core.records import GraspConfig
+from tacgen.dataset import DatasetFolder
+from tacgen.dataset.reader import Dataset
+from tacgen.dataset.schema import PADS
+from tacgen.sensor.description import load_sensor
+
+EYE_MM = (120.0, -180.0, 90.0)  # from the pads' centre: object and fingers fill the view
+FORCES = ("normal_n", "shear_x_n", "shear_y_n")
+GEL_POINTS = 96  # of the drawn gel along its longer side: finer ones cannot be told apart
+
+
+def write_recording(root: Path, index: int, path: Path) -> None:
+    """Write the grasp of an index in the recipe's grid as ``.rrd``: lengths in mm, forces in N.
+
+    Images and forces are the dataset's. It does not hold where the gripper and the gels were: for
+    that the grasp is simulated again, with the dataset's recipe.
+
+    Raises ``DatasetError`` if Rerun is not installed or there is no such executed grasp.
+    """
+    try:
+        import rerun as rr
+    except ImportError as error:
+        msg = "--rerun needs the viewer; install it with `pip install 'tacgen[view]'`"
+        raise DatasetError(msg) from error
+    dataset = Dataset(root, partial=True)
+    sample = dataset.read(index)
+    recipe = load_recipe(DatasetFolder(root).recipe_path)
+    with GraspPipeline(recipe) as pipeline:
+        grasp = pipeline.simulate(plan_recipe(recipe)[index])
+        imprints = {
+            pad: [one.imprint for one in pipeline.render(grasp, pad)] for pad in sample.pads
+        }
+    if not (sample.pads and imprints):
+        msg = f"{root}: grasp {index} was not executed ({sample.reason or sample.status})"
+        raise DatasetError(msg)
+
+    sensor = load_sensor(recipe.sensor)
+    every = max(1, max(sensor.shape_px) // GEL_POINTS)
+    x_mm, y_mm = np.meshgrid(*(axis[::every] for axis in pixel_centers_mm(sensor)))
+    rest_mm, triangles = gel_map_mm(sensor)[::every, ::every], _grid_triangles(*x_mm.shape)
+    # A pad lies behind its gel, which faces +z, and its finger behind the pad and upwards, −y.
+    behind_mm, above_mm = PAD_MM[0] + FINGER_MM[0] / 2, (FINGER_MM[2] - PAD_MM[2]) / 2
+    fingers = rr.Boxes3D(
+        sizes=[(y, z, x) for x, y, z in (PAD_MM, FINGER_MM)],
+        centers=[(0.0, 0.0, -PAD_MM[0] / 2), (0.0, -above_mm, -behind_mm)],
+        colors=[PAD_COLOR, FINGER_COLOR],
+        fill_mode="solid",
+    )
+    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    half_turn[:2, 3] = 2 * grasp.config.x_mm, 2 * grasp.config.y_mm
+    surface = grasp.grasped.surface
+    mesh = rr.Mesh3D(
+        vertex_positions=surface.vertices_mm,
+        triangle_indices=surface.faces,
+        vertex_normals=trimesh.Trimesh(surface.vertices_mm, surface.faces).vertex_normals,
+        albedo_factor=grasp.grasped.color_rgb,
+    )
+    with atomic_path(path) as partial, rr.RecordingStream("tacgen") as stream:
+        stream.save(partial, default_blueprint=_layout(grasp.config, list(imprints)))
+        stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        stream.log("scene/object", mesh, static=True)
+        for finger in PADS:
+            stream.log(f"scene/{finger}/finger", fingers, static=True)
+        for k, time_s in enumerate(dataset.time_s):
+            stream.set_time("time", duration=float(time_s))
+            world_object = pose_matrix(grasp.trace.object_pose[k])
+            poses = {"scene/object": world_object}
+            for pad, found in imprints.items():
+                contact, stored = grasp.trace.frames[pad][k], sample.pads[pad]
+                poses[f"scene/{pad}"] = world_object @ np.linalg.inv(contact.pose_gel_object)
+                depth_mm = found[k].depth_map_mm(sensor)[::every, ::every]
+                points_mm = np.stack([x_mm, y_mm, rest_mm - depth_mm], axis=-1).reshape(-1, 3)
+                colors = stored.rgb[k][::every, ::every].reshape(-1, 3)
+                gel = rr.Mesh3D(
+                    vertex_positions=points_mm, triangle_indices=triangles, vertex_colors=colors
+                )
+                stream.log(f"scene/{pad}/gel", gel)
+                stream.log(f"images/{pad}", rr.Image(stored.rgb[k]))
+                forces_n = [stored.force_normal_n[k], *stored.force_shear_n[k]]
+                for name, force_n in zip(FORCES, forces_n, strict=True):
+                    stream.log(f"forces/{pad}/{name}", rr.Scalars(force_n))
+            for finger in PADS:
+                # Without a sensor on it, a finger is where half a turn takes the other one.
+                other = half_turn @ poses[f"scene/{next(iter(imprints))}"]
+                poses.setdefault(f"scene/{finger}", other)
+            for name, pose in poses.items():
+                stream.log(name, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+
+
+def _layout(config: GraspConfig, pads: Sequence[str]) -> Any:
+    """The scene beside the images and the forces."""
+    import rerun.blueprint as rrb
+
+    center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
+    eye = rrb.EyeControls3D(position=center_mm + EYE_MM, look_target=center_mm)
+    views: list[Any] = [
+        rrb.Spatial3DView(origin="scene", eye_controls=eye),
+        rrb.Vertical(*(rrb.Spatial2DView(origin=f"images/{pad}") for pad in pads)),
+        rrb.TimeSeriesView(origin="forces"),
+    ]
+    return rrb.Blueprint(rrb.Horizontal(*views, column_shares=[2, 1, 1]), collapse_panels=True)
+
+
+def _grid_triangles(n_rows: int, n_columns: int) -> NDArray[np.int64]:
+    """Two triangles for each cell of a grid of points in rows, (n, 3)."""
+    points = np.arange(n_rows * n_columns).reshape(n_rows, n_columns)
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
+    return np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)

@@ -1,0 +1,80 @@
+"""A grasp as a recording for Rerun, read back by Rerun's own reader."""
+
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tacgen import Dataset
+from tacgen.cli import app
+from tacgen.collection.recipe import load_recipe
+from tacgen.collection.rerun_recording import write_recording
+from tacgen.collection.run import collect
+from tacgen.core.errors import DatasetError
+from tacgen.dataset.schema import PADS
+from tests.small_world import write_world
+
+INDEX = 1
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rerun")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)  # where the sensor is looked for
+        recipe = load_recipe(write_world(folder, frames="{mode: sequence, count: 3}"))
+        collect(recipe, folder / "data", progress=False)
+        yield folder / "data"
+
+
+def columns(path):
+    """Every logged column by entity and component, a row a time, as numpy arrays."""
+    chunk = pytest.importorskip("rerun.chunk")
+    found = {}
+    for one in chunk.RrdReader(path).stream():
+        batch = one.to_record_batch()
+        for name in batch.schema.names:
+            rows = [np.array(row).squeeze() for row in batch.column(name).to_pylist()]
+            found[f"{one.entity_path} {name}"] = rows
+    return found
+
+
+def test_it_holds_what_the_dataset_and_the_physics_say(data, tmp_path):
+    write_recording(data, INDEX, tmp_path / "grasp.rrd")
+    found = columns(tmp_path / "grasp.rrd")
+    sample = Dataset(data).read(INDEX)
+    pad = sample.pads["left"]
+    np.testing.assert_array_equal(
+        found["/forces/left/normal_n Scalars:scalars"], pad.force_normal_n
+    )
+    images = np.array(found["/images/left Image:buffer"], np.uint8)
+    np.testing.assert_array_equal(images.reshape(pad.rgb.shape), pad.rgb)
+    moved = np.array(found["/scene/object Transform3D:translation"])
+    np.testing.assert_allclose(moved, sample.object_pose[:, :3], rtol=1e-6)
+    # The fingers stand to either side of the gripper's centre, and close.
+    left, right = (np.array(found[f"/scene/{p} Transform3D:translation"]) for p in PADS)
+    np.testing.assert_allclose((left + right)[:, 0] / 2, sample.config.x_mm, atol=1e-4)
+    assert left[0, 0] < left[1, 0] < 0 < right[1, 0] < right[0, 0]
+    np.testing.assert_allclose([left[0, 2], right[0, 2]], sample.config.z_mm, atol=0.5)
+    # The gel is drawn as deep as the dataset says, against the first frame, which is untouched.
+    z_mm = np.array([p[:, 2] for p in found["/scene/left/gel Mesh3D:vertex_positions"]])
+    np.testing.assert_allclose((z_mm[0] - z_mm).max(axis=1), pad.indentation_mm, atol=1e-3)
+
+
+def test_the_command(data, monkeypatch):
+    shown = CliRunner().invoke(
+        app, ["view", str(data), "--grasp", str(INDEX), "--rerun", "--no-browser"]
+    )
+    assert shown.exit_code == 0, shown.output
+    assert shown.stdout.strip() == str(data / "grasp-00001.rrd")
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    without = CliRunner().invoke(app, ["view", str(data), "--rerun", "--no-browser"])
+    assert "pip install 'tacgen[view]'" in str(without.exception)
+
+
+def test_a_grasp_that_is_not_in_the_dataset(data, tmp_path):
+    pytest.importorskip("rerun")
+    with pytest.raises(DatasetError, match="no grasp 99"):
+        write_recording(data, 99, tmp_path / "grasp.rrd")
+    assert list(tmp_path.iterdir()) == []
