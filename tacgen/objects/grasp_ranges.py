@@ -10,6 +10,7 @@ from tacgen.core.records import Mesh
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.physics.gripper import STROKE_MM
+from tacgen.physics.settings import PhysicsSettings
 
 MARGIN_MM = 5.0  # to either side between open pads and the object
 PAD_MM = (20.0, 16.0)  # width and height of the sensing surface
@@ -17,6 +18,8 @@ LOWEST_PAD_MM = 10.5  # height of the pad's centre at which its lower edge clear
 MIN_FORCE_N, MAX_FORCE_N = 1.0, 40.0
 GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad
+TOUCH_RASTER_MM = 0.2  # a touch is found to half of it
+DOME_RADIUS_MM = PhysicsSettings().pad_dome_radius_mm
 COARSE_STEP_DEG = 5.0
 CLEARLY_LARGER = 1.3  # areas vary by some 10 % with the raster of 0.5 mm
 FACET_ANGLES_DEG = (3.0, 40.0)
@@ -109,18 +112,33 @@ def graspable(surface: Mesh, y_mm: float, z_mm: float) -> bool:
     return bool(np.isfinite(reach).all() and sum(reach) <= STROKE_MM - MARGIN_MM)
 
 
-def collision_error_mm(
+def touch_error_mm(
     surface: Mesh, parts: Sequence[Mesh], ranges: Mapping[str, tuple[float, ...]]
-) -> float:
-    """The most by which a pad meets the convex parts elsewhere than the surface, along x."""
+) -> FloatArray:
+    """The most (2,) by which domed pads touch the parts elsewhere than the surface.
+
+    Along x, and across it in the plane of the pad; over all of ``ranges``, from both sides.
+    """
     errors = [
-        abs(_reach_mm((surface,), azimuth, y, z) - _reach_mm(parts, azimuth, y, z))
+        np.abs(_touch_mm((surface,), azimuth, y, z) - _touch_mm(parts, azimuth, y, z))
         for azimuth in (0.0, 180.0)
         for y in ranges["y_mm"]
         for z in ranges["z_mm"]
         if graspable(surface, y, z)
     ]
-    return max(errors, default=0.0)
+    along, *across = np.max(errors or [np.zeros(3)], axis=0)
+    return np.array([along, np.hypot(*across)])
+
+
+def _touch_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: float) -> FloatArray:
+    """Where a domed pad first touches (3,): towards it, and to the right and up in its plane."""
+    depth = np.max([_pad_view(m, azimuth_deg, y_mm, z_mm, TOUCH_RASTER_MM) for m in meshes], axis=0)
+    rows, columns = depth.shape
+    up = ((rows - 1) / 2 - np.arange(rows)[:, None]) * TOUCH_RASTER_MM
+    right = (np.arange(columns) - (columns - 1) / 2) * TOUCH_RASTER_MM
+    reach = depth - (up**2 + right**2) / (2 * DOME_RADIUS_MM)
+    row, column = np.unravel_index(np.argmax(reach), reach.shape)
+    return np.array([reach[row, column], right[column], up[row, 0]])
 
 
 def _reach_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: float) -> float:
@@ -128,11 +146,13 @@ def _reach_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: flo
     return max(float(_pad_view(mesh, azimuth_deg, y_mm, z_mm).max()) for mesh in meshes)
 
 
-def _pad_view(mesh: Mesh, azimuth_deg: float, y_mm: float, z_mm: float) -> FloatArray:
+def _pad_view(
+    mesh: Mesh, azimuth_deg: float, y_mm: float, z_mm: float, raster_mm: float = RASTER_MM
+) -> FloatArray:
     """Heights of a mesh towards a pad, over its window; −inf where there is nothing."""
-    size_px = (int(PAD_MM[1] / RASTER_MM), int(PAD_MM[0] / RASTER_MM))
+    size_px = (int(PAD_MM[1] / raster_mm), int(PAD_MM[0] / raster_mm))
     center_mm = np.array([0.0, y_mm, z_mm])
-    return depth_view(mesh, view_axes(azimuth_deg, 0.0), center_mm, size_px, RASTER_MM)[0]
+    return depth_view(mesh, view_axes(azimuth_deg, 0.0), center_mm, size_px, raster_mm)[0]
 
 
 def _distinct(values: Iterable[float]) -> tuple[float, ...]:

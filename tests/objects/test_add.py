@@ -19,9 +19,12 @@ from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
 from tacgen.objects.add import HERTZ_MM, add_object
+from tacgen.objects.grasp_ranges import touch_error_mm
 from tacgen.objects.load import read_meshes
-from tacgen.objects.mesh_import import convex_parts, import_surface
+from tacgen.objects.mesh_import import MAX_PART_VERTICES, convex_parts, import_surface
 from tacgen.objects.meshes import volume_mm3
+from tacgen.physics import GraspSimulator
+from validation.physics.hold_thresholds import BY_FLATS, holds, imported
 
 
 @pytest.fixture(autouse=True)
@@ -205,11 +208,69 @@ def test_an_l_shape_is_decomposed_into_convex_parts_the_same_way_twice():
     second = trimesh.creation.box((80.0, 20.0, 20.0)).apply_translation([30.0, 0.0, -30.0])
     solid = trimesh.boolean.union([first, second], engine="manifold")
     surface = Mesh(np.array(solid.vertices), np.array(solid.faces, dtype=np.int32))
-    parts, again = convex_parts(surface), convex_parts(surface)
+    parts, again = next(convex_parts(surface)), next(convex_parts(surface))
     assert len(parts) >= 2
     assert sum(volume_mm3(part) for part in parts) == pytest.approx(solid.volume, rel=0.1)
     for part, other in zip(parts, again, strict=True):
         np.testing.assert_array_equal(part.vertices_mm, other.vertices_mm)
+
+
+def can(sections):
+    """An upright cylinder of 66 × 100 mm."""
+    solid = trimesh.creation.cylinder(radius=33.0, height=100.0, sections=sections)
+    return solid.apply_transform(trimesh.transformations.rotation_matrix(0.11, [0, 0, 1]))
+
+
+def test_a_convex_mesh_keeps_all_its_vertices():
+    surface, _ = import_surface(exported(can(256), "can.stl"))
+    (part,) = next(convex_parts(surface))
+    assert sorted(map(tuple, part.vertices_mm.round(3))) == sorted(
+        map(tuple, surface.vertices_mm[surface.vertices_mm[:, :2].any(axis=1)].round(3))
+    )
+
+
+def test_a_finer_mesh_is_thinned_evenly_and_stays_symmetric():
+    surface, _ = import_surface(exported(can(2048), "can.stl"))
+    (part,) = next(convex_parts(surface))
+    assert len(part.vertices_mm) <= MAX_PART_VERTICES
+    turned = part.vertices_mm * [-1, -1, 1]
+    found = np.linalg.norm(part.vertices_mm[:, None] - turned, axis=2).min(axis=0)
+    assert found.max() < 0.15  # a chord of the original
+    angles = np.sort(np.unique(np.arctan2(*part.vertices_mm[:, :2].T).round(6)))
+    assert np.diff(angles).max() < 2 * np.pi / 100
+    assert np.linalg.norm(part.vertices_mm[:, :2], axis=1) == pytest.approx(33.0, abs=1e-3)
+
+
+def test_where_pads_touch_is_compared_with_the_surface():
+    """A ball moved along x, or up, is touched as far off, or at the share R/(R + dome) of it."""
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=25.0).apply_translation([0, 0, 25])
+    surface = Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int32))
+    ranges = {"y_mm": (0.0,), "z_mm": (25.0,)}
+    for move, along, across in (((0.4, 0, 0), 0.4, 0.0), ((0, 0, 4.0), 0.15, 4 * 30 / 55)):
+        moved = Mesh(surface.vertices_mm + move, surface.faces)
+        error_mm = touch_error_mm(surface, [moved], ranges)
+        assert error_mm == pytest.approx([along, across], abs=0.3)
+        assert error_mm[0] == pytest.approx(along, abs=0.03)
+
+
+def test_adding_reports_how_well_the_collision_shape_follows_the_surface():
+    notes = add_object(exported(can(256), "can.stl"), mass_kg=0.3).notes
+    assert any("(1 convex) within 0.0" in note and "° of the surface" in note for note in notes)
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=25.0)
+    notes = add_object(exported(ball, "ball.stl"), mass_kg=0.3).notes
+    assert any("of the surface, more than 0.6 mm" in note for note in notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cylinder_16", "cylinder_256", "cylinder_2048", "bottle"])
+@pytest.mark.parametrize("angle_rad", [0.0, 0.37])
+def test_an_imported_mesh_holds_from_the_closed_form_on(name, angle_rad):
+    """An import that simplified it held the cylinder of 256 sections from 1.15 mg/(2μ) on."""
+    obj = imported(name, angle_rad)
+    yaw_rad = angle_rad if name in BY_FLATS else 0.0
+    with GraspSimulator() as simulator:
+        assert not holds(simulator, obj, 0.4, yaw_rad, 0.97)
+        assert holds(simulator, obj, 0.4, yaw_rad, 1.03)
 
 
 @pytest.mark.slow

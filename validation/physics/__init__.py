@@ -1,0 +1,1 @@
+"""Studies of the simulated grasp; see docs/physics.md."""
