@@ -1,10 +1,12 @@
 """A ball in the gel, in closed form: the volume that it displaces, the slope around it."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
 from tacgen.core.arrays import FloatArray
 
@@ -47,32 +49,6 @@ def rest_height(x_mm: FloatArray, y_mm: FloatArray, dome_radius_mm: float) -> Fl
     return np.sqrt(dome_radius_mm**2 - np.minimum(x_mm**2 + y_mm**2, limit)) - dome_radius_mm
 
 
-def radial_slope(
-    r_mm: FloatArray,
-    contact_radius_mm: float,
-    ball_radius_mm: float,
-    membrane: Membrane,
-    dome_radius_mm: float = 0.0,
-    *,
-    max_cap_share: float = MAX_CAP_SHARE,
-) -> FloatArray:
-    """Slope along the radius that a ball adds to the gel at rest, positive outwards.
-
-    Inside the contact the surface is the ball's, r/√(R² − r²) (on a dome, that less the dome's own
-    slope); outside, what the ball adds decays exponentially. The two are joined by a power mean,
-    so that the slope is smooth. The cap's slope stays, beyond ``max_cap_share`` of the ball's
-    radius, what it is there.
-    """
-    contact = min(contact_radius_mm, MAX_RADIUS_SHARE * ball_radius_mm)
-    dome_per_mm = 1.0 / dome_radius_mm if dome_radius_mm > 0 else 0.0
-    rim = contact / np.sqrt(ball_radius_mm**2 - contact**2) + contact * dome_per_mm
-    outward = np.clip((r_mm - contact) / membrane.decay_mm, -30.0, 30.0)
-    inside = np.minimum(r_mm, max_cap_share * ball_radius_mm)
-    cap = inside * (1.0 / np.sqrt(ball_radius_mm**2 - inside**2) + dome_per_mm)
-    tail = rim * np.exp(-outward)
-    return np.asarray(cap * (1.0 + (cap / tail) ** membrane.sharpness) ** (-1 / membrane.sharpness))
-
-
 @dataclass(frozen=True, slots=True)
 class PressedGel:
     """What a ball adds to the gel at rest, as functions of the distance from its centre.
@@ -86,34 +62,62 @@ class PressedGel:
     dome_radius_mm: float = 0.0
 
     def radial_slope(self, r_mm: FloatArray) -> FloatArray:
-        """``radial_slope`` of this press."""
-        return radial_slope(
-            r_mm, self.contact_radius_mm, self.ball_radius_mm, self.membrane, self.dome_radius_mm
-        )
+        """Slope along the radius that the ball adds to the gel at rest, positive outwards.
+
+        Inside the contact the surface is the ball's, r/√(R² − r²) (on a dome, that less the dome's
+        own slope); outside, what the ball adds decays exponentially. The two are joined by a power
+        mean, so that the slope is smooth. Beyond ``MAX_CAP_SHARE`` of the ball's radius the cap's
+        slope stays what it is there.
+        """
+        ball, joint = self.ball_radius_mm, self.membrane.sharpness
+        contact = min(self.contact_radius_mm, MAX_RADIUS_SHARE * ball)
+        dome_per_mm = 1.0 / self.dome_radius_mm if self.dome_radius_mm > 0 else 0.0
+        rim = contact / math.sqrt(ball**2 - contact**2) + contact * dome_per_mm
+        outward = (r_mm - contact) / self.membrane.decay_mm
+        outward = np.minimum(np.maximum(outward, -30.0), 30.0)  # where an exponential is finite
+        inside = np.minimum(r_mm, MAX_CAP_SHARE * ball)
+        cap = inside * (1.0 / np.sqrt(ball**2 - inside**2) + dome_per_mm)
+        tail = rim * np.exp(-outward)
+        return np.asarray(cap * (1.0 + (cap / tail) ** joint) ** (-1 / joint))
 
     def slope(self, dx_mm: FloatArray, dy_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """∂h/∂x and ∂h/∂y at distances along columns and rows (...) from the centre.
 
         Of the gel-frame height map: positive away from the centre, where the gel is deepest.
         """
-        r = np.hypot(dx_mm, dy_mm)
+        r = np.sqrt(dx_mm * dx_mm + dy_mm * dy_mm)  # five times as fast as np.hypot
         per_mm = self.radial_slope(r) / np.maximum(r, 1e-12)
         return per_mm * dx_mm, per_mm * dy_mm
 
-    def height(self, r_mm: FloatArray) -> FloatArray:
-        """Height, mm: 0 far away, negative under the ball."""
-        reach = max(float(r_mm.max()), self.contact_radius_mm + 20.0 * self.membrane.decay_mm)
-        grid = np.linspace(0.0, reach, 2048)
-        spline = CubicSpline(grid, self.radial_slope(grid)).antiderivative()
-        return np.asarray(spline(r_mm) - spline(reach))
+    def depth(
+        self, r_mm: FloatArray, points: int = _DEPTH_POINTS, decays: float = _TAIL_DECAYS
+    ) -> FloatArray:
+        """Depth below the gel at rest, mm: 0 far away, positive under the ball.
 
-    def depth(self, r_mm: FloatArray) -> FloatArray:
-        """−``height``, to within a thousandth of the depth and ten times as fast."""
-        reach = self.contact_radius_mm + _TAIL_DECAYS * self.membrane.decay_mm
-        grid = np.linspace(0.0, reach, _DEPTH_POINTS)
+        The slope is summed over ``points`` along the radius, up to ``decays`` decay lengths outside
+        the contact; by default to within a thousandth of the depth.
+        """
+        reach = self.contact_radius_mm + decays * self.membrane.decay_mm
+        grid = reach * np.arange(points) / (points - 1)
         slope = self.radial_slope(grid)
         rise = np.cumsum(slope[:0:-1] + slope[-2::-1]) * (0.5 * grid[1])
-        return np.asarray(np.interp(r_mm, grid, np.append(rise[::-1], 0.0)))
+        return np.asarray(_interpolated(np.append(rise[::-1], 0.0), r_mm / grid[1]))
+
+    def height(self, r_mm: FloatArray) -> FloatArray:
+        """−``depth``, so fine that differences of neighbouring pixels are slopes."""
+        return -self.depth(r_mm, 4096, 14.0)
+
+
+@njit(cache=True, nogil=True)
+def _interpolated(nodes: NDArray[Any], at: NDArray[Any]) -> NDArray[Any]:
+    """Values between nodes (n,) at coordinates (...) of at least 0; 0 beyond the last node."""
+    values = np.zeros(at.size)
+    flat = at.reshape(-1)
+    for k in range(flat.size):
+        i = int(flat[k])
+        if i < nodes.size - 1:
+            values[k] = nodes[i] + (flat[k] - i) * (nodes[i + 1] - nodes[i])
+    return values.reshape(at.shape)
 
 
 def ball_volume_mm3(depth_mm: ArrayLike, radius_mm: ArrayLike) -> FloatArray:

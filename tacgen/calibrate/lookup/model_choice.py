@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
+from operator import add
 
 import numpy as np
 
@@ -47,37 +49,35 @@ def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
     for sample, place, offset in zip(samples, fit.geometry, offsets, strict=True):
         at = sample.pixels.rows, sample.pixels.columns
         target = np.hstack([sample.change - under[at] - offset for under in backgrounds])
-        design = press_fit.sample_design(sample, place, fit.press_model, highest)
-        sums.append(press_fit.press_sums(sample, design, target))
+        sums.append(press_fit.press_sums(sample, place, fit.press_model, highest, target))
+    in_folds = [reduce(add, (sums[k] for k in np.nonzero(folds == f)[0])) for f in set(folds)]
     squares: dict[FitSettings, FloatArray] = {}
     for degree, position_degree in product(RULES.degrees, RULES.position_degrees):
         index = _columns_of(FitSettings(degree, position_degree), highest)
-        fewer = [entry.of_columns(index) for entry in sums]
+        fewer = [entry.of_columns(index) for entry in in_folds]
         for ridge in RULES.ridges:
             settings = FitSettings(degree, position_degree, ridge)
-            squares[settings] = held_out_squares(fewer, folds, settings)
-    weight = 3 * sum(entry.weight for entry in sums)
-    errors = {
-        f"{settings}, {recipe}": float(np.sqrt(square[:, k].sum() / weight))
-        for settings, square in squares.items()
-        for k, recipe in enumerate(RULES.backgrounds)
+            by_fold = held_out_squares(fewer, np.arange(len(fewer)), settings)
+            squares[settings] = by_fold.sum(axis=0)
+    best = [list(squares)[k] for k in np.argmin(list(squares.values()), axis=0)]
+    of_presses = {
+        settings: held_out_squares(
+            [entry.of_columns(_columns_of(settings, highest)) for entry in sums], folds, settings
+        )
+        for settings in set(best)
     }
-    settings, chosen = _best(squares, len(backgrounds))
-    return Choice(settings, RULES.backgrounds[chosen], errors)
-
-
-def _best(squares: dict[FitSettings, FloatArray], n_backgrounds: int) -> tuple[FitSettings, int]:
-    """Settings, and which background, from squared errors (N, n_backgrounds) of each."""
-    best = [
-        min(squares.items(), key=lambda item, k=k: item[1][:, k].sum())  # type: ignore[misc]
-        for k in range(n_backgrounds)
-    ]
     chosen = 0
-    for k in range(1, n_backgrounds):
-        gain = best[chosen][1][:, chosen] - best[k][1][:, k]
+    for k in range(1, len(backgrounds)):
+        gain = of_presses[best[chosen]][:, chosen] - of_presses[best[k]][:, k]
         if gain.sum() > np.sqrt(len(gain)) * gain.std(ddof=1):
             chosen = k
-    return best[chosen][0], chosen
+    weight = 3 * sum(entry.weight for entry in sums)
+    errors = {
+        f"{settings}, {recipe}": float(np.sqrt(square / weight))
+        for settings, by_background in squares.items()
+        for recipe, square in zip(RULES.backgrounds, by_background, strict=True)
+    }
+    return Choice(best[chosen], RULES.backgrounds[chosen], errors)
 
 
 def _columns_of(settings: FitSettings, highest: FitSettings) -> IntArray:
@@ -93,11 +93,12 @@ def held_out_squares(
     sums: Sequence[press_fit.PressSums], folds: IntArray, settings: FitSettings
 ) -> FloatArray:
     """Squared error of each press (N, n_backgrounds) by models that did not see its fold."""
-    squares = np.zeros((len(sums), sums[0].moment.shape[1]))
+    squares, total = np.zeros((len(sums), sums[0].moment.shape[1])), reduce(add, sums)
     for fold in np.unique(folds):
-        train = [sums[i] for i in np.nonzero(folds != fold)[0].tolist()]
-        w = press_fit.model_of_sums(train, settings).weights.reshape(len(train[0].gram), -1)
-        for i in np.nonzero(folds == fold)[0].tolist():
+        held_out = np.nonzero(folds == fold)[0].tolist()
+        seen = total - reduce(add, (sums[i] for i in held_out))
+        w = press_fit.model_of_sums(seen, settings).weights.reshape(len(total.gram), -1)
+        for i in held_out:
             squares[i] = (
                 sums[i].square
                 - 2 * (w * sums[i].moment).sum(axis=0)

@@ -2,17 +2,18 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.settings import RULES, BackgroundRecipe
-from tacgen.calibrate.lookup.smooth_model import position_features, position_terms
+from tacgen.calibrate.lookup.smooth_model import position_features
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import coarse, filled_in
 from tacgen.optics.smooth import Window
+from tacgen.optics.table import features
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 BLOCK_PX = 8  # side of the blocks that take turns in estimating and scoring: those of JPEG
@@ -89,20 +90,21 @@ def disc_pixels(
     if limit is not None:
         area_px = np.pi * (reach**2 - inner**2) * radius_px**2
         step = max(1, math.ceil(math.sqrt(area_px / limit) - 0.05))
-    rows, columns = np.mgrid[top:bottom:step, left : right + 1 : step]
-    rows, columns = rows.ravel(), np.minimum(columns.ravel(), width - 1)
-    distance = np.hypot(columns - x, rows - y)
+    rows = np.arange(top, bottom, step)[:, None]
+    columns = np.minimum(np.arange(left, right + 1, step), width - 1)
+    distance = np.sqrt((columns - x) ** 2 + (rows - y) ** 2)
     near = (distance < reach_px) & (distance >= inner * radius_px)
     if hidden is not None:
         near &= ~hidden[rows, columns]
-    rows, columns, distance = rows[near], columns[near], distance[near]
+    along = np.nonzero(near)
+    rows, columns, distance = rows[along[0], 0], columns[along[1]], distance[near]
     x_mm, y_mm = place_mm(columns, rows, (height, width), presses.mm_per_px)
     return Pixels(
         rows=rows,
         columns=columns,
         x_mm=x_mm,
         y_mm=y_mm,
-        position=position_terms((columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5),
+        position=features((columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5),
         grey=image[rows, columns].astype(np.float64),
         inside=distance < radius_px,
     )
@@ -150,7 +152,10 @@ class PreparedPresses:
 
     def select(self, which: BoolArray) -> "PreparedPresses":
         """The presses that a mask picks; drift and backgrounds are estimated from them alone."""
-        return PreparedPresses.of(self.presses.select(which), self.bare_changes[which])
+        chosen = PreparedPresses.of(self.presses.select(which), self.bare_changes[which])
+        picked = np.nonzero(which)[0].tolist()
+        pixels = {limit: [of_each[k] for k in picked] for limit, of_each in self._pixels.items()}
+        return replace(chosen, _pixels=pixels)
 
     def samples(self, background: FloatArray, limit: int = RULES.pixels_per_press) -> list[Sample]:
         """A sample of every press against ``background`` (H, W, 3), with up to ``limit`` pixels."""

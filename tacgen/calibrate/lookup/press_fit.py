@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,10 @@ LABEL_SCATTER_RADII = np.array(
 
 LARGEST_STEP_RADII = 0.06
 """Of one Gauss–Newton step of a press's place: the model is linear over no more."""
+
+MEMBRANE_STEP = 2.0
+"""Times a Gauss–Newton step of the gel's rim: the light, which is fitted anew after each, follows
+about half of the way back."""
 
 _TEN_MM = 10.0  # an image's size: over this a label's shift grows by what it is at the centre
 
@@ -103,13 +109,16 @@ class PressModel:
         pressed = self._pressed(geometry, ball_radius_mm)
         added = pressed.slope(dx, dy)
         rest = rest_slope(pixels.x_mm, pixels.y_mm, self.dome_radius_mm)
-        return added[0] + rest[0], added[1] + rest[1], pressed.depth(np.hypot(dx, dy))
+        return added[0] + rest[0], added[1] + rest[1], pressed.depth(np.sqrt(dx * dx + dy * dy))
 
     def height(
         self, geometry: FloatArray, ball_radius_mm: float, x_mm: FloatArray, y_mm: FloatArray
     ) -> FloatArray:
-        """Height of the gel, mm, at places on it around a ball at ``geometry``."""
-        r_mm = np.hypot(x_mm - geometry[0], y_mm - geometry[1])
+        """Height of the gel, mm, around a ball at ``geometry``.
+
+        At places ``x_mm`` and ``y_mm`` on it, broadcast against each other.
+        """
+        r_mm = np.sqrt((x_mm - geometry[0]) ** 2 + (y_mm - geometry[1]) ** 2)
         added = self._pressed(geometry, ball_radius_mm).height(r_mm)
         return added + rest_height(x_mm, y_mm, self.dome_radius_mm)
 
@@ -151,14 +160,6 @@ class JointFit:
     drift_share: float = 0.0
 
 
-def sample_design(
-    sample: Sample, geometry: FloatArray, press_model: PressModel, settings: FitSettings
-) -> FloatArray:
-    """Design matrix (n, n_terms · n_features) of a press: what its slopes add to gel at rest."""
-    position = first_features(sample.position, n_position_features(settings.position_degree))
-    return design(_added_terms(sample, geometry, press_model, settings.degree), position)
-
-
 def predicted(
     sample: Sample, geometry: FloatArray, press_model: PressModel, model: SmoothModel
 ) -> FloatArray:
@@ -185,7 +186,7 @@ def _rest_terms(sample: Sample, press_model: PressModel, degree: int) -> FloatAr
 
 @dataclass(frozen=True, slots=True)
 class PressSums:
-    """Weighted normal equations of one press.
+    """Weighted normal equations of one press, or of several together.
 
     Moments hold the three channels of one background after those of another.
     """
@@ -195,6 +196,14 @@ class PressSums:
     square: FloatArray
     weight: float
 
+    def __add__(self, other: "PressSums") -> "PressSums":
+        """Those of more presses."""
+        return PressSums(*(getattr(self, n) + getattr(other, n) for n in self.__slots__))
+
+    def __sub__(self, other: "PressSums") -> "PressSums":
+        """Those of fewer presses."""
+        return PressSums(*(getattr(self, n) - getattr(other, n) for n in self.__slots__))
+
     def of_columns(self, index: IntArray) -> "PressSums":
         """The same for a model of fewer columns."""
         return PressSums(
@@ -202,10 +211,18 @@ class PressSums:
         )
 
 
-def press_sums(sample: Sample, features: FloatArray, target: FloatArray) -> PressSums:
-    """Normal equations of one press: features (n, k) and targets (n, 3 · n_backgrounds)."""
+def press_sums(
+    sample: Sample,
+    geometry: FloatArray,
+    press_model: PressModel,
+    settings: FitSettings,
+    target: FloatArray,
+) -> PressSums:
+    """Normal equations of a press at a place, for targets (n, 3 · n_backgrounds)."""
     root = np.sqrt(sample.weight)[:, None]
-    weighted = features * root
+    terms = _added_terms(sample, geometry, press_model, settings.degree)
+    position = first_features(sample.position, n_position_features(settings.position_degree))
+    weighted = design(terms * root, position)
     return PressSums(
         gram=weighted.T @ weighted,
         moment=weighted.T @ (target * root),
@@ -214,12 +231,10 @@ def press_sums(sample: Sample, features: FloatArray, target: FloatArray) -> Pres
     )
 
 
-def model_of_sums(sums: Sequence[PressSums], settings: FitSettings) -> SmoothModel:
+def model_of_sums(sums: PressSums, settings: FitSettings) -> SmoothModel:
     """The smooth model of some presses by ridge regression."""
-    total = max(sum(entry.weight for entry in sums), 1.0)
-    gram = np.sum([entry.gram for entry in sums], axis=0) / total
-    moment = np.sum([entry.moment for entry in sums], axis=0) / total
-    return solve_ridge(gram, moment, settings)
+    total = max(sums.weight, 1.0)
+    return solve_ridge(sums.gram / total, sums.moment / total, settings)
 
 
 def place_jointly(
@@ -227,7 +242,7 @@ def place_jointly(
     background: FloatArray,
     settings: FitSettings,
     *,
-    iterations: int = 8,
+    iterations: int = 5,
     start: JointFit | None = None,
 ) -> JointFit:
     """Alternate between a rough smooth model, each press's place, the rim and the label model.
@@ -255,13 +270,17 @@ def place_jointly(
         expected, scatter = _expected(presses, press_model.labels.geometry(labels))
         geometry = np.array(
             [
-                _place_sample(sample, model, press_model, place, held)
-                for sample, place, held in zip(samples, expected, scatter, strict=True)
+                _place_sample(sample, model, press_model, place, *prior)
+                for sample, place, *prior in zip(samples, geometry, expected, scatter, strict=True)
             ]
         )
-        membrane = _refine_membrane(samples, geometry, model, press_model)
+        errors = [
+            sample.change - predicted(sample, place, press_model, model)
+            for sample, place in zip(samples, geometry, strict=True)
+        ]
+        share = _drift_share(samples, errors, share, prepared.drift)
+        membrane = _refine_membrane(samples, geometry, model, press_model, errors)
         press_model = replace(press_model, membrane=membrane, labels=learn_labels(labels, geometry))
-        share = _drift_share(thinned, geometry, press_model, model, prepared)
     return JointFit(model, press_model, geometry, share)
 
 
@@ -285,28 +304,25 @@ def _fit_model(
     samples: list[Sample], geometry: FloatArray, press_model: PressModel, settings: FitSettings
 ) -> SmoothModel:
     """The smooth model by ridge regression, for a given geometry of the presses."""
-    sums = [
-        press_sums(sample, sample_design(sample, place, press_model, settings), sample.change)
+    sums = (
+        press_sums(sample, place, press_model, settings, sample.change)
         for sample, place in zip(samples, geometry, strict=True)
-    ]
-    return model_of_sums(sums, settings)
+    )
+    return model_of_sums(reduce(add, sums), settings)
 
 
 def _drift_share(
-    samples: list[Sample],
-    geometry: FloatArray,
-    press_model: PressModel,
-    model: SmoothModel,
-    prepared: PreparedPresses,
+    samples: list[Sample], errors: Sequence[FloatArray], share: float, drift: FloatArray
 ) -> float:
-    """The share, 0 to 1, of the bare gel's drift that shows in the contacts too."""
-    drift = prepared.drift
+    """The share, 0 to 1, of the bare gel's drift (N, 3) that shows in the contacts too.
+
+    ``errors`` (n, 3) of each press are those without ``share`` of it.
+    """
     residual = np.zeros_like(drift)
-    for k, (sample, place) in enumerate(zip(samples, geometry, strict=True)):
-        apart = sample.change - predicted(sample, place, press_model, model)
+    for k, (sample, error) in enumerate(zip(samples, errors, strict=True)):
         seen = sample.pixels.inside & (sample.weight > 0)
         if seen.any():
-            residual[k] = apart[seen].mean(axis=0)
+            residual[k] = share * drift[k] + error[seen].mean(axis=0)
     residual -= residual.mean(axis=0)
     size = float((drift**2).sum()) + len(drift) * RULES.drift_noise_grey**2
     return float(np.clip((residual * drift).sum() / size, 0.0, 1.0))
@@ -343,11 +359,14 @@ def place_press(
     weight: FloatArray,
     radii_mm: tuple[float, float],
     *,
+    start: FloatArray | None = None,
     nudge: float,
     steps: int,
     tolerance: float,
 ) -> FloatArray:
     """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected.
+
+    It begins at ``start``, by default at what is expected.
 
     ``grey`` gives the press's grey levels (n, 3) at a place, ``target`` (n, 3) is what they should
     be, ``weight`` (n,) that of each pixel. ``expected`` (3,), mm, and ``scatter`` (3,), label
@@ -358,7 +377,7 @@ def place_press(
     moves_mm = nudge * label_mm * np.eye(3)
     prior = 1.0 / (scatter * label_mm) ** 2
     precision = np.repeat(weight, 3) / (RULES.noise_grey**2 * RULES.correlated_pixels)
-    place = np.array(expected, dtype=np.float64)
+    place = np.array(expected if start is None else start, dtype=np.float64)
     for _ in range(steps):
         value = grey(place)
         columns = [(grey(place + m) - value).ravel() / (nudge * label_mm) for m in moves_mm]
@@ -380,6 +399,7 @@ def _place_sample(
     sample: Sample,
     model: SmoothModel,
     press_model: PressModel,
+    start: FloatArray,
     expected: FloatArray,
     scatter: FloatArray,
 ) -> FloatArray:
@@ -396,29 +416,33 @@ def _place_sample(
     radii_mm = float(sample.label[2]), sample.ball_radius_mm
     return place_press(
         grey, target, expected, scatter, sample.weight, radii_mm,
-        nudge=1e-3, steps=5, tolerance=1e-3,
+        start=start, nudge=1e-3, steps=5, tolerance=0.02,
     )  # fmt: skip
 
 
 def _refine_membrane(
-    samples: list[Sample], geometry: FloatArray, model: SmoothModel, press_model: PressModel
+    samples: list[Sample],
+    geometry: FloatArray,
+    model: SmoothModel,
+    press_model: PressModel,
+    errors: Sequence[FloatArray],
 ) -> Membrane:
-    """One Gauss–Newton step, in logarithms, for how the gel leaves the ball."""
+    """One Gauss–Newton step, in logarithms, for how the gel leaves the ball, from its errors."""
     now, nudge = press_model.membrane, 0.02
     trials = [
         replace(press_model, membrane=replace(now, decay_mm=now.decay_mm * (1 + nudge))),
         replace(press_model, membrane=replace(now, sharpness=now.sharpness * (1 + nudge))),
     ]
     normal_matrix, moment = np.zeros((2, 2)), np.zeros(2)
-    for sample, place in zip(samples, geometry, strict=True):
-        value = predicted(sample, place, press_model, model)
+    for sample, place, error in zip(samples, geometry, errors, strict=True):
+        value = sample.change - error
         columns = [((predicted(sample, place, t, model) - value) / nudge).ravel() for t in trials]
         jacobian = np.stack(columns, axis=-1)
         weighted = jacobian * np.repeat(sample.weight, 3)[:, None]
         normal_matrix += weighted.T @ jacobian
-        moment += weighted.T @ (sample.change - value).ravel()
+        moment += weighted.T @ error.ravel()
     damped = normal_matrix + 1e-3 * np.trace(normal_matrix) * np.eye(2)
-    step = np.clip(np.linalg.solve(damped, moment), -0.2, 0.2)
+    step = np.clip(MEMBRANE_STEP * np.linalg.solve(damped, moment), -0.4, 0.4)
     radius = press_model.labels.contact_radius_mm
     return Membrane(
         decay_mm=float(np.clip(now.decay_mm * np.exp(step[0]), 0.05 * radius, 3.0 * radius)),

@@ -15,7 +15,7 @@ import numpy as np
 
 from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares
 from tacgen.calibrate.lookup.prepared import PreparedPresses
-from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, press_sums, sample_design
+from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, press_sums
 from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.dots import find_spots, nearest_px
@@ -202,9 +202,7 @@ def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
     placed = place_jointly(prepared, background, RATIO_SETTINGS, start=fit, iterations=3)
     samples = prepared.samples(background, RULES.pixels_for_ratio)
     sums = [
-        press_sums(
-            sample, sample_design(sample, place, placed.press_model, RATIO_SETTINGS), sample.change
-        )
+        press_sums(sample, place, placed.press_model, RATIO_SETTINGS, sample.change)
         for sample, place in zip(samples, placed.geometry, strict=True)
     ]
     folds = fold_of(len(prepared))

@@ -1,5 +1,6 @@
 """How far a table's pictures are from real presses, in grey levels."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -133,8 +134,8 @@ class PressRenderer:
 
     def _render(self, geometry: FloatArray, ball_radius_mm: float, window: Window) -> None:
         top, bottom, left, right = window = grown(window, _MARGIN_PX, self._shape)
-        rows, columns = np.mgrid[top:bottom, left:right]
-        x_mm, y_mm = place_mm(columns, rows, self._shape, self._mm_per_px)
+        rows, columns = np.arange(top, bottom, dtype=float), np.arange(left, right, dtype=float)
+        x_mm, y_mm = place_mm(columns, rows[:, None], self._shape, self._mm_per_px)
         self._height_mm[top:bottom, left:right] = self._model.height(
             geometry, ball_radius_mm, x_mm, y_mm
         )
@@ -215,11 +216,11 @@ def structural_similarity(real: NDArray[np.uint8], rendered: NDArray[np.uint8]) 
         return np.asarray(cv2.GaussianBlur(image, (11, 11), 1.5))
 
     mean_x, mean_y = mean(x), mean(y)
-    spread = mean(x * x) - mean_x**2 + mean(y * y) - mean_y**2
-    together = mean(x * y) - mean_x * mean_y
+    product, squares = mean_x * mean_y, mean_x**2 + mean_y**2
+    spread, together = mean(x * x + y * y) - squares, mean(x * y) - product
     c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
-    similarity = (2 * mean_x * mean_y + c1) * (2 * together + c2)
-    return float((similarity / ((mean_x**2 + mean_y**2 + c1) * (spread + c2))).mean())
+    similarity = (2 * product + c1) * (2 * together + c2) / ((squares + c1) * (spread + c2))
+    return float(similarity.mean())
 
 
 def press_model_of(table: LookupTable, presses: PressImages) -> press_fit.PressModel:
@@ -237,26 +238,30 @@ def _score_press(
     ball = float(presses.ball_radius_mm[k])
     radii_mm = float(presses.radius_px[k] * presses.mm_per_px), ball
     pixels = disc_pixels(presses, k, reach=RULES.ring_radii[-1])
-    distance = np.hypot(*(np.stack([pixels.columns, pixels.rows], -1) - presses.center_px[k]).T)
+    x, y = presses.center_px[k]
+    distance = np.sqrt((pixels.columns - x) ** 2 + (pixels.rows - y) ** 2)
     ring = np.digitize(distance, np.array(RULES.ring_radii[:-1]) * presses.radius_px[k])
     inside, odd_block = ring == 0, pixels.odd_block
-    errors = np.empty((len(PICTURES), len(pixels), 3))
-    errors[0] = pixels.grey - renderer.grey(expected, ball, pixels)
-    errors[2] = pixels.grey - presses.background[pixels.rows, pixels.columns]
+    # A lattice of the pixels tells the place.
+    step = max(1, math.isqrt(int(inside.sum()) // (2 * RULES.pixels_per_press)))
+    on_lattice = (pixels.rows % step == 0) & (pixels.columns % step == 0)
+    errors = np.empty((len(pixels), len(PICTURES), 3))
+    errors[:, 0] = pixels.grey - renderer.grey(expected, ball, pixels)
+    errors[:, 2] = pixels.grey - presses.background[pixels.rows, pixels.columns]
     places = []
     for odd in (False, True):
-        estimating, scoring = inside & (odd_block == odd), odd_block != odd
+        estimating, scoring = inside & on_lattice & (odd_block == odd), odd_block != odd
         place = expected
         if estimating.any() and scoring.any():
             seen = pixels.select(estimating)
             place = press_fit.place_press(
                 partial(renderer.grey, ball_radius_mm=ball, pixels=seen), seen.grey, expected,
-                press_fit.LABEL_SCATTER_RADII, np.ones(len(seen)), radii_mm,
+                press_fit.LABEL_SCATTER_RADII, np.full(len(seen), step**2), radii_mm,
                 nudge=0.01, steps=10, tolerance=2e-3,
             )  # fmt: skip
         if scoring.any():
             scored = pixels.select(scoring)
-            errors[1, scoring] = scored.grey - renderer.grey(place, ball, scored)
+            errors[scoring, 1] = scored.grey - renderer.grey(place, ball, scored)
         places.append(place)
     refined = np.mean(places, axis=0)
     likeness = {}
@@ -266,11 +271,11 @@ def _score_press(
         real = np.ascontiguousarray(presses.images[k, top:bottom, left:right])
         likeness[f"ssim_{name}"] = structural_similarity(real, rendered)
         likeness[f"psnr_db_{name}"] = psnr_db(real, rendered)
-    squares = [(errors[:, ring == k] ** 2).sum(axis=1) for k in range(len(RULES.ring_radii))]
+    in_ring = (ring == np.arange(len(RULES.ring_radii))[:, None]).astype(np.float64)
     return PressScore(
         name=presses.names[k],
-        squares=np.array(squares),
-        counts=np.bincount(ring, minlength=len(RULES.ring_radii)),
+        squares=np.tensordot(in_ring, errors**2, axes=1),
+        counts=in_ring.sum(axis=1).astype(int),
         refined_mm=refined,
         likeness=likeness,
     )

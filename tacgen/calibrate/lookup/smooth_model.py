@@ -27,24 +27,12 @@ def exponents(degree: int) -> list[tuple[int, int]]:
     return [(k - j, j) for k in range(1, degree + 1) for j in range(k + 1)]
 
 
-def normal_parts(gx: FloatArray, gy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(nx, ny): the slope vector's sine along x and y."""
-    length = np.sqrt(1.0 + gx * gx + gy * gy)
-    return gx / length, gy / length
-
-
 def monomials(nx: FloatArray, ny: FloatArray, degree: int) -> FloatArray:
-    """The powers (n, degree · (degree + 3) / 2) of normals (n,)."""
-    powers_x, powers_y = [np.ones_like(nx)], [np.ones_like(ny)]
-    for _ in range(degree):
-        powers_x.append(powers_x[-1] * nx)
-        powers_y.append(powers_y[-1] * ny)
-    return np.stack([powers_x[i] * powers_y[j] for i, j in exponents(degree)], axis=-1)
-
-
-def position_terms(u: FloatArray, v: FloatArray) -> FloatArray:
-    """u², v², uv, u, v, 1 (n, 6): the table's features."""
-    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+    """The powers (n, degree · (degree + 3) / 2) of normals (n,), each power together in memory."""
+    powers = [np.stack([nx, ny])]
+    for _ in range(1, degree):
+        powers.append(np.concatenate([nx * powers[-1], ny * powers[-1][-1:]]))
+    return np.concatenate(powers).T
 
 
 N_LIGHT = 3  # features of position that are the light's: one for each channel
@@ -91,7 +79,8 @@ def first_features(position: FloatArray, n_features: int) -> FloatArray:
 
 def design(terms: FloatArray, position: FloatArray) -> FloatArray:
     """Every term times every position feature: (n, n_terms · n_features)."""
-    return (terms[:, :, None] * position[:, None, :]).reshape(len(terms), -1)
+    # All pixels of a column together in memory, as the terms are.
+    return (terms.T[:, None] * position.T[None]).reshape(-1, len(terms)).T
 
 
 TILT_COST = 1000.0
@@ -125,15 +114,17 @@ def n_light_terms(degree: int) -> int:
 
 def light_terms(gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, degree: int) -> FloatArray:
     """The terms (n, n_light_terms) of gel with slopes (n,) at depths (n,) below its rest."""
-    nx, ny = normal_parts(gx, gy)
+    length = np.sqrt(1.0 + gx * gx + gy * gy)
+    nx, ny = gx / length, gy / length
     depth = np.maximum(depth_mm, 0.0)
     share = depth / (depth + CONTACT_DEPTH_MM)
-    return np.column_stack([monomials(nx, ny, degree), share, share * nx, share * ny])
+    contact = np.stack([share, share * nx, share * ny])
+    return np.concatenate([monomials(nx, ny, degree).T, contact]).T
 
 
 def weighed(terms: FloatArray, at_places: FloatArray) -> FloatArray:
     """Terms (n, n_terms) times what each stands for at its place (n, n_terms, 3), summed."""
-    return np.asarray(np.matmul(terms[:, None, :], at_places)[:, 0])
+    return np.asarray((terms[..., None] * at_places).sum(axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +138,9 @@ class SmoothModel:
         """Grey levels (n, n_terms, 3) for each term at places (n, n_features)."""
         n_here, n_features, n_channels = self.weights.shape
         position = first_features(position, n_features)
-        by_feature = self.weights.transpose(1, 0, 2).reshape(n_features, -1)
-        return np.asarray((position @ by_feature).reshape(len(position), n_here, n_channels))
+        by_channel = self.weights.transpose(2, 0, 1).reshape(-1, n_features)
+        grey = (by_channel @ position.T).reshape(n_channels, n_here, len(position))
+        return np.asarray(grey.transpose(2, 1, 0))
 
     def of_terms(self, terms: FloatArray, position: FloatArray) -> FloatArray:
         """Grey levels (n, 3) of the model's terms (n, n_terms) at places (n, n_features)."""

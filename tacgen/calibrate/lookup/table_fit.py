@@ -21,12 +21,11 @@ from tacgen.calibrate.lookup.smooth_model import (
     light_terms,
     position_degree_of,
     position_features,
-    position_terms,
 )
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.version import __version__
 from tacgen.core.workers import map_in_processes
-from tacgen.optics.table import ContactLight, LookupTable
+from tacgen.optics.table import ContactLight, LookupTable, features
 from tacgen.presses.geometry import PressedGel, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
@@ -185,7 +184,7 @@ def _looked_up(
         turn = np.arange(n_direction) / n_direction
         return np.linspace(0.0, steepest_rad, n_slope), -np.pi + 2 * np.pi * turn
 
-    quadratic = np.linalg.pinv(position_terms(u, v)) @ position
+    quadratic = np.linalg.pinv(features(u, v)) @ position
     coefficients = model.responses(*nodes(N_SLOPE, N_DIRECTION), quadratic).swapaxes(-1, -2)
     # Half precision: a twentieth of a grey level in a change of a hundred, in half the file.
     response = model.responses(*nodes(RESPONSE_SLOPES, RESPONSE_DIRECTIONS), position)

@@ -12,13 +12,12 @@ import numpy as np
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.press_fit import PressModel
 from tacgen.calibrate.lookup.score import press_model_of
-from tacgen.calibrate.lookup.smooth_model import position_terms
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
 from tacgen.optics.render import Shader
 from tacgen.optics.smooth import grown
-from tacgen.optics.table import LookupTable
+from tacgen.optics.table import LookupTable, features
 from tacgen.presses.geometry import MAX_RADIUS_SHARE
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
@@ -132,7 +131,7 @@ class PressView:
         ]
         columns, rows = (part.ravel() for part in np.meshgrid(*spans))
         x_mm, y_mm = place_mm(columns, rows, shape, presses.mm_per_px)
-        position = position_terms((columns + 0.5) / shape[1] - 0.5, (rows + 0.5) / shape[0] - 0.5)
+        position = features((columns + 0.5) / shape[1] - 0.5, (rows + 0.5) / shape[0] - 0.5)
         rows, columns = rows.astype(int), columns.astype(int)
         grey = presses.images[k][rows, columns].astype(np.float64)
         everywhere = np.ones(len(rows), dtype=bool)
