@@ -1,7 +1,9 @@
 """From the deformed surface of the gel to the sensor's picture of it."""
 
+import copy
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +47,6 @@ class Shader:
     """
 
     def __init__(self, table: LookupTable, *, shadows: bool = False, leds: Leds = ()) -> None:
-        check_effects(table.effects)
         self.table = table
         self._nodes = shade.packed_nodes(table)
         self._along = shade.feature_factors(table.shape_px)
@@ -61,6 +62,18 @@ class Shader:
         n_rows, n_columns = table.shape_px
         self._u = ((np.arange(n_columns) + 0.5) / n_columns - 0.5).astype(np.float32)
         self._v = ((np.arange(n_rows) + 0.5) / n_rows - 0.5).astype(np.float32)
+        self._prepare_effects(shadows=shadows, leds=leds)
+
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> "Shader":
+        """The same table with other effects; what the look-up needs is shared."""
+        other = copy.copy(self)
+        other.table = replace(self.table, effects=effects)
+        other._prepare_effects(shadows=False, leds=())
+        return other
+
+    def _prepare_effects(self, *, shadows: bool, leds: Leds) -> None:
+        table = self.table
+        check_effects(table.effects)
         effects = with_cast_shadows(table.effects) if shadows else table.effects
 
         def active(first: Stage, last: Stage) -> list[ActiveEffect]:

@@ -23,7 +23,7 @@ from tacgen.presses.geometry import rest_height
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 _MARGIN_PX = 3
-"""The renderer's differences and shadows reach this far beyond the pixels that are read."""
+"""The renderer's differences reach this far beyond the pixels that are read."""
 
 
 PICTURES = ("labels", "refined", "bare")
@@ -110,37 +110,47 @@ class PressRenderer:
     """Renders ball presses with a table, the way the simulation does: height map → picture."""
 
     def __init__(self, table: LookupTable, press_model: press_fit.PressModel) -> None:
-        self._shader = Shader(table)
-        self._model = press_model
-        self._shape = table.shape_px
-        self._mm_per_px = table.mm_per_px
-        self._height_mm = np.zeros(self._shape, dtype=np.float32)
-        self._image = np.zeros((*self._shape, 3), dtype=np.float32)
+        self.table, self.model = table, press_model
+        self.shader = Shader(table)
+        self._height_mm = np.zeros(table.shape_px, dtype=np.float32)
+        self._image = np.zeros((*table.shape_px, 3), dtype=np.float32)
 
     def grey(self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels) -> FloatArray:
         """Grey levels (n, 3) at ``pixels`` of a ball at ``geometry`` (centre and radius, mm)."""
-        self._render(geometry, ball_radius_mm, pixels.window)
-        return np.clip(self._image[pixels.rows, pixels.columns].astype(np.float64), 0.0, 255.0)
+        return np.clip(self.lit(geometry, ball_radius_mm, pixels, self.shader), 0.0, 255.0)
+
+    def lit(
+        self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels, shader: Shader
+    ) -> FloatArray:
+        """The same by the table with a shader's effects, unclipped."""
+        self._render(geometry, ball_radius_mm, pixels.window, shader)
+        return self._image[pixels.rows, pixels.columns].astype(np.float64)
 
     def picture(
         self, geometry: FloatArray, ball_radius_mm: float, window: Window | None = None
     ) -> NDArray[np.uint8]:
         """The picture (h, w, 3), RGB, of the whole image or within a window of it."""
-        window = window or (0, self._shape[0], 0, self._shape[1])
-        self._render(geometry, ball_radius_mm, window)
+        height, width = self.table.shape_px
+        window = window or (0, height, 0, width)
+        self._render(geometry, ball_radius_mm, window, self.shader)
         top, bottom, left, right = window
         part = self._image[top:bottom, left:right]
         return np.rint(np.clip(part, 0, 255)).astype(np.uint8)
 
-    def _render(self, geometry: FloatArray, ball_radius_mm: float, window: Window) -> None:
-        top, bottom, left, right = window = grown(window, _MARGIN_PX, self._shape)
+    def _render(
+        self, geometry: FloatArray, ball_radius_mm: float, window: Window, shader: Shader
+    ) -> None:
+        depth_mm = ball_radius_mm - math.sqrt(max(ball_radius_mm**2 - geometry[2] ** 2, 0.0))
+        shape = self.table.shape_px
+        window = grown(window, shader.image_reach_px(depth_mm) + _MARGIN_PX, shape)
+        top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
         rows, columns = np.arange(top, bottom, dtype=float), np.arange(left, right, dtype=float)
-        x_mm, y_mm = place_mm(columns, rows[:, None], self._shape, self._mm_per_px)
-        self._height_mm[top:bottom, left:right] = self._model.height(
+        x_mm, y_mm = place_mm(columns, rows[:, None], shape, self.table.mm_per_px)
+        self._height_mm[top:bottom, left:right] = self.model.height(
             geometry, ball_radius_mm, x_mm, y_mm
         )
-        self._shader.light(self._height_mm, window, self._image)
-        self._shader.finish(self._height_mm, window, self._image)
+        shader.light(self._height_mm, window, self._image)
+        shader.finish(self._height_mm, window, self._image)
 
 
 def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = False) -> TableScore:

@@ -122,6 +122,7 @@ class PressFit:
         self.views, self.rules = views, rules
         self.folds = fold_of(len(views), rules.folds)
         self._lit: dict[tuple[int, str, bytes], FloatArray] = {}
+        self._latest: list[tuple[Model, Known, list[Linearised]]] = []
 
     def start(self, fixed: Effects) -> Model:
         """The table alone, every press placed as it fits best around its label."""
@@ -138,9 +139,9 @@ class PressFit:
         still = self._descend(still, Known.NOTHING, self.rules.place_steps, move=True)
         return replace(still, candidates=model.candidates)
 
-    def fitted(self, model: Model, known: Known = Known.NOTHING, steps: int = 0) -> Model:
+    def fitted(self, model: Model, known: Known = Known.NOTHING) -> Model:
         """The model with its parameters where they fit best; places move along linearly."""
-        return self._descend(model, known, steps or self.rules.steps, move=False)
+        return self._descend(model, known, self.rules.steps, move=False)
 
     def _descend(self, model: Model, known: Known, steps: int, *, move: bool) -> Model:
         best, lowest = model, np.inf
@@ -237,7 +238,12 @@ class PressFit:
     def linearised(self, model: Model, known: Known = Known.NOTHING) -> list[Linearised]:
         """Every press near the model."""
         known = model.still(known)
-        return [self._linearised(model, k, known) for k in range(len(self.views))]
+        for one, what, parts in self._latest:
+            if one is model and what == known:
+                return parts
+        parts = [self._linearised(model, k, known) for k in range(len(self.views))]
+        self._latest = [*self._latest[-1:], (model, known, parts)]
+        return parts
 
     def _linearised(self, model: Model, k: int, known: Known) -> Linearised:
         view, rules, effects = self.views[k], self.rules, model.effects()

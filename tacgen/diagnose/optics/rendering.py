@@ -11,12 +11,11 @@ import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.press_fit import PressModel
-from tacgen.calibrate.lookup.score import press_model_of
+from tacgen.calibrate.lookup.score import PressRenderer, press_model_of
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
 from tacgen.optics.render import Shader
-from tacgen.optics.smooth import grown
 from tacgen.optics.table import LookupTable, features
 from tacgen.presses.geometry import MAX_RADIUS_SHARE
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
@@ -24,45 +23,24 @@ from tacgen.presses.press_images import PressImages, label_mm, place_mm
 Effects = Mapping[str, Mapping[str, float]]
 """Effect → parameter → value, as in a table."""
 
-_MARGIN_PX = 3
-"""The differences of a look-up reach so far beyond the pixels that are read."""
-
 _KEPT_SHADERS = 6
 """A step of a fit goes through a few values of an effect, press by press."""
 
 
-class TableRenderer:
+class TableRenderer(PressRenderer):
     """Renders presses with one table and effects that a fit changes from call to call."""
 
     def __init__(self, table: LookupTable, model: PressModel) -> None:
-        self.table, self.model = table, model
-        height, width = table.shape_px
-        self._height_mm = np.zeros((height, width), dtype=np.float32)
-        self._image = np.zeros((height, width, 3), dtype=np.float32)
+        super().__init__(table, model)
         self._shaders: dict[str, Shader] = {}
 
-    def lit(
-        self, place: FloatArray, ball_mm: float, pixels: Pixels, effects: Effects
-    ) -> FloatArray:
-        """Grey levels (n, 3) of a ball at a place (3,) after the effects up to the focus."""
-        shader, shape = self._shader(effects), self.table.shape_px
-        depth_mm = ball_mm - math.sqrt(max(ball_mm**2 - place[2] ** 2, 0.0))
-        window = grown(pixels.window, shader.image_reach_px(depth_mm) + _MARGIN_PX, shape)
-        top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
-        rows, columns = np.mgrid[top:bottom, left:right]
-        x_mm, y_mm = place_mm(columns, rows, shape, self.table.mm_per_px)
-        self._height_mm[top:bottom, left:right] = self.model.height(place, ball_mm, x_mm, y_mm)
-        shader.light(self._height_mm, window, self._image)
-        shader.finish(self._height_mm, window, self._image)
-        return self._image[pixels.rows, pixels.columns].astype(np.float64)
-
-    def _shader(self, effects: Effects) -> Shader:
+    def shader_with(self, effects: Effects) -> Shader:
         """The table made ready with some effects; the last few are kept."""
         key = repr(effects)
         if key not in self._shaders:
             while len(self._shaders) >= _KEPT_SHADERS:
                 del self._shaders[next(iter(self._shaders))]
-            self._shaders[key] = Shader(replace(self.table, effects=effects))
+            self._shaders[key] = self.shader.with_effects(effects)
         return self._shaders[key]
 
 
@@ -153,7 +131,7 @@ class PressView:
         early = {
             effect.name: values for effect, values in _active(effects, Stage.SURFACE, Stage.FOCUS)
         }
-        return self.renderer.lit(place, ball, self.pixels, early)
+        return self.renderer.lit(place, ball, self.pixels, self.renderer.shader_with(early))
 
     def finished(self, lit: FloatArray, effects: Effects) -> FloatArray:
         """Grey levels (n, 3) after the stages that follow, which act pixel by pixel."""

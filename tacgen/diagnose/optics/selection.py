@@ -150,8 +150,7 @@ def _scored(
 ) -> Scored:
     starts = [_with(model, candidate, start) for start in candidate.starts]
     if len(starts) > 1:
-        first = [fit.fitted(one, known, steps=1) for one in starts]
-        starts = [min(first, key=lambda one: typical(fit.squares(one, known)))]
+        starts = [min(starts, key=lambda one: typical(fit.squares(one, known)))]
     fitted = fit.fitted(starts[0], known)
     squares = fit.squares(fitted, known)
     gain, error = log_gain(before, squares)

@@ -35,20 +35,10 @@ class CrossTalk(base.OpticalEffect):
 
     def apply(self, array: FloatArray, patch: base.Patch, **values: Any) -> FloatArray:
         """Shares of the other channels' changes are added to each, then the camera mixes."""
-        change = array - patch.background
-        mixed = []
-        for k, shown in enumerate(base.CHANNELS):
-            leak = [np.asarray(values.get(shown + c, 0.0), array.dtype) for c in base.CHANNELS]
-            mixed.append(array[..., k] + sum(leak[c] * change[..., c] for c in range(3)))
-        return np.stack([self._camera(mixed, shown, values) for shown in base.CHANNELS], axis=-1)
-
-    def _camera(self, grey: list[FloatArray], shown: str, values: Mapping[str, Any]) -> FloatArray:
-        """What the camera's matrix makes of three channels."""
-        names = [f"camera_{shown}{leaking}" for leaking in base.CHANNELS]
-        shares = [values.get(name, CAMERA[name].identity) for name in names]
-        return np.asarray(
-            sum(np.asarray(s, one.dtype) * one for s, one in zip(shares, grey, strict=True))
-        )
+        grey = array
+        if LEAKS.keys() & values:
+            grey = array + _mixed(array - patch.background, "", values)
+        return _mixed(grey, "camera_", values) if CAMERA.keys() & values else grey
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """Only beside a table from before: one fitted to the same presses mixes as they do."""
@@ -68,6 +58,17 @@ class CrossTalk(base.OpticalEffect):
             "mixing of the channels; give the table from before (--table), or press the gel "
             "with one lamp on at a time."
         )
+
+
+def _mixed(grey: FloatArray, prefix: str, values: Mapping[str, Any]) -> FloatArray:
+    """What shares of three channels (..., 3) make, by the parameters ``prefix`` + two channels."""
+    parts = []
+    for shown in base.CHANNELS:
+        still = [float(prefix + shown + c in CAMERA and c == shown) for c in base.CHANNELS]
+        named = zip(base.CHANNELS, still, strict=True)
+        shares = base.by_channel([values.get(prefix + shown + c, s) for c, s in named], grey)
+        parts.append(shares[0] * grey[..., 0] + shares[1] * grey[..., 1] + shares[2] * grey[..., 2])
+    return np.stack(parts, axis=-1)
 
 
 base.register(CrossTalk())

@@ -42,10 +42,16 @@ def table_of_before(kind):
     return fit_lookup(presses(kind, seed=3))
 
 
+@lru_cache
+def diagnosed(kind, effect=""):
+    """The diagnosis of presses with an effect beside the table of before; once for all tests."""
+    return diagnose_optics(presses(kind, effect), table_of_before(kind))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["three", "four"])
 def test_clean_presses_need_no_effect(kind):
-    diagnosis = diagnose_optics(presses(kind), table_of_before(kind))
+    diagnosis = diagnosed(kind)
     assert diagnosis.verdict == "sufficient"
     assert names(diagnosis) == []
 
@@ -67,7 +73,7 @@ def test_clean_presses_need_no_effect(kind):
     ],
 )
 def test_an_effect_by_another_formula_is_named_and_lowers_the_heldout_error(kind, effect):
-    diagnosis = diagnose_optics(presses(kind, effect), table_of_before(kind))
+    diagnosis = diagnosed(kind, effect)
     first, *others = names(diagnosis)
     assert first == effect
     if effect != "vignetting":  # the pictures' falls off as cos⁴ and not as r²: that leaves a rest
@@ -79,12 +85,12 @@ def test_an_effect_by_another_formula_is_named_and_lowers_the_heldout_error(kind
 
 @pytest.mark.slow
 def test_what_was_put_in_comes_out_in_numbers():
-    radii = diagnose_optics(presses("three", "scale"), table_of_before("three"))
+    radii = diagnosed("three", "scale")
     factor = radii.effects[0].parameters["contact_per_label"]
     # Labels are 15 % too large.
     assert factor["value"] == pytest.approx(1 / 1.15, rel=0.05)
     assert 0 < factor["stderr"] < 0.05
-    blur = diagnose_optics(presses("four", "blur"), table_of_before("four"))
+    blur = diagnosed("four", "blur")
     assert blur.effects[0].parameters["sigma_mm"]["value"] == pytest.approx(0.25, rel=0.3)
 
 
@@ -93,7 +99,7 @@ def test_what_was_put_in_comes_out_in_numbers():
     ("effect", "covariate"), [("ageing", "image_number"), ("scratch", "place_on_gel")]
 )
 def test_what_is_on_no_list_is_unexplained_and_says_what_it_follows(effect, covariate):
-    diagnosis = diagnose_optics(presses("three", effect), table_of_before("three"))
+    diagnosis = diagnosed("three", effect)
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.unexplained[0].covariate == covariate
     assert names(diagnosis) == []
@@ -124,20 +130,18 @@ def test_without_a_table_only_what_one_cannot_express_is_found():
 
 @pytest.mark.slow
 def test_a_diagnosis_that_starts_from_its_own_table_finds_nothing_more():
-    given = presses("three", "saturation")
-    first = diagnose_optics(given, table_of_before("three"))
-    again = diagnose_optics(given, first.table)
+    first = diagnosed("three", "saturation")
+    again = diagnose_optics(presses("three", "saturation"), first.table)
     assert names(again) == []
     assert again.rmse_before < 1.1 * first.rmse_after
 
 
 @pytest.mark.slow
 def test_the_extended_table_renders_the_effect():
-    given = presses("three", "saturation")
-    found = diagnose_optics(given, table_of_before("three"))
+    found = diagnosed("three", "saturation")
     table = found.table
     level = found.effects[0].parameters["level_grey"]["value"]
-    rows, columns = np.mgrid[: given.shape_px[0], : given.shape_px[1]]
+    rows, columns = np.mgrid[: table.shape_px[0], : table.shape_px[1]]
     dent = -np.exp(-((rows - 60) ** 2 + (columns - 80) ** 2) / 150.0).astype(np.float32)
     bare = render_rgb(dent, replace(table, effects={}))
     rendered = render_rgb(dent, table)
@@ -147,12 +151,12 @@ def test_the_extended_table_renders_the_effect():
 
 @pytest.mark.slow
 def test_the_json_has_the_contracts_fields():
-    diagnosis = diagnose_optics(presses("four", count=12), table_of_before("four"))
+    diagnosis = diagnosed("four")
     content = json.loads(json.dumps(diagnosis.as_dict()))
     channel = content["channels"]["rgb"]
     assert content["schema"] == 1
     assert channel["error_before"]["unit"] == "grey"
-    assert channel["trials"] == {"fit": 9, "test": 3}
+    assert channel["trials"] == {"fit": 18, "test": 6}
     assert {"verdict", "effects", "unexplained", "error_after", "noise_floor"} <= set(channel)
 
 
