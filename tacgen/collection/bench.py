@@ -10,11 +10,10 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from tacgen.collection.grid import PlannedGrasp, plan_recipe
+from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
@@ -92,32 +91,7 @@ def _grasp_figures(repeats: int) -> Iterator[Figure]:
         planned = plan_recipe(recipe)[0]
         with GraspPipeline(recipe) as pipeline:
             seconds = _median_s(partial(pipeline.sample, planned), repeats)
-            yield name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"
-            if frames["mode"] == "single":
-                share = _physics_share(pipeline, planned, repeats)
-                what = "time inside stepSimulation / time of a single image"
-                yield "physics_share", share, "1", what
-
-
-def _physics_share(pipeline: GraspPipeline, planned: PlannedGrasp, repeats: int) -> float:
-    """Wall time inside ``stepSimulation`` as a share of the whole grasp."""
-    bullet: Any = pipeline.simulator.world.bullet
-    step = bullet.stepSimulation
-    inside = [0.0]
-
-    def timed_step() -> None:
-        inside[0] += _timed_s(step)
-
-    shares = []
-    bullet.stepSimulation = timed_step
-    try:
-        for _ in range(repeats):
-            inside[0] = 0.0
-            whole_s = _timed_s(lambda: pipeline.sample(planned))
-            shares.append(inside[0] / whole_s)
-    finally:
-        del bullet.stepSimulation
-    return statistics.median(shares)
+        yield name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"
 
 
 def _median_s(action: Callable[[], object], repeats: int) -> float:

@@ -73,12 +73,20 @@ class GraspPipeline:
         return SimulatedGrasp(planned, grasped, config, variation, trace)
 
     def render(
-        self, grasp: SimulatedGrasp, pad: str, *, rng: np.random.Generator | None = None
+        self,
+        grasp: SimulatedGrasp,
+        pad: str,
+        *,
+        rng: np.random.Generator | None = None,
+        law: ContactLaw | None = None,
     ) -> list[TactileFrame]:
-        """The frames of a pad, before its gain; ``rng`` draws the camera's noise."""
+        """The frames of a pad by ``law``, else the recipe's, before its gain.
+
+        ``rng`` draws the camera's noise.
+        """
         frames, index = grasp.trace.frames[pad], grasp.planned.config.index
         factor = grasp.variation.k_n_factor
-        loads = gel_loads(self._law, frames, grasp_index=index, k_n_factor=factor)
+        loads = gel_loads(law or self._law, frames, grasp_index=index, k_n_factor=factor)
         return [
             self._pad.render(grasp.grasped.surface, frame.pose_gel_object, load, rng=rng)
             for frame, load in zip(frames, loads, strict=True)

@@ -15,9 +15,7 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
-    SerializerFunctionWrapHandler,
     ValidationError,
-    model_serializer,
 )
 
 from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
@@ -77,15 +75,6 @@ class ObjectEntry(Located):
     def object_folder(self) -> Path:
         """The folder of the object."""
         return find_object_folder(self.name, beside=self.folder)
-
-    @model_serializer(mode="wrap")
-    def _without_the_usual(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit newer keys at their default, so that older recipes keep their hash."""
-        written = dict(serialize(self))
-        for name in ("spinning_friction_mm", "scale"):
-            if getattr(self, name) == type(self).model_fields[name].default:
-                written.pop(name, None)
-        return written
 
 
 ObjectByName = Annotated[

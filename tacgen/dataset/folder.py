@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,6 @@ class DatasetFolder:
         self.manifest_path = self.root / "manifest.jsonl"
         self.card_path = self.root / "README.md"
         self.gallery_path = self.root / "index.html"
-        self._merged_seen: tuple[tuple[int, ...], dict[int, ShardLine]] = ((), {})
 
     def shard_path(self, shard: int) -> Path:
         """``shards/shard-00000.h5``."""
@@ -99,7 +99,7 @@ class DatasetFolder:
         """
         own, path = self.line_path(shard), self.shard_path(shard)
         try:
-            line = read_part(own) if os.path.lexists(own) else self._merged().get(shard)
+            line = read_part(own) if os.path.lexists(own) else self._merged.get(shard)
         except DatasetError:
             return False
         return line is not None and path.is_file() and path.stat().st_size == line.bytes
@@ -173,15 +173,10 @@ class DatasetFolder:
         found = [(part_number(path), holder_of(path)) for path in locks]
         return [(shard, holder) for shard, holder in found if shard >= 0 and holder]
 
+    @cached_property
     def _merged(self) -> dict[int, ShardLine]:
-        """``manifest.jsonl`` as it stands, read anew when it changed."""
-        if not self.manifest_path.is_file():
-            return {}
-        status = self.manifest_path.stat()
-        key = (status.st_mtime_ns, status.st_size, status.st_ino)
-        if self._merged_seen[0] != key:
-            self._merged_seen = (key, read_lines(self.manifest_path))
-        return self._merged_seen[1]
+        """``manifest.jsonl`` as it stood at first; later shards have lines of their own."""
+        return read_lines(self.manifest_path)
 
     def _refuse_other_shards(self, spec: DatasetSpec) -> None:
         """Where no plan says what the shards are of that are there, they say it themselves."""

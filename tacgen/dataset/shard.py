@@ -112,12 +112,11 @@ def is_image_sound(dataset: h5py.Dataset, place: tuple[int, ...]) -> bool:
 
 
 def _checked(path: Path, file: h5py.File) -> Shard:
-    finder = _Finder(file)
-    layout = _layout_of(path, file, finder)
+    layout = _layout_of(path, file)
     span = _attribute(file, "index_range", "i", (2,))
     start, stop = (0, -1) if span is None else map(int, span)
-    sizes = _sizes_of(path, layout, finder, start, stop)
-    found = {array.path: finder.dataset(array.path) for array in layout.arrays()}
+    sizes = _sizes_of(path, file, layout, start, stop)
+    found = {array.path: _array_at(file, array.path) for array in layout.arrays()}
     problems = [
         text
         for array in layout.arrays()
@@ -133,30 +132,19 @@ def _refuse(path: Path, problems: Sequence[str]) -> NoReturn:
     raise DatasetError.from_problems([f"{path}: {text}" for text in problems])
 
 
-class _Finder:
-    """Finds what stands in a file by hard links alone, opening each group once."""
-
-    def __init__(self, file: h5py.File) -> None:
-        self._groups: dict[str, h5g.GroupID | None] = {"": h5g.open(file.id, b"/")}
-
-    def dataset(self, path: str) -> h5d.DatasetID | None:
-        """The array at ``path``; None where there is none, or a link or group."""
-        found = self._open(path)
-        return found if isinstance(found, h5d.DatasetID) else None
-
-    def _open(self, path: str) -> h5g.GroupID | h5d.DatasetID | None:
-        above, name = path.rsplit("/", 1)
-        if above not in self._groups:
-            group = self._open(above)
-            self._groups[above] = group if isinstance(group, h5g.GroupID) else None
-        parent = self._groups[above]
-        if parent is None or not parent.links.exists(name.encode()):
+def _array_at(file: h5py.File, path: str) -> h5d.DatasetID | None:
+    """The array at ``path``, by hard links alone; None where there is none, or a link or group."""
+    found: h5g.GroupID | h5d.DatasetID = h5g.open(file.id, b"/")
+    for name in path.encode().strip(b"/").split(b"/"):
+        if not isinstance(found, h5g.GroupID) or not found.links.exists(name):
             return None
-        is_hard = parent.links.get_info(name.encode()).type == h5l.TYPE_HARD
-        return h5o.open(parent, name.encode()) if is_hard else None
+        if found.links.get_info(name).type != h5l.TYPE_HARD:
+            return None
+        found = h5o.open(found, name)
+    return found if isinstance(found, h5d.DatasetID) else None
 
 
-def _layout_of(path: Path, file: h5py.File, finder: _Finder) -> Layout:
+def _layout_of(path: Path, file: h5py.File) -> Layout:
     kind, sensor, pads = (_text(file, name) for name in ("format", "sensor", "pads"))
     version, names = _attribute(file, "format_version", "i", ()), tuple(pads.split(","))
     if kind != "tacgen" or version is None:
@@ -166,8 +154,8 @@ def _layout_of(path: Path, file: h5py.File, finder: _Finder) -> Layout:
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     plain = Layout(sensor, names, depth=False, picture=False)
-    depth = finder.dataset(plain.tactile(names[0], "depth_mm")) is not None
-    return Layout(sensor, names, depth, finder.dataset("/scene/picture") is not None)
+    depth = _array_at(file, plain.tactile(names[0], "depth_mm")) is not None
+    return Layout(sensor, names, depth, _array_at(file, "/scene/picture") is not None)
 
 
 def _text(file: h5py.File, name: str) -> str:
@@ -191,10 +179,10 @@ def _attribute(
     return values
 
 
-def _sizes_of(path: Path, layout: Layout, finder: _Finder, start: int, stop: int) -> dict[str, int]:
+def _sizes_of(path: Path, file: h5py.File, layout: Layout, start: int, stop: int) -> dict[str, int]:
     """What the letters of the layout stand for here, within the limits."""
     name = layout.tactile(layout.pads[0], "rgb")
-    rgb, scene = finder.dataset(name), finder.dataset("/scene/picture")
+    rgb, scene = _array_at(file, name), _array_at(file, "/scene/picture")
     if rgb is None or rgb.rank != 5:
         _refuse(path, [f"{name} is missing, or a link, or not of five axes"])
     picture = scene.shape[1:3] if scene is not None and scene.rank == 4 else (0, 0)

@@ -4,13 +4,11 @@ Everything that needs torch is imported where it is used, after ``require_learni
 plainly what is missing; recipes can be checked without it.
 """
 
-from importlib import metadata
 from importlib.util import find_spec
 
 from tacgen.core.errors import LearningError
 
 _LIBRARIES = ("torch", "transformers", "safetensors", "sklearn", "tensorboard")
-_INFLUENTIAL = ("tacgen", "torch", "transformers", "numpy", "opencv-python-headless")
 
 
 def require_learning_extra() -> None:
@@ -25,8 +23,3 @@ def require_learning_extra() -> None:
             "with `pip install 'tacgen[learn]'` (in a checkout: `make setup`)"
         )
         raise LearningError(msg)
-
-
-def library_versions() -> dict[str, str]:
-    """Versions of the libraries that the weights depend on."""
-    return {name: metadata.version(name) for name in _INFLUENTIAL}

@@ -39,8 +39,6 @@ class ModelCard:
     sensor: str
     weights: str
     epoch: int
-    validation_loss: float
-    validation_balanced_accuracy: float
     recipe_sha256: str
     temperature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     input_range: tuple[tuple[float, float], ...]

@@ -162,7 +162,7 @@ class _Test:
     def _batches(
         self, rows: NDArray[np.int64], card: ModelCard, trained_reference: NDArray[np.uint8] | None
     ) -> Batches:
-        spec, source, options = card.input, self.source, self.recipe.input
+        spec, source = card.input, self.source
         own = source.reference()
         reference = trained_reference if own is None else resized(own[None], spec.size_px)[0]
         if spec.image != "raw" and own is None:
@@ -179,9 +179,8 @@ class _Test:
                 f"{self.where}: of grasps with several images the {which} is taken as the moment "
                 "of grasp"
             )
-        inputs = DecodedInputs(source, rows, spec, options.cache_mb)
-        batch_size = self.recipe.training.batch_size
-        return Batches(inputs, spec, reference, batch_size, options.loader_workers)
+        inputs = DecodedInputs(source, rows, spec, self.recipe.input.cache_mb)
+        return Batches(inputs, spec, reference, self.recipe.training.batch_size)
 
     def _note(self, text: str) -> None:
         if text not in self.notes:

@@ -43,7 +43,7 @@ DIVERGED_LOSS = 50.0
 CHOOSING_EPOCHS = 5
 """Epochs whose validation scores are summed to choose the best model: with some twenty validation
 grasps a single epoch is good or bad by chance."""
-_BEST_KEYS = ("epoch", "recent", "balanced_accuracy", "loss")
+_BEST_KEYS = ("epoch", "recent")
 _WITH_STATE = ("optimizer", "scheduler", "scaler")
 _STATE_KEYS = ("epoch", "pretrained", "best", "network", "average", *_WITH_STATE)
 CALIBRATION_PASSES = 5
@@ -123,12 +123,10 @@ class Fit:
 
     def _run_epoch(self, epoch: int) -> dict[str, Any]:
         start_s = time.perf_counter()
-        self.job.fit.waited_s = 0.0
         torch.manual_seed(self._seed(_STREAM_EPOCH, epoch))
         rates = [group["lr"] for group in self.optimizer.param_groups]
         train_loss, train_accuracy = self._learn(epoch)
         self.average.update_parameters(self.network)
-        fit_s = time.perf_counter() - start_s
         probabilities, labels = predict(self._kept, self.job.validation.in_order(), self.device)
         if not np.isfinite(probabilities).all():
             self._stop_diverged(epoch, math.nan)
@@ -145,8 +143,6 @@ class Fit:
             "backbone_rate": rates[0],
             "learning_rate": rates[1],
             "weights": self.network.backbone.origin,
-            "loader_share": self.job.fit.waited_s / fit_s,
-            "fit_s": fit_s,
             "epoch_s": time.perf_counter() - start_s,
         }
 
@@ -182,8 +178,7 @@ class Fit:
         self.epoch = line["epoch"]
         recent = sum(m["validation_balanced_accuracy"] for m in self.metrics[-CHOOSING_EPOCHS:])
         if recent >= self.best["recent"]:
-            scores = (line["validation_balanced_accuracy"], line["validation_loss"])
-            self.best = dict(zip(_BEST_KEYS, (self.epoch, recent, *scores), strict=True))
+            self.best = {"epoch": self.epoch, "recent": recent}
             save_model(self.folder.model_path, self._kept, self._card(), self.job.reference)
         self.folder.write_metrics(self.metrics)
         state = {
@@ -225,8 +220,6 @@ class Fit:
             sensor=self.job.sensor,
             weights=self.network.backbone.origin,
             epoch=self.epoch,
-            validation_loss=self.best["loss"],
-            validation_balanced_accuracy=self.best["balanced_accuracy"],
             recipe_sha256=self.job.recipe.sha256(),
             temperature=self._temperature(),
             input_range=self._input_range,

@@ -1,13 +1,11 @@
 """Batches of network input: decoded once into memory where they fit, else read when needed."""
 
-import time
 from collections.abc import Iterator
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader
 
 from tacgen.learning.grasps import GraspSource
 from tacgen.learning.inputs import InputSpec, augmented, read_input, resized, to_network
@@ -16,11 +14,10 @@ from tacgen.learning.training_recipe import Augmentation
 _STREAM_ORDER, _STREAM_AUGMENT = 10, 11  # keep the random numbers of one seed apart
 
 
-class DecodedInputs(torch.utils.data.Dataset[NDArray[np.uint8]]):
+class DecodedInputs:
     """The frames of some grasps at the network's size: item ``i`` is (T, h, w, 3) uint8.
 
-    All are decoded once and kept in memory if they fit into ``cache_mb``; otherwise every process
-    of a loader opens the shards itself.
+    All are decoded once and kept in memory if they fit into ``cache_mb``.
     """
 
     def __init__(
@@ -28,18 +25,10 @@ class DecodedInputs(torch.utils.data.Dataset[NDArray[np.uint8]]):
     ) -> None:
         self.rows, self.labels = rows, source.table.label[rows]
         self._source, self._spec = source, spec
-        self.bytes = len(rows) * spec.n_frames * spec.size_px[0] * spec.size_px[1] * 3
+        n_bytes = len(rows) * spec.n_frames * spec.size_px[0] * spec.size_px[1] * 3
         self._cache: list[NDArray[np.uint8]] | None = None
-        self.decode_s = 0.0
-        if self.bytes <= cache_mb << 20:
-            start_s = time.perf_counter()
+        if n_bytes <= cache_mb << 20:
             self._cache = [read_input(source, int(row), spec) for row in rows]
-            self.decode_s = time.perf_counter() - start_s
-
-    @property
-    def cached(self) -> bool:
-        """Whether everything is held in memory."""
-        return self._cache is not None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -53,8 +42,7 @@ class DecodedInputs(torch.utils.data.Dataset[NDArray[np.uint8]]):
 class Batches:
     """Batches of (input (B, T, 3, h, w), labels (B,), items) over decoded grasps.
 
-    ``reference`` (H, W, 3) uint8 is the undeformed gel, at any size; ``workers`` are processes that
-    read ahead where the inputs are not held in memory.
+    ``reference`` (H, W, 3) uint8 is the undeformed gel, at any size.
     """
 
     def __init__(
@@ -63,13 +51,10 @@ class Batches:
         spec: InputSpec,
         reference: NDArray[np.uint8] | None,
         batch_size: int,
-        workers: int = 0,
     ) -> None:
         self._inputs, self._spec = inputs, spec
         self._reference = None if reference is None else resized(reference[None], spec.size_px)[0]
         self._batch_size = batch_size
-        self._workers = 0 if inputs.cached else workers
-        self.waited_s = 0.0
 
     def in_order(self) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in the order of the rows."""
@@ -95,24 +80,14 @@ class Batches:
         augmentation: Augmentation | None = None,
         key: tuple[int, int] = (0, 0),
     ) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
-        loader = DataLoader(
-            self._inputs,
-            batch_sampler=[[int(item) for item in items] for items in order],
-            collate_fn=list,
-            num_workers=self._workers,
-            generator=torch.Generator().manual_seed(0),
-        )
-        start_s = time.perf_counter()
-        for items, frames in zip(order, loader, strict=True):
+        for items in order:
+            frames = [self._inputs[int(item)] for item in items]
             if augmentation is not None and augmentation.on:
                 rngs = [_rng(*key, _STREAM_AUGMENT, int(item)) for item in items]
                 pairs = zip(frames, rngs, strict=True)
                 frames = [augmented(f, self._reference, augmentation, rng) for f, rng in pairs]
             images = as_batch(frames, self._reference, self._spec)
-            labels = torch.from_numpy(self._inputs.labels[items])
-            self.waited_s += time.perf_counter() - start_s
-            yield images, labels, items
-            start_s = time.perf_counter()
+            yield images, torch.from_numpy(self._inputs.labels[items]), items
 
 
 def as_batch(

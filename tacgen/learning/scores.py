@@ -81,8 +81,7 @@ def training_lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield (
             f"{name}: best epoch {model['best_epoch']} of {model['epochs']}, validation accuracy "
             f"{scores['accuracy']:.3f} (balanced {scores['balanced_accuracy']:.3f}, "
-            f"n = {scores['n']}), {model['epoch_s']:.1f} s an epoch, "
-            f"loader {model['loader_share']:.1%}"
+            f"n = {scores['n']}), {model['epoch_s']:.1f} s an epoch"
         )
     origins = sorted({model["weights"] for model in summary["models"].values()})
     yield f"pre-trained weights: {', '.join(origins)}"

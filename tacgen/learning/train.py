@@ -9,9 +9,8 @@ import numpy as np
 
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
-from tacgen.core.version import __version__
+from tacgen.core.version import __version__, versions
 from tacgen.core.workers import map_in_processes
-from tacgen.learning import library_versions
 from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import Device, choose_device, exact_torch
@@ -26,6 +25,7 @@ from tacgen.learning.scores import score
 from tacgen.learning.splits import ModelPlan, class_weights, plan_models
 from tacgen.learning.training_recipe import TrainRecipe
 
+INFLUENTIAL = ("torch", "transformers", "numpy", "opencv-python-headless")  # on the weights
 NO_WEIGHTS_WARNING = (
     "NO ImageNet weights: the backbone is trained from scratch, unlike the paper's; "
     "name a ResNet-18 weight file in model.weights to change that"
@@ -59,7 +59,7 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
         "device": device.name,
         "mixed_precision": device.mixed,
         "threads": recipe.training.threads,
-        "versions": library_versions(),
+        "versions": versions(*INFLUENTIAL),
         "models": results,
     }
     write_text(run.summary_path, json.dumps(summary, indent=1))
@@ -117,17 +117,16 @@ def _train_one(
     """Train one model, or finish it; its entry in ``train.json``."""
     folder = run.model(plan.name)
     with folder.locked(), exact_torch(recipe.training.threads):
-        options, batch_size = recipe.input, recipe.training.batch_size
         reference = resized(source.reference()[None], spec.size_px)[0]
         parts = [
-            DecodedInputs(source, rows, spec, options.cache_mb)
+            DecodedInputs(source, rows, spec, recipe.input.cache_mb)
             for rows in (plan.fit_rows, plan.validation_rows)
         ]
         every = (parts[0][item] for item in range(len(parts[0])))
         spec = with_normalisation(spec, every, reference)
         weights = class_weights(parts[0].labels)
         batches, validation = (
-            Batches(inputs, spec, reference, batch_size, options.loader_workers) for inputs in parts
+            Batches(inputs, spec, reference, recipe.training.batch_size) for inputs in parts
         )
         sensor = source.dataset.sensor
         job = FitJob(
@@ -150,11 +149,8 @@ def _train_one(
             "best_epoch": card.epoch,
             "epochs": epochs,
             "validation": scores,
-            "decode_s": sum(inputs.decode_s for inputs in parts),
-            "cached": parts[0].cached,
+            "epoch_s": float(np.median([line["epoch_s"] for line in metrics])),
         }
-        for name in ("epoch_s", "fit_s", "loader_share"):
-            result[name] = float(np.median([line[name] for line in metrics]))
         write_training_report(folder.report_path, recipe, plan.name, metrics, result)
     print_status(
         f"{plan.name}: best epoch {card.epoch} of {epochs}, validation accuracy "

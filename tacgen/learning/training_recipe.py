@@ -56,8 +56,6 @@ class InputOptions(Section):
     """Frames of a sequence, evenly spaced; all if not given."""
     cache_mb: NonNegativeInt = 1024
     """Memory for resized images."""
-    loader_workers: Annotated[int, Field(ge=0, le=64)] = 0
-    """Processes that read images; 0: the training process itself."""
 
 
 class Augmentation(Section):

@@ -178,23 +178,20 @@ def source(toy) -> SimulatedGrasps:
     return SimulatedGrasps(toy)
 
 
-def batches_of(source, spec=SEQUENCE, cache_mb=64, workers=0, n=9, size=4) -> Batches:
+def batches_of(source, spec=SEQUENCE, cache_mb=64, n=9, size=4) -> Batches:
     inputs = DecodedInputs(source, np.arange(n), spec, cache_mb)
-    return Batches(inputs, spec, REFERENCE, size, workers)
+    return Batches(inputs, spec, REFERENCE, size)
 
 
-def test_batches_are_the_same_from_memory_from_disk_and_from_workers(source):
+def test_batches_are_the_same_from_memory_and_from_disk(source):
     expected = list(batches_of(source).in_order())
     assert [len(labels) for _, labels, _ in expected] == [4, 4, 1]
     assert expected[0][0].shape == (4, 3, 3, 24, 32)
-    for cache_mb, workers in ((0, 0), (0, 2)):
-        found = list(batches_of(source, cache_mb=cache_mb, workers=workers).in_order())
-        for (images, labels, items), (images_2, labels_2, items_2) in zip(
-            expected, found, strict=True
-        ):
-            assert torch.equal(images, images_2)
-            assert torch.equal(labels, labels_2)
-            assert np.array_equal(items, items_2)
+    found = list(batches_of(source, cache_mb=0).in_order())
+    for (images, labels, items), (images_2, labels_2, items_2) in zip(expected, found, strict=True):
+        assert torch.equal(images, images_2)
+        assert torch.equal(labels, labels_2)
+        assert np.array_equal(items, items_2)
 
 
 def test_an_image_reaches_the_network_as_it_is_stored(source):

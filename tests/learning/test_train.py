@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_backbone")]
 
 FASTER = {"learning_rate": 5e-3, "average_epochs": 3}
 """With these the small backbone learns in a dozen epochs what is to be seen."""
-TIMES = {"epoch_s", "fit_s", "loader_share"}
+TIMES = {"epoch_s"}
 
 
 def metrics_of(run: Path, model: str = "pooled") -> list[dict]:

@@ -6,18 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.collection.grid import plan_recipe
-from tacgen.collection.perturbed import recipe_object
-from tacgen.collection.pipeline import tactile_pad
+from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import ContactLaw
 from tacgen.core.errors import RecipeError
 from tacgen.core.images import difference, evenly, side_by_side
-from tacgen.core.records import ContactFrame, GraspObject
-from tacgen.physics import GraspSimulator, run_grasp
+from tacgen.core.records import ContactFrame
 from tacgen.report import figures as plots
 from tacgen.report.formatting import number
 from tacgen.report.page import Section, figure_section, pictures_section, write_page
-from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import TactileFrame
 
 STRIP_FRAMES = 6  # what a page's width holds
@@ -34,33 +31,20 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
     if recipe.frames.mode != "sequence":
         msg = f"recipe {recipe.name!r} asks for single images; memory shows in `mode: sequence`"
         raise RecipeError(msg)
-    grasped, frames = _strongest_grasp(recipe)
-    pad = tactile_pad(recipe)
-    rendered = {
-        name: [
-            pad.render(grasped.surface, frame.pose_gel_object, load)
-            for frame, load in zip(frames, gel_loads(law, frames), strict=True)
-        ]
-        for name, law in (("before", before), ("after", after))
-    }
+    planned = max(plan_recipe(recipe), key=lambda grasp: grasp.config.force_n)
+    with GraspPipeline(recipe) as pipeline:
+        grasp = pipeline.simulate(planned)
+        if grasp.trace.status != "executed":
+            reason = grasp.trace.reason
+            msg = f"recipe {recipe.name!r}: its strongest grasp was not executed: {reason}"
+            raise RecipeError(msg)
+        pad, frames = next(iter(grasp.trace.frames.items()))
+        laws = {"before": before, "after": after}
+        rendered = {name: pipeline.render(grasp, pad, law=law) for name, law in laws.items()}
     sections = [_strips(rendered), _curves(frames, rendered)]
     write_page(
         path, "One grasp with the law before and after", sections, summary=_summary(rendered)
     )
-
-
-def _strongest_grasp(recipe: Recipe) -> tuple[GraspObject, tuple[ContactFrame, ...]]:
-    planned = max(plan_recipe(recipe), key=lambda grasp: grasp.config.force_n)
-    grasped = recipe_object(recipe.objects[planned.entry])
-    with GraspSimulator(recipe.robot.name) as simulator:
-        trace = run_grasp(
-            simulator, grasped, planned.config, recipe.physics_settings, frames=recipe.frames
-        )
-    frames = next(iter(trace.frames.values()), ())
-    if not frames:
-        msg = f"recipe {recipe.name!r}: its strongest grasp was not executed: {trace.reason}"
-        raise RecipeError(msg)
-    return grasped, frames
 
 
 def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFrame]]) -> Section:

@@ -16,26 +16,14 @@ from tacgen.diagnose.grasps.rules import RULES
 from tacgen.report.formatting import decimals_for
 
 
-@dataclass(frozen=True, slots=True)
-class Dependence:
-    """A covariate that the unexplained labels follow.
-
-    ``p_value`` is corrected for the number of covariates; ``strength`` is how many standard
-    deviations of shuffled labels the relation amounts to.
-    """
-
-    covariate: str
-    p_value: float
-    strength: float
-
-
 @dataclass(frozen=True)
 class GraspDiagnosis:
     """What the mislabels were traced to.
 
     ``real`` (N,) are the labels; ``simulated_before`` those as declared (−1 where a grasp could
     not be executed); ``heldout`` those predicted by a choice and fit without a grasp's own fold;
-    ``final`` those with everything that was found.
+    ``final`` those with everything that was found. ``dependences`` are the covariates that the
+    mislabels follow, strongest first, with p-values corrected for the number of covariates.
     """
 
     steps: tuple[model_comparison.Choice, ...]
@@ -43,7 +31,7 @@ class GraspDiagnosis:
     simulated_before: IntArray
     heldout: IntArray
     final: IntArray
-    dependences: tuple[Dependence, ...]
+    dependences: Mapping[str, float]
     notes: tuple[str, ...]
     reading: str = ""
 
@@ -91,7 +79,7 @@ class GraspDiagnosis:
             few = " With so few grasps, an effect could hardly be detected." if small else ""
             count = f"{n - before} of {n}" if before else f"all {n}"
             return f"The simulation reproduces {count} labels.{few}"
-        followed = ", ".join(d.covariate for d in self.dependences)
+        followed = ", ".join(self.dependences)
         follow = f" follow {followed}" if followed else " follow none of the known columns"
         if not self.found:
             return (
@@ -175,7 +163,7 @@ def _dependences(
     probability: FloatArray,
     covariates: Mapping[str, FloatArray],
     rng: np.random.Generator,
-) -> tuple[Dependence, ...]:
+) -> dict[str, float]:
     """Covariates that mislabels follow by rank: upwards, downwards, or in the middle.
 
     Predicted successes and failures are looked at apart: only one of the two can be wrong where
@@ -200,8 +188,8 @@ def _dependences(
         p_value = float((1 + (chance >= seen).sum()) / (1 + RULES.shuffles))
         corrected = min(1.0, p_value * len(covariates))
         if corrected <= RULES.dependence_p:
-            found.append(Dependence(name, corrected, float(seen / chance.std())))
-    return tuple(sorted(found, key=lambda one: -one.strength))
+            found.append((-float(seen / chance.std()), name, corrected))
+    return {name: p_value for _, name, p_value in sorted(found)}
 
 
 def diagnosis_record(
@@ -214,14 +202,14 @@ def diagnosis_record(
     """
     n = len(diagnosis.real)
     first = diagnosis.steps[0]
-    remaining = diagnosis.dependences if diagnosis.too_many_remaining else ()
+    remaining = diagnosis.dependences if diagnosis.too_many_remaining else {}
     channel = {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
         "effects": [
             _effect(diagnosis, step, declared) for step in diagnosis.steps if step.accepted
         ],
-        "unexplained": [{"covariate": d.covariate, "p_value": d.p_value} for d in remaining],
+        "unexplained": [{"covariate": name, "p_value": p} for name, p in remaining.items()],
         "error_before": _error(diagnosis.rate_before, n),
         "error_after": _error(diagnosis.rate_after, n),
         "noise_floor": {
