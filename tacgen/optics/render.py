@@ -25,6 +25,9 @@ from tacgen.optics.noise import CameraNoise
 from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import ContactLight, Leds, LookupTable
 
+Effects = Mapping[str, Mapping[str, float]]
+"""Effect → parameter → value, as in a table."""
+
 
 @dataclass(frozen=True, slots=True)
 class ActiveEffect:
@@ -64,7 +67,7 @@ class Shader:
         self._v = ((np.arange(n_rows) + 0.5) / n_rows - 0.5).astype(np.float32)
         self._prepare_effects(shadows=shadows, leds=leds)
 
-    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> "Shader":
+    def with_effects(self, effects: Effects) -> "Shader":
         """The same table with other effects; what the look-up needs is shared."""
         other = copy.copy(self)
         other.table = replace(self.table, effects=effects)

@@ -358,15 +358,13 @@ def place_press(
     scatter: FloatArray,
     weight: FloatArray,
     radii_mm: tuple[float, float],
+    start: FloatArray,
     *,
-    start: FloatArray | None = None,
     nudge: float,
     steps: int,
     tolerance: float,
 ) -> FloatArray:
-    """Centre and contact radius (3,), mm, of one press: Gauss–Newton around what is expected.
-
-    It begins at ``start``, by default at what is expected.
+    """Centre and contact radius (3,), mm, of one press: Gauss–Newton from a start.
 
     ``grey`` gives the press's grey levels (n, 3) at a place, ``target`` (n, 3) is what they should
     be, ``weight`` (n,) that of each pixel. ``expected`` (3,), mm, and ``scatter`` (3,), label
@@ -377,7 +375,7 @@ def place_press(
     moves_mm = nudge * label_mm * np.eye(3)
     prior = 1.0 / (scatter * label_mm) ** 2
     precision = np.repeat(weight, 3) / (RULES.noise_grey**2 * RULES.correlated_pixels)
-    place = np.array(expected if start is None else start, dtype=np.float64)
+    place = np.array(start, dtype=np.float64)
     for _ in range(steps):
         value = grey(place)
         columns = [(grey(place + m) - value).ravel() / (nudge * label_mm) for m in moves_mm]
@@ -415,8 +413,8 @@ def _place_sample(
 
     radii_mm = float(sample.label[2]), sample.ball_radius_mm
     return place_press(
-        grey, target, expected, scatter, sample.weight, radii_mm,
-        start=start, nudge=1e-3, steps=5, tolerance=0.02,
+        grey, target, expected, scatter, sample.weight, radii_mm, start,
+        nudge=1e-3, steps=5, tolerance=0.02,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from tacgen.calibrate.lookup.settings import RULES
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.optics.reconstruct import Reconstructor
-from tacgen.optics.render import Shader
+from tacgen.optics.render import Effects, Shader
 from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import rest_height
@@ -25,6 +25,9 @@ from tacgen.presses.press_images import PressImages, label_mm, place_mm
 _MARGIN_PX = 3
 """The renderer's differences reach this far beyond the pixels that are read."""
 
+
+_KEPT_SHADERS = 6
+"""A step of a fit goes through a few values of an effect, press by press."""
 
 PICTURES = ("labels", "refined", "bare")
 """What a press is compared with: the table at the label's word, at the place re-estimated, and the
@@ -111,19 +114,19 @@ class PressRenderer:
 
     def __init__(self, table: LookupTable, press_model: press_fit.PressModel) -> None:
         self.table, self.model = table, press_model
-        self.shader = Shader(table)
+        self._shaders = {repr(table.effects): Shader(table)}
         self._height_mm = np.zeros(table.shape_px, dtype=np.float32)
         self._image = np.zeros((*table.shape_px, 3), dtype=np.float32)
 
     def grey(self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels) -> FloatArray:
         """Grey levels (n, 3) at ``pixels`` of a ball at ``geometry`` (centre and radius, mm)."""
-        return np.clip(self.lit(geometry, ball_radius_mm, pixels, self.shader), 0.0, 255.0)
+        return np.clip(self.lit(geometry, ball_radius_mm, pixels, self.table.effects), 0.0, 255.0)
 
     def lit(
-        self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels, shader: Shader
+        self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels, effects: Effects
     ) -> FloatArray:
-        """The same by the table with a shader's effects, unclipped."""
-        self._render(geometry, ball_radius_mm, pixels.window, shader)
+        """The same with other effects, unclipped."""
+        self._render(geometry, ball_radius_mm, pixels.window, effects)
         return self._image[pixels.rows, pixels.columns].astype(np.float64)
 
     def picture(
@@ -132,14 +135,15 @@ class PressRenderer:
         """The picture (h, w, 3), RGB, of the whole image or within a window of it."""
         height, width = self.table.shape_px
         window = window or (0, height, 0, width)
-        self._render(geometry, ball_radius_mm, window, self.shader)
+        self._render(geometry, ball_radius_mm, window, self.table.effects)
         top, bottom, left, right = window
         part = self._image[top:bottom, left:right]
         return np.rint(np.clip(part, 0, 255)).astype(np.uint8)
 
     def _render(
-        self, geometry: FloatArray, ball_radius_mm: float, window: Window, shader: Shader
+        self, geometry: FloatArray, ball_radius_mm: float, window: Window, effects: Effects
     ) -> None:
+        shader = self._shader(effects)
         depth_mm = ball_radius_mm - math.sqrt(max(ball_radius_mm**2 - geometry[2] ** 2, 0.0))
         shape = self.table.shape_px
         window = grown(window, shader.image_reach_px(depth_mm) + _MARGIN_PX, shape)
@@ -152,6 +156,24 @@ class PressRenderer:
         shader.light(self._height_mm, window, self._image)
         shader.finish(self._height_mm, window, self._image)
 
+    def _shader(self, effects: Effects) -> Shader:
+        """The table made ready with some effects; the last few are kept."""
+        key = repr(effects)
+        if key not in self._shaders:
+            kept = list(self._shaders.items())[-_KEPT_SHADERS:]
+            self._shaders = {**dict(kept), key: kept[0][1].with_effects(effects)}
+        return self._shaders[key]
+
+
+def check_resolution(table: LookupTable, presses: PressImages) -> None:
+    """Raise ``PressError`` if the presses are not of the table's resolution."""
+    if table.shape_px != presses.shape_px:
+        msg = (
+            f"the table renders {table.shape_px} pixels (rows, columns), the presses are "
+            f"{presses.shape_px}: give a table of the presses' own resolution"
+        )
+        raise PressError(msg)
+
 
 def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = False) -> TableScore:
     """Score a table on presses; every press must have a circle, labelled or found.
@@ -160,12 +182,7 @@ def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = F
 
     Raises ``PressError`` if the presses are not of the table's resolution.
     """
-    if table.shape_px != presses.shape_px:
-        msg = (
-            f"the table renders {table.shape_px} pixels (rows, columns), the presses are "
-            f"{presses.shape_px}: score with presses of the table's own resolution"
-        )
-        raise PressError(msg)
+    check_resolution(table, presses)
     press_model = press_model_of(table, presses)
     renderer = PressRenderer(table, press_model)
     expected = press_model.labels.geometry(label_mm(presses))
@@ -266,7 +283,7 @@ def _score_press(
             seen = pixels.select(estimating)
             place = press_fit.place_press(
                 partial(renderer.grey, ball_radius_mm=ball, pixels=seen), seen.grey, expected,
-                press_fit.LABEL_SCATTER_RADII, np.full(len(seen), step**2), radii_mm,
+                press_fit.LABEL_SCATTER_RADII, np.full(len(seen), step**2), radii_mm, expected,
                 nudge=0.01, steps=10, tolerance=2e-3,
             )  # fmt: skip
         if scoring.any():

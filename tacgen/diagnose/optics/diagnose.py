@@ -1,13 +1,14 @@
 """Which optical effects ball presses show beside a calibrated table."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.score import check_resolution
 from tacgen.calibrate.lookup.table_fit import calibrate, camera_noise_grey
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
@@ -33,24 +34,15 @@ class FoundEffect:
     """
 
     name: str
-    label: str
+    how: str
     parameters: dict[str, dict[str, Any]]
     cv_gain: float
     heldout_gain: float
     heldout_gain_stderr: float
     p_value: float
-    runner_up: str
-    runner_up_gain: float
-    as_good: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Its entry in ``diagnosis.json``."""
-        names = {"label": "how"}
-        return {
-            names.get(name, name): list(value) if isinstance(value, tuple) else value
-            for name in self.__slots__
-            for value in [getattr(self, name)]
-        }
+    runner_up: str = ""
+    runner_up_gain: float = 0.0
+    as_good: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +146,8 @@ class OpticsDiagnosis:
         channel = {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "effects": [effect.as_dict() for effect in self.effects],
-            "unexplained": [dependence.as_dict() for dependence in self.unexplained],
+            "effects": [asdict(effect) for effect in self.effects],
+            "unexplained": [asdict(dependence) for dependence in self.unexplained],
             "cannot_tell": list(self.cannot_tell),
             "error_before": self._error(self.before),
             "error_after": self._error(self.after),
@@ -261,12 +253,8 @@ def _check(presses: PressImages, table: LookupTable | None, rules: SelectionRule
             f"{rules.min_presses}, better 30, spread over the gel"
         )
         raise PressError(msg)
-    if table is not None and table.shape_px != presses.shape_px:
-        msg = (
-            f"the table renders {table.shape_px} pixels (rows, columns), the presses are "
-            f"{presses.shape_px}: give the table of the presses' own resolution"
-        )
-        raise PressError(msg)
+    if table is not None:
+        check_resolution(table, presses)
 
 
 def _scene(presses: PressImages, fit: PressFit, *, has_table: bool) -> PressScene:
@@ -311,7 +299,7 @@ def _gain(fit: PressFit, start: Model, selection: Selection, k: int) -> tuple[fl
 
 
 def _errors(fit: PressFit, model: Model) -> PressErrors:
-    stated = fit.residuals(model, fit.linearised(model, Known.ALL), heldout=False)
+    stated = fit.residuals(model, Known.ALL, heldout=False)
     inside = [r[view.pixels.inside] for r, view in zip(stated, fit.views, strict=True)]
     refined = fit.squares(model, heldout=False)
     return PressErrors(
@@ -325,15 +313,12 @@ def _out_of_focus(focus: LostNoise) -> FoundEffect:
     sigma = _number(focus.sigma_mm, focus.sigma_stderr_mm, "mm")
     return FoundEffect(
         name=focus.effect.reported_name,
-        label="Gaussian over the whole picture, by its noise",
+        how="Gaussian over the whole picture, by its noise",
         parameters={"sigma_mm": sigma},
         cv_gain=focus.gain,
         heldout_gain=focus.gain,
         heldout_gain_stderr=focus.gain_stderr,
         p_value=focus.p_value,
-        runner_up="",
-        runner_up_gain=0.0,
-        as_good=(),
     )
 
 
@@ -343,7 +328,7 @@ def _found(
     one, second = _chosen(step), step.runner_up
     return FoundEffect(
         name=one.name,
-        label=one.candidate.label,
+        how=one.candidate.label,
         parameters=_parameters(fit, selection.chosen, one.candidate, step.known),
         cv_gain=step.before - one.rmse,
         heldout_gain=gain[0],

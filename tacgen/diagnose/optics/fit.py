@@ -8,9 +8,10 @@ import numpy as np
 
 from tacgen.calibrate.lookup.model_choice import fold_of
 from tacgen.core.arrays import BoolArray, FloatArray
-from tacgen.diagnose.optics.rendering import Effects, PressView
+from tacgen.diagnose.optics.rendering import PressView
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import Candidate, Parameter, Stage, optical_effect
+from tacgen.optics.render import Effects
 
 Key = tuple[str, str]
 """An effect and one of its parameters."""
@@ -147,7 +148,7 @@ class PressFit:
         best, lowest = model, np.inf
         for _ in range(steps):
             parts = self.linearised(model, known)
-            error = typical(self.scored(model, parts, heldout=False))
+            error = typical(self.squares(model, known, heldout=False))
             if error > lowest * (1 - self.rules.converged_share):
                 break
             best, lowest = model, error
@@ -192,19 +193,15 @@ class PressFit:
 
         Without ``heldout`` by the parameters as they are.
         """
-        return self.scored(model, self.linearised(model, known), heldout=heldout)
-
-    def scored(self, model: Model, parts: Sequence[Linearised], *, heldout: bool) -> FloatArray:
-        """The same of linearised presses."""
-        residuals = self.residuals(model, parts, heldout=heldout)
+        residuals = self.residuals(model, known, heldout=heldout)
         return np.array([(residual**2).mean() for residual in residuals])
 
     def residuals(
-        self, model: Model, parts: Sequence[Linearised], *, heldout: bool = True
+        self, model: Model, known: Known = Known.NOTHING, *, heldout: bool = True
     ) -> list[FloatArray]:
-        """Residuals (n, 3) of each press."""
+        """Residuals (n, 3) of each press, as ``squares`` takes them."""
+        parts, still = self.linearised(model, known), np.zeros(len(model.free))
         steps = self.fold_steps(model, parts) if heldout else None
-        still = np.zeros(len(model.free))
         return [
             part.heldout_residual(still if steps is None else steps[fold]).reshape(-1, 3)
             for part, fold in zip(parts, self.folds, strict=True)

@@ -5,43 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
-from tacgen.calibrate.lookup.press_fit import PressModel
 from tacgen.calibrate.lookup.score import PressRenderer, press_model_of
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
-from tacgen.optics.render import Shader
+from tacgen.optics.render import Effects
 from tacgen.optics.table import LookupTable, features
 from tacgen.presses.geometry import MAX_RADIUS_SHARE
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
-
-Effects = Mapping[str, Mapping[str, float]]
-"""Effect → parameter → value, as in a table."""
-
-_KEPT_SHADERS = 6
-"""A step of a fit goes through a few values of an effect, press by press."""
-
-
-class TableRenderer(PressRenderer):
-    """Renders presses with one table and effects that a fit changes from call to call."""
-
-    def __init__(self, table: LookupTable, model: PressModel) -> None:
-        super().__init__(table, model)
-        self._shaders: dict[str, Shader] = {}
-
-    def shader_with(self, effects: Effects) -> Shader:
-        """The table made ready with some effects; the last few are kept."""
-        key = repr(effects)
-        if key not in self._shaders:
-            while len(self._shaders) >= _KEPT_SHADERS:
-                del self._shaders[next(iter(self._shaders))]
-            self._shaders[key] = self.shader.with_effects(effects)
-        return self._shaders[key]
 
 
 def _patch(table: LookupTable, pixels: Pixels, time: float) -> Patch:
@@ -72,7 +47,7 @@ class PressView:
         Centre and contact radius by the label, mm.
     radius_mm, ball_mm : float
         Labelled radius of the contact; radius of the ball.
-    renderer : TableRenderer
+    renderer : PressRenderer
     """
 
     pixels: Pixels
@@ -80,11 +55,11 @@ class PressView:
     expected: FloatArray
     radius_mm: float
     ball_mm: float
-    renderer: TableRenderer
+    renderer: PressRenderer
 
     @classmethod
     def of(
-        cls, presses: PressImages, k: int, renderer: TableRenderer, rules: SelectionRules
+        cls, presses: PressImages, k: int, renderer: PressRenderer, rules: SelectionRules
     ) -> PressView:
         """Press ``k`` on a lattice of at most ``limit`` of its pixels."""
         label, ball = label_mm(presses)[k], float(presses.ball_radius_mm[k])
@@ -131,7 +106,7 @@ class PressView:
         early = {
             effect.name: values for effect, values in _active(effects, Stage.SURFACE, Stage.FOCUS)
         }
-        return self.renderer.lit(place, ball, self.pixels, self.renderer.shader_with(early))
+        return self.renderer.lit(place, ball, self.pixels, early)
 
     def finished(self, lit: FloatArray, effects: Effects) -> FloatArray:
         """Grey levels (n, 3) after the stages that follow, which act pixel by pixel."""
@@ -159,10 +134,7 @@ def views_of(
     presses: PressImages, tables: Sequence[LookupTable], rules: SelectionRules
 ) -> list[PressView]:
     """Every press k, rendered by table k mod their number."""
-    renderers = [
-        TableRenderer(replace(table, effects=MappingProxyType({})), press_model_of(table, presses))
-        for table in tables
-    ]
+    renderers = [PressRenderer(table, press_model_of(table, presses)) for table in tables]
     return [
         PressView.of(presses, k, renderers[k % len(tables)], rules) for k in range(len(presses))
     ]

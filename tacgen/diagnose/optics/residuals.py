@@ -20,14 +20,6 @@ class Dependence:
     p_value: float
     gain_grey: float
 
-    def as_dict(self) -> dict[str, object]:
-        """For ``diagnosis.json``."""
-        return {
-            "covariate": self.covariate,
-            "p_value": self.p_value,
-            "gain_grey": self.gain_grey,
-        }
-
 
 def dependences(fit: PressFit, model: Model) -> list[Dependence]:
     """Covariates that a model's held-out residuals follow, the strongest first.
@@ -36,7 +28,7 @@ def dependences(fit: PressFit, model: Model) -> list[Dependence]:
     condition is compared with a constant.
     """
     rules = fit.rules
-    residuals = fit.residuals(model, fit.linearised(model))
+    residuals = fit.residuals(model)
     errors = {PLACE: (_squares(residuals), _squares(residuals, _pattern(fit, residuals)))}
     changes = _changes(fit, model)
     constant = np.ones((len(residuals), 1))
