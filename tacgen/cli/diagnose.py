@@ -83,7 +83,7 @@ def diagnose_grasps_command(
     loaded = load_recipe(recipe)
     grasps = read_real_grasps(real, known_objects=known_objects(loaded))
     with progress_counter("grasp") as show:
-        findings = diagnose_grasps(loaded, grasps, out, workers=workers, show=lambda what: show)
+        findings = diagnose_grasps(loaded, grasps, out, workers=workers, show=show)
     common.note(findings.diagnosis.notes)
     record = record_of(findings, loaded, list(grasps.by_object()))
     before, after = findings.diagnosis.simulated_before, findings.simulated_after

@@ -23,23 +23,13 @@ def doctor(json_output: common.JsonFlag = False) -> None:
 
 @common.app.command(rich_help_panel=common.MACHINE)
 def bench(
-    recipe: Annotated[
-        str | None, Option(help="Also estimate how long this recipe takes here.")
-    ] = None,
     repeats: Annotated[int, Option(min=5, help="Repetitions of each measurement.")] = 30,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Measure the time of frames and grasps on this machine: medians, one thread."""
-    from tacgen.collection.bench import estimate_s, run_benchmarks
-    from tacgen.collection.recipe import load_recipe
+    from tacgen.collection.bench import run_benchmarks
 
-    estimate = estimate_s(load_recipe(recipe)) if recipe else {}
     figures = list(run_benchmarks(repeats))
-    record: dict[str, object] = {name: value for name, value, _, _ in figures}
+    record = {name: value for name, value, _, _ in figures}
     lines = [f"{name:<24} {value:9.4g} {unit:<3} {what}" for name, value, unit, what in figures]
-    if estimate:
-        record["recipe"] = estimate
-        total = f"{estimate['total_s'] / 60:.1f} min with one worker"
-        each = f"{estimate['grasps']:.0f} grasps at {estimate['grasp_s']:.2f} s"
-        lines.append(f"{recipe}: {each}, {total}")
     common.print_result(record, lines, json_output)

@@ -1,4 +1,4 @@
-"""How fast this machine makes frames and grasps, and how long a recipe would take on it.
+"""How fast this machine makes frames and grasps.
 
 Every figure is the median of repeats on one thread, of wall time by ``perf_counter``. A frame is
 timed from the posed mesh to the RGB array: gap map, indentation, deformation, colour. A grasp is
@@ -7,7 +7,7 @@ scene picture and without writing.
 """
 
 import statistics
-import time
+import timeit
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -27,7 +27,6 @@ FRAME_OBJECT = "tomato_soup_can"
 FRAME_VOLUME_MM3 = 40.0  # about what 8 N press into the default gel
 GRASP = {"force_n": 10.0, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0}
 SEQUENCE_FRAMES = 24  # of the default recipe
-SAMPLED_GRASPS = 6  # of a recipe whose time is estimated
 SIDE_POSE = (
     (0.0, 1.0, 0.0, 0.0),
     (0.0, 0.0, -1.0, 0.0),
@@ -44,19 +43,6 @@ def run_benchmarks(repeats: int) -> Iterator[Figure]:
     """Measure everything; 30 repeats take about half a minute."""
     yield from _frame_figures(repeats)
     yield from _grasp_figures(max(5, repeats // 3))
-
-
-def estimate_s(recipe: Recipe) -> dict[str, float]:
-    """How long ``recipe`` would take here with one worker, from a few of its own grasps.
-
-    The result holds ``grasps``, ``grasp_s`` (median of the sample, after a warm-up), ``total_s``.
-    """
-    planned = plan_recipe(recipe)
-    chosen = [planned[i] for i in np.linspace(0, len(planned) - 1, SAMPLED_GRASPS).astype(int)]
-    with GraspPipeline(recipe) as pipeline:
-        pipeline.sample(chosen[0])
-        grasp_s = statistics.median(_timed_s(partial(pipeline.sample, one)) for one in chosen)
-    return {"grasps": len(planned), "grasp_s": grasp_s, "total_s": grasp_s * len(planned)}
 
 
 def _frame_figures(repeats: int) -> Iterator[Figure]:
@@ -97,10 +83,4 @@ def _grasp_figures(repeats: int) -> Iterator[Figure]:
 def _median_s(action: Callable[[], object], repeats: int) -> float:
     for _ in range(2):
         action()
-    return statistics.median(_timed_s(action) for _ in range(repeats))
-
-
-def _timed_s(action: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    action()
-    return time.perf_counter() - start
+    return statistics.median(timeit.repeat(action, number=1, repeat=repeats))

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def content_problems(path: Path, line: ShardLine, *, decode: bool = False) -> li
     With ``decode`` every image is decompressed; without it, it is there with a header that fits.
     """
     try:
-        with open_shard(path) as shard, broken_as_error(path):
+        with closing(open_shard(path)) as shard, broken_as_error(path):
             return list(_content_problems(shard, line, decode))
     except DatasetError as error:
         return [text.removeprefix(f"{path}: ") for text in str(error).splitlines()]

@@ -9,7 +9,7 @@ merging twice, or at the same time on two machines, loses nothing.
 import json
 import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
@@ -126,7 +126,7 @@ def merge_manifest(folder: Path) -> dict[int, ShardLine]:
     return lines
 
 
-def manifest_problems(lines: list[ShardLine], n_grasps: int | None) -> list[str]:
+def manifest_problems(lines: Sequence[ShardLine], n_grasps: int | None) -> list[str]:
     """Gaps, overlaps and mixtures in a manifest; ``n_grasps`` is how many there are to be."""
     problems = []
     due = 0

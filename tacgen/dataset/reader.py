@@ -30,6 +30,8 @@ _MAX_OPEN = 8  # shards kept open; far below any limit on open files
 class Dataset:
     """The grasps of a folder that ``tacgen collect`` made; ``partial``: of its finished shards.
 
+    ``lines`` is the manifest, in the order of the shards, ``pads`` the tactile pads, ``sensor`` the
+    sensor's name, ``n_frames`` the tactile frames of a grasp.
     Grasps are named by their index in the recipe's grid: ``indices`` lists those there are. Each
     shard is hashed once before it is first opened, so damage is reported rather than trained on.
     The object can be pickled and used after a fork; every process opens files of its own.
@@ -49,15 +51,17 @@ class Dataset:
 
     def __init__(self, root: Path | str, *, partial: bool = False) -> None:
         self.root = Path(root)
-        self._lines = list(read_manifest(self.root).values())
+        self.lines: tuple[ShardLine, ...] = tuple(read_manifest(self.root).values())
         folder = DatasetFolder(self.root)
         is_planned = not partial and folder.plan_path.is_file()
         n_grasps = folder.plan()["n_grasps"] if is_planned else None
-        problems = manifest_problems(self._lines, n_grasps)
-        if not self._lines:
+        problems = manifest_problems(self.lines, n_grasps)
+        if not self.lines:
             problems = ["no finished shard there; `tacgen collect --out` makes a dataset"]
         DatasetError.raise_if([f"{self.root}: {text}" for text in problems])
-        self._starts = [line.index_range[0] for line in self._lines]
+        self.pads, self.sensor = self.lines[0].pads, self.lines[0].sensor
+        self.n_frames = self.lines[0].frames
+        self._starts = [line.index_range[0] for line in self.lines]
         self._pid = os.getpid()
         self._open: OrderedDict[int, Shard] = OrderedDict()
         self._checked: set[int] = set()
@@ -66,13 +70,13 @@ class Dataset:
         return self.__dict__ | {"_open": OrderedDict(), "_pid": -1}
 
     def __len__(self) -> int:
-        return sum(line.n_grasps for line in self._lines)
+        return sum(line.n_grasps for line in self.lines)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return (self[place] for place in range(len(self)))
 
     def __repr__(self) -> str:
-        counts = total(self._lines, "counts").items()
+        counts = total(self.lines, "counts").items()
         outcomes = ", ".join(f"{count} {name}" for name, count in counts if count)
         height, width = self.shape_px
         return (
@@ -113,34 +117,14 @@ class Dataset:
         return TorchGrasps(self, split, frames)
 
     @property
-    def lines(self) -> tuple[ShardLine, ...]:
-        """The manifest, in the order of the shards."""
-        return tuple(self._lines)
-
-    @property
     def indices(self) -> NDArray[np.int64]:
         """Index of every grasp there is, ascending."""
-        return np.concatenate([np.arange(*line.index_range) for line in self._lines])
+        return np.concatenate([np.arange(*line.index_range) for line in self.lines])
 
     @property
     def layout(self) -> Layout:
         """Where each array stands in the shards."""
         return self._shard(0).layout
-
-    @property
-    def pads(self) -> tuple[str, ...]:
-        """The tactile pads."""
-        return self._lines[0].pads
-
-    @property
-    def sensor(self) -> str:
-        """Name of the sensor."""
-        return self._lines[0].sensor
-
-    @property
-    def n_frames(self) -> int:
-        """Tactile frames of a grasp."""
-        return self._lines[0].frames
 
     @property
     def time_s(self) -> NDArray[np.float64]:
@@ -162,7 +146,7 @@ class Dataset:
         contact arrays hold, (N, T) or (N, T, 2).
         """
         parts: dict[str, list[NDArray[Any]]] = {}
-        for place in range(len(self._lines)) if shards is None else shards:
+        for place in range(len(self.lines)) if shards is None else shards:
             paths = {name: f"/grasp/{name}" for name in GRASP_NAMES}
             if contact:
                 layout = self._shard(place).layout
@@ -251,7 +235,7 @@ class Dataset:
 
     def _place(self, index: int) -> int:
         place = bisect_right(self._starts, index) - 1
-        if place < 0 or index >= self._lines[place].index_range[1]:
+        if place < 0 or index >= self.lines[place].index_range[1]:
             msg = f"{self.root}: no grasp {index} in this dataset"
             raise DatasetError(msg)
         return place
@@ -263,7 +247,7 @@ class Dataset:
         if place in self._open:
             self._open.move_to_end(place)
             return self._open[place]
-        line = self._lines[place]
+        line = self.lines[place]
         path = self.root / line.file
         if place not in self._checked and path.is_file():
             if sha256_of(path) != line.sha256:

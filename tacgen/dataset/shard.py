@@ -28,7 +28,7 @@ _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError,
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """An open shard whose structure is what the schema says; a context manager that closes it.
+    """An open shard whose structure is what the schema says.
 
     ``arrays`` maps the paths of ``layout`` to what stands there.
     """
@@ -39,12 +39,6 @@ class Shard:
     arrays: Mapping[str, h5py.Dataset]
     index_range: tuple[int, int]
     recipe_sha256: str
-
-    def __enter__(self) -> "Shard":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""

@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,7 @@ def _reasons(folder: DatasetFolder, lines: Iterable[ShardLine]) -> dict[str, int
         if not line.counts.get("not_executed"):
             continue
         path = folder.shard_path(line.shard)
-        with open_shard(path) as shard, broken_as_error(path):
+        with closing(open_shard(path)) as shard, broken_as_error(path):
             rows = zip(*(shard.read(f"/grasp/{name}") for name in ("label", "reason")), strict=True)
             texts = [reason.decode(errors="replace") for label, reason in rows if label < 0]
         for text in texts:

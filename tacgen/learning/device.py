@@ -3,7 +3,6 @@
 import contextlib
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import torch
 
@@ -11,20 +10,8 @@ from tacgen.core.errors import LearningError
 from tacgen.learning.training_recipe import TrainingOptions
 
 
-@dataclass(frozen=True, slots=True)
-class Device:
-    """What the network runs on; ``mixed`` is mixed precision."""
-
-    name: str
-    mixed: bool
-
-    def autocast(self) -> contextlib.AbstractContextManager[object]:
-        """Half precision where that is safe, if ``mixed``."""
-        return torch.autocast(self.name, enabled=self.mixed)
-
-
-def choose_device(options: TrainingOptions) -> Device:
-    """The device that the recipe asks for.
+def choose_device(options: TrainingOptions) -> str:
+    """The device that the recipe asks for: ``cuda`` or ``cpu``.
 
     Raises ``LearningError`` if it asks for a GPU and there is none.
     """
@@ -35,8 +22,7 @@ def choose_device(options: TrainingOptions) -> Device:
             "set training.device: auto, or install torch for your GPU"
         )
         raise LearningError(msg)
-    name = "cuda" if has_gpu and options.device != "cpu" else "cpu"
-    return Device(name, mixed=name == "cuda" and options.precision == "auto")
+    return "cuda" if has_gpu and options.device != "cpu" else "cpu"
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from tacgen.core.errors import LearningError
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
 from tacgen.learning.checkpoint import ModelCard, load_model
-from tacgen.learning.device import Device, choose_device, exact_torch
+from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.grasps import GraspSource, RealGraspImages, SimulatedGrasps
 from tacgen.learning.inputs import check_source, read_input, resized
 from tacgen.learning.loader import Batches, DecodedInputs
@@ -101,7 +101,7 @@ class _Test:
     recipe: TrainRecipe
     source: GraspSource
     where: str
-    device: Device
+    device: str
     notes: list[str] = field(default_factory=list)
 
     def predict_all(self, unseen: NDArray[np.bool_]) -> tuple[list[Predictions], list[ModelCard]]:
@@ -144,7 +144,7 @@ class _Test:
             raise LearningError(msg)
         check_source(card.input, self.source, rows, self.where)
         batches = self._batches(rows, card, reference)
-        network.to(self.device.name)
+        network.to(self.device)
         probabilities, _ = predict(network, batches.in_order(), self.device)
         if not np.isfinite(probabilities).all():
             msg = f"{folder.model_path}: predicts NaN; train the model again"
@@ -163,7 +163,7 @@ class _Test:
         self, rows: NDArray[np.int64], card: ModelCard, trained_reference: NDArray[np.uint8] | None
     ) -> Batches:
         spec, source = card.input, self.source
-        own = source.reference()
+        own = source.reference
         reference = trained_reference if own is None else resized(own[None], spec.size_px)[0]
         if spec.image != "raw" and own is None:
             self._note(

@@ -23,7 +23,6 @@ from torch.utils.tensorboard import SummaryWriter
 from tacgen.core.errors import LearningError
 from tacgen.core.progress import progress_counter
 from tacgen.learning.checkpoint import FROM_THE_START, ModelCard, load_state, save_model, save_state
-from tacgen.learning.device import Device
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.loader import Batches
 from tacgen.learning.networks import StabilityNet, build_network, build_optimizer, build_scheduler
@@ -44,7 +43,7 @@ CHOOSING_EPOCHS = 5
 """Epochs whose validation scores are summed to choose the best model: with some twenty validation
 grasps a single epoch is good or bad by chance."""
 _BEST_KEYS = ("epoch", "recent")
-_WITH_STATE = ("optimizer", "scheduler", "scaler")
+_WITH_STATE = ("optimizer", "scheduler")
 _STATE_KEYS = ("epoch", "pretrained", "best", "network", "average", *_WITH_STATE)
 CALIBRATION_PASSES = 5
 """Views of each validation grasp that the temperature is fitted to: some twenty grasps are few."""
@@ -77,22 +76,21 @@ class Fit:
     is the model that is validated and kept.
     """
 
-    def __init__(self, job: FitJob, folder: ModelFolder, device: Device) -> None:
+    def __init__(self, job: FitJob, folder: ModelFolder, device: str) -> None:
         options = job.recipe.training
         self.job, self.folder, self.device = job, folder, device
         torch.manual_seed(self._seed(_STREAM_START))
         resumes = folder.checkpoint_path.is_file()
         weights = "none" if resumes else job.recipe.model.weights
         self.network = build_network(job.spec.kind, weights)
-        self.network.to(device.name)
+        self.network.to(device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = AveragedModel(
             self.network, avg_fn=_mean_of_latest(options.average_epochs), use_buffers=True
         )
         self.optimizer = build_optimizer(self.network, options)
         self.scheduler = build_scheduler(self.optimizer, options)
-        self.scaler = torch.amp.GradScaler(device.name, enabled=device.mixed)
-        balance = torch.tensor(job.class_weights, dtype=torch.float32, device=device.name)
+        balance = torch.tensor(job.class_weights, dtype=torch.float32, device=device)
         self.criterion = nn.CrossEntropyLoss(weight=balance)
         self.epoch = 0
         self.best: dict[str, Any] = {"epoch": 0, "recent": 0.0}
@@ -148,21 +146,18 @@ class Fit:
 
     def _learn(self, epoch: int) -> tuple[float, float]:
         """One pass over the training grasps: mean loss and accuracy on the way."""
-        recipe, name = self.job.recipe, self.device.name
+        augmentation, order_seed = self.job.recipe.augmentation, self._seed(_STREAM_EPOCH)
         self.network.train()
         loss_sum, n_right, n = 0.0, 0, 0
-        order_seed = self._seed(_STREAM_EPOCH)
-        for images, labels, _ in self.job.fit.shuffled(order_seed, epoch, recipe.augmentation):
+        for images, labels, _ in self.job.fit.shuffled(order_seed, epoch, augmentation):
             self.optimizer.zero_grad(set_to_none=True)
-            with self.device.autocast():
-                logits = self.network(images.to(name))
-                loss = self.criterion(logits.float(), labels.to(name))
+            logits = self.network(images.to(self.device))
+            loss = self.criterion(logits, labels.to(self.device))
             value = float(loss.detach())
             if not math.isfinite(value):
                 self._stop_diverged(epoch, value)
-            self.scaler.scale(loss).backward()
-            self.scaler.step(self.optimizer)
-            self.scaler.update()
+            loss.backward()
+            self.optimizer.step()
             loss_sum += value * len(labels)
             n_right += int((logits.detach().argmax(1).cpu() == labels).sum())
             n += len(labels)

@@ -74,7 +74,8 @@ class GraspTable:
 class SimulatedGrasps:
     """The executed grasps of a dataset; its shards are opened when first needed.
 
-    ``made_with`` is the hash of the recipe that simulated them. Raises ``DatasetError`` if the
+    ``made_with`` is the hash of the recipe that simulated them, ``reference`` (H, W, 3) the image
+    of the undeformed gel. Raises ``DatasetError`` if the
     dataset is incomplete, mixed or damaged, ``LearningError`` if no grasp in it was executed.
     """
 
@@ -91,8 +92,8 @@ class SimulatedGrasps:
         if not len(self.table):
             msg = f"{self.root}: no grasp in it was executed; collect one with reachable grasps"
             raise LearningError(msg)
-        self._reference = self.dataset.reference(pad)
-        self.shape_px: tuple[int, int] = self._reference.shape[:2]
+        self.reference = self.dataset.reference(pad)
+        self.shape_px: tuple[int, int] = self.reference.shape[:2]
         self.n_frames = self.dataset.n_frames
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
@@ -103,10 +104,6 @@ class SimulatedGrasps:
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""
         return self.n_frames
-
-    def reference(self) -> NDArray[np.uint8]:
-        """The image of the undeformed gel, (H, W, 3)."""
-        return self._reference
 
     def identity(self) -> dict[str, object]:
         """The identity of this dataset."""
@@ -121,7 +118,8 @@ class SimulatedGrasps:
 class RealGraspImages:
     """Grasps of a real robot, or of anything written in the same format.
 
-    An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``.
+    An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``: the
+    ``reference`` (H, W, 3), else None.
     ``made_with`` is the hash of the recipe where a simulation wrote the folder, else None.
 
     Raises ``DatasetError``, which lists the rows that cannot be used. Raises ``LearningError``,
@@ -153,7 +151,7 @@ class RealGraspImages:
         first = read_rgb(found.grasps[0].images[0], LearningError)
         self.shape_px: tuple[int, int] = first.shape[:2]
         background = self.folder / BACKGROUND
-        self._background = self._read(background) if background.is_file() else None
+        self.reference = self._read(background) if background.is_file() else None
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some images of one grasp, (len(frames), H, W, 3) RGB.
@@ -165,10 +163,6 @@ class RealGraspImages:
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""
         return len(self._grasps[row].images)
-
-    def reference(self) -> NDArray[np.uint8] | None:
-        """``background.png``, where there is one."""
-        return self._background
 
     def _read(self, path: Path) -> NDArray[np.uint8]:
         image = read_rgb(path, LearningError)

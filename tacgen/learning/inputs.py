@@ -90,7 +90,7 @@ def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uin
     if spec.kind == "single" and count > 1 and unknown:
         # The moment of grasp has to be found in the images themselves.
         frames = resized(source.frames(row, range(count)), spec.size_px)
-        reference = source.reference()
+        reference = source.reference
         rest = frames[0] if reference is None else resized(reference[None], spec.size_px)[0]
         return frames[[pressed_frame(frames, rest)]]
     return resized(source.frames(row, chosen_frames(spec, count, grasp_frame)), spec.size_px)

@@ -8,7 +8,6 @@ import torch
 from numpy.typing import NDArray
 from scipy import optimize, special
 
-from tacgen.learning.device import Device
 from tacgen.learning.grasps import GraspTable
 from tacgen.learning.networks import StabilityNet
 
@@ -87,15 +86,14 @@ def calibrated_temperature(
 def predict(
     network: StabilityNet,
     batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
-    device: Device,
+    device: str,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Probability of success (N,) and label (N,) of every grasp in ``batches``."""
     network.eval()
     probabilities, labels = [np.empty(0)], [np.empty(0, np.int64)]
     with torch.inference_mode():
         for images, truth, _ in batches:
-            with device.autocast():
-                logits = network(images.to(device.name)) / network.temperature
+            logits = network(images.to(device)) / network.temperature
             probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
             labels.append(truth.numpy())
     return np.concatenate(probabilities), np.concatenate(labels)

@@ -42,7 +42,7 @@ class Predictor:
         self._device, self._threads = choose_device(options), options.threads
         name = _model_for(folder.plan()["models"], object_name, str(run))
         network, card, reference = load_model(folder.model(name).model_path)
-        self._network, self.spec = network.to(self._device.name), card.input
+        self._network, self.spec = network.to(self._device), card.input
         self._reference = reference
         if background_rgb is not None:
             _check_size(background_rgb, self.spec, "the background")

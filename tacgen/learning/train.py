@@ -13,7 +13,7 @@ from tacgen.core.version import __version__, versions
 from tacgen.core.workers import map_in_processes
 from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model
-from tacgen.learning.device import Device, choose_device, exact_torch
+from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.fit import Fit, FitJob
 from tacgen.learning.grasps import SimulatedGrasps
 from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
@@ -56,8 +56,7 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     summary = {
         "recipe": recipe.name,
         "kind": recipe.model.kind,
-        "device": device.name,
-        "mixed_precision": device.mixed,
+        "device": device,
         "threads": recipe.training.threads,
         "versions": versions(*INFLUENTIAL),
         "models": results,
@@ -80,7 +79,7 @@ def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
 
 
 def _run_plan(
-    recipe: TrainRecipe, source: SimulatedGrasps, plans: list[ModelPlan], device: Device
+    recipe: TrainRecipe, source: SimulatedGrasps, plans: list[ModelPlan], device: str
 ) -> dict[str, Any]:
     """The identity of this run; a folder with another run is refused."""
     table = source.table
@@ -101,7 +100,7 @@ def _run_plan(
         "recipe": recipe.resolved(),
         "recipe_sha256": recipe.sha256(),
         "dataset": source.identity(),
-        "device": device.name,
+        "device": device,
         "models": models,
     }
 
@@ -111,13 +110,13 @@ def _train_one(
     source: SimulatedGrasps,
     spec: InputSpec,
     run: RunFolder,
-    device: Device,
+    device: str,
     plan: ModelPlan,
 ) -> dict[str, Any]:
     """Train one model, or finish it; its entry in ``train.json``."""
     folder = run.model(plan.name)
     with folder.locked(), exact_torch(recipe.training.threads):
-        reference = resized(source.reference()[None], spec.size_px)[0]
+        reference = resized(source.reference[None], spec.size_px)[0]
         parts = [
             DecodedInputs(source, rows, spec, recipe.input.cache_mb)
             for rows in (plan.fit_rows, plan.validation_rows)
@@ -137,7 +136,7 @@ def _train_one(
             print_status(f"{plan.name}: {NO_WEIGHTS_WARNING}")
         metrics = fit.run()
         network, card, _ = load_model(folder.model_path)
-        probabilities, labels = predict(network.to(device.name), validation.in_order(), device)
+        probabilities, labels = predict(network.to(device), validation.in_order(), device)
         epochs, scores = metrics[-1]["epoch"], score(labels, probabilities)
         result: dict[str, Any] = {
             "objects": list(plan.objects),

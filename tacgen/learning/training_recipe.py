@@ -100,8 +100,6 @@ class TrainingOptions(Section):
     """Number of training grasps per object; all if not given."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """``auto``: a GPU if there is one."""
-    precision: Literal["auto", "float32"] = "auto"
-    """``auto``: mixed precision on a GPU, float32 on a CPU."""
     threads: Annotated[int, Field(ge=1, le=256)] = 1
     """Threads of torch on a CPU."""
 

@@ -87,4 +87,4 @@ def read_real_images(path: Path) -> object:
     from tacgen.learning.grasps import RealGraspImages
 
     images = RealGraspImages(path.parents[2])
-    return images.frames(0, [0]), images.reference()
+    return images.frames(0, [0]), images.reference

@@ -132,7 +132,7 @@ def run_set(
     fresh = PerturbedSimulations(recipe, fresh_configs, folder / "fresh", workers)
     comparison = simulations.comparison()
     for name, change in PERTURBATIONS.items():
-        simulations.simulate(name, [(config, change) for config in configs])
+        simulations.simulate([(config, change) for config in configs])
         truth = np.array([outcome.label == 1 for outcome in simulations.outcomes(change)])
         declared = np.array([outcome.label == 1 for outcome in simulations.outcomes(DECLARED)])
         for number, flips in enumerate(FLIPS):
@@ -175,7 +175,7 @@ def fresh_labels(
     A mass is simulated as the force that it amounts to, and a grasp that another force leaves
     certain is not simulated at it.
     """
-    simulations.simulate("declared", [(config, DECLARED) for config in simulations.configs])
+    simulations.simulate([(config, DECLARED) for config in simulations.configs])
     margin, _ = margins_of(simulations.outcomes(DECLARED))
     keys = []
     for config, own in zip(simulations.configs, margin, strict=True):
@@ -183,7 +183,7 @@ def fresh_labels(
         by_force = change == Perturbation(force_scale=change.force_scale)
         known = by_force and is_sure(own, change.force_scale)
         keys.append((config, DECLARED if known else change))
-    simulations.simulate("fresh", keys)
+    simulations.simulate(keys)
     return np.array(
         [simulations.known[place_of(config), change].label == 1 for config, change in keys]
     )

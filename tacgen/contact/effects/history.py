@@ -24,6 +24,10 @@ as unloading: above the noise of any usable gauge."""
 class LoadHistory:
     """Samples of a log sorted by trial and time, with what the effects derive from them.
 
+    Trial k, of ``n_trials``, is rows ``starts[k]`` to ``starts[k + 1]`` of the ``n_samples``.
+    ``trial`` (N,) is its number in the log, ``time_s`` (N,) the session's clock,
+    ``force_normal_n`` (N,) the force into the gel.
+
     ``columns`` are a press log's in tacgen's units, (N,) each: ``trial``, ``time_s`` and
     ``force_normal_n`` are required. Nothing is written to them. Raises ``ContactError`` if a
     required column is missing or not finite, or columns differ in length.
@@ -39,16 +43,9 @@ class LoadHistory:
         trial = arrays["trial"][self.order]
         edges = np.flatnonzero(trial[1:] != trial[:-1]) + 1
         self.starts = np.unique([0, *edges, trial.size]).astype(np.int64)
-
-    @property
-    def n_samples(self) -> int:
-        """Number of samples."""
-        return int(self.order.size)
-
-    @property
-    def n_trials(self) -> int:
-        """Number of trials."""
-        return int(self.starts.size - 1)
+        self.n_samples, self.n_trials = int(trial.size), int(self.starts.size - 1)
+        self.trial, self.time_s = self.column("trial"), self.column("time_s")
+        self.force_normal_n = self.column("force_normal_n")
 
     def has(self, *names: str) -> bool:
         """Whether every one of these columns is there."""
@@ -73,16 +70,6 @@ class LoadHistory:
         return result
 
     @cached_property
-    def time_s(self) -> FloatArray:
-        """Session clock."""
-        return self.column("time_s")
-
-    @cached_property
-    def trial(self) -> FloatArray:
-        """Number of the trial, as the log has it."""
-        return self.column("trial")
-
-    @cached_property
     def trial_index(self) -> NDArray[np.int64]:
         """0 for the samples of the first trial, 1 for those of the second, …"""
         return np.repeat(np.arange(self.n_trials), np.diff(self.starts))
@@ -92,11 +79,6 @@ class LoadHistory:
         """Time since the first sample of the trial."""
         first = self.time_s[self.starts[:-1]] if self.n_samples else np.zeros(0)
         return np.asarray(self.time_s - np.repeat(first, np.diff(self.starts)))
-
-    @cached_property
-    def force_normal_n(self) -> FloatArray:
-        """Force into the gel (N,)."""
-        return self.column("force_normal_n")
 
     @cached_property
     def force_shear_n(self) -> FloatArray:

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
+from scipy.stats import gumbel_r
 
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
@@ -99,4 +100,4 @@ def _gumbel_p(observed: float, null: FloatArray) -> float:
         return 1.0
     scale = max(float(null.std()) * np.sqrt(6.0) / np.pi, 1e-300)
     location = float(null.mean()) - np.euler_gamma * scale
-    return float(-np.expm1(-np.exp(np.clip(-(observed - location) / scale, -700.0, 50.0))))
+    return float(gumbel_r.sf(observed, location, scale))

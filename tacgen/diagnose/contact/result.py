@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -235,6 +236,7 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
     """What a channel cannot show, and why."""
     data, name = found.data, found.data.channel
     notes = [note for column in data.columns if (note := _column_note(data, column))]
+    notes += _equal_columns(data)
     if found.n_test == 0:
         notes.append(
             f"{name} channel: one trial only; the errors are those on the trial that was fitted. "
@@ -277,3 +279,13 @@ def _column_note(data: ChannelData, column: str) -> str:
         f"column {column!r} has {levels.size} values for {data.history.n_trials} trials "
         f"({per_trial.size} at their starts): too many to compare"
     )
+
+
+def _equal_columns(data: ChannelData) -> list[str]:
+    names = [n for n, v in data.columns.items() if np.issubdtype(np.asarray(v).dtype, np.number)]
+    values = {n: np.nan_to_num(data.history.column(n)) for n in names}
+    return [
+        f"columns {a!r} and {b!r} are equal: what follows one follows the other"
+        for a, b in combinations(names, 2)
+        if b not in known_columns() and np.array_equal(values[a], values[b])
+    ]

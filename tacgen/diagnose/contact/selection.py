@@ -53,12 +53,8 @@ class FittedSet:
         )
 
 
-@dataclass(frozen=True)
-class Pool:
-    """Candidates beside a fitted set, best first, and what each explains of its loss (K,)."""
-
-    candidates: list[Candidate]
-    gains: FloatArray
+Pool = list[tuple[Candidate, float]]
+"""Candidates beside a fitted set and what each explains of its loss, best first."""
 
 
 @dataclass(frozen=True)
@@ -177,11 +173,11 @@ class CandidateSets:
         sets = [[*base, *group] for group in groups]
         losses = self._cv_losses(grams, sets, current.unit_losses).sum(axis=1)
         order = np.argsort(losses)
-        return Pool([found[i] for i in order], current.loss - losses[order])
+        return [(found[i], current.loss - float(losses[i])) for i in order]
 
     def pairs(self, current: FittedSet, pool: Pool) -> list[tuple[Candidate, Candidate]]:
         """The pairs of candidates beside ``current`` that are worth a fit, best first."""
-        rules, found = self.rules, pool.candidates
+        rules, found = self.rules, [candidate for candidate, _ in pool]
         grams, groups, base = self._grams(current.fit, found)
         pairs = [
             (a, b)
@@ -301,7 +297,7 @@ class Selection:
         visited = {base.names}
         while len(current.members) < self._max_members:
             pool = self.sets.pool(current, new_oscillations=True)
-            p_values = self.sets.p_values(current, pool.candidates)
+            p_values = self.sets.p_values(current, [candidate for candidate, _ in pool])
             ranking = ranking or self._ranking(current, pool, p_values)
             extended = self._extended(current, pool, p_values)
             if extended is None:
@@ -316,10 +312,10 @@ class Selection:
     def _extended(self, current: FittedSet, pool: Pool, p_values: FloatArray) -> FittedSet | None:
         """The best set with one or two members more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
-        n_names = len({candidate.name for candidate in pool.candidates})
+        n_names = len({candidate.name for candidate, _ in pool})
         significant = [
             (candidate, gain)
-            for candidate, gain, p in zip(pool.candidates, pool.gains, p_values, strict=True)
+            for (candidate, gain), p in zip(pool, p_values, strict=True)
             if p <= sets.alpha or sets.is_clear(current, gain, p / n_names)
         ]
         best = _best_of_each(significant, rules, 2)
@@ -357,9 +353,8 @@ class Selection:
     def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:
         """The few best candidates beside ``rest``, the same name in other variants included."""
         pool = self.sets.pool(rest)
-        found = list(zip(pool.candidates, pool.gains.tolist(), strict=True))
-        own = [one for one in found if one[0].name in full.names]
-        others = [one for one in found if one[0].name not in full.names]
+        own = [one for one in pool if one[0].name in full.names]
+        others = [one for one in pool if one[0].name not in full.names]
         return _best_of_each(own, self.rules, 3) + _best_of_each(others, self.rules, 2)
 
     def _pruned(self, fitted: FittedSet) -> FittedSet:
@@ -374,8 +369,8 @@ class Selection:
     ) -> tuple[tuple[str, float, float], ...]:
         """(label, gain of held-out RMSE, p) of the best variant of each name, best first."""
         rows: dict[str, tuple[str, float, float]] = {}
-        for candidate, explained, p in zip(pool.candidates, pool.gains, p_values, strict=True):
-            after = max(self.data.noise_loss + current.loss - float(explained), 0.0)
+        for (candidate, explained), p in zip(pool, p_values, strict=True):
+            after = max(self.data.noise_loss + current.loss - explained, 0.0)
             gain = 1.0 - float(np.sqrt(after / self.sets.total(current)))
             rows.setdefault(candidate.name, (candidate.label, gain, float(p)))
         return tuple(rows.values())

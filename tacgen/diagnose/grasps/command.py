@@ -1,7 +1,7 @@
 """``tacgen diagnose grasps``: traces mislabels of simulated grasps to wrong figures."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,7 @@ def diagnose_grasps(
     out: Path,
     *,
     workers: int,
-    show: Callable[[str], Show] = lambda what: lambda done, total: None,
+    show: Show = lambda done, total: None,
 ) -> GraspFindings:
     """Trace the mislabels of simulated grasps to wrong figures of the declared simulation.
 
@@ -71,7 +71,7 @@ def diagnose_grasps(
     configs = tuple(grasp.config for grasp in real.grasps)
     simulations = PerturbedSimulations(recipe, configs, out, workers, show)
     comparison = simulations.comparison()
-    reading, about = force_from_images(recipe, real, show("images"))
+    reading, about = force_from_images(recipe, real, show)
     labels = replace(labels_of(real.grasps), reading=reading)
     comparison = refine(simulations, comparison, labels)
     rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(0x67,)))

@@ -73,7 +73,7 @@ def propose_grasps(simulations: PerturbedSimulations, rivals: Rivals) -> tuple[P
         for scores in rivals.values()
         for config in configs
     ]
-    simulations.simulate("next grasps", wanted)
+    simulations.simulate(wanted)
     proposals = []
     for config in configs:
         success = {}

@@ -60,14 +60,14 @@ class PerturbedSimulations:
     configs: tuple[GraspConfig, ...]
     out: Path
     workers: int
-    show: Callable[[str], Show] = lambda what: lambda done, total: None
+    show: Show = lambda done, total: None
     known: dict[Key, Outcome] = field(default_factory=dict)
     further: dict[Candidate, set[float]] = field(default_factory=dict)
 
-    def simulate(self, what: str, wanted: Iterable[tuple[GraspConfig, Perturbation]]) -> None:
+    def simulate(self, wanted: Iterable[tuple[GraspConfig, Perturbation]]) -> None:
         """Make the outcomes of these grasps known."""
         self.known |= simulate_perturbed(
-            self.recipe, wanted, self.out, workers=self.workers, show=self.show(what)
+            self.recipe, wanted, self.out, workers=self.workers, show=self.show
         )
 
     def outcomes(self, change: Perturbation) -> list[Outcome]:
@@ -76,14 +76,14 @@ class PerturbedSimulations:
 
     def labels(self, changes: Mapping[str, Perturbation]) -> IntArray:
         """Simulated labels (N,), each grasp under the perturbation of its object."""
-        self.simulate("labels", [(config, changes[config.object]) for config in self.configs])
+        self.simulate([(config, changes[config.object]) for config in self.configs])
         found = [self.known[place_of(c), changes[c.object]].label for c in self.configs]
         return np.array(found, dtype=np.int64)
 
     def comparison(self) -> ModelComparison:
         """Simulate what cannot be predicted, and compare all candidates."""
-        self.simulate("declared simulation", [(config, DECLARED) for config in self.configs])
-        self.simulate("perturbed simulations", self._wanted())
+        self.simulate([(config, DECLARED) for config in self.configs])
+        self.simulate(self._wanted())
         return self._comparison()
 
     def refined(self, scores: Sequence[CandidateScore]) -> ModelComparison:
@@ -100,7 +100,7 @@ class PerturbedSimulations:
                 value = float(f"{value:.3g}")  # enough, and the same from one run to the next
                 self.further.setdefault(own, set()).add(value)
                 wanted.append((config, own.parameter.perturb(value)))
-        self.simulate("simulations about the best", wanted)
+        self.simulate(wanted)
         return self._comparison()
 
     def _informative(self, score: CandidateScore) -> Iterator[tuple[GraspConfig, float]]:
