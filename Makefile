@@ -8,7 +8,7 @@ READY := .venv/.ready
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
-.PHONY: setup demo test test-fast coverage slowest check format docs bench trust lock clean
+.PHONY: setup demo network test test-fast coverage slowest check format docs bench trust lock clean
 
 setup: $(READY)
 
@@ -25,6 +25,11 @@ $(READY): $(BASE) requirements-learn.lock
 demo: $(BASE)
 	$(BIN)/tacgen collect quickstart --out out/quickstart --workers 2
 	@echo "Look at out/quickstart/index.html"
+
+network: setup
+	$(BIN)/tacgen collect stability --out out/stability --workers 2
+	$(BIN)/tacgen train train_single_small --data out/stability --out out/network --workers 2
+	@echo "Ask it: .venv/bin/tacgen predict out/network IMAGE... --object cup"
 
 test: setup
 	$(PYTEST)
