@@ -11,7 +11,8 @@ somebody ended it) proves nothing about its item, so the task just runs again.
 Watched workers are copies of a process that has imported what they need (Python's fork server):
 importing takes longer than a few grasps. It runs nothing else and has no threads, so copying it is
 safe where copying the parent would not be. Libraries get one thread in each worker: a worker is
-one core's work, and sums must not depend on a machine's number of cores.
+one core's work, and sums must not depend on a machine's number of cores. Nor on its processor:
+workers see ``SAME_SUMS``.
 """
 
 import contextlib
@@ -20,6 +21,7 @@ import itertools
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -29,16 +31,28 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
+from multiprocessing.util import get_temp_dir
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, TypeVar
 
 from tacgen.core.errors import TacgenError
+from tacgen.core.progress import LOG
 
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 ONE_THREAD = dict.fromkeys((*_POOLS, "VECLIB_MAXIMUM_THREADS"), "1")
+
+SAME_SUMS = {
+    "OPENBLAS_CORETYPE": "Haswell",
+    "GLIBC_TUNABLES": "",
+    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512F AVX512_SKX",
+}
+"""Which variants of their kernels OpenBLAS, the C library and numpy use, whatever was set: those of
+an x86-64 processor with AVX2 and FMA. Left to themselves they choose by the processor, and round
+differently. numba's code and PyBullet's have one variant."""
 
 _PR_SET_PDEATHSIG = 1  # from linux/prctl.h
 _START_TRIES, _START_PAUSE_S = 20, 0.05
@@ -96,6 +110,9 @@ class _Progress:
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_removers: list[subprocess.Popen[bytes]] = []
+"""Kept, as their pipes close with them."""
 
 _pool_task: dict[str, Callable[[Any], Any]] = {}
 """The task of a process of ``map_in_processes``; it is set in the child alone."""
@@ -201,7 +218,7 @@ def _start(make_job: JobFactory) -> _Worker:
     context: Any = multiprocessing.get_context("forkserver")
     ours, theirs = multiprocessing.Pipe()
     # The process that is copied may have been started under another environment.
-    given = (dict(os.environ) | ONE_THREAD, theirs, make_job)
+    given = (dict(os.environ) | _settings(), theirs, make_job)
     for left in reversed(range(_START_TRIES)):
         process = context.Process(target=_serve, args=given, daemon=True)
         try:
@@ -338,6 +355,21 @@ def _serve(environment: Mapping[str, str], connection: Connection, make_job: Job
         connection.send(last)
 
 
+@lru_cache(maxsize=1)
+def _settings() -> Mapping[str, str]:
+    """Environment variables of workers, whatever the user's are.
+
+    All that they write to the disk for a while lies in one folder, which goes with this process.
+    """
+    settings = ONE_THREAD | {"TMPDIR": get_temp_dir()}
+    cpuinfo = Path("/proc/cpuinfo")
+    flags = set(cpuinfo.read_text(encoding="utf-8").split()) if cpuinfo.is_file() else set()
+    if {"avx2", "fma"} <= flags:
+        return settings | SAME_SUMS
+    LOG.warning("this processor lacks AVX2 and FMA: shards differ from those of others by rounding")
+    return settings
+
+
 def _end_with_the_supervisor() -> None:
     """Amid an item too: whoever takes over must not find the lock of a shard held by an orphan."""
     supervisor = multiprocessing.parent_process()
@@ -357,18 +389,27 @@ def start_early(*modules: str) -> None:
     Where it runs already, this does nothing.
     """
     multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
+    _remove_after_this_process(get_temp_dir())
     with _for_workers():
         forkserver.ensure_running()
 
 
+@lru_cache(maxsize=1)
+def _remove_after_this_process(folder: str) -> None:
+    """Remove a folder of temporary files when this process is gone, even by SIGKILL."""
+    # The pipe closes with this process; workers that die with it may still write for a moment.
+    command = ["/bin/sh", "-c", 'cat > /dev/null; sleep 1; rm -rf -- "$1"', "sh", folder]
+    _removers.append(subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True))
+
+
 @contextlib.contextmanager
 def _for_workers() -> Iterator[None]:
-    """Processes started meanwhile inherit ``ONE_THREAD``: libraries look when they are loaded.
+    """Processes started meanwhile inherit these settings: libraries look when they are loaded.
 
     The script that runs is hidden from them: they would import it, and with it run it again.
     """
     before, script = dict(os.environ), sys.modules["__main__"]
-    os.environ.update(ONE_THREAD)
+    os.environ.update(_settings())
     sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield

@@ -127,3 +127,25 @@ def test_a_worker_and_then_the_parent_are_killed_and_the_next_run_finds_no_lock(
     first.wait()
     subprocess.run(command, cwd=tmp_path, check=True, timeout=PATIENCE_S, capture_output=True)
     assert digests(out) == untroubled
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
+def test_nothing_outlives_a_killed_run(world, tmp_path, number):
+    """No process and no temporary folder, five seconds later."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", "out"]
+    environment = os.environ | {"TMPDIR": str(temporary)}
+    run = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
+    wait_for_shards(tmp_path / "out", 1, run)
+    (server,) = children_of(run.pid, b"forkserver")
+    started = [*children_of(run.pid), *children_of(server)]
+    assert list(temporary.iterdir())
+    run.send_signal(number)
+    deadline = time.monotonic() + 5.0
+    message = run.communicate()[1].decode()
+    assert ("interrupted; finished work is kept" in message) == (number == signal.SIGHUP)
+    while list(temporary.iterdir()) or any(Path(f"/proc/{pid}").exists() for pid in started):
+        assert time.monotonic() < deadline, [temporary, started]
+        time.sleep(0.05)

@@ -1,0 +1,59 @@
+"""Shards have the same bytes whichever variants of its kernels a library would choose."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.small_world import write_world
+
+from .conftest import digests
+
+CORES = ("Prescott", "Sandybridge", "Haswell", "Zen", "SkylakeX")
+VARIANTS = {f"OpenBLAS for {name}": {"OPENBLAS_CORETYPE": name} for name in CORES} | {
+    "C library without FMA": {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable,-FMA4"
+    },
+    "numpy without AVX2": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 AVX2 FMA3"},
+    "numba for any processor": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+}
+# Inverse kinematics, turned rotations, marker motion and shear reach every BLAS and libm call.
+RECIPE = """
+name: processors
+seed: 3
+objects: [tomato_soup_can]
+sensor: coarse
+grid: {force_n: {geomspace: [3, 15, 2]}, y_mm: [4], z_mm: [30], yaw_rad: [0.3]}
+frames: {mode: sequence, count: 3}
+robot: {name: ur5e_wsg50, tactile_pads: both}
+optics: {shadows: true, markers: true, noise: true}
+dataset: {depth: true}
+randomize: {friction_relative: 0.1, center_of_mass_mm: 1.0, position_mm: 0.5, yaw_rad: 0.02}
+"""
+
+
+def collected(folder, variables):
+    (folder / "processors.yaml").write_text(RECIPE)
+    command = [sys.executable, "-m", "tacgen", "collect", "processors.yaml", "--out", "data"]
+    run = subprocess.run(
+        command, cwd=folder, env=os.environ | variables, capture_output=True, timeout=300
+    )
+    if run.returncode == -signal.SIGILL:
+        pytest.skip(f"this processor cannot run {variables}")
+    assert run.returncode == 0, run.stderr.decode()
+    return digests(folder / "data")
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("usual")
+    write_world(folder)
+    return collected(folder, {})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_bytes_are_the_same(world, tmp_path, usual, variant):
+    assert collected(tmp_path, VARIANTS[variant]) == usual
