@@ -356,7 +356,7 @@ def _serve(environment: Mapping[str, str], connection: Connection, make_job: Job
 
 
 @lru_cache(maxsize=1)
-def _settings() -> Mapping[str, str]:
+def _settings() -> dict[str, str]:
     """Environment variables of workers, whatever the user's are.
 
     All that they write to the disk for a while lies in one folder, which goes with this process.

@@ -95,15 +95,6 @@ def test_what_was_simulated_is_not_simulated_again(simulated):
     assert simulate_perturbed(RECIPE, [(other, Perturbation())], out, workers=1)
 
 
-def test_figures_of_an_entry_that_came_later_leave_older_hashes_alone():
-    plain = RECIPE.resolved()["objects"][0]
-    assert "scale" not in plain
-    assert "spinning_friction_mm" not in plain
-    scaled = Recipe.model_validate({"name": "perturbed", "objects": [{"name": BOX, "scale": 1.1}]})
-    assert scaled.resolved()["objects"][0]["scale"] == 1.1
-    assert scaled.sha256() != RECIPE.sha256()
-
-
 def test_an_object_that_was_changed_is_simulated_again(tmp_path, monkeypatch):
     """Its recipe's hash stays the same: it names the object alone."""
     monkeypatch.chdir(tmp_path)
