@@ -27,7 +27,9 @@ MANY_TRIANGLES = 200_000  # from here on frames become slower
 MAX_HOLE_SHARE = 0.15  # a hole is filled if its rim is at most this share of the mesh's diagonal
 MAX_PARTS = 24  # PyBullet's time a step grows with the parts
 MAX_PART_VERTICES = 512  # a cylinder's 256 sections; with more a grasp takes over 10 % longer
-BULLET_GRID = 10216  # steps along each axis to which Bullet rounds a hull's vertices
+ELEVATIONS_DEG = (-85.0, -55.0, -30.0, -10.0, 10.0, 30.0, 55.0, 85.0)
+"""Where a hull is thinned. None at 0, so that a round side ends in an upright facet at its widest;
+the outermost near 90, so that a round bottom stands on a small facet."""
 DETAIL_MM = 0.2  # finest detail that the search for cuts between convex parts sees
 CONVEX_SHARE = 0.01  # of its volume that a convex mesh may lack: roundoff, engraving, dimples
 CONCAVITIES = (0.05, 0.02)
@@ -258,19 +260,19 @@ def _detailed(part_mm: NDArray[np.float64], surface: Mesh) -> Mesh:
 def _even_hull(points_mm: NDArray[np.float64]) -> Mesh:
     """The hull of points (n, 3), of at most ``MAX_PART_VERTICES`` of them.
 
-    Where there are more, those that stay are the corners of the hull on the finest grid, symmetric
-    about the middle, that has so few: each point lies within about a step of the grid, and what
-    was symmetric remains so. A collapse of edges would leave the pads touching it off axis.
+    Where there are more, those stay that reach farthest in directions evenly around z, as many as
+    possible and the same above and below: pads meet it alike on both sides, at any yaw. A collapse
+    of edges would leave them touching it off axis.
     """
-    corners_mm = hull(points_mm).vertices_mm
-    low, high = corners_mm.min(axis=0), corners_mm.max(axis=0)
-    middle_mm = (low + high) / 2
-    # The outermost first: it is the one of a cell that stays.
-    corners_mm = corners_mm[np.argsort(-np.linalg.norm(corners_mm - middle_mm, axis=1))]
-    step_mm, kept = (high - low) / BULLET_GRID, corners_mm
+    corners_mm = kept = hull(points_mm).vertices_mm
+    around = MAX_PART_VERTICES
     while len(kept) > MAX_PART_VERTICES:
-        cells = np.round((corners_mm - middle_mm) / step_mm)
-        cells, first = np.unique(cells, axis=0, return_index=True)
-        kept = corners_mm[first[ConvexHull(cells).vertices]]
-        step_mm = 1.25 * step_mm
+        around //= 2
+        azimuths = (np.arange(around) + 0.5) * 2 * np.pi / around
+        farthest = {
+            int(np.argmax(corners_mm @ [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]))
+            for e in np.radians(ELEVATIONS_DEG)
+            for a in azimuths
+        }
+        kept = corners_mm[sorted(farthest)]
     return hull(kept)

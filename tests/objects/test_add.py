@@ -237,7 +237,7 @@ def test_a_finer_mesh_is_thinned_evenly_and_stays_symmetric():
     found = np.linalg.norm(part.vertices_mm[:, None] - turned, axis=2).min(axis=0)
     assert found.max() < 0.15  # a chord of the original
     angles = np.sort(np.unique(np.arctan2(*part.vertices_mm[:, :2].T).round(6)))
-    assert np.diff(angles).max() < 2 * np.pi / 100
+    assert np.diff(angles).max() < 2 * np.pi / 250
     assert np.linalg.norm(part.vertices_mm[:, :2], axis=1) == pytest.approx(33.0, abs=1e-3)
 
 
@@ -262,7 +262,9 @@ def test_adding_reports_how_well_the_collision_shape_follows_the_surface():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cylinder_16", "cylinder_256", "cylinder_2048", "bottle"])
+@pytest.mark.parametrize(
+    "name", ["cylinder_16", "cylinder_256", "cylinder_2048", "capsule", "bottle"]
+)
 @pytest.mark.parametrize("angle_rad", [0.0, 0.37])
 def test_an_imported_mesh_holds_from_the_closed_form_on(name, angle_rad):
     """An import that simplified it held the cylinder of 256 sections from 1.15 mg/(2μ) on."""

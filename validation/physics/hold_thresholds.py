@@ -100,16 +100,20 @@ def hold_ratio(
 
 
 def main() -> None:
-    """Print a line for each mesh, angle and coefficient of friction."""
+    """Print a line for each mesh, angle of it and yaw of the gripper: a ratio for each friction."""
     with GraspSimulator() as simulator:
         for name in sys.argv[1:] or MESHES:
-            for angle_rad in ANGLES_RAD:
-                obj = imported(name, angle_rad)
-                yaw_rad = angle_rad if name in BY_FLATS else 0.0
+            angles = [(turn, turn if name in BY_FLATS else 0.0) for turn in ANGLES_RAD]
+            if name not in BY_FLATS:
+                angles += [(0.0, yaw) for yaw in ANGLES_RAD[1:]]
+            for turn_rad, yaw_rad in angles:
+                obj = imported(name, turn_rad)
                 ratios = [hold_ratio(simulator, obj, mu, yaw_rad) for mu in FRICTIONS]
                 shown = " ".join(f"{ratio:.3f}" for ratio in ratios)
                 counts = sorted(len(part.vertices_mm) for part in obj.collision)
-                sys.stdout.write(f"{name:14} {angle_rad:4.2f} rad  {shown}  vertices {counts}\n")
+                line = f"{name:14} {turn_rad:4.2f} {yaw_rad:4.2f} rad  {shown}  vertices {counts}"
+                sys.stdout.write(f"{line}\n")
+                sys.stdout.flush()
 
 
 if __name__ == "__main__":
