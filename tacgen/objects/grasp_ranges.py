@@ -108,7 +108,7 @@ def facet_note(surface: Mesh) -> str:
 
 def graspable(surface: Mesh, y_mm: float, z_mm: float) -> bool:
     """Whether both pads, centred there, meet the object and it fits between them."""
-    reach = [_reach_mm((surface,), azimuth_deg, y_mm, z_mm) for azimuth_deg in (0.0, 180.0)]
+    reach = [_pad_view(surface, azimuth_deg, y_mm, z_mm).max() for azimuth_deg in (0.0, 180.0)]
     return bool(np.isfinite(reach).all() and sum(reach) <= STROKE_MM - MARGIN_MM)
 
 
@@ -139,11 +139,6 @@ def _touch_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: flo
     reach = depth - (up**2 + right**2) / (2 * DOME_RADIUS_MM)
     row, column = np.unravel_index(np.argmax(reach), reach.shape)
     return np.array([reach[row, column], right[column], up[row, 0]])
-
-
-def _reach_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: float) -> float:
-    """How far towards a pad the meshes reach within it; −inf where there is nothing."""
-    return max(float(_pad_view(mesh, azimuth_deg, y_mm, z_mm).max()) for mesh in meshes)
 
 
 def _pad_view(

@@ -26,7 +26,7 @@ MAX_TRIANGLES = 2_000_000  # limits the time and memory of the import
 MANY_TRIANGLES = 200_000  # from here on frames become slower
 MAX_HOLE_SHARE = 0.15  # a hole is filled if its rim is at most this share of the mesh's diagonal
 MAX_PARTS = 24  # PyBullet's time a step grows with the parts
-MAX_PART_VERTICES = 512  # a cylinder's 256 sections; with more a grasp takes over 10 % longer
+MAX_PART_VERTICES = 512  # a cylinder's 256 sections; a grasp takes 0.15 s, with 128 vertices 0.12
 ELEVATIONS_DEG = (-85.0, -55.0, -30.0, -10.0, 10.0, 30.0, 55.0, 85.0)
 """Where a hull is thinned. None at 0, so that a round side ends in an upright facet at its widest;
 the outermost near 90, so that a round bottom stands on a small facet."""

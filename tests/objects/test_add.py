@@ -262,6 +262,20 @@ def test_adding_reports_how_well_the_collision_shape_follows_the_surface():
 
 
 @pytest.mark.slow
+def test_a_finer_cut_follows_a_curved_waist_more_closely():
+    """A turned body with a waist of 52 mm, curved over its whole height, between ends of 60 mm."""
+    z_mm = np.linspace(0.0, 100.0, 81)
+    profile = np.stack([26.0 + 4.0 * (z_mm / 50.0 - 1.0) ** 2, z_mm], axis=1)
+    solid = trimesh.creation.revolve(np.array([(0, 0), *profile, (0, 100)]), sections=90)
+    surface, _ = import_surface(exported(solid, "waist.stl"))
+    coarse, fine = convex_parts(surface)
+    ranges = {"y_mm": (0.0,), "z_mm": (25.0, 50.0, 75.0)}
+    errors_mm = [touch_error_mm(surface, parts, ranges).max() for parts in (coarse, fine)]
+    assert len(fine) > len(coarse) > 1
+    assert errors_mm[1] < errors_mm[0]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["cylinder_16", "cylinder_256", "cylinder_2048", "capsule", "bottle"]
 )
