@@ -8,6 +8,7 @@ in them is run.
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors.torch import load_file
@@ -134,23 +135,28 @@ def cached_imagenet_file() -> Path | None:
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:
-    """Named tensors of a weight file, read without running anything in it.
-
-    Raises ``LearningError`` if it is no such file, or holds more than tensors.
-    """
-    try:
-        if path.suffix == ".safetensors":
-            return load_file(path)
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch's readers raise whatever a damaged file leads them to
-        reason = (str(error).strip() or "empty").splitlines()[0][:200]
-        msg = f"{path}: cannot be read as weights ({reason}); give a .safetensors file"
-        raise LearningError(msg) from error
+    """Named tensors of a weight file; raises ``LearningError`` if it does not hold just these."""
+    content = read_tensors(path, "weights", "give a .safetensors file")
     content = content.get("state_dict", content) if isinstance(content, dict) else content
     if not isinstance(content, dict) or not all(isinstance(v, Tensor) for v in content.values()):
         msg = f"{path}: does not hold named tensors; give a state dict of a ResNet-18"
         raise LearningError(msg)
     return content
+
+
+def read_tensors(path: Path, what: str, fix: str) -> Any:
+    """The content of a safetensors file or of one of torch's; nothing in it is run.
+
+    Raises ``LearningError`` if it cannot be read; the message says as ``what``, and the ``fix``.
+    """
+    try:
+        if path.suffix == ".safetensors":
+            return load_file(path)
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # the readers raise whatever a damaged file leads them to
+        reason = f"{type(error).__name__} {str(error).strip()}".splitlines()[0][:200]
+        msg = f"{path}: cannot be read as {what} ({reason}); {fix}"
+        raise LearningError(msg) from error
 
 
 def shape_problem(own: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:

@@ -16,6 +16,7 @@ from safetensors.torch import save_file
 from tacgen.core.errors import LearningError
 from tacgen.core.files import atomic_path
 from tacgen.core.version import __version__
+from tacgen.learning.backbone import read_tensors
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network
 
@@ -99,12 +100,7 @@ def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
 
     Raises ``LearningError`` if it cannot be read, or is not such a state.
     """
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # the readers raise whatever a damaged file leads them to
-        reason = f"{type(error).__name__} {str(error).strip()}".splitlines()[0][:200]
-        msg = f"{path}: cannot be read as a checkpoint ({reason}); {FROM_THE_START}"
-        raise LearningError(msg) from error
+    state = read_tensors(path, "a checkpoint", FROM_THE_START)
     if not isinstance(state, dict) or set(state) != set(keys):
         msg = f"{path}: not a checkpoint of this version of tacgen; {FROM_THE_START}"
         raise LearningError(msg)

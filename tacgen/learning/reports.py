@@ -52,8 +52,6 @@ def write_evaluation_report(
     path: Path, result: Mapping[str, Any], predictions: Sequence[Predictions]
 ) -> None:
     """Scores overall and in parts, calibration, and the grasps that were misclassified."""
-    bins = reliability(*Predictions.joined(predictions))
-    counts = dict(zip((bins["lo"] + bins["hi"]) / 2, bins["n"], strict=True))
     wrong = [(part, i) for part in predictions for i in part.wrong()]
     wrong.sort(key=lambda one: -abs(one[0].probabilities[one[1]] - 0.5))
     lo, hi = result["accuracy_interval"]
@@ -65,9 +63,7 @@ def write_evaluation_report(
         template="evaluation.html",
         result=result,
         confusion=plots.confusion(np.asarray(result["confusion"]), CLASS_NAMES, CLASS_NAMES),
-        calibration=plots.reliability_diagram(
-            bins["predicted"].tolist(), bins["succeeded"].tolist(), counts
-        ),
+        calibration=plots.reliability_diagram(reliability(*Predictions.joined(predictions))),
         tested_on=tested_on(result),
         n_wrong=len(wrong),
         wrong=[_strip(part, i) for part, i in wrong[:MAX_SHOWN]],

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 Array: TypeAlias = NDArray[Any]
@@ -260,18 +261,16 @@ def training_curves(metrics: Sequence[Mapping[str, Any]], best_epoch: int) -> Fi
     return figure
 
 
-def reliability_diagram(
-    predicted: Sequence[float], observed: Sequence[float], counts: Mapping[float, int]
-) -> Figure:
-    """Predicted probability of success against the share that succeeded, of each bin.
+def reliability_diagram(bins: pd.DataFrame) -> Figure:
+    """Probability that was ``predicted`` against the share that ``succeeded``, of each bin.
 
-    ``counts`` maps the middle of a bin to the number of its grasps.
+    A bin runs from ``lo`` to ``hi`` and holds ``n`` grasps.
     """
     figure, grid = new_figure(4.6, 4.2, 2, 1, height_ratios=(3, 1), sharex=True)
     upper, lower = grid[:, 0]
     upper.plot([0, 1], [0, 1], color=MUTED, lw=0.8, ls=":")
-    upper.plot(predicted, observed, "o-", color=ACCENT)
+    upper.plot(bins["predicted"], bins["succeeded"], "o-", color=ACCENT)
     upper.set(ylabel="share that succeeded", ylim=(-0.03, 1.03))
-    lower.bar(list(counts), list(counts.values()), width=0.09, color=ACCENT)
+    lower.bar((bins["lo"] + bins["hi"]) / 2, bins["n"], width=0.09, color=ACCENT)
     lower.set(ylabel="grasps", xlabel="predicted probability of success", xlim=(-0.02, 1.02))
     return figure

@@ -21,7 +21,6 @@ from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.rig.effects import SessionTruth
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import CAMERA, press_rng
-from tacgen.sensor.description import load_sensor
 
 Floats = NDArray[np.float64]
 
@@ -42,11 +41,6 @@ class BallContact:
     def contact_radius_mm(self, pixel_area_mm2: float) -> float:
         """Radius of the circle of the contact's area."""
         return float(np.sqrt((self.depth_mm > 0).sum() * pixel_area_mm2 / np.pi))
-
-
-def rig_sensor(recipe: RigRecipe) -> Sensor:
-    """The sensor that is pressed."""
-    return load_sensor(recipe.sensor, needs_table=False)
 
 
 def press_ball(

@@ -12,9 +12,10 @@ from tacgen.contact.law import save_law
 from tacgen.core.files import atomic_path
 from tacgen.core.version import __version__
 from tacgen.rig.effects import SessionTruth, true_response
-from tacgen.rig.images import rig_sensor, write_images
+from tacgen.rig.images import write_images
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import NOISE, press_rng, true_session
+from tacgen.sensor.description import load_sensor
 
 DECIMALS = 6  # below any sensor's resolution
 
@@ -45,7 +46,7 @@ def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
     """
     out = Path(out)
     session = simulate_session(recipe)
-    sensor = rig_sensor(recipe)
+    sensor = load_sensor(recipe.sensor, needs_table=False)
     pitch_mm = sensor.markers.pitch_mm if sensor.markers else np.nan
     provenance = {"rig": recipe.model_dump(mode="json"), "versions": {"tacgen": __version__}}
     law = replace(session.truth.law, marker_pitch_mm=pitch_mm, provenance=provenance)

@@ -20,7 +20,8 @@ from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
 from tacgen.presses.press_forces import measure_presses
 from tacgen.rig import load_rig_recipe, run_rig
-from tacgen.rig.images import Camera, press_ball, rig_sensor
+from tacgen.rig.images import Camera, press_ball
+from tacgen.sensor.description import load_sensor
 from validation.optics.sampled_table import sampled_table
 
 K_N, K_S = 5.135, 0.8
@@ -37,7 +38,7 @@ def recipe():
 
 @pytest.fixture(scope="module")
 def sensor(recipe):
-    return rig_sensor(recipe)
+    return load_sensor(recipe.sensor, needs_table=False)
 
 
 @pytest.fixture(scope="module")

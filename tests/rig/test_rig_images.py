@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from tacgen.rig import RigRecipe, load_rig_recipe, run_rig
-from tacgen.rig.images import press_ball, rig_sensor
+from tacgen.rig.images import press_ball
+from tacgen.sensor.description import load_sensor
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def test_the_folder_is_what_the_contract_says(small, folder):
     table = pd.read_csv(presses / "presses.csv")
     assert len(table) == 8
     assert {"file", "radius_mm", "center_x_px", "center_y_px", "contact_radius_px"} <= set(table)
-    sensor = rig_sensor(small)
+    sensor = load_sensor(small.sensor, needs_table=False)
     for name in ["background.png", *table["file"]]:
         assert cv2.imread(str(presses / name)).shape == (*sensor.shape_px, 3)
     described = yaml.safe_load((presses / "sensor.yaml").read_text())
@@ -61,7 +62,7 @@ def test_the_contact_shows_where_it_is_labelled(small, folder):
 
 def test_a_ball_on_a_flat_gel_takes_its_cap(small):
     """V = π d² (R − d/3) and a contact circle of radius √(2Rd − d²)."""
-    sensor = rig_sensor(small)
+    sensor = load_sensor(small.sensor, needs_table=False)
     radius, depth = 5.0, 0.6
     volume = np.pi * depth**2 * (radius - depth / 3.0)
     contact = press_ball(sensor, radius, (1.0, -0.5), volume, np.zeros(2))
@@ -77,7 +78,7 @@ def test_on_a_dome_the_contact_lies_between_the_centres():
     given = given.model_copy(
         update={"sensor": given.sensor.model_copy(update={"name": "gelsight"})}
     )
-    sensor = rig_sensor(given)
+    sensor = load_sensor(given.sensor, needs_table=False)
     assert sensor.dome_radius_mm == 30.0
     contact = press_ball(sensor, 6.0, (3.0, -2.0), 3.0, np.zeros(2))
     column, row = contact.contact_center_px()
@@ -90,7 +91,7 @@ def test_on_a_dome_the_contact_lies_between_the_centres():
 
 
 def test_markers_move_by_the_sum_that_was_asked_for(small):
-    sensor = rig_sensor(small)
+    sensor = load_sensor(small.sensor, needs_table=False)
     still = press_ball(sensor, 5.0, (0.0, 0.0), 8.0, np.zeros(2))
     moved = press_ball(sensor, 5.0, (0.0, 0.0), 8.0, np.array([3.0, -1.0]))
     total = (moved.markers_mm - still.markers_mm).sum(axis=0)

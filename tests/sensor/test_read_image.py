@@ -19,7 +19,8 @@ from tacgen.core.errors import SensorError
 from tacgen.optics import save_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.rig import load_rig_recipe
-from tacgen.rig.images import Camera, press_ball, rig_sensor
+from tacgen.rig.images import Camera, press_ball
+from tacgen.sensor.description import load_sensor
 from tacgen.sensor.read_image import ImageReader, read_image
 from validation.optics.sampled_table import sampled_table
 
@@ -31,7 +32,7 @@ def rig():
     """The Mini on the rig: its description, and a camera without and one with dots."""
     recipe = load_rig_recipe("rig_images_with_forces")
     plain = recipe.images.model_copy(update={"markers": False})
-    sensor = rig_sensor(recipe)
+    sensor = load_sensor(recipe.sensor, needs_table=False)
     return (
         sensor,
         Camera(recipe.model_copy(update={"images": plain}), sensor),

@@ -15,8 +15,9 @@ import numpy as np
 
 from tacgen.contact.law import ContactLaw
 from tacgen.rig import load_rig_recipe
-from tacgen.rig.images import Camera, press_ball, rig_sensor
+from tacgen.rig.images import Camera, press_ball
 from tacgen.rig.run import simulate_session
+from tacgen.sensor.description import load_sensor
 from tacgen.sensor.read_image import ImageReader
 from tacgen.sensor.simulated import Sensor
 
@@ -35,7 +36,7 @@ def press_errors(name: str, presses: int, seed: int, table: str | None) -> np.nd
             "images": recipe.images.model_copy(update={"markers": False}),
         }
     )
-    description, session = rig_sensor(recipe), simulate_session(recipe)
+    description, session = load_sensor(recipe.sensor, needs_table=False), simulate_session(recipe)
     camera, rng = Camera(recipe, description), np.random.default_rng(seed)
     law = ContactLaw.linear(recipe.law.k_n_mm3_per_n, recipe.law.k_s_mm_per_n)
     reader = ImageReader(Sensor(name, table, law), camera.take(None, rng))

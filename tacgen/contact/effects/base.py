@@ -22,10 +22,6 @@ STAGES: tuple[Stage, ...] = ("input", "elastic", "memory", "gain", "output")
 """Where an effect acts, in this order: on the force that is read, on the elastic response, on its
 memory, on the compliance, on the volume or motion that comes out."""
 
-Kind = Literal["load", "memory", "between trials"]
-"""What an effect follows: the load of the moment, the course of the load within a trial, or what
-differs from trial to trial (a place, a temperature, the session's clock)."""
-
 Role = Literal["amount", "shape", "reference"]
 Parameters: TypeAlias = Mapping[str, float]
 Bounds: TypeAlias = Callable[[LoadHistory, Parameters], tuple[float, float]]
@@ -108,7 +104,6 @@ class Effect:
     variants: Callable[[LoadHistory, Parameters], tuple[Variant, ...]]
     references: Callable[[LoadHistory], dict[str, float]] = lambda history: {}
     needs: tuple[str, ...] = ()
-    kind: Kind = "load"
     needs_session_clock: bool = False
     in_simulation: bool = True
     per_indenter: bool = False

@@ -59,7 +59,6 @@ base.register(
             "first_trial": float(history.trial.min()) if history.n_samples else 0.0
         },
         variants=_variants,
-        kind="between trials",
         is_identifiable=lambda history: history.n_trials >= MIN_TRIALS,
         shown_against="trial",
     )

@@ -83,7 +83,6 @@ for _channel in base.CHANNELS:
             ),
             apply=partial(_apply, channel=_channel),
             variants=_variants,
-            kind="memory",
             shown_against="time_in_trial_s",
             separated_by={
                 "latency": "hold the load for several seconds: creep goes on, a delay is over",

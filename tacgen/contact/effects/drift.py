@@ -48,7 +48,6 @@ base.register(
         apply=_apply,
         references=_references,
         variants=_variants,
-        kind="between trials",
         needs_session_clock=True,
         is_identifiable=lambda history: history.n_trials >= MIN_TRIALS,
         shown_against="time_s",

@@ -64,7 +64,6 @@ base.register(
         apply=_apply,
         references=_references,
         variants=_variants,
-        kind="between trials",
         per_indenter=True,
         shown_against="radius_mm",
         separated_by={"saturation": "press every ball with the same range of forces"},

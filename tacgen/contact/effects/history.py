@@ -25,8 +25,8 @@ class LoadHistory:
     """Samples of a log sorted by trial and time, with what the effects derive from them.
 
     Trial k, of ``n_trials``, is rows ``starts[k]`` to ``starts[k + 1]`` of the ``n_samples``.
-    ``trial`` (N,) is its number in the log, ``time_s`` (N,) the session's clock,
-    ``force_normal_n`` (N,) the force into the gel.
+    ``trial`` (N,) is its number in the log, ``trial_index`` (N,) k, ``time_s`` (N,) the session's
+    clock, ``force_normal_n`` (N,) the force into the gel.
 
     ``columns`` are a press log's in tacgen's units, (N,) each: ``trial``, ``time_s`` and
     ``force_normal_n`` are required. Nothing is written to them. Raises ``ContactError`` if a
@@ -44,6 +44,7 @@ class LoadHistory:
         edges = np.flatnonzero(trial[1:] != trial[:-1]) + 1
         self.starts = np.unique([0, *edges, trial.size]).astype(np.int64)
         self.n_samples, self.n_trials = int(trial.size), int(self.starts.size - 1)
+        self.trial_index = np.repeat(np.arange(self.n_trials), np.diff(self.starts))
         self.trial, self.time_s = self.column("trial"), self.column("time_s")
         self.force_normal_n = self.column("force_normal_n")
 
@@ -68,11 +69,6 @@ class LoadHistory:
         result = np.empty_like(values)
         result[self.order] = values
         return result
-
-    @cached_property
-    def trial_index(self) -> NDArray[np.int64]:
-        """0 for the samples of the first trial, 1 for those of the second, …"""
-        return np.repeat(np.arange(self.n_trials), np.diff(self.starts))
 
     @cached_property
     def time_in_trial_s(self) -> FloatArray:

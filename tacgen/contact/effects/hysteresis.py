@@ -96,7 +96,6 @@ def _register(channel: base.Channel) -> None:
             apply=partial(_apply, channel=channel),
             references=lambda history: {"span_n": history.span_n(channel)},
             variants=_variants,
-            kind="memory",
             is_identifiable=lambda history: bool(
                 history.reversal(channel)[1].mean() > MIN_UNLOADING_SHARE
             ),

@@ -40,7 +40,6 @@ base.register(
                 [{"delay_s": history.sample_period_s}, {"lag_s": history.sample_period_s}],
             ),
         ),
-        kind="memory",
         in_simulation=False,
         shown_against="load_rate",
         separated_by={"hysteresis": "load and unload at two speeds: a delay grows with it"},

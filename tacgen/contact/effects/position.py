@@ -57,7 +57,6 @@ base.register(
         references=_references,
         variants=_variants,
         needs=PLACE,
-        kind="between trials",
         is_identifiable=lambda history: any(base.varies(history.column(n)) for n in PLACE),
         shown_against="x_mm",
         separated_by={"geometry": "press every ball at the same places"},

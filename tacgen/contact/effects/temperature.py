@@ -45,7 +45,6 @@ base.register(
         references=_references,
         variants=_variants,
         needs=("temperature_c",),
-        kind="between trials",
         is_identifiable=lambda history: base.varies(history.column("temperature_c")),
         shown_against="temperature_c",
     )

@@ -105,7 +105,8 @@ class ChannelData:
 class ChannelSamples:
     """Every sample of one channel, from which rows are averaged.
 
-    ``columns`` (N,) each are a press log's, finite where they are used.
+    ``columns`` (N,) each are a press log's, finite where they are used; ``precision`` (N,), in the
+    history's order, is 0 where a sample sticks out of its trial.
     """
 
     def __init__(
@@ -120,11 +121,6 @@ class ChannelSamples:
         residual = target - linear_compliance(load, target) * load
         self.noise, self.precision = noise_and_weight(residual, size, history.starts, rules)
         self._kept: dict[int, ChannelData] = {}
-
-    @property
-    def n_spikes(self) -> int:
-        """Number of samples that have no weight."""
-        return int((self.precision == 0).sum())
 
     def _target(self, history: LoadHistory) -> FloatArray:
         return np.stack([history.column(name) for name in TARGETS[self.channel]], axis=1)

@@ -132,7 +132,7 @@ class _Channel:
             after=after,
             gain_interval=heldout.gain_interval(before, after, rng, rules),
             floor=noise_floor(left, samples.history.starts, rules),
-            n_spikes=every.n_spikes,
+            n_spikes=int((every.precision == 0).sum()),
             gp_rmse=gp,
             n_fit=n_fit,
             n_test=n_test,

@@ -75,7 +75,6 @@ def new_effect():
             parameters=(base.amount("share", -0.9, 5.0),),
             apply=fatigue,
             variants=lambda history, references: (base.variant("third", [{"share": 0.05}]),),
-            kind="between trials",
             shown_against="trial",
             separated_by={"position": "press one place in every press"},
         )

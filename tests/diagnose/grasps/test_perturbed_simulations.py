@@ -111,7 +111,7 @@ def test_a_mass_predicts_what_the_inverse_force_does_failure_modes_included(tmp_
 class RimmedSimulations(PerturbedSimulations):
     """No simulator: an object that a rim holds at 0.86 of the force that friction would need."""
 
-    def simulate(self, what, wanted):
+    def simulate(self, wanted):
         for place, change in wanted:
             ratio = 1.1 * change.force_scale * change.friction_factor / change.mass_factor
             outcome = Outcome(int(ratio > 0.86), "", ratio, np.inf, turn_rad=0.0)
