@@ -63,19 +63,19 @@ def test_circles_are_found_where_none_are_labelled():
     assert fit_lookup(blind).provenance["n_presses"] == 16
 
 
-@pytest.mark.slow
-def test_fit_does_not_depend_on_a_press_order_or_on_the_run():
-    presses = virtual_presses(9, count=6)
-    first, again = fit_lookup(presses), fit_lookup(presses)
-    assert np.array_equal(first.coefficients, again.coefficients)
-    assert np.array_equal(first.background, again.background)
-
-
 @pytest.fixture(scope="module")
 def calibrated():
     """Eight presses and their calibration in one process."""
     presses = virtual_presses(14, count=8)
     return presses, calibrate(presses, processes=1)
+
+
+@pytest.mark.slow
+def test_fit_does_not_depend_on_the_run(calibrated):
+    presses, first = calibrated
+    again = fit_lookup(presses)
+    assert np.array_equal(first.table.coefficients, again.coefficients)
+    assert np.array_equal(first.table.background, again.background)
 
 
 @pytest.mark.slow
@@ -100,9 +100,8 @@ def test_rings_around_the_contact_are_scored_beside_the_bare_gel(calibrated):
 
 
 @pytest.mark.slow
-def test_a_table_survives_its_file(tmp_path):
-    presses = virtual_presses(10, count=6)
-    table = fit_lookup(presses)
+def test_a_table_survives_its_file(tmp_path, calibrated):
+    presses, table = calibrated[0], calibrated[1].table
     save_table(table, tmp_path / "table.npz")
     read = load_table(tmp_path / "table.npz")
     assert score_table(read, presses).rmse("refined") == score_table(table, presses).rmse("refined")
