@@ -1,9 +1,12 @@
 """Shards have the same bytes whichever variants of its kernels a library would choose."""
 
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
@@ -57,3 +60,31 @@ def usual(tmp_path_factory):
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_bytes_are_the_same(world, tmp_path, usual, variant):
     assert collected(tmp_path, VARIANTS[variant]) == usual
+
+
+def numbers(value, name=""):
+    """Every number of a JSON document by its place; everything else as it is."""
+    if isinstance(value, dict):
+        return {k: v for key in value for k, v in numbers(value[key], f"{name}/{key}").items()}
+    if isinstance(value, list):
+        return {k: v for i, one in enumerate(value) for k, v in numbers(one, f"{name}/{i}").items()}
+    return {name: value}
+
+
+@pytest.mark.slow
+def test_a_diagnosis_has_the_same_names_and_figures(tmp_path):
+    """Beside shards, which are equal, figures may differ by rounding alone."""
+    tacgen = [sys.executable, "-m", "tacgen"]
+    run = partial(subprocess.run, cwd=tmp_path, check=True, capture_output=True, timeout=300)
+    run([*tacgen, "rig", "rig_creep", "--out", "rig"])
+    found = []
+    for variables in ({}, VARIANTS["OpenBLAS for Prescott"] | VARIANTS["C library without FMA"]):
+        command = [*tacgen, "diagnose", "contact", "rig/press_log.csv", "--out", "found", "--json"]
+        found.append(numbers(json.loads(run(command, env=os.environ | variables).stdout)))
+        shutil.rmtree(tmp_path / "found")
+    usual, other = found
+    assert usual["/channels/normal/verdict"] == "effect_found"
+    assert other == {
+        name: pytest.approx(value, rel=1e-6, abs=1e-9) if isinstance(value, float) else value
+        for name, value in usual.items()
+    }
