@@ -399,7 +399,14 @@ def _remove_after_this_process(folder: str) -> None:
     """Remove a folder of temporary files when this process is gone, even by SIGKILL."""
     # The pipe closes with this process; workers that die with it may still write for a moment.
     command = ["/bin/sh", "-c", 'cat > /dev/null; sleep 1; rm -rf -- "$1"', "sh", folder]
-    _removers.append(subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True))
+    remover = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    _removers.append(remover)
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -133,8 +134,8 @@ def test_a_worker_and_then_the_parent_are_killed_and_the_next_run_finds_no_lock(
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 def test_nothing_outlives_a_killed_run(world, tmp_path, number):
     """No process and no temporary folder, five seconds later."""
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
+    # Sockets lie there, whose paths may be 107 characters long.
+    temporary = Path(tempfile.mkdtemp(prefix="killed-", dir="/tmp"))
     command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", "out"]
     environment = os.environ | {"TMPDIR": str(temporary)}
     run = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
@@ -149,3 +150,4 @@ def test_nothing_outlives_a_killed_run(world, tmp_path, number):
     while list(temporary.iterdir()) or any(Path(f"/proc/{pid}").exists() for pid in started):
         assert time.monotonic() < deadline, [temporary, started]
         time.sleep(0.05)
+    temporary.rmdir()
