@@ -223,11 +223,13 @@ class Sensor:
 
     def _frame(self, mesh: Mesh, contact: ContactFrame, load: GelLoad) -> Frame:
         imprint = self._pad.press(mesh, contact.pose_gel_object, load)
-        depth_mm = imprint.depth_map_mm(self.description)
+        top, bottom, left, right = imprint.window
+        contact_mask = np.zeros(self.description.shape_px, dtype=bool)
+        contact_mask[top:bottom, left:right] = imprint.depth_mm > 0
         return Frame(
             rgb=self._pad.image(imprint, rng=self._rng),
-            depth_mm=depth_mm,
-            contact_mask=depth_mm > 0,
+            depth_mm=imprint.depth_map_mm(self.description),
+            contact_mask=contact_mask,
             force_n=np.array([*contact.force_shear_n, contact.force_normal_n]),
             indentation_mm=imprint.indentation_mm,
             volume_mm3=imprint.volume_mm3,
