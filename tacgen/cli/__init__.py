@@ -21,8 +21,9 @@ from tacgen.core.progress import LOG
 def main() -> None:
     """Run the command line; an error that a user can fix becomes one message and an exit code."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if (number, signal.getsignal(number)) != (signal.SIGHUP, signal.SIG_IGN):  # `nohup`
-            signal.signal(number, _interrupt)
+        if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
+            continue  # as `nohup` wants
+        signal.signal(number, _interrupt)
     try:
         app()
     except TacgenError as error:

@@ -23,7 +23,7 @@ from tacgen.sensor.description import load_sensor
 
 EYE_MM = (120.0, -180.0, 90.0)  # from the pads' centre: object and fingers fill the view
 FORCES = ("normal_n", "shear_x_n", "shear_y_n")
-GEL_POINTS = 96  # of the drawn gel along its longer side: finer ones cannot be told apart
+GEL_POINTS = 96  # of the drawn gel along its longer side: a finer grid looks the same
 
 
 def write_recording(root: Path, index: int, path: Path) -> None:
@@ -41,14 +41,17 @@ def write_recording(root: Path, index: int, path: Path) -> None:
         raise DatasetError(msg) from error
     dataset = Dataset(root, partial=True)
     sample = dataset.read(index)
+    if not sample.pads:
+        msg = f"{root}: grasp {index} was not executed ({sample.reason or sample.status})"
+        raise DatasetError(msg)
     recipe = load_recipe(DatasetFolder(root).recipe_path)
     with GraspPipeline(recipe) as pipeline:
         grasp = pipeline.simulate(plan_recipe(recipe)[index])
         imprints = {
             pad: [one.imprint for one in pipeline.render(grasp, pad)] for pad in sample.pads
         }
-    if not (sample.pads and imprints):
-        msg = f"{root}: grasp {index} was not executed ({sample.reason or sample.status})"
+    if grasp.trace.status != "executed":
+        msg = f"{root}: grasp {index} cannot be simulated again ({grasp.trace.reason})"
         raise DatasetError(msg)
 
     sensor = load_sensor(recipe.sensor)

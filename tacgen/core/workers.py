@@ -111,9 +111,6 @@ class _Progress:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_removers: list[subprocess.Popen[bytes]] = []
-"""Kept, as their pipes close with them."""
-
 _pool_task: dict[str, Callable[[Any], Any]] = {}
 """The task of a process of ``map_in_processes``; it is set in the child alone."""
 
@@ -389,24 +386,25 @@ def start_early(*modules: str) -> None:
     Where it runs already, this does nothing.
     """
     multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
-    _remove_after_this_process(get_temp_dir())
+    _remover(get_temp_dir())
     with _for_workers():
         forkserver.ensure_running()
 
 
 @lru_cache(maxsize=1)
-def _remove_after_this_process(folder: str) -> None:
-    """Remove a folder of temporary files when this process is gone, even by SIGKILL."""
-    # The pipe closes with this process; workers that die with it may still write for a moment.
+def _remover(folder: str) -> "subprocess.Popen[bytes]":
+    """A process that removes a folder of temporary files when this one is gone, even by SIGKILL.
+
+    It waits for the end of a pipe, and a second more: workers may still write for a moment.
+    """
     command = ["/bin/sh", "-c", 'cat > /dev/null; sleep 1; rm -rf -- "$1"', "sh", folder]
-    remover = subprocess.Popen(
+    return subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    _removers.append(remover)
 
 
 @contextlib.contextmanager

@@ -21,7 +21,7 @@ class Grasps(Protocol):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Each grasp's values, by column."""
 
-    def rgb(self, index: int, sensor: str | None = None, frame: int | None = None) -> NDArray[Any]:
+    def rgb(self, index: int, pad: str | None = None, frame: int | None = None) -> NDArray[Any]:
         """The images of a grasp, or one of its frames."""
 
 
