@@ -185,7 +185,8 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
 class Outcome:
     """How one simulated grasp ended, and how far it was from ending otherwise.
 
-    Ratios are those of ``records.SlipMargin``; all numbers are NaN, and the label is −1, where the
+    Two ratios are those of ``records.SlipMargin``; ``turn_ratio`` is how far the lifted object
+    turned over the largest turn of a success. All numbers are NaN, and the label is −1, where the
     grasp was not executed.
     """
 
@@ -194,17 +195,18 @@ class Outcome:
     friction_ratio: float = NAN
     torsion_ratio: float = NAN
     rise_mm: float = NAN
-    turn_rad: float = NAN
+    turn_ratio: float = NAN
     status: str = "executed"
 
     @classmethod
-    def of(cls, trace: GraspTrace) -> "Outcome":
-        """The outcome of a trace."""
+    def of(cls, trace: GraspTrace, settings: PhysicsSettings) -> "Outcome":
+        """The outcome of a trace that was simulated with those settings."""
         margin = trace.margin
         if margin is None:
             return cls(trace.label, trace.failure_mode, status=trace.status)
         ratios = margin.friction_ratio, margin.torsion_ratio
-        return cls(trace.label, trace.failure_mode, *ratios, trace.rise_mm, trace.turn_rad)
+        turn_ratio = trace.turn_rad / settings.success_turn_rad
+        return cls(trace.label, trace.failure_mode, *ratios, trace.rise_mm, turn_ratio)
 
 
 Place = tuple[str, float, float, float, float, float]
@@ -320,14 +322,15 @@ def _grasp_job(
                     found.append(_CRASHED)
                     continue
                 report("start", item, None)
+                changed = perturbed_settings(settings, change)
                 trace = run_grasp(
                     simulator,
                     perturbed_object(base, change),
                     replace(config, index=task),
-                    perturbed_settings(settings, change),
+                    changed,
                     frames=FrameRequest(),
                 )
-                found.append(Outcome.of(trace))
+                found.append(Outcome.of(trace, changed))
             return found
 
         yield job

@@ -7,9 +7,6 @@ import numpy as np
 from tacgen.collection.perturbed import Outcome
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.grasps.rules import RULES
-from tacgen.physics import PhysicsSettings
-
-TURN_LIMIT_RAD = PhysicsSettings().success_turn_rad
 
 
 def limited(margin: FloatArray) -> FloatArray:
@@ -39,21 +36,21 @@ def closed_form_margin(
 
 
 def signed_margin(
-    label: IntArray, friction_ratio: FloatArray, torsion_ratio: FloatArray, turn_rad: FloatArray
+    label: IntArray, friction_ratio: FloatArray, torsion_ratio: FloatArray, turn_ratio: FloatArray
 ) -> FloatArray:
     """How far each grasp is from the other label: positive holds, negative fails.
 
     The closed form is of slip about to start, so where the simulated label disagrees the label
-    counts: a grasp that turns a little and then holds is as far from failing as its turn
-    (``turn_rad``, of the lifted object) is from the limit. A ``label`` of −1 (not executed) counts
-    as a clear failure; ratios as in ``closed_form_margin``, all of one shape.
+    counts: a grasp that turns a little and then holds is as far from failing as its turn is from
+    the largest of a success (``turn_ratio``, one over the other). A ``label`` of −1 (not executed)
+    counts as a clear failure; ratios as in ``closed_form_margin``, all of one shape.
     """
     least, most = RULES.turn_margin
     slip = np.nan_to_num(
         closed_form_margin(friction_ratio, torsion_ratio), nan=-RULES.farthest_margin
     )
     with np.errstate(invalid="ignore"):
-        turned = 0.5 * np.abs(np.log(np.maximum(turn_rad, 1e-6) / TURN_LIMIT_RAD))
+        turned = 0.5 * np.abs(np.log(np.maximum(turn_ratio, 1e-5)))
     by_turn = np.clip(np.nan_to_num(turned, nan=least), least, most)
     sign = np.where(label == 1, 1.0, -1.0)
     agrees = np.where(label == 1, slip > 0, slip < 0)
@@ -83,7 +80,7 @@ def margins_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
     label = np.array([one.label for one in outcomes])
     friction = np.array([one.friction_ratio for one in outcomes])
     torsion = np.array([one.torsion_ratio for one in outcomes])
-    turn = np.array([one.turn_rad for one in outcomes])
+    turn = np.array([one.turn_ratio for one in outcomes])
     turned = np.array([one.failure_mode == "rotational_slip" for one in outcomes])
     return (
         signed_margin(label, friction, torsion, turn),

@@ -222,8 +222,8 @@ def test_slack_follows_the_label_where_the_closed_form_does_not():
     label = np.array([1, 0, 1, 0, -1])
     friction = np.array([2.0, 0.5, 3.0, 1.2, np.nan])
     torsion = np.array([4.0, 2.0, 0.8, 1.5, np.nan])
-    turn = np.array([0.0, 0.0, 0.05, 0.4, np.nan])
-    margin = signed_margin(label, friction, torsion, turn)
+    turn_ratio = np.array([0.0, 0.0, 0.5, 4.0, np.nan])
+    margin = signed_margin(label, friction, torsion, turn_ratio)
     # Where s² + m² = 1 it slips: s = 1/2 and m = √(3/4)/4 for the first; s = 2 for the second.
     assert margin[:2] == pytest.approx([-0.5 * np.log(1 / 4 + 3 / 64), -np.log(2.0)])
     assert 0 < margin[2] < 0.5

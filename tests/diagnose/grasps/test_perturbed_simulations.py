@@ -114,7 +114,7 @@ class RimmedSimulations(PerturbedSimulations):
     def simulate(self, wanted):
         for place, change in wanted:
             ratio = 1.1 * change.force_scale * change.friction_factor / change.mass_factor
-            outcome = Outcome(int(ratio > 0.86), "", ratio, np.inf, turn_rad=0.0)
+            outcome = Outcome(int(ratio > 0.86), "", ratio, np.inf, turn_ratio=0.0)
             self.known[place_of(place), change] = outcome
 
 
