@@ -19,16 +19,16 @@ FILE = re.compile(r'```yaml title="(.+?)"\n(.*?)```', re.S)
 COMMANDS = re.compile(r"```bash\n(.*?)```", re.S)
 
 
-def run_script(text: str, folder: Path) -> None:
-    """Run lines of a shell in ``folder``, with ``tacgen`` of this checkout on the PATH."""
-    script = f'set -e\ntacgen() {{ "{sys.executable}" -m tacgen "$@"; }}\n'
-    script += f'python() {{ "{sys.executable}" "$@"; }}\n{text}'
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        ["bash", "-c", script], cwd=folder, env=environment, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+def run(command: str) -> None:
+    """Run a line of ``tacgen`` in this process, as starting Python takes longer; or of Python."""
+    program, *words = shlex.split(command, comments=True)
+    if program == "python":
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        subprocess.run([sys.executable, *words], env=environment, check=True)
+        return
+    assert program == "tacgen", command
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, f"{command}\n{done.output[-3000:]}{done.exception}"
 
 
 def replaced(text: str, old: str, new: str) -> str:
@@ -52,43 +52,37 @@ def write_shorter_recipes(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_command_of_the_tutorial_runs(tmp_path):
+def test_every_command_of_the_tutorial_runs(tmp_path, monkeypatch):
     """As written, with fewer presses, grasps and epochs."""
     text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
     files = dict(FILE.findall(text))
     files["session.yaml"] = replaced(files["session.yaml"], "presses: 30", "presses: 8")
     files["recipe.yaml"] = replaced(files["recipe.yaml"], "sample: 120", "sample: 16")
     for name, content in files.items():
         (tmp_path / name).write_text(content, encoding="utf-8")
     write_shorter_recipes(tmp_path)
-    run_script("\n".join(COMMANDS.findall(text)), tmp_path)
+    for command in "".join(COMMANDS.findall(text)).splitlines():
+        run(command)
     assert (tmp_path / "run" / "eval.json").is_file()
 
 
 @pytest.mark.slow
 def test_every_command_of_the_readme_runs(tmp_path, monkeypatch):
-    """As written, with fewer presses, grasps and epochs; the recipe of ``init`` is edited.
-
-    In this process, as starting Python for each takes longer than most of them; those of the
-    tutorial run in a shell.
-    """
+    """As written, with fewer presses, grasps and epochs; the recipe of ``init`` is edited."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     lines = [line.strip() for line in text.splitlines() if line.startswith("    ")]
     commands = [line for line in lines if line.startswith(("tacgen ", "cd ", "python "))]
     assert len(commands) > 15
     monkeypatch.chdir(tmp_path)
     for command in commands:
-        program, *words = shlex.split(command, comments=True)
-        if program == "cd":
-            monkeypatch.chdir(words[0])
-            write_shorter_recipes(Path.cwd())
-            recipe = Path("recipe.yaml")
-            recipe.write_text(replaced(recipe.read_text(), "sample: 24", "sample: 10"))
-        elif program == "python":
-            run_script(command, Path.cwd())
-        else:
-            done = CliRunner().invoke(app, words)
-            assert done.exit_code == 0, f"{command}\n{done.output[-3000:]}{done.exception}"
+        if not command.startswith("cd "):
+            run(command)
+            continue
+        monkeypatch.chdir(command.removeprefix("cd "))
+        write_shorter_recipes(Path.cwd())
+        recipe = Path("recipe.yaml")
+        recipe.write_text(replaced(recipe.read_text(), "sample: 24", "sample: 10"))
 
 
 @pytest.mark.slow

@@ -143,7 +143,7 @@ class ContactLaw:
             left_out = simulate and not (effect.in_simulation and history.has(*effect.needs))
             if effect.channel == channel and not left_out:
                 acting.append((effect, fitted.values))
-        return respond(history, channel, np.nan_to_num(compliance), acting)
+        return respond(history, channel, 0.0 if math.isnan(compliance) else compliance, acting)
 
 
 def respond(

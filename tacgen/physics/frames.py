@@ -24,13 +24,15 @@ PAD_SIDE = {"left": -1.0, "right": 1.0}
 
 def rotation_of(quaternion_xyzw: Sequence[float] | FloatArray) -> FloatArray:
     """The (..., 3, 3) rotation of each unit quaternion of (..., 4)."""
-    x, y, z, w = np.moveaxis(np.asarray(quaternion_xyzw, dtype=np.float64), -1, 0)
+    given = np.asarray(quaternion_xyzw, dtype=np.float64)
+    batch = range(given.ndim - 1)
+    x, y, z, w = given.transpose(-1, *batch)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return np.array(rows).transpose(*(axis + 2 for axis in batch), 0, 1)
 
 
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:

@@ -76,11 +76,13 @@ class PyBulletContacts(EngineContacts):
         super().__init__()
         self._bullet, self._client = pybullet, client_id
         self._body, self._link, self._gel = int(body_id), int(link_id), pose_link_gel_m
+        self._base_in_inertial_m: dict[int, FloatArray] = {}
         self._asked("body", body_id, pybullet.getBodyInfo, self._body)
         n_links = self._asked("body", body_id, pybullet.getNumJoints, self._body)
         if not -1 <= self._link < n_links:
             msg = f"link_id = {link_id}: body {body_id} has links -1 (its base) to {n_links - 1}"
             raise SensorError(msg)
+        self._read_inertial(self._body)
 
     def _asked(self, what: str, which: object, function: Any, *arguments: Any) -> Any:
         try:
@@ -97,7 +99,7 @@ class PyBulletContacts(EngineContacts):
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
         """Watch for contacts of a body; ``mesh`` is in the frame of its base link."""
         self._asked("body", body, self._bullet.getBodyInfo, int(body))
-        inertial = self._inertial_m(int(body), -1)
+        inertial = self._read_inertial(int(body))
         if mesh is None:
             # In the inertial frame, metres.
             parts = self._asked("body", body, self._bullet.getCollisionShapeData, int(body), -1)
@@ -106,15 +108,17 @@ class PyBulletContacts(EngineContacts):
             mesh = Mesh(MM_PER_M * vertices_m, np.asarray(found.faces, np.int32))
         self._objects.append((int(body), mesh))
 
-    def _inertial_m(self, body: int, link: int) -> FloatArray:
-        """The link's inertial frame in the link's own."""
-        known = self._asked("link", link, self._bullet.getDynamicsInfo, body, link)
-        return pose(rotation_of(known[4]), known[3])
+    def _read_inertial(self, body: int) -> FloatArray:
+        """The inertial frame of a base in the base's own; it stays, and poses are given of it."""
+        known = self._asked("body", body, self._bullet.getDynamicsInfo, body, -1)
+        inertial = pose(rotation_of(known[4]), known[3])
+        self._base_in_inertial_m[body] = inverse(inertial)
+        return inertial
 
     def _link_pose_m(self, body: int, link: int) -> FloatArray:
         if link == -1:
             at, turned = self._asked("body", body, self._bullet.getBasePositionAndOrientation, body)
-            return pose(rotation_of(turned), at) @ inverse(self._inertial_m(body, -1))
+            return pose(rotation_of(turned), at) @ self._base_in_inertial_m[body]
         state = self._bullet.getLinkState(
             body, link, computeForwardKinematics=True, physicsClientId=self._client
         )

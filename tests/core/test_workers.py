@@ -12,7 +12,7 @@ import pytest
 
 from tacgen.core import workers
 from tacgen.core.errors import TacgenError
-from tacgen.core.workers import run_tasks
+from tacgen.core.workers import map_in_processes, run_tasks
 
 ITEMS_PER_TASK = 4
 
@@ -146,6 +146,16 @@ def test_wrong_input_ends_the_run_with_its_own_words(tmp_path):
 def test_a_bug_is_not_hidden(tmp_path):
     with pytest.raises(RuntimeError, match="ZeroDivisionError"):
         results(tmp_path, {5: "bug"})
+
+
+def refused(item):
+    raise TacgenError(f"item {item} is wrong; mend it")
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_an_error_in_a_mapped_process_keeps_its_words(method):
+    with pytest.raises(TacgenError, match="^item 4 is wrong; mend it$"):
+        map_in_processes(refused, [4, 5], 2, method=method)
 
 
 def test_leaving_early_ends_every_process(tmp_path):

@@ -18,6 +18,7 @@ from tacgen.dataset import DatasetFolder
 from tacgen.dataset.verify import verify
 from tests.core.test_workers import ITEMS_PER_TASK, Script, items_of
 from tests.dataset.conftest import collect_toy, make_sample, make_spec
+from tests.small_world import write_world
 
 from .conftest import digests
 
@@ -132,8 +133,10 @@ def test_a_worker_and_then_the_parent_are_killed_and_the_next_run_finds_no_lock(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
-def test_nothing_outlives_a_killed_run(world, tmp_path, number):
+def test_nothing_outlives_a_killed_run(tmp_path, number):
     """No process and no temporary folder, five seconds later."""
+    grid = "{force_n: [3, 25], y_mm: [0], z_mm: {linspace: [60, 140, 40]}}"
+    world = write_world(tmp_path, grid=grid)  # long enough to be killed amid its work
     # Sockets lie there, whose paths may be 107 characters long.
     temporary = Path(tempfile.mkdtemp(prefix="killed-", dir="/tmp"))
     command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", "out"]

@@ -81,7 +81,8 @@ class LoadHistory:
         """Force along the gel (N, 2); 0 where it was not measured."""
         if not self.has(*SHEAR_FORCE):
             return np.zeros((self.n_samples, 2))
-        return np.nan_to_num(np.stack([self.column(name) for name in SHEAR_FORCE], axis=1))
+        force_n = np.stack([self.column(name) for name in SHEAR_FORCE], axis=1)
+        return np.where(np.isnan(force_n), 0.0, force_n)
 
     @cached_property
     def shear_size_n(self) -> FloatArray:
