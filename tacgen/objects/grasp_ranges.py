@@ -11,6 +11,7 @@ from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.world import ball_of
 
 MARGIN_MM = 5.0  # to either side between open pads and the object
 PAD_MM = (20.0, 16.0)  # width and height of the sensing surface
@@ -119,6 +120,7 @@ def touch_error_mm(
 
     Along x, and across it in the plane of the pad; over all of ``ranges``, from both sides.
     """
+    parts = [_as_collided(part) for part in parts]
     errors = [
         np.abs(_touch_mm((surface,), azimuth, y, z) - _touch_mm(parts, azimuth, y, z))
         for azimuth in (0.0, 180.0)
@@ -128,6 +130,15 @@ def touch_error_mm(
     ]
     along, *across = np.max(errors or [np.zeros(3)], axis=0)
     return np.array([along, np.hypot(*across)])
+
+
+def _as_collided(part: Mesh) -> Mesh:
+    """The part; of a ball, which is simulated as a sphere, a fine mesh of that."""
+    ball = ball_of(part)
+    if ball is None:
+        return part
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=ball[1])  # to 0.1 % of the radius
+    return Mesh(sphere.vertices + ball[0], np.asarray(sphere.faces, np.int32))
 
 
 def _touch_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: float) -> FloatArray:

@@ -258,6 +258,9 @@ def test_adding_reports_how_well_the_collision_shape_follows_the_surface():
     assert any("(1 convex) within 0.0" in note and "° of the surface" in note for note in notes)
     ball = trimesh.creation.icosphere(subdivisions=5, radius=25.0)
     notes = add_object(exported(ball, "ball.stl"), mass_kg=0.3).notes
+    assert any("(1 convex) within 0.00 mm along x, 0.2 mm" in note for note in notes)
+    egg = ball.apply_scale((1.0, 1.0, 1.2))
+    notes = add_object(exported(egg, "egg.stl"), mass_kg=0.3).notes
     assert any("of the surface, more than 0.6 mm" in note for note in notes)
 
 
@@ -277,7 +280,7 @@ def test_a_finer_cut_follows_a_curved_waist_more_closely():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["cylinder_16", "cylinder_256", "cylinder_2048", "capsule", "bottle"]
+    "name", ["cylinder_16", "cylinder_256", "cylinder_2048", "capsule", "bottle", "sphere_4"]
 )
 @pytest.mark.parametrize("angle_rad", [0.0, 0.37])
 def test_an_imported_mesh_holds_from_the_closed_form_on(name, angle_rad):

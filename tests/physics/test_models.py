@@ -7,9 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
+from tacgen.core.records import Mesh
 from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody, principal_axes
 from tacgen.physics.contacts import Contacts, object_contacts
@@ -19,7 +21,7 @@ from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.recorder import frame_end_steps
 from tacgen.physics.robots import FloatingGripper, GripperTarget
 from tacgen.physics.settings import FrameRequest
-from tacgen.physics.world import require_numpy
+from tacgen.physics.world import ball_of, require_numpy
 
 from .conftest import GRAVITY_M_S2, block
 
@@ -226,3 +228,25 @@ class TestWorld:
 @pytest.mark.parametrize(("count", "ends"), [(1, [1440]), (4, [0, 480, 960, 1440])])
 def test_frames_are_spread_over_the_span(count: int, ends: list[int]) -> None:
     assert frame_end_steps(FrameRequest("sequence", count, 3.0), 1 / 480) == ends
+
+
+@pytest.mark.parametrize("center_mm", [(0.0, 0.0, 0.0), (3.0, -2.0, 21.0)])
+@pytest.mark.parametrize("subdivisions", [2, 3])
+def test_the_hull_of_a_ball_is_a_ball(center_mm, subdivisions):
+    solid = trimesh.creation.icosphere(subdivisions=subdivisions, radius=21.0)
+    center, radius = ball_of(Mesh(solid.vertices + center_mm, np.asarray(solid.faces, np.int32)))
+    np.testing.assert_allclose(center, center_mm, atol=1e-9)
+    assert radius == pytest.approx(21.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [
+        trimesh.creation.box((20.0, 20.0, 20.0)),  # its corners lie on a sphere too
+        trimesh.creation.icosahedron(),
+        trimesh.creation.capsule(height=5.0, radius=20.0),
+        trimesh.creation.icosphere(subdivisions=3).apply_scale((20.0, 20.0, 20.4)),
+    ],
+)
+def test_what_is_no_ball_keeps_its_hull(solid):
+    assert ball_of(Mesh(solid.vertices, np.asarray(solid.faces, np.int32))) is None
