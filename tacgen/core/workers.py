@@ -64,6 +64,7 @@ SILENCE_LIMIT_S = 600.0
 """Between items, where a worker opens and writes files; after that it is ended and replaced."""
 _POLL_S = 1.0  # how late a dead worker is noticed at most
 _LONGEST_LOOK_S = 5.0  # longer pauses are those of a suspended machine, not of a hanging worker
+LONGEST_FOLDER = 89  # bytes: a socket in it is called listener- and eight letters, of 107 in all
 
 Report = Callable[[str, int, Any], None]
 """Called by a job with ("start", item, None) and then ("item", item, anything to show)."""
@@ -383,10 +384,14 @@ def _end_with_the_supervisor() -> None:
 def start_early(*modules: str) -> None:
     """Start the process that workers are copied from; it imports ``modules`` meanwhile.
 
-    Where it runs already, this does nothing.
+    Where it runs already, this does nothing. Raises ``TacgenError`` where it cannot have a socket.
     """
+    folder = get_temp_dir()
+    if len(os.fsencode(folder)) > LONGEST_FOLDER:
+        msg = f"{folder}: too long a path for a socket; set TMPDIR to a shorter one, such as /tmp"
+        raise TacgenError(msg)
     multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
-    _remover(get_temp_dir())
+    _remover(folder)
     with _for_workers():
         forkserver.ensure_running()
 

@@ -199,3 +199,10 @@ def test_workers_that_cannot_start_are_told_of(tmp_path, monkeypatch):
     monkeypatch.setattr("tacgen.core.workers._START_PAUSE_S", 0.0)
     with pytest.raises(TacgenError, match=r"no worker process could be started with .*python"):
         results(tmp_path, {})
+
+
+def test_a_temporary_folder_too_long_for_a_socket_is_named(tmp_path, monkeypatch):
+    folder = str(tmp_path / ("long" * 25))
+    monkeypatch.setattr(workers, "get_temp_dir", lambda: folder)
+    with pytest.raises(TacgenError, match=r"long: too long a path .* set TMPDIR to a shorter one"):
+        results(tmp_path, {})
