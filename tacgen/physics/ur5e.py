@@ -43,13 +43,8 @@ def link_transform(joint: int) -> Pose:
 _LINK_TRANSFORMS = tuple(link_transform(joint) for joint in range(6))
 
 
-def forward(joints_rad: FloatArray) -> Pose:
-    """The flange in the base frame, (4, 4) with metres."""
-    return _chain(joints_rad)[-1]
-
-
-def _chain(joints_rad: FloatArray) -> list[Pose]:
-    """The base frame and that after each joint."""
+def joint_frames(joints_rad: FloatArray) -> list[Pose]:
+    """The base frame and that after each joint, the last the flange's: (4, 4) with metres."""
     frames: list[Pose] = [np.eye(4)]
     for angle, transform in zip(joints_rad, _LINK_TRANSFORMS, strict=True):
         c, s = np.cos(angle), np.sin(angle)
@@ -65,7 +60,7 @@ def inverse_kinematics(target: Pose, seed_rad: FloatArray) -> FloatArray | None:
     """
     joints = np.array(seed_rad, dtype=np.float64)
     for _ in range(_ITERATIONS):
-        frames = _chain(joints)
+        frames = joint_frames(joints)
         flange = frames[-1]
         error = np.concatenate(
             [target[:3, 3] - flange[:3, 3], _rotation_vector(target[:3, :3] @ flange[:3, :3].T)]

@@ -43,7 +43,7 @@ def test_gel_axes_are_right_handed_and_rows_run_down(pad: str) -> None:
 
 def test_the_arm_at_zero_is_stretched_along_minus_x() -> None:
     # UR5e data: reach a2 + a3 = 0.8172 m, wrist offsets d4 + d6 = 0.2329 m, d1 − d5 = 0.0628 m.
-    flange = ur5e.forward(np.zeros(6))
+    flange = ur5e.joint_frames(np.zeros(6))[-1]
     assert flange[:3, 3] == pytest.approx([-0.8172, -0.2329, 0.0628], abs=1e-12)
 
 
@@ -52,11 +52,11 @@ def test_inverse_kinematics_returns_to_where_it_came_from() -> None:
     found = 0
     for _ in range(40):
         joints = np.array([0.3, -1.6, -1.9, -1.1, 1.57, -1.3]) + rng.uniform(-0.4, 0.4, 6)
-        target = ur5e.forward(joints)
+        target = ur5e.joint_frames(joints)[-1]
         solved = ur5e.inverse_kinematics(target, joints + rng.uniform(-0.3, 0.3, 6))
         if solved is not None:
             found += 1
-            assert ur5e.forward(solved) == pytest.approx(target, abs=2e-7)
+            assert ur5e.joint_frames(solved)[-1] == pytest.approx(target, abs=2e-7)
     assert found == 40
 
 
