@@ -172,12 +172,9 @@ class _Test:
             )
         sequences = any(source.frame_count(int(row)) > 1 for row in rows)
         if isinstance(source, RealGraspImages) and spec.kind == "single" and sequences:
-            which = "first image with 95 % of the largest change from the gel at rest"
-            if spec.grasp_fraction is not None:
-                which = f"image {spec.grasp_fraction:.0%} through, as in the training data,"
             self._note(
-                f"{self.where}: of grasps with several images the {which} is taken as the moment "
-                "of grasp"
+                f"{self.where}: of grasps with several images the first with 95 % of the largest "
+                "change from the gel at rest is taken as the moment of grasp"
             )
         inputs = DecodedInputs(source, rows, spec, self.recipe.input.cache_mb)
         return Batches(inputs, spec, reference, self.recipe.training.batch_size)

@@ -26,9 +26,8 @@ class InputSpec:
     are taken, spread evenly (1 for a single image). ``image`` says what is subtracted: the image of
     the undeformed gel (``difference``), the frame before (``change``; of the first frame: the
     undeformed gel), or nothing (``raw``). Images of another size than ``source_shape_px`` are
-    refused. ``grasp_fraction`` is the moment of grasp as a fraction of the sequence, for grasps
-    that do not state it; None where the training data has single images. ``mean`` and ``std`` are
-    those of the training images in grey levels, by channel: the input is (image − mean) / std.
+    refused. ``mean`` and ``std`` are those of the training images in grey levels, by channel: the
+    input is (image − mean) / std.
     """
 
     kind: Literal["single", "sequence"]
@@ -36,17 +35,14 @@ class InputSpec:
     n_frames: int
     image: Literal["difference", "change", "raw"]
     source_shape_px: tuple[int, int]
-    grasp_fraction: float | None = 0.0
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[int]:
-    """Indices of the images of a grasp that the network sees; ``grasp_frame`` may be unknown."""
+    """Indices of the images of a grasp that the network sees."""
     if spec.kind == "single":
-        if grasp_frame == FRAME_UNKNOWN:
-            grasp_frame = round((spec.grasp_fraction or 0.0) * (n_available - 1))
-        return [min(grasp_frame, n_available - 1)]
+        return [min(max(grasp_frame, 0), n_available - 1)]
     count = min(spec.n_frames, n_available)
     return [int(frame) for frame in np.round(np.linspace(0, n_available - 1, count))]
 
@@ -86,9 +82,8 @@ def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.u
 def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
     """The frames of one grasp at the network's size, (T, h, w, 3)."""
     count, grasp_frame = source.frame_count(row), int(source.table.grasp_frame[row])
-    unknown = grasp_frame == FRAME_UNKNOWN and spec.grasp_fraction is None
-    if spec.kind == "single" and count > 1 and unknown:
-        # The moment of grasp has to be found in the images themselves.
+    if spec.kind == "single" and count > 1 and grasp_frame == FRAME_UNKNOWN:
+        # How long the gripper closes differs from grasp to grasp: the images show when it has.
         frames = resized(source.frames(row, range(count)), spec.size_px)
         reference = source.reference
         rest = frames[0] if reference is None else resized(reference[None], spec.size_px)[0]

@@ -67,14 +67,12 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
 
 def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
     kind, options, n_frames = recipe.model.kind, recipe.input, source.n_frames
-    moment = float(np.median(source.table.grasp_frame))
     return InputSpec(
         kind=kind,
         size_px=options.size_px,
         n_frames=min(options.frames or n_frames, n_frames) if kind == "sequence" else 1,
         image=options.image,
         source_shape_px=source.shape_px,
-        grasp_fraction=moment / (n_frames - 1) if n_frames > 1 else None,
     )
 
 

@@ -28,8 +28,7 @@ SEQUENCE = replace(SINGLE, kind="sequence", n_frames=3)
 
 def test_a_single_image_is_that_of_the_moment_of_grasp():
     assert chosen_frames(SINGLE, 24, 7) == [7]
-    assert chosen_frames(replace(SINGLE, grasp_fraction=0.5), 25, -1) == [12]
-    assert chosen_frames(replace(SINGLE, grasp_fraction=0.5), 1, -1) == [0]
+    assert chosen_frames(SINGLE, 1, -1) == [0]
 
 
 def test_a_sequence_shows_by_itself_when_it_is_grasped():
@@ -42,9 +41,9 @@ def test_a_sequence_shows_by_itself_when_it_is_grasped():
 
 @pytest.mark.parametrize("background", [True, False])
 def test_networks_of_single_images_find_the_moment_in_sequences(tmp_path, background):
-    """The training data has no sequence that could tell it."""
+    """Grippers close for as long as the object's width asks for."""
     real = RealGraspImages(write_real(tmp_path / "real", n_frames=3, background=background))
-    found = read_input(real, 1, replace(SINGLE, grasp_fraction=None, size_px=SENSOR.shape_px))
+    found = read_input(real, 1, replace(SINGLE, size_px=SENSOR.shape_px))
     assert (found == real.frames(1, [2])).all()
 
 
