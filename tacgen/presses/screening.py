@@ -28,6 +28,9 @@ MAX_LABEL_OFF = 0.75
 OWN_CHANGE_SHARE = 0.9
 """A labelled circle whose own change is this share of the seen one's is a contact all the same."""
 
+MAX_CLIPPED = 0.5
+"""Where more of a labelled circle is at the camera's limit, only a part of its contact is seen."""
+
 COMPARED_WIDTH_PX = 80
 """Width of the pictures that a background is compared on: light and crop show at any size."""
 
@@ -225,6 +228,10 @@ def _is_elsewhere(label: Circle, seen: Circle) -> bool:
 def _label_problem(presses: PressImages, k: int, label: Circle, seen: Circle) -> tuple[str, str]:
     """What speaks against a labelled circle where another is clearly seen; empty if nothing."""
     if seen.problem or not _is_elsewhere(label, seen):
+        return "", ""
+    disc, step = _disc(label, presses.shape_px)
+    clipped = presses.images[k, ::step, ::step][disc] == presses.images.max()
+    if clipped.any(axis=1).mean() > MAX_CLIPPED:
         return "", ""
     own, other = (
         _change_in(presses.images[k], presses.background, circle) for circle in (label, seen)

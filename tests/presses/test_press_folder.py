@@ -246,3 +246,24 @@ def test_nothing_there(tmp_path):
         read_presses(tmp_path / "x.npz")
     with pytest.raises(TacgenError, match="mm_per_px = -1 must be a positive number"):
         read_presses(tmp_path / "x.npz", mm_per_px=-1.0)
+
+
+def test_labels_stand_where_a_camera_clips_most_of_the_contact(presses):
+    from dataclasses import replace
+
+    # Half of the contact is as bright as a camera can show, and so is the bare gel around it.
+    rows, columns = np.mgrid[: presses.shape_px[0], : presses.shape_px[1]]
+    level = 120
+    images = np.full_like(presses.images, level)
+    center = presses.center_px.copy()
+    for k, (radius, image) in enumerate(zip(presses.radius_px, images, strict=True)):
+        away = np.hypot(columns - center[k, 0], rows - center[k, 1])
+        image[away < 0.6 * radius] = 60 + k
+        center[k] += [0.8 * radius, 0.0]
+    background = np.full_like(presses.background, level)
+    clipped = replace(presses, images=images, background=background, center_px=center)
+    assert len(usable_presses(clipped)) == len(presses)
+    brighter = images.copy()
+    brighter[:, 0, 0] = 255  # the camera shows more than that
+    with pytest.raises(PressError, match="its labelled centre is"):
+        usable_presses(replace(clipped, images=brighter))

@@ -27,7 +27,7 @@ from tacgen.core.version import __version__
 from tacgen.core.workers import map_in_processes
 from tacgen.optics.table import ContactLight, LookupTable, features
 from tacgen.presses.geometry import PressedGel, rest_slope
-from tacgen.presses.press_images import PressImages, place_mm
+from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 N_SLOPE, N_DIRECTION = 48, 120
 """Nodes of a table's coefficients: so many that interpolation adds less than 0.1 grey levels."""
@@ -139,6 +139,8 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
     """The fitted model as a table that renders without any of the fit's code."""
     presses = prepared.presses
     steepest = steepest_slope_rad(presses, fit)
+    labels = label_mm(presses)
+    off = (fit.geometry - fit.press_model.labels.geometry(labels)) / labels[:, 2:]
     provenance: dict[str, Any] = {
         "made_by": f"tacgen {__version__} calibrate lookup",
         "data_sha256": dict(presses.sha256),
@@ -146,6 +148,7 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
         "left_out": [str(press) for press in presses.dropped],
         "ball_radius_mm": sorted({float(r) for r in presses.ball_radius_mm}),
         "press_model": fit.press_model.as_dict(),
+        "label_scatter_radii": float(np.exp(0.5 * np.log((off**2).mean(axis=1) + 1e-6).mean())),
         "settings": {
             **asdict(choice.settings),
             "ring_weights": list(RULES.ring_weights),

@@ -193,6 +193,8 @@ def diagnose_optics(
         If there are too few presses to hold any out, or the table is of another resolution.
     """
     _check(presses, table, rules)
+    scatter = table.provenance.get("label_scatter_radii", 0.0) if table else 0.0
+    rules = replace(rules, usual_scatter_radii=max(scatter, rules.usual_scatter_radii))
     testing = np.arange(len(presses)) % rules.test_every == rules.test_every - 1
     shown, tests = presses.select(~testing), presses.select(testing)
     if table is None:
@@ -200,8 +202,8 @@ def diagnose_optics(
         whole, tables = calibration.table, list(calibration.fold_tables)
     else:
         whole, tables = table, [table]
-    fit = PressFit(views_of(shown, tables, rules), rules)
-    test_fit = PressFit(views_of(tests, [whole], rules), rules)
+    fit = PressFit(views_of(presses, ~testing, tables, rules), rules)
+    test_fit = PressFit(views_of(presses, testing, [whole], rules), rules)
     noise = camera_noise_grey(presses)
     scene = _scene(shown, fit, has_table=table is not None)
     start, test_start = fit.start(whole.effects), test_fit.start(whole.effects)

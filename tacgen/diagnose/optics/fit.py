@@ -224,13 +224,10 @@ class PressFit:
 
     def own_values(self, model: Model, known: Known) -> FloatArray:
         """What each press (N, 3) differs by in what else is ``known``: radii, or shares of gain."""
-        if known == Known.PLACE:
-            effects = model.effects()
-            stated = np.array([view.place_by_label(effects)[0] for view in self.views])
-            radii = np.array([view.radius_mm for view in self.views])
-            return np.asarray((model.places - stated) / radii[:, None])
         parts = self.linearised(model)
-        return np.array([part.own_step(part.residual)[3:] for part in parts])
+        own = np.array([part.off + part.own_step(part.residual) for part in parts])
+        radii = np.array([[view.radius_mm] for view in self.views])
+        return own[:, :3] / radii if known == Known.PLACE else own[:, 3:]
 
     def linearised(self, model: Model, known: Known = Known.NOTHING) -> list[Linearised]:
         """Every press near the model."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.score import PressRenderer, press_model_of
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
 from tacgen.optics.render import Effects
@@ -131,10 +131,11 @@ def _active(
 
 
 def views_of(
-    presses: PressImages, tables: Sequence[LookupTable], rules: SelectionRules
+    presses: PressImages, shown: BoolArray, tables: Sequence[LookupTable], rules: SelectionRules
 ) -> list[PressView]:
-    """Every press k, rendered by table k mod their number."""
+    """The k-th of the presses that are shown, rendered by table k mod their number."""
     renderers = [PressRenderer(table, press_model_of(table, presses)) for table in tables]
     return [
-        PressView.of(presses, k, renderers[k % len(tables)], rules) for k in range(len(presses))
+        PressView.of(presses, number, renderers[k % len(tables)], rules)
+        for k, number in enumerate(np.nonzero(shown)[0].tolist())
     ]

@@ -54,15 +54,14 @@ class SelectionRules:
     """Chance, over all candidates of a step, of an effect on presses that have none."""
     least_gain: float = 0.02
     """1 % of the error; clean presses gain up to 0.01 by vignetting or a blurred surface."""
-    least_gain_of_stated: float = 0.15
-    """For a common change of labels or exposures: an effect on the image that is found leaves up to
-    0.14 in their means; of those put in the weakest gives 0.31."""
-    least_gain_of_form: float = 0.15
-    """For effects that can bend to the errors of form that a table leaves around every contact:
-    clean presses gain up to 0.1 by them."""
+    least_gain_of_loose: float = 0.15
+    """For common changes of labels or exposures, in whose means an effect on the image leaves up to
+    0.14, and effects that can bend to a table's errors of form: clean presses gain up to 0.1."""
     least_gain_of_places: float = 0.65
     least_gain_of_exposures: float = 1.0
-    """For places or exposures of their own: by those clean presses gain up to 0.5 and 0.75."""
+    """For places or exposures of their own: by those clean presses gain up to 0.5 and 0.85."""
+    usual_scatter_radii: float = 0.01
+    """What a typical label is off by, each way, where the table's presses had less."""
     sharp_noise_share: float = 0.7
     """Pictures with less of the table's camera noise are out of focus: of four sensors' presses
     mixed colours, vignetting or a gain leave 0.8 and more of it, a Gaussian of 1.5 pixels 0.52."""

@@ -11,15 +11,25 @@ from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, typical
 from tacgen.optics.effects import Candidate, PressScene, optical_effect, optical_effects
 
-ORDER = (
-    (Known.NOTHING, False),
-    (Known.EXPOSURE, False),
-    (Known.PLACE, False),
-    (Known.EXPOSURE, True),
-    (Known.PLACE, True),
+Kind = tuple[Known, bool, bool]
+"""What must be taken as stated; if each press has its own value; if it grows over a session."""
+
+ORDER: tuple[Kind, ...] = (
+    (Known.EXPOSURE, False, True),
+    (Known.NOTHING, False, False),
+    (Known.EXPOSURE, False, False),
+    (Known.PLACE, False, False),
+    (Known.EXPOSURE, True, False),
+    (Known.PLACE, True, False),
 )
-"""What is sought after what, and whether with a value of its own for each press. Effects that need
-no picture's exposure and place as stated come first; what is left of these is judged after them."""
+"""Kinds of candidates in the order of the search. What grows over a session comes first: no other
+effect looks like it. What needs a picture's exposure or place as stated is judged on what the
+effects on the image leave, and a value of each press's own last."""
+
+
+def _kind(candidate: Candidate) -> Kind:
+    stage = optical_effect(candidate.effect).stage
+    return known_for(stage), bool(candidate.each), candidate.over_session
 
 
 def log_gain(before: FloatArray, after: FloatArray) -> tuple[float, float]:
@@ -101,9 +111,9 @@ def select(fit: PressFit, start: Model, scene: PressScene, without: set[str]) ->
     Effects whose names are in ``without`` are not tried.
     """
     model, steps = start, []
-    for known, each in ORDER:
+    for kind in ORDER:
         while len(model.candidates) < fit.rules.max_effects:
-            step = _step(fit, model, scene, known, each, without)
+            step = _step(fit, model, scene, kind, without)
             if step is None:
                 break
             steps.append(step)
@@ -114,15 +124,15 @@ def select(fit: PressFit, start: Model, scene: PressScene, without: set[str]) ->
 
 
 def _step(
-    fit: PressFit, model: Model, scene: PressScene, known: Known, each: bool, without: set[str]
+    fit: PressFit, model: Model, scene: PressScene, kind: Kind, without: set[str]
 ) -> Step | None:
-    taken = {(c.effect, bool(c.each)) for c in model.candidates}
+    known, taken = kind[0], {c.effect for c in model.candidates if _kind(c) == kind}
     listed = [
         candidate
         for effect in optical_effects()
-        if known_for(effect.stage) == known and effect.name not in without
+        if effect.name not in without | taken
         for candidate in effect.candidates(scene)
-        if bool(candidate.each) == each and (effect.name, each) not in taken
+        if _kind(candidate) == kind
     ]
     if not listed:
         return None
@@ -155,7 +165,19 @@ def _scored(
     squares = fit.squares(fitted, known)
     gain, error = log_gain(before, squares)
     p_value = float(student.sf(gain / error, len(squares) - 1))
+    if known == Known.PLACE and candidate.each:
+        p_value = _chance_of_scatter(fit.own_values(model, known), fit.rules.usual_scatter_radii)
     return Scored(fitted, squares, gain, p_value)
+
+
+def _chance_of_scatter(places: FloatArray, usual: float) -> float:
+    """The chance that labels scatter as much as these (N, 3) and not more than usual, in radii.
+
+    Logarithms keep one label from deciding; what is usual comes of about as many presses.
+    """
+    more = np.log(((places - places.mean(axis=0)) ** 2).mean(axis=1) / usual**2)
+    error = more.std(ddof=1) * math.sqrt(2 / len(more))
+    return float(student.sf(more.mean() / error, len(more) - 1))
 
 
 def _with(model: Model, candidate: Candidate, start: Mapping[str, float]) -> Model:
@@ -173,13 +195,13 @@ def _with(model: Model, candidate: Candidate, start: Mapping[str, float]) -> Mod
 def _is_worth(fit: PressFit, one: Scored, n_tried: int) -> bool:
     rules, effect = fit.rules, optical_effect(one.candidate.effect)
     known = known_for(effect.stage)
-    least = rules.least_gain if known == Known.NOTHING else rules.least_gain_of_stated
-    if effect.follows_form_errors:
-        least = rules.least_gain_of_form
+    loose = known != Known.NOTHING or effect.follows_form_errors
+    least = rules.least_gain_of_loose if loose else rules.least_gain
     if one.candidate.each:
         place = known == Known.PLACE
         least = rules.least_gain_of_places if place else rules.least_gain_of_exposures
-    return one.gain >= least and one.p_value <= rules.false_alarm / n_tried
+    n_chances = 1 if one.candidate.evident else n_tried
+    return one.gain >= least and one.p_value <= rules.false_alarm / n_chances
 
 
 def _is_as_good(fit: PressFit, one: Scored, best: Scored) -> bool:

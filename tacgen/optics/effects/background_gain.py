@@ -34,7 +34,9 @@ class BackgroundGain(base.OpticalEffect):
         return [
             base.Candidate(self.name, "exposure since the table", GAINS),
             base.Candidate(self.name, "exposure and offset since the table", {**GAINS, **OFFSETS}),
-            base.Candidate(self.name, "exposure that drifts over the session", {**GAINS, **DRIFTS}),
+            base.Candidate(
+                self.name, "exposure that drifts over the session", DRIFTS, over_session=True
+            ),
             base.Candidate(self.name, "exposure of each picture", each=tuple(GAINS)),
         ]
 

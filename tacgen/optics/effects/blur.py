@@ -19,7 +19,6 @@ MAX_SIGMA_RADII = 0.8
 STEP_PX = 0.25
 """Of the finite difference: a kernel narrower than that is a single pixel."""
 
-
 WHOLE_PICTURE_MM = 1000.0
 """Wider than any sensor."""
 

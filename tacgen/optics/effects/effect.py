@@ -139,6 +139,10 @@ class Candidate:
         the presses, of its exposure where it acts on that.
     starts : tuple of mappings
         Values to begin with; of several, those from which the fit ends best.
+    over_session : bool
+        Whether it grows over the session: what else changes all presses alike cannot look so.
+    evident : bool
+        Whether something beside the error shows it: it is not one of many that are tried.
     """
 
     effect: str
@@ -146,6 +150,8 @@ class Candidate:
     shared: Mapping[str, Parameter] = field(default_factory=lambda: MappingProxyType({}))
     each: tuple[str, ...] = ()
     starts: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
+    over_session: bool = False
+    evident: bool = False
 
 
 class OpticalEffect:

@@ -78,14 +78,15 @@ class Saturation(base.OpticalEffect):
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """Where the brightest values pile up."""
-        if not seems_clipped(scene.grey):
+        ends = clip_level(scene.grey) == self.parameters["level_grey"].upper  # as every scale does
+        if ends or not seems_clipped(scene.grey):
             return []
         start = {"level_grey": clip_level(scene.grey), "knee_grey": 0.0}
         level = {"level_grey": self.parameters["level_grey"]}
-        soft = {**start, "knee_grey": FIRST_KNEE_GREY}
+        soft, bends = {**start, "knee_grey": FIRST_KNEE_GREY}, self.parameters
         return [
-            base.Candidate(self.name, "the camera clips", level, starts=(start,)),
-            base.Candidate(self.name, "the camera bends", self.parameters, starts=(soft,)),
+            base.Candidate(self.name, "the camera clips", level, starts=(start,), evident=True),
+            base.Candidate(self.name, "the camera bends", bends, starts=(soft,), evident=True),
         ]
 
 

@@ -169,3 +169,31 @@ def test_too_few_presses():
 def test_a_table_of_another_resolution_is_refused():
     with pytest.raises(PressError, match=r"\(150, 130\).*presses' own resolution"):
         diagnose_optics(presses("three", count=12), table_of_before("four"))
+
+
+@pytest.mark.slow
+def test_a_gain_that_drifts_is_named_where_lamps_differ_from_picture_to_picture():
+    clean = presses("three")
+    rng = np.random.default_rng(5)
+    count = len(clean.images)
+    # As on a measured sensor: green is steady, the two others scatter.
+    gains = 1 + np.outer(np.linspace(-0.075, 0.075, count), np.ones(3))
+    gains *= 1 + rng.normal(0.0, [0.04, 0.005, 0.04], (count, 3))
+    images = np.clip(clean.images * gains[:, None, None], 0, 255)
+    drifting = replace(clean, images=np.rint(images).astype(np.uint8))
+    diagnosis = diagnose_optics(drifting, table_of_before("three"))
+    assert names(diagnosis)[0] == "background_gain"
+    drift = diagnosis.effects[0].parameters["drift_g"]["value"]
+    assert drift == pytest.approx(0.15, abs=0.01)  # two standard errors of green's scatter
+    assert diagnosis.rmse_after < 0.9 * diagnosis.rmse_before
+
+
+@pytest.mark.slow
+def test_labels_that_scatter_as_those_of_the_table_are_not_named():
+    clean = presses("three")
+    off = np.random.default_rng(6).normal(0.0, 0.12, (len(clean.images), 2))
+    scattered = replace(clean, center_px=clean.center_px + off * clean.radius_px[:, None])
+    table = table_of_before("three")
+    assert names(diagnose_optics(scattered, table)) == ["press_center"]
+    provenance = {**table.provenance, "label_scatter_radii": 0.1}
+    assert diagnose_optics(scattered, replace(table, provenance=provenance)).effects == ()
