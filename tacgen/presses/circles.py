@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.optics.dots import coarse
+from tacgen.presses.geometry import Membrane, PressedGel
 
 WORK_WIDTH_PX = 160  # images are looked at this wide: a circle needs no more
 
@@ -22,11 +23,8 @@ CLEAR_SIGMAS = 5.5
 """A contact stands out of the picture's scatter by at least this many standard deviations: noise
 alone reaches 3.5, a contact whose surroundings fill half of the picture 6.5."""
 
-MIN_CHANGE_GREY = 6.0
-"""And by at least this many grey levels, so that a still camera does not make a press of dust."""
-
-PATCH_SHARE = 0.2
-"""Pixels that changed by at least this share of the most changed ones make up the patch."""
+MIN_CHANGE_GREY = 6.0  # and by this much, so that a still camera makes no press of dust
+PATCH_SHARE = 0.2  # of the most changed pixels' change: what changed by as much is the patch
 
 EDGE_SHARE = 0.5
 """The edge stands where a direction's change has fallen to this share of its own largest: lamps
@@ -40,19 +38,22 @@ DRIFT_DEGREE = 3
 """Of the polynomial in position that lamps drift by: 2 leaves corners bright on a real sensor, 4
 follows wide contacts."""
 
-DRIFT_STEPS = 6
-"""Of reweighting: after these a contact of a third of the image no longer moves the drift."""
+DRIFT_STEPS = 6  # of reweighting: a contact of a third of the image then moves it no longer
+SHADED_RADII, SHADED_PIXELS = 1.3, 400  # how far out, and on how many pixels, shading is fitted
+SHADED_BALL, SHADED_RIM, SHADED_START = 1.3, 0.4, 0.65
+"""Ball and decay of the slope beside it, in contact radii, and the contact that is tried first, in
+edge radii: what is off in them goes into the polynomial of the shading."""
+SHADING_POWERS = [(i, degree - i) for degree in (1, 2, 3) for i in range(degree + 1)]
 
 N_DIRECTIONS = 96  # every 3.75 degrees: some pixels apart at the rim
 PROFILE_STEP_PX = 0.25  # finer than the image resolves
 MIN_EDGE_DIRECTIONS = 0.4  # share of the directions in which an edge must be seen
 MAX_OUT_OF_ROUND = 0.15  # largest median distance of the edge from the circle, in radii
 
-SECOND_CONTACT = 0.4
-"""A second patch with this share of the largest one's area is a second contact, if it is also"""
-
-SECOND_STRENGTH = 0.5
-"""as much changed as this, relative to the largest: lamps that drift brighten a corner faintly."""
+SECOND_CONTACT = 0.4  # a second patch with this share of the largest one's area is a contact, if
+SECOND_STRENGTH = (
+    0.5  # it has changed by this share too: lamps that drift brighten a corner faintly
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +78,9 @@ def find_circle(
 
     What changed against the background, relative to the light at its place, is thresholded low to
     find the patch; from its middle, the edge is looked for in every direction on that direction's
-    own scale, and a circle is fitted robustly to these points. ``hidden`` (H, W) are pixels that
-    show no gel: printed dots.
+    own scale, and a circle is fitted robustly to these points. Its centre is then moved to where
+    the shading is best explained by a ball, because lamps draw the edge to one side. ``hidden``
+    (H, W) are pixels that show no gel: printed dots.
     """
     height, width = image.shape[:2]
     scale = min(1.0, WORK_WIDTH_PX / width)
@@ -89,13 +91,16 @@ def find_circle(
     if _scatter_and_top(np.linalg.norm(change, axis=2))[2] < MIN_CHANGE_GREY:
         return nothing
     light = cv2.GaussianBlur(rest, (0, 0), 0.05 * size[0])
-    strength = np.linalg.norm(change / (light + DARK_GREY), axis=2)
+    relative = change / (light + DARK_GREY)
+    strength = np.linalg.norm(relative, axis=2)
     middle, scatter, top = _scatter_and_top(strength)
     if top < CLEAR_SIGMAS * scatter:
         return nothing
     strength = np.maximum(strength - middle, 0.0)
     patch, others = _largest_patch(strength > max(PATCH_SHARE * top, 4.0 * scatter))
-    center, radius, edge, problem = _circle_around(patch, strength, 4.0 * scatter)
+    center, edge, problem = _circle_around(patch, strength, 4.0 * scatter)
+    center = center if problem else _center_of_shading(relative, center, edge)
+    radius = edge if problem else _rim_radius(strength, center, edge, 4.0 * scatter)
     if others.any() and np.percentile(strength[others], 95) < SECOND_STRENGTH * top:
         others = np.zeros_like(others)
     problem = problem or _problem(patch, others, center, radius)
@@ -144,22 +149,47 @@ def _largest_patch(mask: BoolArray) -> tuple[BoolArray, BoolArray]:
 
 def _circle_around(
     patch: BoolArray, strength: FloatArray, least: float
-) -> tuple[FloatArray, float, float, str]:
-    """Centre (x, y) and radii of rim and edge, seen from the patch's middle; what is wrong."""
+) -> tuple[FloatArray, float, str]:
+    """Centre (x, y) and radius of the edge, seen from the patch's middle; what is wrong."""
     rows, columns = np.nonzero(patch)
     radius = max(float(np.sqrt(len(rows) / np.pi)), 1.0)
     center = np.array([columns.mean(), rows.mean()]) if len(rows) else np.full(2, np.nan)
     if not len(rows):
-        return center, radius, radius, "shows no contact"
+        return center, radius, "shows no contact"
     for _ in range(3):
         points = _edge_points(strength, center, radius, least)
         if len(points) < MIN_EDGE_DIRECTIONS * N_DIRECTIONS:
-            return center, radius, radius, "what changed is not round"
+            return center, radius, "what changed is not round"
         fitted, off = _fit_circle(points, np.array([*center, radius]))
         center, radius = fitted[:2], float(abs(fitted[2]))
     if off > MAX_OUT_OF_ROUND * radius:
-        return center, radius, radius, "what changed is not round"
-    return center, _rim_radius(strength, center, radius, least), radius, ""
+        return center, radius, "what changed is not round"
+    return center, radius, ""
+
+
+def _center_of_shading(change: FloatArray, center: FloatArray, radius: float) -> FloatArray:
+    """Centre (x, y) of the ball whose slopes explain the relative change (h, w, 3) best.
+
+    For each centre and contact radius the change is a polynomial in the normal of the gel.
+    """
+    distance = np.hypot(*(np.indices(change.shape[:2]) - center[::-1, None, None]))
+    rows, columns = np.nonzero(distance < SHADED_RADII * radius)
+    some = slice(None, None, max(1, len(rows) // SHADED_PIXELS))
+    rows, columns, seen = rows[some], columns[some], change[rows[some], columns[some]]
+    ridge = 1e-6 * len(seen) * np.eye(len(SHADING_POWERS))  # where a power is another's multiple
+
+    def unexplained(ball: FloatArray) -> FloatArray:
+        contact = abs(float(ball[2]))
+        gel = PressedGel(contact, SHADED_BALL * contact, Membrane(SHADED_RIM * contact, 4.0))
+        gx, gy = gel.slope(columns - ball[0], rows - ball[1])
+        nx, ny = np.stack([gx, gy]) / np.sqrt(1.0 + gx * gx + gy * gy)
+        terms = np.stack([nx**i * ny**j for i, j in SHADING_POWERS])
+        weights = np.linalg.solve(terms @ terms.T + ridge, terms @ seen)
+        return np.asarray(seen - terms.T @ weights).ravel()
+
+    start = np.array([*center, SHADED_START * radius])
+    found = least_squares(unexplained, start, diff_step=1e-3, max_nfev=10).x[:2]
+    return found if np.hypot(*(found - center)) < 0.3 * radius else center
 
 
 def _profiles(

@@ -19,20 +19,11 @@ MAX_OUTSIDE = 0.25  # a contact may lie out of view by this share of its circle
 MAX_SATURATED = 0.9
 """Share of the contact's pixels that may be at 0 or 255 in a channel where the gel is not."""
 
-MAX_LABEL_SHARE = 1.5
-"""A labelled radius may exceed the ball's own by this factor: people circle the gel's rim too."""
-
-MAX_LABEL_OFF = 0.75
-"""A label farther than this from the circle that is seen, in radii, is of something else."""
-
-OWN_CHANGE_SHARE = 0.9
-"""A labelled circle whose own change is this share of the seen one's is a contact all the same."""
-
-MAX_CLIPPED = 0.5
-"""Where more of a labelled circle is at the camera's limit, only a part of its contact is seen."""
-
-COMPARED_WIDTH_PX = 80
-"""Width of the pictures that a background is compared on: light and crop show at any size."""
+MAX_LABEL_SHARE = 1.5  # of the ball's radius, for a labelled one: people circle the gel's rim too
+MAX_LABEL_OFF = 0.75  # radii from the circle that is seen: a label farther off is of something else
+OWN_CHANGE_SHARE = 0.9  # of the seen circle's change: with it a labelled one is a contact anyway
+MAX_CLIPPED = 0.5  # of a labelled circle at the camera's limit: beyond it only a part is seen
+COMPARED_WIDTH_PX = 80  # of pictures compared with a background: light and crop show at any size
 
 OTHER_PICTURE = 2.0, 1.5
 """A picture is of another sensor where its bare gel differs from the background, in grey levels, by

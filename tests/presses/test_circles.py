@@ -9,6 +9,7 @@ import pytest
 
 from tacgen.optics.dots import dots_in, printed_dots
 from tacgen.presses.circles import find_circle
+from tacgen.presses.geometry import Membrane, PressedGel
 from validation.optics.press_images import digit, draw_presses, gelsight_mini
 
 PLAIN = gelsight_mini(4, dots=False)
@@ -37,6 +38,19 @@ def test_centre_and_rim_are_found(case):
         assert off < 0.1 * press.contact_px + 0.3
         assert 0.95 < circle.radius_px / press.contact_px < 1.2
         assert circle.edge_px > circle.radius_px
+
+
+def test_lamps_that_make_one_side_wider_do_not_move_the_centre():
+    """A side lit so that its shading reaches beyond the rim: its edge alone is 0.1 radii off."""
+    center, radius = np.array([83.4, 58.7]), 20.0
+    gel = PressedGel(radius, 1.5 * radius, Membrane(0.5 * radius, 4.0))
+    rows, columns = np.indices((120, 160), dtype=float)
+    gx, gy = gel.slope(columns - center[0], rows - center[1])
+    nx, ny = np.stack([gx, gy]) / np.sqrt(1.0 + gx**2 + gy**2)
+    lit = np.stack([90 * nx + 80 * nx**2, 40 * ny - 30 * nx**2, 60 * nx - 30 * ny], axis=-1)
+    rest = np.full((120, 160, 3), 120.0)
+    circle = find_circle(np.rint(rest + lit).clip(0, 255).astype(np.uint8), rest.astype(np.uint8))
+    assert np.hypot(*(circle.center_px - center)) < 0.02 * radius
 
 
 def test_printed_dots_do_not_move_the_circle():

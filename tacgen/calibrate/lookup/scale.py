@@ -28,8 +28,7 @@ UNEVEN_LIGHT = 0.005
 """Light that changes across the picture moves the centres that are found in it, by up to this
 share of their distances."""
 
-RIM_EXCESS = 1.05
-"""The rim that is seen in a picture lies outside the contact by up to this factor."""
+RIM_EXCESS = 1.05  # the rim that is seen in a picture lies outside the contact by up to this factor
 
 RADIUS_FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1)
 """Of the stated radius, that are tried; the best is interpolated."""

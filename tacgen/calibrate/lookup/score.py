@@ -22,12 +22,8 @@ from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import rest_height
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-_MARGIN_PX = 3
-"""The renderer's differences reach this far beyond the pixels that are read."""
-
-
-_KEPT_SHADERS = 6
-"""A step of a fit goes through a few values of an effect, press by press."""
+_MARGIN_PX = 3  # the renderer's differences reach this far beyond the pixels that are read
+_KEPT_SHADERS = 6  # a step of a fit goes through a few values of an effect, press by press
 
 PICTURES = ("labels", "refined", "bare")
 """What a press is compared with: the table at the label's word, at the place re-estimated, and the

@@ -35,14 +35,11 @@ N_SLOPE, N_DIRECTION = 48, 120
 RESPONSE_SLOPES, RESPONSE_DIRECTIONS, RESPONSE_PLACES = 32, 64, 25
 """Nodes of a table's response to a slope, and of position along the image's longer side."""
 
-IMAGES_FOR_NOISE = 12
-"""The camera's noise is the same in every image: a dozen give it."""
+IMAGES_FOR_NOISE = 12  # the camera's noise is the same in every image: a dozen give it
 
-WHOLE = -1
-"""In place of the number of a fold: no press is held out."""
+WHOLE = -1  # in place of the number of a fold: no press is held out
 
-BEYOND_STEEPEST = 1.02
-"""The table ends a little above the steepest slope that the presses hold."""
+BEYOND_STEEPEST = 1.02  # the table ends a little above the steepest slope that the presses hold
 
 
 @dataclass(frozen=True, slots=True)
