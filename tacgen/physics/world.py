@@ -191,9 +191,8 @@ class World:
         """
         create = self.bullet.createCollisionShape
         if len(parts) == 1 and (ball := ball_of(parts[0])):
-            center_m, radius_m = ball[0] * M_PER_MM, ball[1] * M_PER_MM
-            place = center_m.tolist()
-            return int(create(self.bullet.GEOM_SPHERE, radius_m, collisionFramePosition=place))
+            center_m, radius_m = (ball[0] * M_PER_MM).tolist(), ball[1] * M_PER_MM
+            return int(create(self.bullet.GEOM_SPHERE, radius_m, collisionFramePosition=center_m))
         digest = hashlib.sha256(bytes([enclosing]))
         for part in parts:
             digest.update(part.vertices_mm.tobytes() + part.faces.tobytes())

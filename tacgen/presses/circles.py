@@ -34,10 +34,7 @@ RIM_SHARE = 0.9
 """The contact ends where the mean of all directions, each on its own scale, is last this near to
 its largest: the gel is steepest at the rim and falls off beyond it."""
 
-DRIFT_DEGREE = 3
-"""Of the polynomial in position that lamps drift by: 2 leaves corners bright on a real sensor, 4
-follows wide contacts."""
-
+DRIFT_DEGREE = 3  # of lamps' drift in place: 2 leaves corners bright, 4 follows wide contacts
 DRIFT_STEPS = 6  # of reweighting: a contact of a third of the image then moves it no longer
 SHADED_RADII, SHADED_PIXELS = 1.3, 400  # how far out, and on how many pixels, shading is fitted
 SHADED_BALL, SHADED_RIM, SHADED_START = 1.3, 0.4, 0.65
@@ -51,9 +48,7 @@ MIN_EDGE_DIRECTIONS = 0.4  # share of the directions in which an edge must be se
 MAX_OUT_OF_ROUND = 0.15  # largest median distance of the edge from the circle, in radii
 
 SECOND_CONTACT = 0.4  # a second patch with this share of the largest one's area is a contact, if
-SECOND_STRENGTH = (
-    0.5  # it has changed by this share too: lamps that drift brighten a corner faintly
-)
+SECOND_STRENGTH = 0.5  # it changed by this share too: lamps that drift brighten corners faintly
 
 
 @dataclass(frozen=True, slots=True)

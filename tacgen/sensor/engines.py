@@ -270,12 +270,10 @@ def _merged(shapes: list[trimesh.Trimesh], what: str) -> trimesh.Trimesh:
 
 def _joined(meshes: list[Mesh], poses_mm: list[FloatArray]) -> Mesh:
     """Several objects as one mesh in the gel frame."""
-    vertices, faces, start = [], [], 0
-    for mesh, at in zip(meshes, poses_mm, strict=True):
-        vertices.append(mesh.vertices_mm @ at[:3, :3].T + at[:3, 3])
-        faces.append(mesh.faces + start)
-        start += len(mesh.vertices_mm)
-    return Mesh(np.concatenate(vertices), np.concatenate(faces))
+    posed = zip(meshes, poses_mm, strict=True)
+    vertices_mm = [mesh.vertices_mm @ at[:3, :3].T + at[:3, 3] for mesh, at in posed]
+    joined, faces = trimesh.util.append_faces(vertices_mm, [mesh.faces for mesh in meshes])
+    return Mesh(np.asarray(joined, np.float64), np.asarray(faces, np.int32))
 
 
 def _in_mm(pose_m: FloatArray) -> FloatArray:

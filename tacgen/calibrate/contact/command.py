@@ -1,26 +1,25 @@
 """``tacgen calibrate contact``: a press log, or curves of force against depth, to a contact law."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tacgen.calibrate.contact import depth_curves
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
+from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of
 from tacgen.core.version import __version__
 from tacgen.optics.table import load_table
+from tacgen.presses.press_folder import WITH_FORCES, read_press_folder, read_presses
+from tacgen.presses.press_forces import MeasuredLog, measure_presses
 from tacgen.presses.press_log import read_press_log
-
-if TYPE_CHECKING:
-    from tacgen.presses.press_forces import MeasuredLog
+from tacgen.presses.screening import usable_presses
 
 MIN_FOR_OWN_TABLE = 10
 """Pictures that a table has to be fitted to before volumes by it are better than by the circle."""
@@ -86,11 +85,6 @@ def calibrate_contact(
 
 def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
     """The press log that a folder of images with forces holds, written to ``log``."""
-    from tacgen.calibrate.lookup.table_fit import fit_lookup
-    from tacgen.presses.press_folder import WITH_FORCES, read_press_folder, read_presses
-    from tacgen.presses.press_forces import measure_presses
-    from tacgen.presses.screening import usable_presses
-
     images = read_press_folder(folder, WITH_FORCES)
     lookup = None
     if table is not None:
