@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import PressError
+from tacgen.core.workers import map_in_processes
 from tacgen.optics.dots import coarse, dots_in, printed_dots
 from tacgen.presses.circles import Circle, find_circle, outside_share
 from tacgen.presses.press_images import DroppedPress, PressImages
@@ -16,9 +17,7 @@ MIN_PRESSES = 3  # fewer cannot separate light from place
 
 MAX_OUTSIDE = 0.25  # a contact may lie out of view by this share of its circle
 
-MAX_SATURATED = 0.9
-"""Share of the contact's pixels that may be at 0 or 255 in a channel where the gel is not."""
-
+MAX_SATURATED = 0.9  # of a contact's pixels at 0 or 255 in a channel where the gel is not
 MAX_LABEL_SHARE = 1.5  # of the ball's radius, for a labelled one: people circle the gel's rim too
 MAX_LABEL_OFF = 0.75  # radii from the circle that is seen: a label farther off is of something else
 OWN_CHANGE_SHARE = 0.9  # of the seen circle's change: with it a labelled one is a contact anyway
@@ -35,10 +34,7 @@ OTHER_BACKGROUND = 1.6, 1.0
 on the measured sets, above 1.6 for backgrounds cropped by a tenth to a fifth."""
 
 BACKGROUND_MIN_PRESSES = 5  # a median of fewer pictures shows the contacts themselves
-
-MOVED_SHARE = 0.4
-"""A background with a contact is a press where this share of the presses lies elsewhere."""
-
+MOVED_SHARE = 0.4  # a background with a contact is a press if so many presses lie elsewhere
 PRESS_STRENGTH = 0.3
 """And where its contact changes the picture at least this much of what theirs do: 0.04 for presses
 that overlap, 0.45 to 3 for a press (rig and three real sensors)."""
@@ -62,8 +58,11 @@ def usable_presses(
     copy_of = _first_alike(presses.images)
     seen_px = np.full((len(presses), 3), np.nan)
     dropped: list[DroppedPress] = []
-    for k in range(len(presses)):
-        seen = find_circle(presses.images[k], presses.background, presses.hidden_in(k))
+
+    def circle_in(k: int) -> Circle:
+        return find_circle(presses.images[k], presses.background, presses.hidden_in(k))
+
+    for k, seen in enumerate(map_in_processes(circle_in, range(len(presses)))):
         circle = Circle(center[k], float(radius[k]))
         if not seen.problem and (found[k] or not _is_elsewhere(circle, seen)):
             seen_px[k] = [*seen.center_px, seen.radius_px]
