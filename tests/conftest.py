@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from tacgen.core.workers import start_early
 
 MEASURED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+hypothesis.settings.register_profile("repeatable", derandomize=True)
+hypothesis.settings.load_profile("repeatable")
 LONGEST = ("test_docs.py", "test_slurm.py")
 
 
