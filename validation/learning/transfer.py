@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -110,10 +111,13 @@ def run(name: str, folder: Path, recipe: str, workers: int) -> None:
         tacgen.collect(tacgen.load_recipe(path), out, workers=workers)
     real = folder / f"{name}_real"
     if not real.is_dir():
-        export_dataset(other, real, "real-grasps", split="test")
-        for picture in real.rglob("*.png"):
-            grey = np.asarray(Image.open(picture)) * WORLDS[name]["gain"]
-            Image.fromarray(np.rint(np.clip(grey, 0, 255)).astype(np.uint8)).save(picture)
+        with TemporaryDirectory(dir=folder) as temporary:
+            exported = Path(temporary) / "grasps"
+            export_dataset(other, exported, "real-grasps", split="test")
+            for picture in exported.rglob("*.png"):
+                grey = np.asarray(Image.open(picture)) * WORLDS[name]["gain"]
+                Image.fromarray(np.rint(np.clip(grey, 0, 255)).astype(np.uint8)).save(picture)
+            exported.rename(real)
     trained = folder / f"{name}_{recipe}"
     train(load_train_recipe(recipe), data, trained, workers=1)
     for where in ({"data": data}, {"real": real}):
