@@ -4,10 +4,10 @@ BIN := .venv/bin
 BASE := .venv/.base
 READY := .venv/.ready
 # A test process is one core's work: libraries that start threads in each slow one another down.
-# Two more than cores, since some tests wait for processes of their own.
+# One more than cores, since some tests wait for processes of their own.
 # Tests start many processes, which shall not compile the package each.
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
-	$(BIN)/python -m pytest -n $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 2))) --dist worksteal
+	$(BIN)/python -m pytest -n $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1))) --dist worksteal
 
 .PHONY: setup demo network test test-fast coverage slowest check format docs bench trust lock clean
 

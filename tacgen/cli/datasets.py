@@ -29,7 +29,7 @@ def collect(
     from tacgen.core.workers import start_early
 
     if not dry_run:
-        start_early("tacgen.collection.run", "trimesh.creation")
+        start_early("tacgen.collection.run")
     from tacgen.collection.job_array import parse_share
     from tacgen.collection.recipe import load_recipe
     from tacgen.collection.run import collect as run

@@ -71,9 +71,7 @@ def _gl_platform(name: str, platform: str, fix: str) -> Finding:
     command, limit_s = [sys.executable, "-c", code], GL_PROBE_TIMEOUT_S
     try:
         subprocess.run(command, env=environment, capture_output=True, timeout=limit_s, check=True)
-    except subprocess.TimeoutExpired:
-        return Finding(name, False, False, "did not answer", fix)
-    except subprocess.CalledProcessError:
+    except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
         return Finding(name, False, False, "not available", fix)
     return Finding(name, True, False, "works")
 

@@ -7,10 +7,13 @@ machine.
 from functools import lru_cache
 
 import numpy as np
+from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
+from tacgen.objects.meshes import from_manifold
 from tacgen.objects.shading import shaded_view
+from tacgen.physics.frames import pose as transform
 from tacgen.physics.frames import rotation_about_z, rotation_of
 from tacgen.physics.gripper import FINGER_THICKNESS_MM, PAD_DEPTH_MM, PAD_HEIGHT_MM, PAD_WIDTH_MM
 
@@ -44,10 +47,7 @@ def grasp_picture(
 
 def pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """The (4, 4) transform of x, y, z and a quaternion x, y, z, w (7,)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation_of(pose[3:].tolist())
-    matrix[:3, 3] = pose[:3]
-    return matrix
+    return np.asarray(transform(rotation_of(pose[3:]), pose[:3]), np.float64)
 
 
 def _openings_mm(
@@ -69,11 +69,9 @@ def _openings_mm(
 
 @lru_cache(maxsize=1)
 def _table() -> Part:
-    from trimesh import creation
-
-    disc = creation.cylinder(radius=_TABLE_RADIUS_MM, height=3.0, sections=48)
-    disc.apply_translation([0.0, 0.0, -1.6])
-    return np.array(disc.vertices), np.array(disc.faces), _TABLE_COLOR
+    disc = Manifold.cylinder(3.0, _TABLE_RADIUS_MM, circular_segments=48, center=True)
+    mesh = from_manifold(disc.translate((0.0, 0.0, -1.6)))
+    return mesh.vertices_mm, mesh.faces.astype(np.int64), _TABLE_COLOR
 
 
 def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part]:
@@ -95,10 +93,8 @@ def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part
 
 @lru_cache(maxsize=1)
 def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    from trimesh import creation
-
-    box = creation.box(extents=(1.0, 1.0, 1.0))
-    return np.array(box.vertices), np.array(box.faces)
+    box = from_manifold(Manifold.cube((1.0, 1.0, 1.0), center=True))
+    return box.vertices_mm, box.faces.astype(np.int64)
 
 
 def _shade(parts: list[Part]) -> NDArray[np.uint8]:

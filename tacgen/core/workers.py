@@ -176,6 +176,8 @@ def run_tasks(
     Raises ``TacgenError`` if a job raises one, if three items in a row crash, or if a task's worker
     is killed again and again.
     """
+    if not tasks:
+        return
     progress = _Progress(deque(tasks))
     start_early(_module_of(make_job))
     crew: list[_Worker] = []
@@ -390,7 +392,8 @@ def start_early(*modules: str) -> None:
     if len(os.fsencode(folder)) > LONGEST_FOLDER:
         msg = f"{folder}: too long a path for a socket; set TMPDIR to a shorter one, such as /tmp"
         raise TacgenError(msg)
-    multiprocessing.get_context("forkserver").set_forkserver_preload(list(modules))
+    preload = [*modules, "tacgen.core.compiler_start"]
+    multiprocessing.get_context("forkserver").set_forkserver_preload(preload)
     _remover(folder)
     with _for_workers():
         forkserver.ensure_running()

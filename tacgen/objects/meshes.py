@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh, frozen_array
@@ -23,6 +22,8 @@ def rounded_mesh(vertices_mm: FloatArray, faces: NDArray[np.integer]) -> Mesh:
 
 def hull(points_mm: FloatArray) -> Mesh:
     """The convex hull of points (n, 3), faces outward."""
+    from scipy.spatial import ConvexHull  # slow to import, and loading an object does not need it
+
     points_mm = np.round(np.asarray(points_mm, dtype=np.float64).reshape(-1, 3), VERTEX_DECIMALS)
     found = ConvexHull(points_mm)
     corners = points_mm[found.simplices]

@@ -1,11 +1,11 @@
 """The camera's noise."""
 
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 _BITS = 12  # 4096 quantiles of the normal distribution: finer than a grey level's rounding
 _LEVELS = 1 << _BITS
@@ -30,7 +30,8 @@ class CameraNoise:
     def __init__(self, sigma_grey: float) -> None:
         self.sigma_grey = sigma_grey
         # Equally likely values of a standard normal, scaled to unit variance: ±3.7 at most.
-        values = ndtri((np.arange(_LEVELS) + 0.5) / _LEVELS)
+        normal = NormalDist()
+        values = np.array([normal.inv_cdf((k + 0.5) / _LEVELS) for k in range(_LEVELS)])
         self._quantiles = np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
 
     def add(self, image: NDArray[np.float32], rng: np.random.Generator) -> None:

@@ -131,9 +131,9 @@ def _contact_row(
     ``nodes`` (n_columns · 12,) are the contact's nodes at this row.
     """
     one, full, zero = np.float32(1), np.float32(depth_mm), np.float32(0)
+    target[: 3 * gx.shape[0]] = zero
     for k in range(gx.shape[0]):
         depth = rest_mm[k] - height_mm[k]
-        red, green, blue = zero, zero, zero
         if depth > zero:
             x, y = gx[k], gy[k]
             cosine = one / np.sqrt(one + x * x + y * y)
@@ -143,19 +143,11 @@ def _contact_row(
             left = one - right
             i = 3 * _LANES * column[k]
             j = i + 3 * _LANES
-            red = share * (
-                left * (nodes[i] + x * nodes[i + 4] + y * nodes[i + 8])
-                + right * (nodes[j] + x * nodes[j + 4] + y * nodes[j + 8])
-            )
-            green = share * (
-                left * (nodes[i + 1] + x * nodes[i + 5] + y * nodes[i + 9])
-                + right * (nodes[j + 1] + x * nodes[j + 5] + y * nodes[j + 9])
-            )
-            blue = share * (
-                left * (nodes[i + 2] + x * nodes[i + 6] + y * nodes[i + 10])
-                + right * (nodes[j + 2] + x * nodes[j + 6] + y * nodes[j + 10])
-            )
-        target[3 * k], target[3 * k + 1], target[3 * k + 2] = red, green, blue
+            for c in range(3):
+                target[3 * k + c] = share * (
+                    left * (nodes[i + c] + x * nodes[i + c + 4] + y * nodes[i + c + 8])
+                    + right * (nodes[j + c] + x * nodes[j + c + 4] + y * nodes[j + c + 8])
+                )
 
 
 @njit(cache=True, nogil=True)

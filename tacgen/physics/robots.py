@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.units import M_PER_MM, MM_PER_M
@@ -170,6 +169,8 @@ class ArmWithGripper:
             if following is None:
                 return f"the arm cannot lift the object further than {height_m * MM_PER_M:.0f} mm"
             joints.append(following)
+        from scipy.interpolate import CubicSpline  # slow to import; other robots do not need it
+
         self._path = CubicSpline(heights_m, np.stack(joints))
         self._path_slope = self._path.derivative()
         self.command_lift(0.0, 0.0)

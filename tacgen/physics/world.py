@@ -13,7 +13,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
@@ -27,8 +26,6 @@ BALL_TOLERANCE = 1e-3  # of the radius, for vertices: 0.02 mm of a golf ball
 BALL_FILL = 0.92  # of its volume: 162 vertices fill 0.97, 512 uneven ones 0.96, 42 fill 0.87
 HULL_MARGIN_MM = 1.0  # what Bullet adds around a convex hull; on a link it cannot be taken off
 NO_TURN = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
-
-NOT_OPEN = "the simulator is not open; use it in a `with` block"
 
 
 class Collides(IntFlag):
@@ -120,7 +117,9 @@ class _Client:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._module, name)
-        return partial(found, physicsClientId=self._number) if callable(found) else found
+        bound = partial(found, physicsClientId=self._number) if callable(found) else found
+        setattr(self, name, bound)
+        return bound
 
 
 class World:
@@ -135,7 +134,8 @@ class World:
     def bullet(self) -> Any:
         """PyBullet's functions, bound to this client, and its constants."""
         if self._client is None:
-            raise PhysicsError(NOT_OPEN)
+            msg = "the simulator is not open; use it in a `with` block"
+            raise PhysicsError(msg)
         return self._client
 
     def __enter__(self) -> "World":
@@ -239,11 +239,15 @@ def ball_of(part: Mesh) -> tuple[FloatArray, float] | None:
     off = np.abs(np.linalg.norm(points - center, axis=1) - radius)
     if off.max() > BALL_TOLERANCE * radius:
         return None
+    from scipy.spatial import ConvexHull  # slow to import, and most objects do not need it
+
     filled = ConvexHull(points).volume / (4 / 3 * np.pi * radius**3)
     return (center, radius) if filled > BALL_FILL else None
 
 
 def _hull_around(parts: Sequence[Mesh]) -> Mesh:
+    from scipy.spatial import ConvexHull  # slow to import, and most objects do not need it
+
     vertices_mm = np.concatenate([part.vertices_mm for part in parts])
     hull = ConvexHull(vertices_mm)
     renumbered = np.full(len(vertices_mm), -1, dtype=np.int32)

@@ -47,8 +47,8 @@ PROFILE_STEP_PX = 0.25  # finer than the image resolves
 MIN_EDGE_DIRECTIONS = 0.4  # share of the directions in which an edge must be seen
 MAX_OUT_OF_ROUND = 0.15  # largest median distance of the edge from the circle, in radii
 
-SECOND_CONTACT = 0.4  # a second patch with this share of the largest one's area is a contact, if
-SECOND_STRENGTH = 0.5  # it changed by this share too: lamps that drift brighten corners faintly
+SECOND_CONTACT = 0.4  # a second patch is a contact from this share of the largest one's area on
+SECOND_STRENGTH = 0.5  # share of the largest change; fainter patches are corners as lamps drift
 
 
 @dataclass(frozen=True, slots=True)
