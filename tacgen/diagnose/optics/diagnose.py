@@ -192,9 +192,18 @@ def diagnose_optics(
     PressError
         If there are too few presses to hold any out, or the table is of another resolution.
     """
-    _check(presses, table, rules)
-    scatter = table.provenance.get("label_scatter_radii", 0.0) if table else 0.0
-    rules = replace(rules, usual_scatter_radii=max(scatter, rules.usual_scatter_radii))
+    if len(presses) < rules.min_presses:
+        msg = (
+            f"{len(presses)} usable presses are too few to hold any out; take at least "
+            f"{rules.min_presses}, better 30, spread over the gel"
+        )
+        raise PressError(msg)
+    if table is not None:
+        check_resolution(table, presses)
+    known = table.provenance if table else {}
+    scatter = max(known.get("label_scatter_radii", 0.0), rules.usual_scatter_radii)
+    count = known.get("n_presses", rules.table_presses)
+    rules = replace(rules, usual_scatter_radii=scatter, table_presses=count)
     testing = np.arange(len(presses)) % rules.test_every == rules.test_every - 1
     shown, tests = presses.select(~testing), presses.select(testing)
     if table is None:
@@ -246,17 +255,6 @@ def diagnose_optics(
         n_fit=len(shown),
         mean_grey=float(presses.images.mean()),
     )
-
-
-def _check(presses: PressImages, table: LookupTable | None, rules: SelectionRules) -> None:
-    if len(presses) < rules.min_presses:
-        msg = (
-            f"{len(presses)} usable presses are too few to hold any out; take at least "
-            f"{rules.min_presses}, better 30, spread over the gel"
-        )
-        raise PressError(msg)
-    if table is not None:
-        check_resolution(table, presses)
 
 
 def _scene(presses: PressImages, fit: PressFit, *, has_table: bool) -> PressScene:

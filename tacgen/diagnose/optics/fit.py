@@ -131,10 +131,7 @@ class PressFit:
         return self.placed(Model((), fixed, {}, places))
 
     def placed(self, model: Model, *, shared: bool = True) -> Model:
-        """The model with the places of presses, and its parameters, where they fit best.
-
-        Without ``shared`` the parameters stay.
-        """
+        """The model with places, and with ``shared`` its parameters, where they fit best."""
         candidates = model.candidates if shared else ()
         still = replace(model, candidates=candidates)
         still = self._descend(still, Known.NOTHING, self.rules.place_steps, move=True)
@@ -189,12 +186,8 @@ class PressFit:
     def squares(
         self, model: Model, known: Known = Known.NOTHING, *, heldout: bool = True
     ) -> FloatArray:
-        """Mean squared error (N,) of each press, by parameters of the other folds' presses.
-
-        Without ``heldout`` by the parameters as they are.
-        """
-        residuals = self.residuals(model, known, heldout=heldout)
-        return np.array([(residual**2).mean() for residual in residuals])
+        """Mean squared error (N,) of each press; ``heldout`` by the other folds' parameters."""
+        return mean_squares(self.residuals(model, known, heldout=heldout))
 
     def residuals(
         self, model: Model, known: Known = Known.NOTHING, *, heldout: bool = True
@@ -276,10 +269,19 @@ class PressFit:
             for name, values in effects.items()
             if optical_effect(name).stage <= Stage.FOCUS
         }
+        labelled = (k, repr(early), b"")
         key = (k, repr(early), b"" if place is None else place.tobytes())
+        if labelled not in self._lit:
+            self._lit[labelled] = view.lit(effects)
         if key not in self._lit:
-            self._lit[key] = view.lit(effects, place)
+            near = view.lit(effects, place)
+            self._lit[key] = np.vstack([near, self._lit[labelled][len(near) :]])
         return view.finished(self._lit[key], effects)
+
+
+def mean_squares(residuals: Sequence[FloatArray]) -> FloatArray:
+    """Of the residuals (n, 3) of each press, (N,)."""
+    return np.array([(residual**2).mean() for residual in residuals])
 
 
 def typical(squares: FloatArray) -> float:

@@ -40,7 +40,8 @@ class PressView:
 
     Attributes
     ----------
-    pixels : Pixels
+    contact, pixels : Pixels
+        Those of the contact; the same, and after them those of the bare gel.
     patch : Patch
         The pixels (n,) as an optical effect sees them.
     expected : (3,) float
@@ -50,6 +51,7 @@ class PressView:
     renderer : PressRenderer
     """
 
+    contact: Pixels
     pixels: Pixels
     patch: Patch
     expected: FloatArray
@@ -66,14 +68,12 @@ class PressView:
         labels = renderer.model.labels
         expected = labels.geometry(label)
         expected[2] = label[2] * labels.contact_radius_mm / labels.reference_radius_mm
-        pixels = disc_pixels(presses, k, reach=rules.reach_radii, limit=rules.pixels_per_press)
-        bare = _bare_pixels(presses, k, rules)
-        pixels = Pixels(
-            *(np.concatenate([getattr(p, n) for p in (pixels, bare)]) for n in Pixels.__slots__)
-        )
+        contact = disc_pixels(presses, k, reach=rules.reach_radii, limit=rules.pixels_per_press)
+        both = contact, _bare_pixels(presses, k, rules)
+        pixels = Pixels(*(np.concatenate([getattr(p, n) for p in both]) for n in Pixels.__slots__))
         time = k / max(len(presses) - 1, 1) - 0.5
         patch = _patch(renderer.table, pixels, time)
-        return cls(pixels, patch, expected, float(label[2]), ball, renderer)
+        return cls(contact, pixels, patch, expected, float(label[2]), ball, renderer)
 
     def on_square(self, presses: PressImages, k: int, reach: float) -> PressView:
         """The same press ``k``, on all pixels of a square of half a width of ``reach`` radii."""
@@ -90,7 +90,7 @@ class PressView:
         everywhere = np.ones(len(rows), dtype=bool)
         pixels = Pixels(rows, columns, x_mm, y_mm, position, grey, everywhere)
         patch = _patch(self.renderer.table, pixels, self.patch.time)
-        return replace(self, pixels=pixels, patch=patch)
+        return replace(self, contact=pixels, pixels=pixels, patch=patch)
 
     def place_by_label(self, effects: Effects) -> tuple[FloatArray, float]:
         """Centre and contact radius (3,) by the label, and the ball's radius, mm."""
@@ -100,13 +100,14 @@ class PressView:
         return np.append(place[:2], _possible(place[2], ball)), ball
 
     def lit(self, effects: Effects, place: FloatArray | None = None) -> FloatArray:
-        """Grey levels (n, 3) after the stages up to the focus, at a place or at the label's."""
+        """Grey levels (n, 3) up to the focus as labelled; at a place those of the contact alone."""
         labelled, ball = self.place_by_label(effects)
+        pixels = self.pixels if place is None else self.contact
         place = labelled if place is None else np.append(place[:2], _possible(place[2], ball))
         early = {
             effect.name: values for effect, values in _active(effects, Stage.SURFACE, Stage.FOCUS)
         }
-        return self.renderer.lit(place, ball, self.pixels, early)
+        return self.renderer.lit(place, ball, pixels, early)
 
     def finished(self, lit: FloatArray, effects: Effects) -> FloatArray:
         """Grey levels (n, 3) after the stages that follow, which act pixel by pixel."""

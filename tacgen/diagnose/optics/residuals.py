@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.diagnose.optics.fit import Model, PressFit, typical
+from tacgen.core.arrays import FloatArray
+from tacgen.diagnose.optics.fit import Model, PressFit, mean_squares, typical
 from tacgen.diagnose.optics.selection import log_gain
 
 PLACE = "place_on_gel"
@@ -29,7 +29,7 @@ def dependences(fit: PressFit, model: Model) -> list[Dependence]:
     """
     rules = fit.rules
     residuals = fit.residuals(model)
-    errors = {PLACE: (_squares(residuals), _squares(residuals, _pattern(fit, residuals)))}
+    errors = {PLACE: (mean_squares(residuals), _squares(residuals, _pattern(fit, residuals)))}
     changes = _changes(fit, model)
     constant = np.ones((len(residuals), 1))
     without = _squares(residuals, _predicted(fit, changes, residuals, constant))
@@ -47,11 +47,9 @@ def dependences(fit: PressFit, model: Model) -> list[Dependence]:
     return sorted(found, key=lambda dependence: -dependence.gain_grey)
 
 
-def _squares(residuals: list[FloatArray], predicted: list[FloatArray] | None = None) -> FloatArray:
+def _squares(residuals: list[FloatArray], predicted: list[FloatArray]) -> FloatArray:
     """Mean squares (N,) of what a prediction leaves of the residuals."""
-    if predicted is not None:
-        residuals = [r - p for r, p in zip(residuals, predicted, strict=True)]
-    return np.array([(residual**2).mean() for residual in residuals])
+    return mean_squares([r - p for r, p in zip(residuals, predicted, strict=True)])
 
 
 def _conditions(fit: PressFit) -> dict[str, FloatArray]:
@@ -104,7 +102,8 @@ def _predicted(
 def _pattern(fit: PressFit, residuals: list[FloatArray]) -> list[FloatArray]:
     """The mean residual of the other folds' presses in each pixel's cell of the image."""
     n = fit.rules.cells
-    cells = [_cell(view.patch.u, view.patch.v, n) for view in fit.views]
+    places = [np.array([view.patch.v, view.patch.u]) for view in fit.views]
+    cells = [np.array([n, 1]) @ np.clip((n * (p + 0.5)).astype(int), 0, n - 1) for p in places]
     counts = np.array([np.bincount(cell, minlength=n * n) for cell in cells])
     sums = np.array(
         [
@@ -120,8 +119,3 @@ def _pattern(fit: PressFit, residuals: list[FloatArray]) -> list[FloatArray]:
         pattern = means[kept].sum(axis=0) / (views + fit.rules.held_presses)
         predicted.append(pattern[:, cells[k]].T)
     return predicted
-
-
-def _cell(u: FloatArray, v: FloatArray, n: int) -> IntArray:
-    across, down = (np.clip(((w + 0.5) * n).astype(int), 0, n - 1) for w in (u, v))
-    return np.asarray(down * n + across)

@@ -50,18 +50,21 @@ class SelectionRules:
     """Standard deviation of a picture's exposure, by channel: lamps and cameras drift less."""
 
     # The choice of effects.
-    false_alarm: float = 0.01
-    """Chance, over all candidates of a step, of an effect on presses that have none."""
-    least_gain: float = 0.02
-    """1 % of the error; clean presses gain up to 0.01 by vignetting or a blurred surface."""
-    least_gain_of_loose: float = 0.15
-    """For common changes of labels or exposures, in whose means an effect on the image leaves up to
-    0.14, and effects that can bend to a table's errors of form: clean presses gain up to 0.1."""
+    false_alarm: float = 0.005
+    """Chance, over all candidates of a step, of an effect on presses without: of six kinds, 3 %."""
+    least_gain: float = 0.1
+    least_gain_per_parameter: float = 0.018
+    """5 % of the error, and more for what can bend to a table's errors of form: clean presses gain
+    up to 0.1 by a shadow and 0.25 by the nine shares of a camera's colours."""
+    clear_gain_in_se: float = 3.0
+    """Standard errors that a gain must exceed: what harms the first presses is not on all."""
     least_gain_of_places: float = 0.65
     least_gain_of_exposures: float = 1.0
     """For places or exposures of their own: by those clean presses gain up to 0.5 and 0.85."""
     usual_scatter_radii: float = 0.01
     """What a typical label is off by, each way, where the table's presses had less."""
+    table_presses: float = 20.0
+    """That the table was fitted to, where it does not say: a usual calibration."""
     sharp_noise_share: float = 0.7
     """Pictures with less of the table's camera noise are out of focus: of four sensors' presses
     mixed colours, vignetting or a gain leave 0.8 and more of it, a Gaussian of 1.5 pixels 0.52."""
@@ -74,10 +77,10 @@ class SelectionRules:
     """More at once have never been seen."""
 
     # What the residuals follow.
-    least_gain_of_place: float = 0.35
+    least_gain_of_place: float = 0.5
     least_gain_of_condition: float = 0.1
     """For a pattern on the gel, and a line in a condition of the presses: by those clean presses
-    gain up to 0.31 and 0.06."""
+    gain up to 0.48 and 0.09."""
     cells: int = 16
     """Along each side of the image, in which a mark on the gel is looked for: a millimetre."""
     held_presses: float = 2.0

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, typical
+from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, mean_squares, typical
 from tacgen.optics.effects import Candidate, PressScene, optical_effect, optical_effects
 
 Kind = tuple[Known, bool, bool]
@@ -45,6 +45,7 @@ class Scored:
     model: Model
     squares: FloatArray
     gain: float
+    gain_stderr: float
     p_value: float
 
     @property
@@ -136,9 +137,10 @@ def _step(
     ]
     if not listed:
         return None
-    before = fit.squares(model, known)
+    residuals = fit.residuals(model, known)
+    before = mean_squares(residuals)
     tried = sorted(
-        (_scored(fit, model, candidate, known, before) for candidate in listed),
+        (_scored(fit, model, candidate, known, residuals) for candidate in listed),
         key=lambda one: -one.gain,
     )
     worth = [one for one in tried if _is_worth(fit, one, len(tried))]
@@ -156,28 +158,38 @@ def _step(
 
 
 def _scored(
-    fit: PressFit, model: Model, candidate: Candidate, known: Known, before: FloatArray
+    fit: PressFit, model: Model, candidate: Candidate, known: Known, before: list[FloatArray]
 ) -> Scored:
     starts = [_with(model, candidate, start) for start in candidate.starts]
     if len(starts) > 1:
         starts = [min(starts, key=lambda one: typical(fit.squares(one, known)))]
     fitted = fit.fitted(starts[0], known)
-    squares = fit.squares(fitted, known)
-    gain, error = log_gain(before, squares)
-    p_value = float(student.sf(gain / error, len(squares) - 1))
+    after = fit.residuals(fitted, known)
     if known == Known.PLACE and candidate.each:
-        p_value = _chance_of_scatter(fit.own_values(model, known), fit.rules.usual_scatter_radii)
-    return Scored(fitted, squares, gain, p_value)
+        places = fit.own_values(model, known)
+        apart = ((places - places.mean(axis=0)) ** 2).mean(axis=1)
+        evidence = np.log(apart / fit.rules.usual_scatter_radii**2)
+    else:
+        evidence = correlations(before, [b - a for b, a in zip(before, after, strict=True)])
+    squares = mean_squares(after)
+    gain, error = log_gain(mean_squares(before), squares)
+    return Scored(fitted, squares, gain, error, _chance(evidence, fit.rules.table_presses))
 
 
-def _chance_of_scatter(places: FloatArray, usual: float) -> float:
-    """The chance that labels scatter as much as these (N, 3) and not more than usual, in radii.
+def correlations(residuals: list[FloatArray], changes: list[FloatArray]) -> FloatArray:
+    """Of each press's residual (n, 3) with what parameters of other presses change it by."""
+    pairs = [(r / np.linalg.norm(r), c) for r, c in zip(residuals, changes, strict=True)]
+    return np.array([np.vdot(r, c) / (np.linalg.norm(c) + 1e-9) for r, c in pairs])
 
-    Logarithms keep one label from deciding; what is usual comes of about as many presses.
+
+def _chance(evidence: FloatArray, table_presses: float) -> float:
+    """The chance of a mean over presses (N,) as high as this where there is no effect.
+
+    The table is off by the mean of its own presses, which scatter as these do.
     """
-    more = np.log(((places - places.mean(axis=0)) ** 2).mean(axis=1) / usual**2)
-    error = more.std(ddof=1) * math.sqrt(2 / len(more))
-    return float(student.sf(more.mean() / error, len(more) - 1))
+    n = len(evidence)
+    error = evidence.std(ddof=1) * math.sqrt(1 / n + 1 / table_presses) + 1e-12
+    return float(student.sf(evidence.mean() / error, n - 1))
 
 
 def _with(model: Model, candidate: Candidate, start: Mapping[str, float]) -> Model:
@@ -193,15 +205,15 @@ def _with(model: Model, candidate: Candidate, start: Mapping[str, float]) -> Mod
 
 
 def _is_worth(fit: PressFit, one: Scored, n_tried: int) -> bool:
-    rules, effect = fit.rules, optical_effect(one.candidate.effect)
-    known = known_for(effect.stage)
-    loose = known != Known.NOTHING or effect.follows_form_errors
-    least = rules.least_gain_of_loose if loose else rules.least_gain
-    if one.candidate.each:
-        place = known == Known.PLACE
+    rules, candidate = fit.rules, one.candidate
+    if candidate.evident:
+        return one.gain > 0
+    least = rules.least_gain + rules.least_gain_per_parameter * len(candidate.shared)
+    if candidate.each:
+        place = _kind(candidate)[0] == Known.PLACE
         least = rules.least_gain_of_places if place else rules.least_gain_of_exposures
-    n_chances = 1 if one.candidate.evident else n_tried
-    return one.gain >= least and one.p_value <= rules.false_alarm / n_chances
+    least = max(least, rules.clear_gain_in_se * one.gain_stderr)
+    return one.gain >= least and one.p_value <= rules.false_alarm / n_tried
 
 
 def _is_as_good(fit: PressFit, one: Scored, best: Scored) -> bool:

@@ -30,7 +30,6 @@ class CrossTalk(base.OpticalEffect):
 
     name = "cross_talk"
     stage = base.Stage.COLOR
-    follows_form_errors = True
     parameters = MappingProxyType({**LEAKS, **CAMERA})
 
     def apply(self, array: FloatArray, patch: base.Patch, **values: Any) -> FloatArray:

@@ -166,15 +166,12 @@ class OpticalEffect:
     stage : Stage
     parameters : mapping
         Name → ``Parameter``; those of stage ``PRESS`` are never written into a table.
-    follows_form_errors : bool
-        Whether it can bend to the errors that a table leaves around every contact.
     """
 
     name: ClassVar[str]
     reported_name: ClassVar[str] = ""
     stage: ClassVar[Stage]
     parameters: ClassVar[Mapping[str, Parameter]]
-    follows_form_errors: ClassVar[bool] = False
 
     def apply(self, array: FloatArray, patch: Patch, **values: Any) -> FloatArray:
         """The image (..., 3), or the height map of a ``SURFACE`` effect, changed; a new array.

@@ -21,7 +21,6 @@ class Illumination(base.OpticalEffect):
 
     name = "illumination"
     stage = base.Stage.LIGHT
-    follows_form_errors = True
     parameters = MappingProxyType(
         {
             f"{channel}_{place}": base.Parameter(0.0, -4.0, 4.0, step=0.02, prior=1.0)
@@ -32,14 +31,10 @@ class Illumination(base.OpticalEffect):
 
     def apply(self, array: FloatArray, patch: base.Patch, **values: Any) -> FloatArray:
         """The change from the background, times a quadratic of the place for each channel."""
-        u, v = patch.u, patch.v
-        place = {"uu": u * u, "vv": v * v, "uv": u * v, "u": u, "v": v}
-        brighter = np.ones(array.shape, dtype=array.dtype)
-        for name, share in values.items():
-            channel, along = name.split("_")
-            brighter[..., base.CHANNELS.index(channel)] += (
-                np.asarray(share, array.dtype) * place[along]
-            )
+        u, v = np.broadcast_arrays(patch.u, patch.v)
+        place = np.stack([u * u, v * v, u * v, u, v], axis=-1).astype(array.dtype)
+        shares = [[values.get(f"{c}_{p}", 0.0) for c in base.CHANNELS] for p in PLACES]
+        brighter = 1 + place @ np.array(shares, dtype=array.dtype)
         return patch.background + (array - patch.background) * brighter
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:

@@ -169,7 +169,6 @@ class Shadow(base.OpticalEffect):
 
     name = "shadow"
     stage = base.Stage.SHADOW
-    follows_form_errors = True
     parameters = MappingProxyType(
         {
             "strength": base.Parameter(0.0, 0.0, 1.0, step=0.02),

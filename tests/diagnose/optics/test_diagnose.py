@@ -19,7 +19,7 @@ from tests.virtual_presses import virtual_presses
 from validation.optics.optics_images import make
 
 
-def presses(kind, effect="", strength=1.0, seed=0, count=24):
+def presses(kind, effect="", strength=1.0, seed=0, count=16):
     made = make(kind, effect, strength, seed, count)
     return PressImages(
         images=made.images,
@@ -99,7 +99,7 @@ def test_what_was_put_in_comes_out_in_numbers():
     ("effect", "covariate"), [("ageing", "image_number"), ("scratch", "place_on_gel")]
 )
 def test_what_is_on_no_list_is_unexplained_and_says_what_it_follows(effect, covariate):
-    diagnosis = diagnosed("three", effect)
+    diagnosis = diagnose_optics(presses("three", effect, count=24), table_of_before("three"))
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.unexplained[0].covariate == covariate
     assert names(diagnosis) == []
@@ -123,7 +123,7 @@ def test_without_a_table_only_what_one_cannot_express_is_found():
     found = diagnose_optics(presses("three", "background_gain"))
     assert names(found) == ["background_gain"]
     assert "cross_talk" in " ".join(found.cannot_tell)
-    near_lit = diagnose_optics(virtual_presses(0))
+    near_lit = diagnose_optics(virtual_presses(0, count=16))
     assert near_lit.verdict == "sufficient"
     assert names(near_lit) == []
 
@@ -156,7 +156,7 @@ def test_the_json_has_the_contracts_fields():
     channel = content["channels"]["rgb"]
     assert content["schema"] == 1
     assert channel["error_before"]["unit"] == "grey"
-    assert channel["trials"] == {"fit": 18, "test": 6}
+    assert channel["trials"] == {"fit": 12, "test": 4}
     assert {"verdict", "effects", "unexplained", "error_after", "noise_floor"} <= set(channel)
 
 
@@ -173,7 +173,7 @@ def test_a_table_of_another_resolution_is_refused():
 
 @pytest.mark.slow
 def test_a_gain_that_drifts_is_named_where_lamps_differ_from_picture_to_picture():
-    clean = presses("three")
+    clean = presses("three", count=24)
     rng = np.random.default_rng(5)
     count = len(clean.images)
     # As on a measured sensor: green is steady, the two others scatter.
