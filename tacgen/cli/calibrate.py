@@ -96,7 +96,7 @@ def calibrate_score(
     score, used = command.score_presses(
         table, presses, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )
-    common.warn(command.warning_lines(used))
+    common.warn([*command.warning_lines(used), *command.contrast_warning(score)])
     common.print_result(score.as_dict(), command.score_text(score), json_output)
     common.hand_over(f"tacgen diagnose optics {presses} --table {table} --out optics")
 

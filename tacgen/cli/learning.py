@@ -1,7 +1,7 @@
 """Commands for the networks: train, evaluate, run studies."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from typer import Argument, Option
 
@@ -36,7 +36,7 @@ def evaluate(
     data: Annotated[Path | None, Option(help="Test on the test grasps of this dataset.")] = None,
     real: Annotated[Path | None, Option(help="Test on the real grasps in this folder.")] = None,
     baseline: Annotated[
-        str | None,
+        Literal["parameters"] | None,
         Option(
             help="parameters: instead of a RUN, cross-validate decision trees on the force and "
             "position (no image) of each training grasp in --data."
@@ -49,9 +49,13 @@ def evaluate(
 
     require_learning_extra()
     if baseline is not None:
-        from tacgen.learning.parameter_baseline import baseline_lines, evaluate_baseline
+        from tacgen.learning.grasps import SimulatedGrasps
+        from tacgen.learning.parameter_baseline import baseline_lines, baseline_scores
 
-        scores = evaluate_baseline(baseline, run, data, real)
+        if data is None or run is not None or real is not None:
+            msg = "--baseline takes no RUN and no --real; give a dataset with --data DIR"
+            raise LearningError(msg)
+        scores = baseline_scores(SimulatedGrasps(data).table)
         common.print_result(scores, baseline_lines(scores), json_output)
         common.hand_over(f"tacgen train train_single --data {data} --out run")
         return

@@ -1,8 +1,6 @@
 """The ResNet-18 that looks at one image, and its pre-trained weights.
 
-The network is that of transformers. Weight files may be its own or torchvision's, which has the
-same layers under other names; they are read as safetensors or with ``weights_only``, so nothing
-in them is run.
+The network is that of transformers; torchvision's has the same layers under other names.
 """
 
 import re

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from safetensors import safe_open
 from safetensors.torch import save_file
@@ -31,7 +31,8 @@ class ModelCard:
 
     ``weights`` names the pre-trained weights (``none``: from scratch);
     ``epoch`` is that of the model, counted from 1; ``temperature`` calibrates its probabilities;
-    ``input_range`` is the lowest and highest of each ``input_statistics`` in training.
+    ``input_range`` is the lowest and highest of each ``input_statistics`` in training,
+    ``contrast`` their ``typical_contrast``.
     """
 
     name: str
@@ -43,6 +44,7 @@ class ModelCard:
     recipe_sha256: str
     temperature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     input_range: tuple[tuple[float, float], ...]
+    contrast: float
     tacgen_version: str = __version__
 
 
@@ -73,13 +75,11 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
         with safe_open(path, framework="pt") as file:
             text = (file.metadata() or {}).get(_CARD_KEY, "")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except Exception as error:  # the readers raise whatever a damaged file leads them to
-        msg = f"{path}: cannot be read as a model ({error}); train it again"
-        raise LearningError(msg) from error
-    try:
         card = TypeAdapter(ModelCard).validate_json(text)
-    except ValidationError as error:
-        msg = f"{path}: not a model that `tacgen train` wrote; restore the run's own file"
+    except Exception as error:  # the readers raise whatever a damaged file leads them to
+        msg = (
+            f"{path}: cannot be read as a model of this version of tacgen ({error}); train it again"
+        )
         raise LearningError(msg) from error
     reference = tensors.pop(_REFERENCE_KEY, None)
     network = build_network(card.input.kind)

@@ -19,7 +19,7 @@ from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.grasps import GraspSource, RealGraspImages, SimulatedGrasps
 from tacgen.learning.inputs import check_source, read_input, resized
 from tacgen.learning.loader import Batches, DecodedInputs
-from tacgen.learning.predictions import Predictions, outside_training, predict
+from tacgen.learning.predictions import Predictions, input_statistics, notes_on_images, predict
 from tacgen.learning.reports import started_from, write_evaluation_report
 from tacgen.learning.run_folder import RunFolder, read_json
 from tacgen.learning.scores import score
@@ -39,8 +39,7 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     Writes ``eval.json`` and ``eval.html`` into the run, and the same figures as
     ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is computed.
 
-    Raises ``TacgenError`` if the run, the dataset or the folder of real grasps cannot be used, or a
-    grasp to be tested was trained on.
+    Raises ``TacgenError`` if the run or the grasps cannot be used, or one of them was trained on.
     """
     if (data is None) == (real is None):
         msg = "give either --data DIR (simulated test grasps) or --real DIR (real grasps)"
@@ -149,13 +148,9 @@ class _Test:
         if not np.isfinite(probabilities).all():
             msg = f"{folder.model_path}: predicts NaN; train the model again"
             raise LearningError(msg)
-        strange = int(outside_training(batches.in_order(), card.input_range).sum())
-        if strange:
-            self._note(
-                f"{self.where}: the brightness or contrast of {strange} of {len(rows)} grasps lies "
-                f"OUTSIDE of the training images of the model {name}; its probabilities are "
-                "uncertain there: check the background, or train with stronger augmentation"
-            )
+        statistics = input_statistics(batches.as_taken().in_order())
+        for note in notes_on_images(statistics, card):
+            self._note(f"{self.where}: {note}")
         frames = [partial(read_input, self.source, int(row), card.input) for row in rows]
         return Predictions(self.source.table.take(rows), probabilities, frames), card
 
@@ -169,12 +164,6 @@ class _Test:
             self._note(
                 f"{self.where}: has no background.png, so images are compared with the undeformed "
                 "gel of the training data"
-            )
-        sequences = any(source.frame_count(int(row)) > 1 for row in rows)
-        if isinstance(source, RealGraspImages) and spec.kind == "single" and sequences:
-            self._note(
-                f"{self.where}: of grasps with several images the first with 95 % of the largest "
-                "change from the gel at rest is taken as the moment of grasp"
             )
         inputs = DecodedInputs(source, rows, spec, self.recipe.input.cache_mb)
         return Batches(inputs, spec, reference, self.recipe.training.batch_size)

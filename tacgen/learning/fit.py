@@ -1,9 +1,4 @@
-"""Training of one model; an epoch depends on the state before it and the seed alone.
-
-All random numbers of an epoch follow from the recipe's seed, the model's name and the epoch, so
-a run that was stopped resumes after its last complete epoch and ends in the same weights, bit for
-bit.
-"""
+"""Training of one model; an epoch depends on the state before it and the seed alone."""
 
 import functools
 import math
@@ -16,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from sklearn.metrics import log_loss
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.tensorboard import SummaryWriter
@@ -27,10 +23,10 @@ from tacgen.learning.inputs import InputSpec
 from tacgen.learning.loader import Batches
 from tacgen.learning.networks import StabilityNet, build_network, build_optimizer, build_scheduler
 from tacgen.learning.predictions import (
-    MIN_PROBABILITY,
     calibrated_temperature,
     input_statistics,
     predict,
+    typical_contrast,
 )
 from tacgen.learning.run_folder import ModelFolder
 from tacgen.learning.scores import score
@@ -128,7 +124,8 @@ class Fit:
         probabilities, labels = predict(self._kept, self.job.validation.in_order(), self.device)
         if not np.isfinite(probabilities).all():
             self._stop_diverged(epoch, math.nan)
-        loss = _weighted_loss(labels, probabilities, self.job.class_weights)
+        weights = self.job.class_weights[labels]
+        loss = float(log_loss(labels, probabilities, sample_weight=weights, labels=[0, 1]))
         self.scheduler.step(loss)
         scores = score(labels, probabilities)
         return {
@@ -200,14 +197,13 @@ class Fit:
         return calibrated_temperature(probabilities, labels, self.job.class_weights)
 
     @functools.cached_property
-    def _input_range(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest of each input statistic in one augmented pass over the training."""
-        seed = self._seed(_STREAM_CALIBRATION)
-        batches = self.job.fit.shuffled(seed, 0, self.job.recipe.augmentation)
-        found = np.concatenate([input_statistics(images) for images, _, _ in batches])
-        return tuple(zip(found.min(0).tolist(), found.max(0).tolist(), strict=True))
+    def _input_statistics(self) -> NDArray[np.float64]:
+        """Of one augmented pass over the training grasps, (N, 6)."""
+        seed, batches = self._seed(_STREAM_CALIBRATION), self.job.fit.as_taken()
+        return input_statistics(batches.shuffled(seed, 0, self.job.recipe.augmentation))
 
     def _card(self) -> ModelCard:
+        found = self._input_statistics
         return ModelCard(
             name=self.job.name,
             objects=self.job.objects,
@@ -217,7 +213,8 @@ class Fit:
             epoch=self.epoch,
             recipe_sha256=self.job.recipe.sha256(),
             temperature=self._temperature(),
-            input_range=self._input_range,
+            input_range=tuple(zip(found.min(0).tolist(), found.max(0).tolist(), strict=True)),
+            contrast=typical_contrast(found),
         )
 
     def _resume(self) -> None:
@@ -257,15 +254,6 @@ class Fit:
 
     def _seed(self, *parts: int) -> int:
         return seed_of(self.job.recipe.seed, self.job.name, parts)
-
-
-def _weighted_loss(
-    labels: NDArray[np.int64], probabilities: NDArray[np.float64], weights: NDArray[np.float64]
-) -> float:
-    """Cross entropy of predicted probabilities of success, each class with its weight."""
-    right = np.where(labels == 1, probabilities, 1 - probabilities)
-    each = weights[labels]
-    return float(np.sum(-each * np.log(np.maximum(right, MIN_PROBABILITY))) / each.sum())
 
 
 def _stop_if_orphaned(name: str) -> None:

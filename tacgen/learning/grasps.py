@@ -75,8 +75,8 @@ class SimulatedGrasps:
     """The executed grasps of a dataset; its shards are opened when first needed.
 
     ``made_with`` is the hash of the recipe that simulated them, ``reference`` (H, W, 3) the image
-    of the undeformed gel. Raises ``DatasetError`` if the
-    dataset is incomplete, mixed or damaged, ``LearningError`` if no grasp in it was executed.
+    of the undeformed gel. Raises ``DatasetError`` if the dataset is incomplete, mixed or damaged,
+    ``LearningError`` if no grasp in it was executed.
     """
 
     def __init__(self, root: Path, pad: str | None = None) -> None:

@@ -7,7 +7,8 @@ from typing import Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter1d
+from sklearn.preprocessing import StandardScaler
 
 from tacgen.core.errors import LearningError
 from tacgen.learning.grasps import FRAME_UNKNOWN, GraspSource
@@ -15,7 +16,9 @@ from tacgen.learning.training_recipe import Augmentation
 
 MIN_STD = 1e-3  # grey levels; a channel that never changes is not amplified beyond this
 PRESSED_FRACTION = 0.95
-"""Of the largest change; the simulation's moment of grasp is at this fraction of the force."""
+"""Of the change soon after; the simulation's moment of grasp is at this fraction of the force."""
+MIN_GAIN = 0.1  # of an image against the gel at rest; a darker one shows nothing to amplify
+FAINT_GREY = 1.0  # contrast of the camera's noise at the network's size, which is not amplified
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +29,9 @@ class InputSpec:
     are taken, spread evenly (1 for a single image). ``image`` says what is subtracted: the image of
     the undeformed gel (``difference``), the frame before (``change``; of the first frame: the
     undeformed gel), or nothing (``raw``). Images of another size than ``source_shape_px`` are
-    refused. ``mean`` and ``std`` are those of the training images in grey levels, by channel: the
-    input is (image − mean) / std.
+    refused. ``normalised`` removes each image's gain and each grasp's contrast: sensors differ in
+    them. ``mean`` and ``std`` are those of the training images, by channel: the input is
+    (image − mean) / std.
     """
 
     kind: Literal["single", "sequence"]
@@ -37,6 +41,7 @@ class InputSpec:
     source_shape_px: tuple[int, int]
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    normalised: bool = False
 
 
 def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[int]:
@@ -92,9 +97,16 @@ def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uin
 
 
 def pressed_frame(frames: NDArray[np.uint8], rest: NDArray[np.uint8]) -> int:
-    """The first of the frames (T, h, w, 3) with 95 % of the largest difference from ``rest``."""
+    """The first of the frames (T, h, w, 3) where the difference from ``rest`` stops growing.
+
+    It is at least half of the largest, which a slip may make later, and 95 % of the largest within
+    the next eighth of the sequence.
+    """
     change = np.abs(frames.astype(np.float32) - rest.astype(np.float32)).mean(axis=(1, 2, 3))
-    return int(np.argmax(change >= PRESSED_FRACTION * change.max()))
+    window = max(1, len(frames) // 8)
+    soon = maximum_filter1d(change, window + 1, origin=-((window + 1) // 2), mode="nearest")
+    settled = (change >= 0.5 * change.max()) & (change >= PRESSED_FRACTION * soon)
+    return int(np.argmax(settled))
 
 
 def to_network(
@@ -102,14 +114,23 @@ def to_network(
 ) -> NDArray[np.float32]:
     """Frames (B, T, h, w, 3) as the network's input, float32 of the same shape.
 
-    ``reference`` (h, w, 3) is the undeformed gel at the same size; not needed for ``raw``.
+    ``reference`` (h, w, 3) is the undeformed gel at the same size; not needed for ``raw``. Where
+    the spec is ``normalised``, the median over the pixels of an image's ratio to it is the gain of
+    a channel, and the largest root mean square difference of a grasp's frames is its contrast.
     """
     images = frames.astype(np.float32)
     if spec.image != "raw":
         if reference is None:
             msg = "no image of the undeformed gel to subtract; add background.png"
             raise LearningError(msg)
-        images -= reference.astype(np.float32)
+        rest = reference.astype(np.float32)
+        if spec.normalised:
+            gain = np.median(images / np.maximum(rest, 1), axis=(2, 3), keepdims=True)
+            images /= np.maximum(gain, MIN_GAIN)
+        images -= rest
+        if spec.normalised:
+            contrast = np.sqrt(np.square(images).mean(axis=(2, 3, 4), keepdims=True))
+            images /= contrast.max(axis=1, keepdims=True) + FAINT_GREY
     if spec.image == "change":
         images[:, 1:] -= images[:, :-1].copy()
     images -= np.asarray(spec.mean, np.float32)
@@ -122,15 +143,11 @@ def with_normalisation(
 ) -> InputSpec:
     """The spec with the mean and spread of the ``inputs``, each (T, h, w, 3)."""
     plain = replace(spec, mean=(0.0, 0.0, 0.0), std=(1.0, 1.0, 1.0))
-    total, squares, count = np.zeros(3), np.zeros(3), 0
+    scaler = StandardScaler()
     for frames in inputs:
-        images = to_network(frames[None], reference, plain).reshape(-1, 3).astype(np.float64)
-        total += images.sum(axis=0)
-        squares += np.square(images).sum(axis=0)
-        count += len(images)
-    mean = total / count
-    std = np.sqrt(np.maximum(squares / count - mean**2, MIN_STD**2))
-    (r, g, b), (r_std, g_std, b_std) = mean.tolist(), std.tolist()
+        scaler.partial_fit(to_network(frames[None], reference, plain).reshape(-1, 3))
+    std = np.sqrt(np.maximum(scaler.var_, MIN_STD**2))
+    (r, g, b), (r_std, g_std, b_std) = scaler.mean_.tolist(), std.tolist()
     return replace(spec, mean=(r, g, b), std=(r_std, g_std, b_std))
 
 

@@ -1,6 +1,7 @@
 """Batches of network input: decoded once into memory where they fit, else read when needed."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -55,6 +56,11 @@ class Batches:
         self._inputs, self._spec = inputs, spec
         self._reference = None if reference is None else resized(reference[None], spec.size_px)[0]
         self._batch_size = batch_size
+
+    def as_taken(self) -> "Batches":
+        """The same without the removal of each image's gain and each grasp's contrast."""
+        spec = replace(self._spec, normalised=False)
+        return Batches(self._inputs, spec, self._reference, self._batch_size)
 
     def in_order(self) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in the order of the rows."""

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
+from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from tacgen.core.errors import LearningError
 from tacgen.learning.backbone import FEATURES, Backbone, make_backbone, shape_problem
@@ -108,8 +109,7 @@ def build_optimizer(network: StabilityNet, options: TrainingOptions) -> torch.op
 
 def build_scheduler(
     optimizer: torch.optim.Optimizer, options: TrainingOptions
-) -> torch.optim.lr_scheduler.ReduceLROnPlateau:
+) -> ReduceLROnPlateau:
     """Lower both rates when the validation loss stops falling."""
-    return torch.optim.lr_scheduler.ReduceLROnPlateau(
-        optimizer, mode="min", factor=options.plateau_factor, patience=options.plateau_patience
-    )
+    factor, patience = options.plateau_factor, options.plateau_patience
+    return ReduceLROnPlateau(optimizer, factor=factor, patience=patience)

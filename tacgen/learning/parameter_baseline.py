@@ -1,40 +1,18 @@
 """The parameter baseline: how well a grasp's outcome follows from force and place alone.
 
-A tactile image shows the force by the size of the contact patch and the place by its shape.
-Decision trees that see these parameters instead of the image show whether the outcome can be
-learnt at all from as many grasps; an axis that the trees need and images do not show limits every
-network.
+They show whether the outcome can be learnt at all; what images do not show limits networks.
 """
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tacgen.core.errors import LearningError
-from tacgen.learning.grasps import AXES, GraspTable, SimulatedGrasps
+from tacgen.learning.grasps import AXES, GraspTable
 
-NAME = "parameters"
 FOLDS = 5  # the usual number; four fifths of 150 grasps are 120, about what a network learns from
 SEED = 0  # of the folds and of the trees: any, so that the scores repeat
 N_TREES = 300  # enough that the vote of the trees no longer depends on their seed
-
-
-def evaluate_baseline(
-    name: str, run: Path | None, data: Path | None, real: Path | None
-) -> dict[str, Any]:
-    """The scores that ``tacgen eval --baseline`` prints; see ``baseline_scores``.
-
-    Raises ``LearningError`` if the baseline is not known, or anything but a dataset is given.
-    """
-    if name != NAME:
-        msg = f"--baseline {name}: not known; give {NAME}"
-        raise LearningError(msg)
-    if data is None or run is not None or real is not None:
-        msg = f"--baseline {NAME} takes no RUN and no --real; give a dataset with --data DIR"
-        raise LearningError(msg)
-    return baseline_scores(SimulatedGrasps(data).table)
 
 
 def baseline_scores(table: GraspTable) -> dict[str, Any]:

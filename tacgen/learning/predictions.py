@@ -8,13 +8,18 @@ import torch
 from numpy.typing import NDArray
 from scipy import optimize, special
 
+from tacgen.learning.checkpoint import ModelCard
 from tacgen.learning.grasps import GraspTable
 from tacgen.learning.networks import StabilityNet
 
 MIN_PROBABILITY = 1e-12
 """Predictions are cut to this, so that one certain mistake does not make the loss infinite."""
+LabelledBatches = Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]]
 RANGE_MARGIN = 0.5
 """Of the training's range, on either side: the extremes of some hundred grasps are chance."""
+CONTRAST_RANGE = (0.75, 1.33)
+"""Of the typical contrast over the training's: forces and chance alone change it by less."""
+MIN_COMPARED = 20  # grasps; the median contrast of fewer depends on their forces
 TEMPERATURE_RANGE = (0.25, 16.0)
 """A validation set without a mistake asks for 0, one of pure chance for infinity."""
 
@@ -43,25 +48,35 @@ class Predictions:
         return labels, np.concatenate([part.probabilities for part in parts])
 
 
-def input_statistics(images: torch.Tensor) -> NDArray[np.float64]:
-    """Mean and standard deviation of each colour (B, 6) over all pixels of inputs (B, T, 3, h, w).
-
-    They tell images of another sensor, light or gain from those of the training.
-    """
-    by_color = images.transpose(1, 2).flatten(2).double()
-    return torch.cat([by_color.mean(2), by_color.std(2)], dim=1).numpy()
+def input_statistics(batches: LabelledBatches) -> NDArray[np.float64]:
+    """Mean and standard deviation of each colour, (N, 6), over all pixels of each grasp's input."""
+    colors = [images.transpose(1, 2).flatten(2).double() for images, _, _ in batches]
+    return torch.cat([torch.cat([one.mean(2), one.std(2)], dim=1) for one in colors]).numpy()
 
 
-def outside_training(
-    batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
-    input_range: Sequence[tuple[float, float]],
-) -> NDArray[np.bool_]:
-    """Which grasps (N,) have an input statistic far outside of those of the training images."""
-    low, high = np.array(input_range).T
-    low, high = low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
-    found = np.concatenate([input_statistics(images) for images, _, _ in batches])
-    strange: NDArray[np.bool_] = ((found < low) | (found > high)).any(axis=1)
-    return strange
+def typical_contrast(statistics: NDArray[np.float64]) -> float:
+    """The median over grasps (N, 6) of the standard deviation, averaged over the colours."""
+    return float(np.median(statistics[:, 3:].mean(axis=1)))
+
+
+def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[str]:
+    """What to warn of where images (N, 6) are unlike those that the model was trained on."""
+    low, high = np.array(card.input_range).T
+    margin, notes = RANGE_MARGIN * (high - low), []
+    strange = int(((statistics < low - margin) | (statistics > high + margin)).any(axis=1).sum())
+    if strange:
+        notes.append(
+            f"the brightness or contrast of {strange} of {len(statistics)} grasps lies OUTSIDE of "
+            f"the training images of the model {card.name}; its probabilities are uncertain there: "
+            "check the background, or train with stronger augmentation"
+        )
+    contrast = typical_contrast(statistics) / card.contrast
+    if len(statistics) >= MIN_COMPARED and not CONTRAST_RANGE[0] <= contrast <= CONTRAST_RANGE[1]:
+        notes.append(
+            f"the images' contrast is {contrast:.2f} of that in training: other lamps, another "
+            "sensor or other forces; calibrate again with `tacgen calibrate lookup`"
+        )
+    return notes
 
 
 def calibrated_temperature(
@@ -84,9 +99,7 @@ def calibrated_temperature(
 
 
 def predict(
-    network: StabilityNet,
-    batches: Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]],
-    device: str,
+    network: StabilityNet, batches: LabelledBatches, device: str
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Probability of success (N,) and label (N,) of every grasp in ``batches``."""
     network.eval()

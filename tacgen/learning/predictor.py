@@ -1,6 +1,7 @@
 """A trained network on one's own images: the probability that the grasp will hold."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,13 @@ import torch
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
+from tacgen.core.progress import print_status
 from tacgen.core.safe_io import read_rgb
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.inputs import InputSpec, chosen_frames, resized
 from tacgen.learning.loader import as_batch
-from tacgen.learning.predictions import predict
+from tacgen.learning.predictions import input_statistics, notes_on_images, predict
 from tacgen.learning.run_folder import RunFolder
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -42,7 +44,7 @@ class Predictor:
         self._device, self._threads = choose_device(options), options.threads
         name = _model_for(folder.plan()["models"], object_name, str(run))
         network, card, reference = load_model(folder.model(name).model_path)
-        self._network, self.spec = network.to(self._device), card.input
+        self._network, self.spec, self._card = network.to(self._device), card.input, card
         self._reference = reference
         if background_rgb is not None:
             _check_size(background_rgb, self.spec, "the background")
@@ -59,10 +61,13 @@ class Predictor:
         """
         inputs = [self._input(np.asarray(grasp)) for grasp in images]
         unknown, rows = torch.zeros(1, dtype=torch.int64), np.zeros(1, np.int64)
-        batches = (as_batch([grasp], self._reference, self.spec) for grasp in inputs)
+        ref, plain = self._reference, replace(self.spec, normalised=False)
+        as_taken = [(as_batch([grasp], ref, plain), unknown, rows) for grasp in inputs]
+        batches = ((as_batch([grasp], ref, self.spec), unknown, rows) for grasp in inputs)
+        for note in notes_on_images(input_statistics(as_taken), self._card) if inputs else ():
+            print_status(note)
         with exact_torch(self._threads):
-            labelled = ((one, unknown, rows) for one in batches)
-            return predict(self._network, labelled, self._device)[0]
+            return predict(self._network, batches, self._device)[0]
 
     def _input(self, grasp: NDArray[Any]) -> NDArray[np.uint8]:
         """The frames of one grasp (t, h, w, 3) at the network's size."""
@@ -84,10 +89,9 @@ class Predictor:
 def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str, str | float]]:
     """Probability of success for image files, or folders of them.
 
-    For a network of single images every image is a grasp. For one of sequences the images of a
-    folder, or else all images that are given, are the frames of one grasp, in order of their names
-    and of the command line respectively. Raises ``LearningError`` if a file is no image, or a
-    folder has none.
+    For a network of single images every image is a grasp; for one of sequences those of a folder,
+    in order of their names, or all that are given. Raises ``LearningError`` if a file is no image,
+    or a folder has none.
     """
     groups = [(path, _images_of(path)) for path in paths if path.is_dir()]
     loose = [path for path in paths if not path.is_dir()]

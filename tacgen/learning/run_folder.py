@@ -21,11 +21,7 @@ MAX_JSON_BYTES = 64 << 20
 
 
 class ModelFolder:
-    """The files of one model.
-
-    ``model.safetensors`` is the best model so far, ``checkpoint.pt`` the state to resume from,
-    ``metrics.jsonl`` has one line an epoch.
-    """
+    """The files of one model: the best so far, the state to resume from, a line an epoch, …"""
 
     def __init__(self, root: Path) -> None:
         self.root = Path(root)
@@ -104,8 +100,7 @@ class RunFolder:
     def prepare(self, plan: Mapping[str, Any], recipe: Mapping[str, Any]) -> bool:
         """Make the folder ready for this run; True where it resumes a run.
 
-        Raises ``LearningError`` if it holds a run of another recipe or dataset; the message says
-        what differs.
+        Raises ``LearningError`` if it holds one of another recipe or dataset, with what differs.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)

@@ -58,10 +58,9 @@ def unseen_tests(
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Which of a source's grasps to test on, (N,), and notes about those left out.
 
-    Of another dataset, grasps with the configuration of one that was trained on are left out. Real
-    grasps, or simulated ones written as real, are kept: there the same configuration has another
-    image and may have another outcome. ``plan`` is the run's ``run.json``. Raises ``LearningError``
-    if grasps made with the very recipe of the training data were trained on.
+    Of another dataset, grasps with the configuration of one that was trained on are left out; real
+    grasps are kept, whose images differ. ``plan`` is the run's ``run.json``. Raises
+    ``LearningError`` if grasps made with the very recipe of the training data were trained on.
     """
     table = source.table
     tests = table.split == "test"

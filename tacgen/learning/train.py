@@ -35,15 +35,21 @@ NO_WEIGHTS_WARNING = (
 def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> dict[str, Any]:
     """Train every model of ``recipe`` on the training grasps of ``data`` into the folder ``out``.
 
-    A run that was stopped resumes after its last complete epoch; finished models stay. ``workers``
-    models are trained at a time, each in a process of its own; it changes no bit of them. The
-    result's ``models`` holds for each its validation figures, best epoch, class counts and timings.
-    Raises ``TacgenError`` if the dataset, the recipe or the folder cannot be used, or the loss
-    diverges.
+    A run that was stopped resumes after its last complete epoch. ``workers`` models are trained at
+    a time, which changes no bit of them; ``models`` of the result has an entry for each. Raises
+    ``TacgenError`` if the dataset, the recipe or the folder cannot be used, or the loss diverges.
     """
     device = choose_device(recipe.training)
     source = SimulatedGrasps(data, recipe.input.pad)
-    spec = _spec_of(recipe, source)
+    kind, options, n_frames = recipe.model.kind, recipe.input, source.n_frames
+    spec = InputSpec(
+        kind=kind,
+        size_px=options.size_px,
+        n_frames=min(options.frames or n_frames, n_frames) if kind == "sequence" else 1,
+        image=options.image,
+        source_shape_px=source.shape_px,
+        normalised=options.normalised,
+    )
     plans = plan_models(recipe, source.table, str(data))
     for plan in plans:
         check_source(spec, source, plan.fit_rows, str(data))
@@ -63,17 +69,6 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     }
     write_text(run.summary_path, json.dumps(summary, indent=1))
     return summary
-
-
-def _spec_of(recipe: TrainRecipe, source: SimulatedGrasps) -> InputSpec:
-    kind, options, n_frames = recipe.model.kind, recipe.input, source.n_frames
-    return InputSpec(
-        kind=kind,
-        size_px=options.size_px,
-        n_frames=min(options.frames or n_frames, n_frames) if kind == "sequence" else 1,
-        image=options.image,
-        source_shape_px=source.shape_px,
-    )
 
 
 def _run_plan(

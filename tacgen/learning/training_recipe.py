@@ -1,5 +1,6 @@
 """Training recipes: YAML files with the network, its input and how it is trained."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,10 +15,8 @@ from pydantic import (
 )
 
 from tacgen.core.config import Section
-from tacgen.core.errors import LearningError
 from tacgen.core.files import sha256_of_content
-from tacgen.core.resources import find_recipe
-from tacgen.core.yaml_source import read_yaml, validate
+from tacgen.core.yaml_source import YamlSource, load_checked
 
 MIN_INPUT_PX, MAX_INPUT_PX = 32, 2048
 """ResNet-18 halves an image five times; no tactile camera has more pixels."""
@@ -52,6 +51,8 @@ class InputOptions(Section):
     image: Literal["difference", "change", "raw"] = "difference"
     """``difference`` to the gel at rest, ``change`` since the frame before (slip stands out; the
     first frame: since the gel at rest), or ``raw``."""
+    normalised: bool = False
+    """Whether each image's gain and each grasp's contrast are removed; not for ``raw``."""
     frames: Annotated[int, Field(ge=2, le=256)] | None = None
     """Frames of a sequence, evenly spaced; all if not given."""
     cache_mb: NonNegativeInt = 1024
@@ -140,14 +141,16 @@ def load_train_recipe(name: str | Path) -> TrainRecipe:
 
     Raises ``TacgenError``, which lists everything that is wrong, each with its file, line and fix.
     """
-    source = read_yaml(find_recipe(str(name)))
-    recipe = validate(TrainRecipe, source, LearningError)
-    problems = []
+    return load_checked(TrainRecipe, name, _problems)
+
+
+def _problems(recipe: TrainRecipe, source: YamlSource) -> Iterator[str]:
+    options = recipe.input
     if recipe.objects is not None and len(set(recipe.objects)) != len(recipe.objects):
-        problems.append(source.problem(("objects",), "names an object twice; keep one"))
-    if recipe.model.kind == "single" and recipe.input.frames is not None:
-        problems.append(
-            source.problem(("input", "frames"), "only applies to `model.kind: sequence`; remove it")
+        yield source.problem(("objects",), "names an object twice; keep one")
+    if recipe.model.kind == "single" and options.frames is not None:
+        yield source.problem(
+            ("input", "frames"), "only applies to `model.kind: sequence`; remove it"
         )
-    LearningError.raise_if(problems)
-    return recipe
+    if options.image == "raw" and options.normalised:
+        yield source.problem(("input", "normalised"), "does not apply to `image: raw`; remove it")

@@ -36,6 +36,11 @@ def test_a_sequence_shows_by_itself_when_it_is_grasped():
     rest = np.full((6, 8, 3), 100, np.uint8)
     frames = np.stack([np.full_like(rest, level) for level in (100, 104, 120, 121, 100)])
     assert pressed_frame(frames, rest) == 2
+    slipping = np.stack([np.full_like(rest, level) for level in (100, 116, 115, 124, 128)])
+    assert pressed_frame(slipping, rest) == 1
+    ramp = 100 + np.minimum(np.arange(80), 40)  # a gripper that closes for half of the sequence
+    slow = np.stack([np.full_like(rest, level) for level in ramp])
+    assert 36 <= pressed_frame(slow, rest) <= 40
     assert pressed_frame(frames[:1], rest) == 0
 
 
@@ -95,6 +100,35 @@ def test_normalised_training_images_have_mean_0_and_spread_1():
 def test_images_that_never_change_do_not_divide_by_zero():
     spec = with_normalisation(SINGLE, [REFERENCE[None]], REFERENCE)
     assert np.isfinite(to_network(REFERENCE[None, None], REFERENCE, spec)).all()
+
+
+@pytest.mark.parametrize("image", ["difference", "change"])
+def test_normalised_input_is_the_same_for_other_gains_and_contrasts(image):
+    """A patch on less than half of the image, seen by a camera of other gain and fainter lamps.
+
+    Their spreads differ by the constant added to the contrast (1 grey level in some 12 and 6, by
+    which the images are divided), their pixels by rounding: 0.3 of some 6 grey levels.
+    """
+    spec = replace(SEQUENCE, image=image, normalised=True)
+    rest = np.random.default_rng(0).integers(80, 140, (24, 32, 3)).astype(float)
+    imprint = np.zeros((3, 24, 32, 3))
+    imprint[1, 6:12, 8:20], imprint[2, 6:14, 8:22] = 20, (40, 30, -35)
+    seen = np.rint(rest + imprint)
+    other = np.rint((rest + imprint / 2) * (1.2, 0.9, 1.05))
+    bright, faint = (
+        to_network(np.stack([frames]).astype(np.uint8), rest.astype(np.uint8), spec)
+        for frames in (seen, other)
+    )
+    assert bright[0, 1:].std() > 0.3
+    assert np.abs(bright - faint * bright.std() / faint.std()).mean() < 0.05
+    assert faint.std() / bright.std() == pytest.approx(1, abs=0.12)
+
+
+def test_an_image_of_the_gel_at_rest_is_not_amplified_by_normalising():
+    spec = replace(SINGLE, normalised=True)
+    assert not to_network(REFERENCE[None, None], REFERENCE, spec).any()
+    black = to_network(np.zeros_like(REFERENCE)[None, None], REFERENCE, spec)
+    assert np.isfinite(black).all()
 
 
 STILL = {"gain_relative": 0, "imprint_relative": 0, "noise_grey": 0, "blur_px": 0}

@@ -1,5 +1,7 @@
 """Calibrated probabilities, and images that are unlike those of the training."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,8 @@ from scipy.special import expit
 from tacgen.learning.predictions import (
     calibrated_temperature,
     input_statistics,
-    outside_training,
+    notes_on_images,
+    typical_contrast,
 )
 
 
@@ -32,19 +35,34 @@ def test_a_certain_mistake_gives_a_finite_temperature():
 
 
 def test_images_of_another_brightness_contrast_or_colour_lie_outside():
+    """Half the contrast lies within the range of single grasps, but not of forty grasps' median."""
     rng = np.random.default_rng(3)
     images = torch.from_numpy(rng.normal(0, 1, (40, 2, 3, 8, 10)))
-    statistics = input_statistics(images)
-    np.testing.assert_allclose(statistics[:, :3], images.numpy().mean(axis=(1, 3, 4)))
-    input_range = list(zip(statistics.min(0), statistics.max(0), strict=True))
     index = np.arange(40)
 
-    def outside(changed):
-        return outside_training([(changed, torch.zeros(40), index)], input_range)
+    def statistics_of(changed):
+        return input_statistics([(changed, torch.zeros(40), index)])
 
-    assert not outside(images).any()
-    assert outside(images + 2).all()
-    assert outside(images * 2).all()
+    statistics = statistics_of(images)
+    np.testing.assert_allclose(statistics[:, :3], images.numpy().mean(axis=(1, 3, 4)))
+    input_range = list(zip(statistics.min(0), statistics.max(0), strict=True))
+    card = SimpleNamespace(
+        name="can", input_range=input_range, contrast=typical_contrast(statistics)
+    )
+
+    def notes(changed):
+        return " ".join(notes_on_images(statistics_of(changed), card))
+
+    everything = "40 of 40 grasps lies OUTSIDE of the training images of the model can"
+    assert not notes(images)
+    assert everything in notes(images + 2)
+    assert everything in notes(images * 2)
     one_colour = images.clone()
     one_colour[:, :, 1] -= 2
-    assert outside(one_colour).all()
+    assert everything in notes(one_colour)
+    faint = images.clone()
+    faint[1:] *= 0.5
+    card.input_range = [(low - 1, high + 1) for low, high in input_range]
+    assert "contrast is 0.50 of that in training" in notes(faint)
+    assert "OUTSIDE" not in notes(faint)
+    assert not notes(faint[:10])

@@ -41,6 +41,7 @@ def test_every_mistake_is_told_at_once_with_its_line(tmp_path):
     [
         ("grid: {sample: 3}\n", "recipe for `tacgen collect`"),
         ("objects: [can, can]\n", "names an object twice"),
+        ("input: {image: raw, normalised: true}\n", "does not apply to `image: raw`"),
         ("input: {frames: 4}\n", "only applies to `model.kind: sequence`"),
     ],
 )

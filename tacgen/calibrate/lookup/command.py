@@ -18,6 +18,8 @@ from tacgen.presses.screening import usable_presses
 
 MANY_PRESSES = 30
 """From so many presses on, spread over the gel, the held-out error hardly falls any more."""
+CONTRAST_RANGE = (0.8, 1.25)
+"""Of the images over the table's: presses of the table's own sensor stay within it."""
 
 
 def calibrate_lookup(
@@ -75,6 +77,14 @@ def warning_lines(presses: PressImages, scale: ScaleEvidence | None = None) -> I
     if scale is not None:
         yield from (*scale.warnings, *scale.notes)
     yield from (str(press) for press in presses.dropped)
+
+
+def contrast_warning(score: TableScore) -> list[str]:
+    """A warning where the presses come from other lamps or another sensor than the table."""
+    contrast, (low, high) = score.as_dict()["contrast"], CONTRAST_RANGE
+    fix = "other lamps or another sensor; calibrate again with `tacgen calibrate lookup`"
+    text = f"the images' contrast is {contrast:.2f} of the table's: {fix}"
+    return [] if low <= contrast <= high else [text]
 
 
 def lookup_record(made: Calibration, presses: PressImages) -> dict[str, Any]:

@@ -35,8 +35,9 @@ class PressScore:
     """One press: squared errors summed over its pixels, and the place that was found.
 
     ``likeness`` holds ``ssim_…`` and ``psnr_db_…`` of the picture within the outermost ring's
-    square, as labelled and refined; where it was asked for, ``gradient_error_deg``: the mean angle,
-    inside the circle, between the normals read from the press image and those of the refined press.
+    square, as labelled and refined; ``contrast``, the measured change of the background inside the
+    circle over that as labelled (least squares); if it was asked for, ``gradient_error_deg``: the
+    mean angle there between the normals read from the press image and those of the refined press.
     """
 
     name: str
@@ -287,7 +288,10 @@ def _score_press(
             errors[scoring, 1] = scored.grey - renderer.grey(place, ball, scored)
         places.append(place)
     refined = np.mean(places, axis=0)
-    likeness = {}
+    predicted = pixels.grey - errors[:, 0] - renderer.table.background[pixels.rows, pixels.columns]
+    measured, predicted = errors[inside, 2], predicted[inside]
+    # At least 1 squared grey level: a table that predicts no change at all has a contrast of 0.
+    likeness = {"contrast": float(np.sum(measured * predicted) / max(np.sum(predicted**2), 1.0))}
     for name, place in (("labels", expected), ("refined", refined)):
         top, bottom, left, right = pixels.window
         rendered = renderer.picture(place, ball, pixels.window)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tacgen.calibrate.lookup.command import score_text
+from tacgen.calibrate.lookup.command import contrast_warning, score_text
 from tacgen.calibrate.lookup.score import psnr_db, score_table, structural_similarity
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tests.virtual_presses import virtual_presses
@@ -43,3 +44,19 @@ def test_a_score_names_similarity_and_the_error_of_normals():
     assert found["gradient_error_deg"] < 10
     assert "SSIM" in score_text(score)
     assert "gradient_error_deg" in found["images"][0]
+
+
+@pytest.mark.slow
+def test_imprints_of_half_the_contrast_call_for_a_calibration():
+    """Images halfway between the background and the press are those of lamps of half the contrast.
+
+    The slope is that of a least-squares fit, so it halves up to rounding to grey levels.
+    """
+    table, presses = fit_lookup(virtual_presses(31, count=8)), virtual_presses(32, count=3)
+    own = score_table(table, presses)
+    assert own.as_dict()["contrast"] == pytest.approx(1, abs=0.05)
+    assert contrast_warning(own) == []
+    faint = np.rint((presses.images + presses.background.astype(float)) / 2).astype(np.uint8)
+    found = score_table(table, replace(presses, images=faint))
+    assert found.as_dict()["contrast"] == pytest.approx(0.5, abs=0.03)
+    assert "of the table's: other lamps or another sensor" in contrast_warning(found)[0]
