@@ -13,9 +13,10 @@ objects: [sugar_box]
 sensor: coarse
 grid: {force_n: [3, 25], y_mm: [0], z_mm: [60, 90, 140]}
 dataset: {shard_size: 2}
+physics: {lift_mm: 40, success_rise_mm: 30}
 """
 SHORT_LIFT = {"lift_mm": 40.0, "success_rise_mm": 30.0}
-"""Physics that decides between held and slipped as the whole lift does, in half the time."""
+"""As in the recipe: decides between held and slipped as the whole lift does, in half the time."""
 
 
 def write_world(folder: Path, **sections: str) -> Path:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.objects.meshes import from_manifold
 from tacgen.objects.shading import shaded_view
-from tacgen.physics.frames import pose as transform
-from tacgen.physics.frames import rotation_about_z, rotation_of
+from tacgen.physics import frames
 from tacgen.physics.gripper import FINGER_THICKNESS_MM, PAD_DEPTH_MM, PAD_HEIGHT_MM, PAD_WIDTH_MM
 
 PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
@@ -47,7 +46,7 @@ def grasp_picture(
 
 def pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """The (4, 4) transform of x, y, z and a quaternion x, y, z, w (7,)."""
-    return np.asarray(transform(rotation_of(pose[3:]), pose[:3]), np.float64)
+    return np.asarray(frames.pose(frames.rotation_of(pose[3:]), pose[:3]))
 
 
 def _openings_mm(
@@ -60,8 +59,8 @@ def _openings_mm(
     along = np.array([np.cos(config.yaw_rad), np.sin(config.yaw_rad), 0.0])
     center = np.array([config.x_mm, config.y_mm, 0.0])
     found = {}
-    for pad, frames in trace.frames.items():
-        gel_origin = object_pose @ np.linalg.inv(frames[frame].pose_gel_object)[:, 3]
+    for pad, loads in trace.frames.items():
+        gel_origin = object_pose @ np.linalg.inv(loads[frame].pose_gel_object)[:, 3]
         found[pad] = abs(float((gel_origin[:3] - center) @ along))
     left = found.get("left", found.get("right", 55.0))
     return left, found.get("right", left)
@@ -76,7 +75,7 @@ def _table() -> Part:
 
 def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part]:
     """Two fingers with their pads; the left one is on the −x side."""
-    turn, (corners, faces) = rotation_about_z(config.yaw_rad), _unit_box()
+    turn, (corners, faces) = frames.rotation_about_z(config.yaw_rad), _unit_box()
     center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
     finger_z = (FINGER_MM[2] - PAD_HEIGHT_MM) / 2
     parts = []

@@ -153,6 +153,8 @@ def map_in_processes(
 
 
 def _set_task(task: Callable[[Any], Any]) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # not an error that is sent back, but the end
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent acts on it
     _pool_task["task"] = task
 
 

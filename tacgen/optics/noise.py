@@ -30,8 +30,7 @@ class CameraNoise:
     def __init__(self, sigma_grey: float) -> None:
         self.sigma_grey = sigma_grey
         # Equally likely values of a standard normal, scaled to unit variance: ±3.7 at most.
-        normal = NormalDist()
-        values = np.array([normal.inv_cdf((k + 0.5) / _LEVELS) for k in range(_LEVELS)])
+        values = np.array([NormalDist().inv_cdf((k + 0.5) / _LEVELS) for k in range(_LEVELS)])
         self._quantiles = np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
 
     def add(self, image: NDArray[np.float32], rng: np.random.Generator) -> None:

@@ -158,6 +158,20 @@ def test_an_error_in_a_mapped_process_keeps_its_words(method):
         map_in_processes(refused, [4, 5], 2, method=method)
 
 
+def handlers(_item):
+    return signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+
+
+def test_mapped_processes_do_not_handle_signals_as_the_command_line_does():
+    """One that took SIGTERM for an error could keep the lock that the others wait for."""
+    before = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        found = map_in_processes(handlers, [0, 1], 2)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert found == [(signal.SIG_DFL, signal.SIG_IGN)] * 2
+
+
 def test_leaving_early_ends_every_process(tmp_path):
     events = run_tasks(range(3), Script(tmp_path, {}), workers=1, item_limit_s=20.0)
     pid = next(event.value for event in events if event.kind == "item")
