@@ -6,7 +6,7 @@ import yaml
 
 from tests.learning.conftest import collect, make_spec, recipe_of
 
-EPOCHS = 8
+EPOCHS = 6
 
 
 def write_train_case(folder: Path) -> list[str]:
