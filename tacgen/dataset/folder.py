@@ -76,9 +76,20 @@ class DatasetFolder:
         Raises ``DatasetError`` if it cannot be written to, or holds a dataset of another recipe,
         calibration or version of tacgen; the message shows the difference and says how to go on.
         """
+        plan = {
+            "schema": 1,
+            "tacgen_version": __version__,
+            "recipe": spec.recipe.get("name", ""),
+            "recipe_sha256": spec.recipe_sha256,
+            "calibration": dict(sorted(spec.calibration.items())),
+            "sensor": spec.sensor.name,
+            "pads": list(spec.pads),
+            "n_grasps": spec.n_grasps,
+            "shard_size": spec.shard_size,
+            "n_shards": spec.n_shards,
+        }
         with disk_errors(self.root):
             (self.root / "shards").mkdir(parents=True, exist_ok=True)
-            plan = _plan_of(spec)
             try:
                 made = self.plan()
             except DatasetError:
@@ -205,21 +216,6 @@ class DatasetFolder:
         first = f"{self.root} holds another dataset; these differ:"
         fix = "give another --out, set these back to what made it, or delete the folder"
         raise DatasetError.from_problems([first, *(f"  {text}" for text in lines), fix])
-
-
-def _plan_of(spec: DatasetSpec) -> dict[str, Any]:
-    return {
-        "schema": 1,
-        "tacgen_version": __version__,
-        "recipe": spec.recipe.get("name", ""),
-        "recipe_sha256": spec.recipe_sha256,
-        "calibration": dict(sorted(spec.calibration.items())),
-        "sensor": spec.sensor.name,
-        "pads": list(spec.pads),
-        "n_grasps": spec.n_grasps,
-        "shard_size": spec.shard_size,
-        "n_shards": spec.n_shards,
-    }
 
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:

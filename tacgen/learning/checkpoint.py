@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field, TypeAdapter
+from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from safetensors import safe_open
 from safetensors.torch import save_file
@@ -76,10 +76,11 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
             text = (file.metadata() or {}).get(_CARD_KEY, "")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         card = TypeAdapter(ModelCard).validate_json(text)
+    except ValidationError as error:
+        msg = f"{path}: not a model that this version of `tacgen train` writes; train it again"
+        raise LearningError(msg) from error
     except Exception as error:  # the readers raise whatever a damaged file leads them to
-        msg = (
-            f"{path}: cannot be read as a model of this version of tacgen ({error}); train it again"
-        )
+        msg = f"{path}: cannot be read as a model ({error}); train it again"
         raise LearningError(msg) from error
     reference = tensors.pop(_REFERENCE_KEY, None)
     network = build_network(card.input.kind)

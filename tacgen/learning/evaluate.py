@@ -165,6 +165,12 @@ class _Test:
                 f"{self.where}: has no background.png, so images are compared with the undeformed "
                 "gel of the training data"
             )
+        sequences = any(source.frame_count(int(row)) > 1 for row in rows)
+        if isinstance(source, RealGraspImages) and spec.kind == "single" and sequences:
+            self._note(
+                f"{self.where}: of grasps with several images and no moment of grasp, the image "
+                "after which the change from the gel at rest stops growing is taken for it"
+            )
         inputs = DecodedInputs(source, rows, spec, self.recipe.input.cache_mb)
         return Batches(inputs, spec, reference, self.recipe.training.batch_size)
 

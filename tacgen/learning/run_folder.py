@@ -21,7 +21,9 @@ MAX_JSON_BYTES = 64 << 20
 
 
 class ModelFolder:
-    """The files of one model: the best so far, the state to resume from, a line an epoch, …"""
+    """One model's files: ``model.safetensors``, the best so far, ``checkpoint.pt``, the state to
+    resume from, ``metrics.jsonl``, with a line an epoch, and the lock of who trains it.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = Path(root)

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
 
 from tacgen.core.errors import DatasetError, LearningError
 from tacgen.core.records import Sensor
@@ -124,6 +126,13 @@ def test_the_gap_counts_the_objects_that_both_sides_have(run, toy, real):
 def test_a_sequence_of_another_length_is_judged(sequence, tmp_path):
     result = evaluate(sequence, real=write_real(tmp_path / "real", n_frames=5))
     assert result["accuracy"] >= 0.8
+
+
+def test_a_moment_of_grasp_that_is_found_in_the_images_is_noted(run, real, tmp_path):
+    words = "several images and no moment of grasp"
+    assert words in " ".join(evaluate(run, real=real)["notes"])
+    single_images = write_real(tmp_path / "single_images", n_frames=1)
+    assert words not in " ".join(evaluate(run, real=single_images)["notes"])
 
 
 def test_without_a_background_the_gel_of_the_training_data_is_taken_and_it_is_said(
@@ -254,6 +263,13 @@ def test_a_model_that_was_swapped_or_damaged_is_refused(run, sequence, toy):
         evaluate(run, data=toy)
     shutil.copy(sequence / "models" / "pooled" / "model.safetensors", mine)
     with pytest.raises(LearningError, match=r"is the sequence model 'pooled'"):
+        evaluate(run, data=toy)
+    with safe_open(mine, framework="pt") as file:
+        card = json.loads(file.metadata()["tacgen_model"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    del card["contrast"]
+    save_file(tensors, mine, {"tacgen_model": json.dumps(card)})
+    with pytest.raises(LearningError, match=r"not a model that this version of .*train it again$"):
         evaluate(run, data=toy)
     mine.write_bytes(mine.read_bytes()[:1000])
     with pytest.raises(LearningError, match=r"cannot be read as a model.*train it again"):

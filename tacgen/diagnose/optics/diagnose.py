@@ -214,7 +214,13 @@ def diagnose_optics(
     fit = PressFit(views_of(presses, ~testing, tables, rules), rules)
     test_fit = PressFit(views_of(presses, testing, [whole], rules), rules)
     noise = camera_noise_grey(presses)
-    scene = _scene(shown, fit, has_table=table is not None)
+    scene = PressScene(
+        contact_radius_mm=float(np.mean([view.radius_mm for view in fit.views])),
+        ball_radii_mm=np.asarray(shown.ball_radius_mm),
+        mm_per_px=shown.mm_per_px,
+        has_table=table is not None,
+        grey=np.concatenate([view.pixels.grey for view in fit.views]),
+    )
     start, test_start = fit.start(whole.effects), test_fit.start(whole.effects)
     focus = lost_noise(shown, tests, table, rules)
     without: set[str] = set()
@@ -254,16 +260,6 @@ def diagnose_optics(
         noise_floor=noise,
         n_fit=len(shown),
         mean_grey=float(presses.images.mean()),
-    )
-
-
-def _scene(presses: PressImages, fit: PressFit, *, has_table: bool) -> PressScene:
-    return PressScene(
-        contact_radius_mm=float(np.mean([view.radius_mm for view in fit.views])),
-        ball_radii_mm=np.asarray(presses.ball_radius_mm),
-        mm_per_px=presses.mm_per_px,
-        has_table=has_table,
-        grey=np.concatenate([view.pixels.grey for view in fit.views]),
     )
 
 
