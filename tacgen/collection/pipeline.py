@@ -79,17 +79,19 @@ class GraspPipeline:
         *,
         rng: np.random.Generator | None = None,
         law: ContactLaw | None = None,
-    ) -> list[TactileFrame]:
-        """The frames of a pad by ``law``, else the recipe's, before its gain.
+    ) -> tuple[NDArray[np.uint8], list[TactileFrame]]:
+        """The images (T, H, W, 3) and frames of a pad by ``law``, else the recipe's, before gain.
 
         ``rng`` draws the camera's noise.
         """
         frames, index = grasp.trace.frames[pad], grasp.planned.config.index
         factor = grasp.variation.k_n_factor
         loads = gel_loads(law or self._law, frames, grasp_index=index, k_n_factor=factor)
-        return [
-            self._pad.render(grasp.grasped.surface, frame.pose_gel_object, load, rng=rng)
-            for frame, load in zip(frames, loads, strict=True)
+        images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
+        mesh = grasp.grasped.surface
+        return images, [
+            self._pad.render(mesh, frame.pose_gel_object, load, rng=rng, rgb=rgb)
+            for frame, load, rgb in zip(frames, loads, images, strict=True)
         ]
 
     def sample(self, planned: PlannedGrasp) -> GraspSample:
@@ -122,13 +124,14 @@ class GraspPipeline:
     def _pad_sample(
         self, grasp: SimulatedGrasp, pad: str, frame: int, noise: np.random.Generator | None
     ) -> PadSample:
-        rendered, frames = self.render(grasp, pad, rng=noise), grasp.trace.frames[pad]
+        frames = grasp.trace.frames[pad]
+        images, rendered = self.render(grasp, pad, rng=noise)
         depth_mm = None
         if self.recipe.dataset.depth:
             whole = rendered[frame].imprint.depth_map_mm(self._pad.sensor)
             depth_mm = whole.astype(np.float16)
         return PadSample(
-            rgb=with_gain(np.stack([one.rgb for one in rendered]), grasp.variation.gain_factor),
+            rgb=with_gain(images, grasp.variation.gain_factor),
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
             indentation_mm=np.array([one.imprint.indentation_mm for one in rendered]),

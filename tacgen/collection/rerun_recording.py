@@ -48,7 +48,7 @@ def write_recording(root: Path, index: int, path: Path) -> None:
     with GraspPipeline(recipe) as pipeline:
         grasp = pipeline.simulate(plan_recipe(recipe)[index])
         imprints = {
-            pad: [one.imprint for one in pipeline.render(grasp, pad)] for pad in sample.pads
+            pad: [one.imprint for one in pipeline.render(grasp, pad)[1]] for pad in sample.pads
         }
     if grasp.trace.status != "executed":
         msg = f"{root}: grasp {index} cannot be simulated again ({grasp.trace.reason})"

@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_map_mm
-from tacgen.contact.raster import Float64, Int32, rasterize, to_window
+from tacgen.contact.raster import Float64, Int32, faces_over, rasterize, to_window
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
 
@@ -21,9 +21,9 @@ exact in float32, so the indentation keeps its last bit wherever along z the obj
 NO_OBJECT = 2**30
 """In place of a number of grains where there is no object (or one over half a metre away)."""
 
-TOUCH_SLACK_MM = 0.25
-"""How much further than its nearest corner the nearest pixel of an object may be before the
-search for far triangles that cannot touch has to be repeated without a limit."""
+FIRST_ROWS = 16
+"""Every 16th row is rasterised first: its smallest gap shows which triangles are too far away to
+touch anywhere, whatever the shape of the mesh."""
 
 DepthCamera = Callable[[Float64, Int32, Float64, Sensor], Float64]
 
@@ -50,22 +50,13 @@ class ObjectGap:
 
 
 @njit(cache=True, nogil=True)
-def _corner_gap(columns: Float64, rows: Float64, heights_mm: Float64, gel_mm: Float64) -> float:
-    """The smallest gap at any corner of the mesh inside the window; +inf if there is none."""
-    n_rows, n_columns = gel_mm.shape
-    smallest = np.inf
-    for i in range(columns.shape[0]):
-        row, column = rows[i] + 0.5, columns[i] + 0.5
-        if 0.0 <= row < n_rows and 0.0 <= column < n_columns:
-            smallest = min(smallest, heights_mm[i] - gel_mm[int(row), int(column)])
-    return smallest
-
-
-@njit(cache=True, nogil=True)
-def _smallest_gap(depth_mm: Float64, gel_mm: Float64, window: tuple[int, int, int, int]) -> float:
+def _smallest_gap(
+    depth_mm: Float64, gel_mm: Float64, window: tuple[int, int, int, int], every: int = 1
+) -> float:
+    """The smallest gap in every n-th row of the window, from its first; +inf if there is none."""
     top, bottom, left, right = window
     smallest = np.full(max(0, right - left), np.inf)
-    for r in range(top, bottom):
+    for r in range(top, bottom, every):
         depth_row, gel_row = depth_mm[r, left:right], gel_mm[r, left:right]
         for k in range(smallest.shape[0]):
             smallest[k] = min(smallest[k], depth_row[k] - gel_row[k])
@@ -103,9 +94,11 @@ class GapMapper:
             raise ContactError(msg)
         self.sensor = sensor
         self._gel_mm = gel_map_mm(sensor)
-        self._depth_mm = np.empty(sensor.shape_px)
+        self._depth_mm = np.full(sensor.shape_px, np.inf)
+        self._drawn = (0, 0, 0, 0)  # the window of the depth map that is not +inf
         self._grains = np.empty(sensor.height_px * sensor.width_px, dtype=np.int32)
         self._posed = np.empty((3, 0))
+        self._faces = np.empty((0, 3), dtype=np.int32)
         self._camera: DepthCamera | None = None
         if camera == "pyrender":
             from tacgen.contact.pyrender_camera import depth_map_mm
@@ -146,17 +139,24 @@ class GapMapper:
         sensor, gel_mm, depth_mm = self.sensor, self._gel_mm, self._depth_mm
         if self._posed.shape[1] != len(vertices_mm):
             self._posed = np.empty((3, len(vertices_mm)))
+        if len(self._faces) < len(faces):
+            self._faces = np.empty((len(faces), 3), dtype=np.int32)
         x, y, z = self._posed
         to_window(vertices_mm, pose_gel_object, sensor.mm_per_px, sensor.shape_px, x, y, z)
+        over = self._faces[: faces_over(x, y, faces, sensor.shape_px, self._faces)]
+        top, bottom, left, right = self._drawn
+        depth_mm[top:bottom, left:right] = np.inf
+        first = rasterize(x, y, z, over, np.inf, FIRST_ROWS, depth_mm)
         # The gel lies at or below z = 0, so a triangle's gap is at least its own height.
-        touch_mm = _corner_gap(x, y, z, gel_mm) + TOUCH_SLACK_MM
-        depth_mm.fill(np.inf)
-        window = rasterize(x, y, z, faces, touch_mm + reach_mm, depth_mm)
-        zero_mm = _smallest_gap(depth_mm, gel_mm, window)
-        if zero_mm > touch_mm and np.isfinite(touch_mm + reach_mm):
-            window = rasterize(x, y, z, faces, np.inf, depth_mm)
-            zero_mm = _smallest_gap(depth_mm, gel_mm, window)
-        return window, zero_mm
+        limit_mm = _smallest_gap(depth_mm, gel_mm, first, FIRST_ROWS) + reach_mm
+        rest = rasterize(x, y, z, over, limit_mm, 1, depth_mm)
+        self._drawn = (
+            min(first[0], rest[0]),
+            max(first[1], rest[1]),
+            min(first[2], rest[2]),
+            max(first[3], rest[3]),
+        )
+        return rest, _smallest_gap(depth_mm, gel_mm, rest)
 
 
 def gap_map(

@@ -41,15 +41,37 @@ def to_window(
 
 
 @njit(cache=True, nogil=True)
+def faces_over(
+    columns: Float64, rows: Float64, faces: Int32, shape_px: tuple[int, int], found: Int32
+) -> int:
+    """Write the faces whose bounding rectangle holds a pixel's centre; returns their number."""
+    count = 0
+    for i in range(faces.shape[0]):
+        a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
+        ya, yb, yc = rows[a], rows[b], rows[c]
+        low, high = max(0.0, min(ya, yb, yc)), min(shape_px[0] - 1.0, max(ya, yb, yc))
+        if low > high or math.ceil(low) > high:
+            continue
+        xa, xb, xc = columns[a], columns[b], columns[c]
+        low, high = max(0.0, min(xa, xb, xc)), min(shape_px[1] - 1.0, max(xa, xb, xc))
+        if low > high or math.ceil(low) > high:
+            continue
+        found[count, 0], found[count, 1], found[count, 2] = a, b, c
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
 def rasterize(
     columns: Float64,
     rows: Float64,
     heights_mm: Float64,
     faces: Int32,
     z_limit_mm: float,
+    every: int,
     depth_mm: Float64,
 ) -> tuple[int, int, int, int]:
-    """Lower ``depth_mm`` (H, W) to the nearest surface over each pixel's centre.
+    """Lower ``depth_mm`` (H, W) to the nearest surface over pixels' centres in ``every`` n-th row.
 
     Triangles that lie wholly above ``z_limit_mm``, or outside the window, are left out. An edge
     belongs to both of its triangles, and both compute its crossing with a row from the same
@@ -67,11 +89,10 @@ def rasterize(
         ya, yb, yc = rows[a], rows[b], rows[c]
         row_start = max(0.0, math.ceil(min(ya, yb, yc)))
         row_last = min(n_rows - 1.0, math.floor(max(ya, yb, yc)))
+        row_start = every * math.ceil(row_start / every)
         if row_start > row_last:
             continue
         xa, xb, xc = columns[a], columns[b], columns[c]
-        if max(0.0, math.ceil(min(xa, xb, xc))) > min(n_columns - 1.0, math.floor(max(xa, xb, xc))):
-            continue
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
         if area == 0.0:
             continue
@@ -88,7 +109,7 @@ def rasterize(
         long_slope = (xc - xa) / (yc - ya)
         low_slope = (xb - xa) / (yb - ya) if yb > ya else 0.0
         high_slope = (xc - xb) / (yc - yb) if yc > yb else 0.0
-        for r in range(int(row_start), int(row_last) + 1):
+        for r in range(int(row_start), int(row_last) + 1, every):
             x_long = xa + (r - ya) * long_slope
             x_short = xa + (r - ya) * low_slope if r < yb else xb + (r - yb) * high_slope
             start = int(max(0.0, math.ceil(min(x_long, x_short))))

@@ -53,29 +53,29 @@ def marker_grid_mm(sensor: Sensor) -> Float64:
 
 
 @njit(cache=True, nogil=True)
-def _field(
-    points_mm: Float64,
-    patch_mm: Float64,
-    depth_mm: Float64,
-    area_mm2: float,
-    shear_decay: float,
-    dilation_decay: float,
-    stick: Float64,
-    dilation: Float64,
-) -> None:
+def _stick(points_mm: Float64, patch_mm: Float64, area_mm2: float, stick: Float64) -> None:
+    """The share (n,) of the object's motion that each point of the gel follows."""
     for i in range(points_mm.shape[0]):
-        nearest, along_x, along_y = np.inf, 0.0, 0.0
+        nearest = np.inf
         for j in range(patch_mm.shape[0]):
             dx = points_mm[i, 0] - patch_mm[j, 0]
             dy = points_mm[i, 1] - patch_mm[j, 1]
-            square = dx * dx + dy * dy
-            nearest = min(nearest, square)
-            weight = depth_mm[j] * np.exp(-dilation_decay * square)
+            nearest = min(nearest, dx * dx + dy * dy)
+        stick[i] = np.exp(-SHEAR_DECAY_PER_MM2 * max(0.0, nearest - area_mm2))
+
+
+@njit(cache=True, nogil=True)
+def _dilation(points_mm: Float64, patch_mm: Float64, weights_mm3: Float64, out: Float64) -> None:
+    """Motion (n, 2) of each point away from the patch, for a gain of 1."""
+    for i in range(points_mm.shape[0]):
+        along_x, along_y = 0.0, 0.0
+        for j in range(patch_mm.shape[0]):
+            dx = points_mm[i, 0] - patch_mm[j, 0]
+            dy = points_mm[i, 1] - patch_mm[j, 1]
+            weight = weights_mm3[j] * np.exp(-DILATION_DECAY_PER_MM2 * (dx * dx + dy * dy))
             along_x += weight * dx
             along_y += weight * dy
-        stick[i] = np.exp(-shear_decay * max(0.0, nearest - area_mm2))
-        dilation[i, 0] = along_x * area_mm2
-        dilation[i, 1] = along_y * area_mm2
+        out[i, 0], out[i, 1] = along_x, along_y
 
 
 class MarkerField:
@@ -92,20 +92,12 @@ class MarkerField:
         depth_mm: NDArray[np.floating],
         area_mm2: float,
     ) -> None:
-        self._points_mm = points_mm
+        self._points_mm = np.ascontiguousarray(points_mm)
+        self._patch_mm = np.ascontiguousarray(patch_mm)
+        self._weights_mm3 = np.asarray(depth_mm, dtype=np.float64) * area_mm2
         self.center_mm = np.average(patch_mm, axis=0, weights=np.maximum(depth_mm, 1e-12))
         self._stick = np.empty(len(points_mm))
-        self._dilation = np.empty(points_mm.shape)
-        _field(
-            np.ascontiguousarray(points_mm),
-            np.ascontiguousarray(patch_mm),
-            np.ascontiguousarray(depth_mm, dtype=np.float64),
-            area_mm2,
-            SHEAR_DECAY_PER_MM2,
-            DILATION_DECAY_PER_MM2,
-            self._stick,
-            self._dilation,
-        )
+        _stick(self._points_mm, self._patch_mm, area_mm2, self._stick)
 
     def motion(self, shear_sum_mm: Float64, turn_sum_mm2: float = 0.0) -> Motion:
         """The motion of the object for which the field sums to what the law predicts.
@@ -130,4 +122,6 @@ class MarkerField:
 
     def displaced_mm(self, motion: Motion) -> Float64:
         """Where each point (n, 2) is: dilated by the indentation, sheared and turned."""
-        return self._points_mm + DILATION_GAIN * self._dilation + self.shear_mm(motion)
+        dilation = np.empty(self._points_mm.shape)
+        _dilation(self._points_mm, self._patch_mm, self._weights_mm3, dilation)
+        return self._points_mm + DILATION_GAIN * dilation + self.shear_mm(motion)

@@ -45,24 +45,21 @@ def _clear_negligible(surface: NDArray[Any], least_mm: float) -> tuple[int, int,
     """Set what is below ``least_mm`` to 0; returns the rectangle of the rest, empty if none."""
     height, width = surface.shape
     least = np.float32(least_mm)
-    top, bottom = height, 0
     deepest = np.zeros(width, np.float32)
     for r in range(height):
         row = surface[r]
-        row_deepest = np.float32(0)
         for k in range(width):
-            value = row[k] if row[k] >= least else np.float32(0)
-            row[k] = value
-            deepest[k] = max(deepest[k], value)
-        for k in range(width):
-            row_deepest = max(row_deepest, row[k])
-        if row_deepest > 0:
-            top, bottom = min(top, r), r + 1
-    left, right = width, 0
-    for k in range(width):
-        if deepest[k] > 0:
-            left, right = min(left, k), k + 1
-    return top, bottom, left, right
+            row[k] = row[k] if row[k] >= least else np.float32(0)
+            deepest[k] = max(deepest[k], row[k])
+    columns = np.nonzero(deepest)[0]
+    if columns.size == 0:
+        return 0, 0, 0, 0
+    top, bottom = 0, height
+    while not surface[top].any():
+        top += 1
+    while not surface[bottom - 1].any():
+        bottom -= 1
+    return top, bottom, columns[0], columns[-1] + 1
 
 
 class Deformer:

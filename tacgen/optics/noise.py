@@ -12,12 +12,17 @@ _LEVELS = 1 << _BITS
 
 
 @njit(cache=True, nogil=True)
-def _add(
-    image: NDArray[Any], words: NDArray[Any], quantiles: NDArray[Any], sigma: np.float32
+def _quantize(
+    image: NDArray[Any],
+    words: NDArray[Any],
+    quantiles: NDArray[Any],
+    sigma: np.float32,
+    rgb: NDArray[Any],
 ) -> None:
-    flat = image.reshape(-1)
-    for k in range(flat.shape[0]):
-        flat[k] += sigma * quantiles[words[k] >> 4]
+    source, target = image.reshape(-1), rgb.reshape(-1)
+    for k in range(source.shape[0]):
+        grey = source[k] + sigma * quantiles[words[k] >> 4] + np.float32(0.5)
+        target[k] = np.uint8(min(max(grey, np.float32(0)), np.float32(255)))
 
 
 class CameraNoise:
@@ -33,9 +38,9 @@ class CameraNoise:
         values = np.array([NormalDist().inv_cdf((k + 0.5) / _LEVELS) for k in range(_LEVELS)])
         self._quantiles = np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
 
-    def add(self, image: NDArray[np.float32], rng: np.random.Generator) -> None:
-        """Add noise to a C-contiguous ``image`` in place."""
-        if self.sigma_grey <= 0:
-            return
+    def quantize(
+        self, image: NDArray[np.float32], rng: np.random.Generator, rgb: NDArray[np.uint8]
+    ) -> None:
+        """Add noise to a C-contiguous ``image`` (H, W, 3) and round it to 8 bits, into ``rgb``."""
         words = rng.bit_generator.random_raw((image.size + 3) // 4).view(np.uint16)
-        _add(image, words, self._quantiles, np.float32(self.sigma_grey))
+        _quantize(image, words, self._quantiles, np.float32(self.sigma_grey), rgb)

@@ -230,10 +230,11 @@ def render_rgb(
     shader = Shader(table, shadows=shadows, leds=leds)
     shader.light(height, whole, image)
     shader.finish(height, whole, image)
-    if rng is not None:
-        CameraNoise(table.noise_grey).add(image, rng)
     rgb = np.empty(image.shape, dtype=np.uint8)
-    shade.quantize(image, whole, rgb)
+    if rng is not None and table.noise_grey > 0:
+        CameraNoise(table.noise_grey).quantize(image, rng, rgb)
+    else:
+        shade.quantize(image, whole, rgb)
     return rgb
 
 
@@ -293,10 +294,12 @@ class Renderer:
         *,
         markers_mm: FloatArray | None = None,
         rng: np.random.Generator | None = None,
+        rgb: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
         """The picture of the gel with a deformation (h, w), into the gel, over a window.
 
-        ``markers_mm`` (n, 2) is where the markers now are; ``rng`` draws the camera's noise.
+        ``markers_mm`` (n, 2) is where the markers now are; ``rng`` draws the camera's noise. The
+        picture is written into ``rgb`` (H, W, 3), if given.
         """
         seen = self._deformed(deformation_mm, window) if deformation_mm.size else window
         marked = self._marker_radius_mm > 0 and markers_mm is not None
@@ -304,15 +307,15 @@ class Renderer:
             draw_markers(
                 self._image, markers_mm, self._marker_radius_mm, self._shader.table.mm_per_px
             )
-        if rng is not None:
-            self._noise.add(self._image, rng)
-        changed = self._whole if marked or rng is not None else seen
+        changed = self._whole if marked else seen
         top, bottom, left, right = changed
-        if changed == self._whole:
+        if rgb is None:
             rgb = np.empty(self._image.shape, dtype=np.uint8)
+        if rng is not None and self._noise.sigma_grey > 0:
+            self._noise.quantize(self._image, rng, rgb)
         else:
-            rgb = self._rest_rgb.copy()
-        shade.quantize(self._image, changed, rgb)
+            rgb[...] = self._rest_rgb
+            shade.quantize(self._image, changed, rgb)
         self._image[top:bottom, left:right] = self._rest_image[top:bottom, left:right]
         return rgb
 

@@ -18,8 +18,9 @@ from tacgen.optics.smooth import Window
 from tacgen.optics.table import LookupTable
 from tacgen.sensor.gel_response import GelLoad
 
-USUAL_REACH_MM = 1.25
-"""Triangles this far beyond first touch are left out of the first look at a contact."""
+REACH_MARGIN = 1.25
+"""Triangles deeper than the last contact by this factor are left out of the first look at a new
+one, which is repeated where it turns out to be deeper: the result does not depend on it."""
 
 FIELD_POINTS = 1500  # points of a contact patch that the markers' motion is worked out from
 
@@ -126,6 +127,7 @@ class TactilePad:
         self._points_mm = marker_grid_mm(sensor)
         self._x_mm, self._y_mm = pixel_centers_mm(sensor)
         self._markers_drawn = draws
+        self._reach_mm = sensor.gel_depth_mm
 
     def press(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
         """The imprint of an object at a pose (4, 4), object to gel frame in mm.
@@ -146,12 +148,19 @@ class TactilePad:
         return replace(imprint, motion=motion, markers=markers)
 
     def image(
-        self, imprint: Imprint, *, rng: np.random.Generator | None = None
+        self,
+        imprint: Imprint,
+        *,
+        rng: np.random.Generator | None = None,
+        rgb: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """The sensor's image (H, W, 3) of an imprint; ``rng`` draws the camera's noise."""
+        """The sensor's image (H, W, 3) of an imprint; ``rng`` draws the camera's noise.
+
+        It is written into ``rgb``, if given.
+        """
         deformation, window = self.deformation(imprint)
         markers_mm = self.markers_mm(imprint)
-        return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng)
+        return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng, rgb=rgb)
 
     def markers_mm(self, imprint: Imprint) -> NDArray[np.float64] | None:
         """Places (n, 2) of the marker dots, gel frame, mm; None where none are drawn."""
@@ -168,10 +177,11 @@ class TactilePad:
         load: GelLoad,
         *,
         rng: np.random.Generator | None = None,
+        rgb: NDArray[np.uint8] | None = None,
     ) -> TactileFrame:
         """``press`` and ``image`` in one."""
         imprint = self.press(mesh, pose_gel_object, load)
-        return TactileFrame(self.image(imprint, rng=rng), imprint)
+        return TactileFrame(self.image(imprint, rng=rng, rgb=rgb), imprint)
 
     def _indent(
         self,
@@ -183,7 +193,7 @@ class TactilePad:
         sensor = self.sensor
         deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
         grain_mm3 = GAP_GRAIN_MM * sensor.pixel_area_mm2
-        reach_mm = min(USUAL_REACH_MM, sensor.gel_depth_mm)
+        reach_mm = self._reach_mm
         while True:
             gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=reach_mm)
             delta = 0.0
@@ -193,8 +203,9 @@ class TactilePad:
                 delta = min(max(0.0, load.indentation_mm / GAP_GRAIN_MM), deepest)
             # What lies beyond the reach could only have made the gel give less: δ is a bound.
             if delta * GAP_GRAIN_MM <= reach_mm:
+                self._reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
                 return self._imprint_at(gap, delta, saturated=delta >= deepest)
-            reach_mm = delta * GAP_GRAIN_MM
+            reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
 
     def _imprint_at(self, gap: ObjectGap, delta: float, *, saturated: bool) -> Imprint:
         if delta <= 0:

@@ -40,7 +40,7 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
             raise RecipeError(msg)
         pad, frames = next(iter(grasp.trace.frames.items()))
         laws = {"before": before, "after": after}
-        rendered = {name: pipeline.render(grasp, pad, law=law) for name, law in laws.items()}
+        rendered = {name: pipeline.render(grasp, pad, law=law)[1] for name, law in laws.items()}
     sections = [_strips(rendered), _curves(frames, rendered)]
     write_page(
         path, "One grasp with the law before and after", sections, summary=_summary(rendered)
