@@ -44,6 +44,7 @@ EXAMPLES = {
     "objects.friction": "0.45",
     "objects.mass_kg": "0.3",
     "objects.spinning_friction_mm": "1.2",
+    "spinning_friction_mm.value": "1.2",
     "grid.x_mm": "[0, 5]",
     "grid.sample": "150",
     "sensor.table": "table.npz",
@@ -70,7 +71,7 @@ EXAMPLES = {
     "shape.collision": "collision.npz",
     "shape.source": "part.stl",
     "friction.source": "fitted by `tacgen friction`",
-    "spinning_friction_mm.source": "3π/16 · μ · a of a patch of radius a = 5 mm",
+    "spinning_friction_mm.source": "measured",
     "grasp_ranges.source": "around mg/(2μ)",
 }
 """Examples of keys whose default is empty and that no shipped recipe sets."""

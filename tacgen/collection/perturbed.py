@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.collection.gel import contact_law, gel_patch
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of, sha256_of_content
@@ -20,6 +21,8 @@ from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.settings import force_problem
+from tacgen.sensor.description import load_sensor
+from tacgen.sensor.tactile_pad import Indenter
 
 GRASP_LIMIT_S = 120.0
 """A simulated grasp takes 0.1 to 1 s; one that takes this long hangs and counts as crashed."""
@@ -31,8 +34,8 @@ class Perturbation:
     """Changes to an object and to the gripper that grasps it; the default changes nothing.
 
     The object is scaled first; then ``friction``, ``mass_kg`` and ``spinning_friction_mm`` replace
-    its own figures, the factors multiply them and the centre of mass is shifted. The spinning
-    friction follows the friction, to which the moment that a patch holds is proportional. Of the
+    its own figures, the factors multiply them and the centre of mass is shifted. A declared
+    spinning friction follows the friction, to which a patch's moment is proportional. Of the
     gripper, force and height are changed and a compliance is added to its pads;
     ``settings_factors`` multiply any other figures of ``PhysicsSettings``, by name.
     """
@@ -97,15 +100,20 @@ def perturbed_object(grasped: GraspObject, change: Perturbation) -> GraspObject:
         grasped = _scaled(grasped, change.object_scale)
     declared = grasped.friction
     friction = (declared if change.friction is None else change.friction) * change.friction_factor
-    spinning_mm = grasped.spinning_friction_mm * (friction / declared if declared > 0 else 1.0)
+    spinning_mm = grasped.spinning_friction_mm
     if change.spinning_friction_mm is not None:
         spinning_mm = change.spinning_friction_mm
+    elif spinning_mm is not None and declared > 0:
+        spinning_mm *= friction / declared
     mass_kg = grasped.mass_kg if change.mass_kg is None else change.mass_kg
     mass_kg *= change.mass_factor
     return replace(
         grasped,
         friction=friction,
-        spinning_friction_mm=spinning_mm * change.spinning_friction_factor,
+        spinning_friction_mm=spinning_mm,
+        spinning_friction_factor=(
+            grasped.spinning_friction_factor * change.spinning_friction_factor
+        ),
         mass_kg=mass_kg,
         inertia_kg_mm2=frozen_array(grasped.inertia_kg_mm2 * (mass_kg / grasped.mass_kg)),
         center_of_mass_mm=frozen_array(
@@ -151,6 +159,7 @@ def recipe_object(entry: ObjectEntry) -> GraspObject:
         friction=entry.friction,
         mass_kg=entry.mass_kg,
         spinning_friction_mm=entry.spinning_friction_mm,
+        spinning_friction_factor=entry.spinning_friction_factor,
         object_scale=entry.scale,
         **shift_of_center(entry.center_of_mass_offset_mm),
     )
@@ -173,7 +182,9 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
         figures["friction"] = round(after.friction, 6)
     if change.object_scale != 1.0:
         figures["scale"] = round(entry.scale * change.object_scale, 6)
-    if change.spinning_friction_factor != 1.0 or entry.spinning_friction_mm is not None:
+    if after.spinning_friction_factor != before.spinning_friction_factor:
+        figures["spinning_friction_factor"] = round(after.spinning_friction_factor, 6)
+    if entry.spinning_friction_mm is not None and after.spinning_friction_mm is not None:
         figures["spinning_friction_mm"] = round(after.spinning_friction_mm, 6)
     if any(change.center_of_mass_mm):
         offsets = zip(entry.center_of_mass_offset_mm, change.center_of_mass_mm, strict=True)
@@ -309,6 +320,8 @@ def _grasp_job(
     """One process: a task is one grasp, its items are the perturbations to simulate it under."""
     settings = recipe.physics_settings
     built = lru_cache(maxsize=1)(recipe_object)
+    law = contact_law(recipe.contact)
+    indenter = Indenter(load_sensor(recipe.sensor, needs_table=False), recipe.contact.camera)
     first_item = np.cumsum([0, *(len(changes) + 1 for _, changes in tasks)])
     with GraspSimulator(recipe.robot.name) as simulator:
 
@@ -323,12 +336,14 @@ def _grasp_job(
                     continue
                 report("start", item, None)
                 changed = perturbed_settings(settings, change)
+                grasped = perturbed_object(base, change)
                 trace = run_grasp(
                     simulator,
-                    perturbed_object(base, change),
+                    grasped,
                     replace(config, index=task),
                     changed,
                     frames=FrameRequest(),
+                    patch_of=partial(gel_patch, indenter, law, grasped.surface),
                 )
                 found.append(Outcome.of(trace, changed))
             return found

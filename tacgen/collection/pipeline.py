@@ -1,22 +1,22 @@
 """One grasp from the plan to the sample that a shard holds: where the stages are joined."""
 
-import math
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.collection.gel import contact_law, gel_patch
 from tacgen.collection.grid import PlannedGrasp, rng_of
 from tacgen.collection.perturbed import perturbed_object, recipe_object
 from tacgen.collection.randomize import Variation, draw_variation, vary_config
-from tacgen.collection.recipe import Contact, Recipe
+from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
-from tacgen.contact.law import ContactLaw, load_law
+from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
-from tacgen.core.records import Estimate, GraspConfig, GraspObject, GraspTrace
+from tacgen.core.records import GraspConfig, GraspObject, GraspTrace
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import GraspSimulator, run_grasp
@@ -67,8 +67,21 @@ class GraspPipeline:
         grasped = perturbed_object(self._object(entry), variation.perturbation)
         config = vary_config(planned.config, variation)
         recipe = self.recipe
+        patch_of = partial(
+            gel_patch,
+            self._pad.indenter,
+            self._law,
+            grasped.surface,
+            grasp_index=config.index,
+            k_n_factor=variation.k_n_factor,
+        )
         trace = run_grasp(
-            self.simulator, grasped, config, recipe.physics_settings, frames=recipe.frames
+            self.simulator,
+            grasped,
+            config,
+            recipe.physics_settings,
+            frames=recipe.frames,
+            patch_of=patch_of,
         )
         return SimulatedGrasp(planned, grasped, config, variation, trace)
 
@@ -146,20 +159,6 @@ def grasp_frame(trace: GraspTrace) -> int:
         return 0
     forces = np.array([frame.force_normal_n for frame in frames])
     return int(np.argmax(forces >= 0.95 * forces.max()))
-
-
-def contact_law(contact: Contact) -> ContactLaw:
-    """The law that a recipe names: a calibrated file, or its own figures.
-
-    Raises ``ContactError`` if the file is not a contact law.
-    """
-    if (path := contact.path()) is not None:
-        return load_law(path)
-    law = ContactLaw.linear(contact.k_n_mm3_per_n, contact.k_s_mm_per_n or math.nan)
-    if contact.law == "linear_depth":
-        k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
-        return replace(law, law="linear_depth", k_depth_mm_per_n=k_depth)
-    return law
 
 
 def tactile_pad(recipe: Recipe) -> TactilePad:

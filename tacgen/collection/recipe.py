@@ -18,7 +18,6 @@ from pydantic import (
     ValidationError,
 )
 
-from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.columns import unit_problems
 from tacgen.core.config import Axis, Located, Section, as_named
 from tacgen.core.errors import ObjectError, RecipeError
@@ -29,6 +28,7 @@ from tacgen.core.resources import (
     object_folders,
     unknown_object_hint,
 )
+from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.physics.settings import FrameRequest, PhysicsSettings, force_problem
 from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
@@ -66,7 +66,9 @@ class ObjectEntry(Located):
     center_of_mass_offset_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
     """Shift of the centre of mass in the object's frame."""
     spinning_friction_mm: NonNegativeFloat | None = None
-    """Largest moment about the contact normal per newton of normal force."""
+    """Largest moment about the contact normal per newton of normal force, instead of the gel's."""
+    spinning_friction_factor: NonNegativeFloat = 1.0
+    """Factor on the moment that the pads hold about the contact normal."""
     scale: PositiveFloat = 1.0
     """Factor on the object's size."""
     grid: Grid | None = None

@@ -22,11 +22,11 @@ from tacgen.core.config import Section
 from tacgen.core.errors import ContactError, RecipeError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
+from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import read_yaml, validate
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
-PUBLISHED_K_N_MM3_PER_N = 5.135  # taxim-robot's slope of 200 039 px³/N at its 0.0295 mm/px
 USUAL_K_S_MM_PER_N = 1.0
 """Assumed: summed marker motion a newton; a press log with shear gives a sensor's own."""
 

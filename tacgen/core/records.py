@@ -59,9 +59,10 @@ class GraspObject:
 
     ``surface`` is the true one, watertight, which the gel senses; ``collision`` are convex parts,
     which the physics collides. ``center_of_mass_mm`` (3,); ``inertia_kg_mm2`` (3, 3) is about it,
-    along the object's axes. ``friction`` is Coulomb's coefficient against the gel, and
-    ``spinning_friction_mm`` the moment about the contact normal that one pad resists, for each
-    newton of normal force. ``grasp_ranges`` holds the axis values (``force_n``, ``x_mm``, ``y_mm``,
+    along the object's axes. ``friction`` is Coulomb's coefficient against the gel.
+    ``spinning_friction_mm`` is the moment about the contact normal that one pad resists, for each
+    newton of normal force; None where it follows from the gel. ``spinning_friction_factor``
+    multiplies either. ``grasp_ranges`` holds the axis values (``force_n``, ``x_mm``, ``y_mm``,
     ``z_mm``) of recipes that give none.
     """
 
@@ -72,10 +73,11 @@ class GraspObject:
     center_of_mass_mm: NDArray[np.float64]
     inertia_kg_mm2: NDArray[np.float64]
     friction: float
-    spinning_friction_mm: float
+    spinning_friction_mm: float | None
     grasp_ranges: Mapping[str, tuple[float, ...]]
     color_rgb: tuple[int, int, int] = (190, 190, 190)
     folder: Path | None = None
+    spinning_friction_factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +135,17 @@ class ContactFrame:
     force_shear_n: NDArray[np.float64]
     torsion_n_mm: float
     pose_gel_object: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ContactPatch:
+    """Where a pad presses on the object: ``points_mm`` (n, 2) in the gel frame.
+
+    ``share`` (n,) is each point's share of the normal force; there are no points without contact.
+    """
+
+    points_mm: NDArray[np.float64]
+    share: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

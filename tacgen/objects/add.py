@@ -28,8 +28,6 @@ from tacgen.objects.mesh_import import UP_AXES, convex_parts, import_surface
 from tacgen.objects.meshes import mass_properties, volume_mm3
 
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'
-HERTZ_MM = 3 * np.pi / 16 * 5.0
-"""Moment per newton and per unit friction of a Hertzian patch of 5 mm radius."""
 DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005  # Osmium, and a little less than the lightest foam
 ALLOWED_ERROR_MM = 0.6
 """Of where the pads touch: a slip threshold moves by less than 3 % (``docs/physics.md``)."""
@@ -141,10 +139,6 @@ def describe(
         "friction": {
             "value": friction,
             "source": "given when the mesh was added; calibrate it with `tacgen friction`",
-        },
-        "spinning_friction_mm": {
-            "value": round(HERTZ_MM * friction, 3),
-            "source": "3π/16 · μ · a of a Hertzian patch of radius a = 5 mm; assumed",
         },
         "grasp_ranges": {
             **{axis: list(values) for axis, values in ranges.items()},

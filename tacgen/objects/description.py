@@ -122,8 +122,8 @@ class ObjectDescription(Section):
     """Extents along x, y and z of the object in its rest pose."""
     friction: Stated[Annotated[NotNegative, Field(le=2.0)]]
     """Coulomb coefficient against the gel."""
-    spinning_friction_mm: Stated[NotNegative]
-    """Largest moment about the contact normal over normal force."""
+    spinning_friction_mm: Stated[NotNegative] | None = None
+    """Largest moment about the contact normal over normal force; without it that of the gel."""
     grasp_ranges: GraspRanges
     """Grasps of recipes that do not give an axis."""
     color_rgb: tuple[Byte, Byte, Byte] = (190, 190, 190)

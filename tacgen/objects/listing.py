@@ -64,7 +64,8 @@ def object_facts(obj: GraspObject, description: ObjectDescription) -> dict[str, 
         "folder": str(obj.folder),
     }
     for key in FIGURES:
-        stated = getattr(description, key)
+        if (stated := getattr(description, key)) is None:
+            continue
         value = list(stated.value) if isinstance(stated.value, tuple) else stated.value
         facts[key] = {"value": value, "source": stated.source}
     given = description.inertia_kg_mm2

@@ -117,6 +117,7 @@ def load_object(name_or_folder: str | Path) -> GraspObject:
         inertia = mass_properties([(surface, 1.0)], mass_kg)[1]
     else:
         inertia = np.array(description.inertia_kg_mm2.value)
+    spinning = description.spinning_friction_mm
     return GraspObject(
         name=description.name,
         surface=surface,
@@ -125,7 +126,7 @@ def load_object(name_or_folder: str | Path) -> GraspObject:
         center_of_mass_mm=frozen_array(description.center_of_mass_mm.value),
         inertia_kg_mm2=frozen_array(inertia),
         friction=description.friction.value,
-        spinning_friction_mm=description.spinning_friction_mm.value,
+        spinning_friction_mm=None if spinning is None else spinning.value,
         grasp_ranges=description.grasp_ranges.axes(),
         color_rgb=description.color_rgb,
         folder=folder,

@@ -106,8 +106,8 @@ def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
 class Bodies:
     """What a snapshot's numbers belong to.
 
-    ``spinning_friction_m`` maps each pad to the moment about its normal that it resists, for
-    each newton; ``inertial`` is the object's inertial frame in its own frame.
+    ``spinning_friction_m`` maps each pad to the moment about its normal that Bullet lets it
+    resist, for each newton; ``inertial`` is the object's inertial frame in its own frame.
     """
 
     object_body: int
@@ -115,7 +115,7 @@ class Bodies:
     pad_links: Mapping[str, int]
     principal_moments_kg_m2: FloatArray
     inertial: Pose
-    spinning_friction_m: float
+    spinning_friction_m: Mapping[str, float]
     time_step_s: float
 
 
@@ -199,6 +199,6 @@ def _spinning_moments_n_m(
     missing = float(axis @ (needed - reported))
     spins = {}
     for pad, normal in normals.items():
-        limit = bodies.spinning_friction_m * normal
+        limit = bodies.spinning_friction_m[pad] * normal
         spins[pad] = float(np.clip(missing * normal / total, -limit, limit))
     return spins

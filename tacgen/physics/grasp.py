@@ -1,7 +1,8 @@
 """One grasp, from placing the gripper to the label."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,19 +11,28 @@ from tacgen.core.errors import PhysicsError
 from tacgen.core.records import (
     LABEL_NOT_EXECUTED,
     LABEL_SUCCESS,
+    ContactFrame,
+    ContactPatch,
     GraspConfig,
     GraspObject,
     GraspTrace,
     Status,
     frozen_array,
 )
-from tacgen.core.units import M_PER_MM
+from tacgen.core.units import M_PER_MM, PUBLISHED_K_N_MM3_PER_N
 from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.bodies import ObjectBody
-from tacgen.physics.contacts import Bodies, Snapshot, object_contacts
+from tacgen.physics.contacts import Bodies, Snapshot, contact_frames, object_contacts
 from tacgen.physics.gripper import STROKE_MM
-from tacgen.physics.margins import Capacity, slip_margin, torsion_factor
+from tacgen.physics.margins import (
+    Capacity,
+    TorsionLimit,
+    dome_patch,
+    slip_margin,
+    torsion_arm_mm,
+    torsion_factor,
+)
 from tacgen.physics.recorder import Recorder, frame_end_steps
 from tacgen.physics.robots import ArmWithGripper, FloatingGripper, Robot
 from tacgen.physics.settings import (
@@ -37,6 +47,9 @@ from tacgen.physics.world import World
 CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
 STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that a pad may be off
+
+PatchOf = Callable[[ContactFrame], ContactPatch]
+"""The patch in which a gel presses on the object at a pad's pose and normal force."""
 
 _ROBOTS: dict[str, type[Robot]] = {"wsg50": FloatingGripper, "ur5e_wsg50": ArmWithGripper}
 
@@ -71,8 +84,13 @@ def run_grasp(
     settings: PhysicsSettings,
     *,
     frames: FrameRequest,
+    patch_of: PatchOf | None = None,
 ) -> GraspTrace:
     """Simulate one grasp of ``obj`` as ``config`` asks; frames in the gel frame (mm, N).
+
+    The moment that a pad holds about its normal follows from the patch that ``patch_of`` finds at
+    the moment of grasp; without it from that of a flat face on the pad's dome and a gel of the
+    published k_n. An object's own ``spinning_friction_mm`` replaces either.
 
     A grasp that cannot be executed has the status ``unreachable`` or ``no_contact``, a reason,
     the label −1 and no frames.
@@ -83,7 +101,7 @@ def run_grasp(
     if problem:
         msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
         raise PhysicsError(msg)
-    return _Grasp(simulator, obj, config, settings, frames).run()
+    return _Grasp(simulator, obj, config, settings, frames, patch_of).run()
 
 
 class _Grasp:
@@ -96,14 +114,16 @@ class _Grasp:
         config: GraspConfig,
         settings: PhysicsSettings,
         request: FrameRequest,
+        patch_of: PatchOf | None,
     ) -> None:
         self.obj, self.config, self.settings = obj, config, settings
+        self.patch_of = patch_of
         self.note = ""
         self.world = simulator.world
         self.world.rebuild(settings, settings.iterations_for(config.force_n, obj.mass_kg))
         self.body = ObjectBody(self.world, obj)
         self.robot: Robot = _ROBOTS[simulator.robot](self.world, settings)
-        self.robot.fingers.set_surface(settings, obj.friction, obj.spinning_friction_mm)
+        self.robot.fingers.set_surface(settings, obj.friction)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
         self.bodies = Bodies(
@@ -112,7 +132,7 @@ class _Grasp:
             pad_links=self.robot.fingers.links,
             principal_moments_kg_m2=self.body.principal_moments_kg_m2,
             inertial=self.body.inertial,
-            spinning_friction_m=obj.spinning_friction_mm * settings.pad_friction * M_PER_MM,
+            spinning_friction_m=dict.fromkeys(PAD_NAMES, 0.0),
             time_step_s=settings.time_step_s,
         )
 
@@ -129,8 +149,9 @@ class _Grasp:
         if reason:
             return self._not_executed("no_contact", reason)
         grasped = self.recorder.observe()
-        self.recorder.advance(self._steps(settings.hold_s))
         capacity = self._load_pads(grasped)
+        self.recorder.advance(self._steps(settings.hold_s))
+        self.robot.fingers.couple()
         motion = self._lift()
         if self.frame_ends:
             self.recorder.advance(self.frame_ends[-1] - self.recorder.step)
@@ -176,13 +197,32 @@ class _Grasp:
         }
 
     def _load_pads(self, grasped: Sequence[Snapshot]) -> Capacity:
-        """Couple the jaws and set the torsion that the pads can hold beside the weight."""
-        capacity = outcome.capacity_of(grasped, self.bodies, self.obj, self.settings)
-        self.robot.fingers.set_spinning_friction(
-            self.bodies.spinning_friction_m * torsion_factor(capacity.friction_share)
-        )
-        self.robot.fingers.couple()
+        """Set the torsion that the pads can hold beside the weight."""
+        loads = contact_frames(grasped, self.bodies, PAD_NAMES)
+        torsion = {pad: self._torsion_limit(load) for pad, load in loads.items()}
+        capacity = outcome.capacity_of(grasped, self.bodies, self.obj, self.settings, torsion)
+        spinning_m = [mm * M_PER_MM for mm in capacity.spinning_mm]
+        by_pad = dict(zip(self.bodies.pad_links, spinning_m, strict=True))
+        self.bodies = replace(self.bodies, spinning_friction_m=by_pad)
+        self.robot.fingers.set_spinning_friction(by_pad)
         return capacity
+
+    def _torsion_limit(self, load: ContactFrame) -> TorsionLimit:
+        """What a pad under that load holds about its normal."""
+        factor = self.settings.pad_friction * self.obj.spinning_friction_factor
+        declared_mm = self.obj.spinning_friction_mm
+        if declared_mm is not None:
+            return lambda share: declared_mm * factor * torsion_factor(share)
+        patch = self._flat_face(load) if self.patch_of is None else self.patch_of(load)
+        friction = self.obj.friction * factor
+        return lambda share: friction * torsion_arm_mm(patch, share)
+
+    def _flat_face(self, load: ContactFrame) -> ContactPatch:
+        return dome_patch(
+            load.force_normal_n,
+            dome_radius_mm=self.settings.pad_dome_radius_mm,
+            k_n_mm3_per_n=PUBLISHED_K_N_MM3_PER_N,
+        )
 
     def _lift(self) -> list[Snapshot]:
         """Lift by the profile, sampling the object's pose."""

@@ -4,7 +4,7 @@ The hand's link frame is the gripper frame (``frames.py``). Finger positions cou
 opening towards the middle. Bullet's lengths are metres.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -127,17 +127,10 @@ class Fingers:
         self._body = body
         self.links = {"left": hand + 1, "right": hand + 3}
 
-    def set_surface(
-        self, settings: PhysicsSettings, friction: float, spinning_friction_mm: float
-    ) -> None:
+    def set_surface(self, settings: PhysicsSettings, friction: float) -> None:
         """Friction and compliance of the pads against an object whose own friction is 1."""
         for link in self.links.values():
-            self._world.set_surface(
-                self._body,
-                link,
-                friction=friction * settings.pad_friction,
-                spinning_friction_m=spinning_friction_mm * settings.pad_friction * M_PER_MM,
-            )
+            self._world.set_surface(self._body, link, friction=friction * settings.pad_friction)
             if settings.pad_stiffness_n_mm > 0:
                 self._world.bullet.changeDynamics(
                     self._body,
@@ -146,11 +139,11 @@ class Fingers:
                     contactDamping=settings.pad_damping_n_s_mm / M_PER_MM,
                 )
 
-    def set_spinning_friction(self, spinning_friction_m: float) -> None:
-        """Moment about the contact normal that a pad resists, for each newton of force."""
-        for link in self.links.values():
+    def set_spinning_friction(self, spinning_friction_m: Mapping[str, float]) -> None:
+        """Moment about the contact normal that each pad resists, for each newton of force."""
+        for pad, link in self.links.items():
             self._world.bullet.changeDynamics(
-                self._body, link, spinningFriction=spinning_friction_m
+                self._body, link, spinningFriction=spinning_friction_m[pad]
             )
 
     def place(self, travel_m: float) -> None:

@@ -1,27 +1,36 @@
 """How far a grasp is from slipping: closed forms on the forces at the moment of grasp."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import SlipMargin, frozen_array
+from tacgen.core.records import ContactPatch, SlipMargin, frozen_array
 from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 from tacgen.physics.contacts import Contacts
+
+TorsionLimit = Callable[[float], float]
+"""Moment about its normal that a pad holds, mm for each newton of normal force, by the share of
+its friction that a tangential force takes up."""
+ROTATION_CENTERS = np.concatenate([[0.0], np.geomspace(0.05, 50.0, 24)])
+"""Of a sliding patch, from its middle, in mean distances of its pressure: closest together where
+the limits change most; the last leaves 2 % of the friction for a moment."""
 
 
 @dataclass(frozen=True, slots=True)
 class Capacity:
     """What the pads can hold and what the lifted object asks of them.
 
-    ``torsion_limit_n_mm`` already allows for the friction that the weight takes up.
+    ``torsion_limit_n_mm`` already allows for the friction that the weight takes up;
+    ``spinning_mm`` is what each pad's has to add to its contact points' friction, for each newton.
     """
 
     friction_limit_n: float
     tangential_load_n: float
     torsion_limit_n_mm: float
     moment_n_mm: float
+    spinning_mm: tuple[float, ...]
 
     @property
     def friction_share(self) -> float:
@@ -41,6 +50,39 @@ def torsion_factor(friction_share: float) -> float:
     return float(np.sqrt(max(0.0, 1.0 - friction_share**2)))
 
 
+def dome_patch(force_n: float, *, dome_radius_mm: float, k_n_mm3_per_n: float) -> ContactPatch:
+    """The patch of a domed gel on a flat face (or of a ball of that radius on a flat gel).
+
+    An elastic foundation whose pressure is the indentation over k_n: a paraboloid over a circle of
+    radius a = (4 R k_n F/π)^¼, which is that of V = π a⁴/(4 R) = k_n F.
+    """
+    radius_mm = (4 * dome_radius_mm * k_n_mm3_per_n * force_n / np.pi) ** 0.25
+    r, angle = (np.arange(20) + 0.5) / 20, (np.arange(24) + 0.5) / 24 * 2 * np.pi
+    share = np.repeat((1 - r**2) * r, len(angle))
+    points_mm = radius_mm * np.stack([np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle))], -1)
+    return ContactPatch(points_mm.reshape(-1, 2), share / share.sum())
+
+
+def torsion_arm_mm(patch: ContactPatch, friction_share: float = 0.0) -> float:
+    """Largest moment of a sliding patch about its normal, over friction times normal force, mm.
+
+    ``friction_share`` of its friction holds a force along the gel's y. Of all centres of rotation c
+    on the x axis through the centre of pressure the least bound is the limit: E|r − c| − share |c|
+    by the pressure's mean E. Without a force it is the mean distance of the pressure from its
+    centre: 8/15 a of ``dome_patch``, 2/3 a of a uniform pressure.
+
+    Source: Goyal, Ruina & Papadopoulos 1991, Planar sliding with dry friction 1.
+    """
+    if len(patch.share) == 0 or friction_share >= 1:
+        return 0.0
+    arms_mm = patch.points_mm - patch.share @ patch.points_mm
+    x, y = arms_mm.T
+    mean_mm = float(patch.share @ np.hypot(x, y))
+    levers = mean_mm * np.concatenate([-ROTATION_CENTERS, ROTATION_CENTERS])
+    bounds = np.hypot(x - levers[:, None], y) @ patch.share - friction_share * np.abs(levers)
+    return max(0.0, float(bounds.min()))
+
+
 def grasp_capacity(
     pads: Sequence[Contacts],
     *,
@@ -48,21 +90,20 @@ def grasp_capacity(
     center_of_mass_m: FloatArray,
     mass_kg: float,
     friction: float,
-    spinning_friction_mm: float,
+    torsion: Sequence[TorsionLimit],
 ) -> Capacity:
     """What ``pads``, by the contacts of each, can hold once the table is gone, world axes.
 
     The tangential load is the part of the weight across ``closing_axis`` that the contact
     normals do not carry; the moment is that of weight and normal forces about the axis through
-    the pads' centres of pressure. A pad's moment is its spinning friction's and that of its
-    contact points' friction about their own centre.
+    the pads' centres of pressure. A pad's moment is that of its ``torsion``, or of its contact
+    points' friction about their own centre where that is larger.
     """
     up = np.array([0.0, 0.0, 1.0])
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2
-    pads = [pad for pad in pads if pad.normal_force_n.sum() > 0]
-    if not pads:
-        return Capacity(0.0, weight_n, 0.0, 0.0)
     forces = np.concatenate([pad.normal_force_n for pad in pads])
+    if forces.sum() <= 0:
+        return Capacity(0.0, weight_n, 0.0, 0.0, (0.0,) * len(pads))
     points = np.concatenate([pad.point_m for pad in pads])
     pushes = forces[:, None] * np.concatenate([pad.normal for pad in pads])
     total_n = float(forces.sum())
@@ -75,18 +116,24 @@ def grasp_capacity(
     center = (forces @ points) / total_n
     moment = np.cross(center_of_mass_m - center, -weight_n * up)
     moment += np.cross(points - center, pushes).sum(axis=0)
-    torsion_n_mm = spinning_friction_mm * total_n
-    for pad in pads:
-        arms = pad.point_m - (pad.normal_force_n @ pad.point_m) / pad.normal_force_n.sum()
+    torsion_n_mm, spinning_mm = 0.0, []
+    for pad, limit in zip(pads, torsion, strict=True):
+        normal_n = float(pad.normal_force_n.sum())
+        if normal_n <= 0:
+            spinning_mm.append(0.0)
+            continue
+        arms = pad.point_m - (pad.normal_force_n @ pad.point_m) / normal_n
         arms -= np.outer(arms @ closing_axis, closing_axis)
-        torsion_n_mm += friction * float(
-            pad.normal_force_n @ np.linalg.norm(arms, axis=1) * MM_PER_M
-        )
+        arm_mm = float(pad.normal_force_n @ np.linalg.norm(arms, axis=1) * MM_PER_M) / normal_n
+        of_points_mm = friction * arm_mm * torsion_factor(share)
+        spinning_mm.append(max(0.0, limit(share) - of_points_mm))
+        torsion_n_mm += normal_n * (of_points_mm + spinning_mm[-1])
     return Capacity(
         friction_limit_n=friction_limit_n,
         tangential_load_n=tangential_load_n,
-        torsion_limit_n_mm=torsion_n_mm * torsion_factor(share),
+        torsion_limit_n_mm=torsion_n_mm,
         moment_n_mm=abs(float(moment @ closing_axis)) * MM_PER_M,
+        spinning_mm=tuple(spinning_mm),
     )
 
 

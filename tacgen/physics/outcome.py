@@ -1,6 +1,6 @@
 """What the snapshots of a grasp amount to: loads, motion in the hand, label and tactile frames."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,7 @@ from tacgen.physics.contacts import (
     object_pose,
 )
 from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, rotation_of, turn_rad
-from tacgen.physics.margins import Capacity, grasp_capacity
+from tacgen.physics.margins import Capacity, TorsionLimit, grasp_capacity
 from tacgen.physics.settings import PhysicsSettings
 
 
@@ -90,9 +90,13 @@ def _first(flags: BoolArray) -> int:
 
 
 def capacity_of(
-    grasped: Sequence[Snapshot], bodies: Bodies, obj: GraspObject, settings: PhysicsSettings
+    grasped: Sequence[Snapshot],
+    bodies: Bodies,
+    obj: GraspObject,
+    settings: PhysicsSettings,
+    torsion: Mapping[str, TorsionLimit],
 ) -> Capacity:
-    """What the pads can hold, by the contact forces at the moment of grasp."""
+    """What the pads can hold, by the contact forces at the moment of grasp; ``torsion`` by pad."""
     contacts = mean_contacts(grasped, bodies.object_body)
     last = grasped[-1]
     return grasp_capacity(
@@ -101,7 +105,7 @@ def capacity_of(
         center_of_mass_m=np.array(last.object_position_m),
         mass_kg=obj.mass_kg,
         friction=obj.friction * settings.pad_friction,
-        spinning_friction_mm=obj.spinning_friction_mm * settings.pad_friction,
+        torsion=[torsion[pad] for pad in bodies.pad_links],
     )
 
 

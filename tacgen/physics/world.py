@@ -206,9 +206,7 @@ class World:
         """Let a link touch only what shares a flag with it."""
         self.bullet.setCollisionFilterGroupMask(body, link, int(what), int(what))
 
-    def set_surface(
-        self, body: int, link: int, *, friction: float, spinning_friction_m: float = 0.0
-    ) -> None:
+    def set_surface(self, body: int, link: int, *, friction: float) -> None:
         """Friction of a link; none of Bullet's default damping is kept.
 
         The margin is a call of its own, for bodies only: on a link Bullet does not apply it, and
@@ -218,7 +216,7 @@ class World:
             body,
             link,
             lateralFriction=friction,
-            spinningFriction=spinning_friction_m,
+            spinningFriction=0.0,
             rollingFriction=0.0,
             restitution=0.0,
             linearDamping=0.0,

@@ -16,9 +16,9 @@ from pydantic import (
 )
 
 from tacgen.contact.effects import find_effect
-from tacgen.contact.law import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.config import Section
 from tacgen.core.errors import ContactError
+from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import YamlSource, load_checked
 from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 

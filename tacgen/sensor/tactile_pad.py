@@ -11,7 +11,7 @@ from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import Mesh, Sensor
+from tacgen.core.records import ContactPatch, Mesh, Sensor
 from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer
 from tacgen.optics.smooth import Window
@@ -22,7 +22,7 @@ REACH_MARGIN = 1.25
 """Triangles deeper than the last contact by this factor are left out of the first look at a new
 one, which is repeated where it turns out to be deeper: the result does not depend on it."""
 
-FIELD_POINTS = 1500  # points of a contact patch that the markers' motion is worked out from
+FIELD_POINTS = 1500  # points of a contact patch for the markers' motion and the pads' torsion
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +95,80 @@ def _fill_depth(
             out[k] = max(0.0, (delta - row[k]) * grain_mm)
 
 
+class Indenter:
+    """Presses objects into the gel of one sensor; ``camera`` as of :class:`TactilePad`."""
+
+    def __init__(self, sensor: Sensor, camera: str = "raster") -> None:
+        self.sensor = sensor
+        self._mapper = GapMapper(sensor, camera)
+        self._x_mm, self._y_mm = pixel_centers_mm(sensor)
+        self._reach_mm = sensor.gel_depth_mm
+
+    def patch(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> ContactPatch:
+        """Where the gel presses on an object at a pose: its pressure is the indentation over k_n.
+
+        The law V = k_n F makes the gel an elastic foundation, F = ∫ depth/k_n dA.
+        """
+        imprint = self.indent(*checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object), load)
+        points_mm, depth_mm, _ = self.sampled(imprint)
+        share = depth_mm.astype(np.float64)
+        return ContactPatch(points_mm, share / max(share.sum(), 1e-12))
+
+    def sampled(self, imprint: Imprint) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
+        """Points (n, 2) of the contact patch, their depth (n,) and the area that each stands for.
+
+        ``FIELD_POINTS`` or fewer tell the patch's shape and weight: the depth is smooth.
+        """
+        top, bottom, left, right = imprint.window
+        every = max(1, int((imprint.depth_mm.size / FIELD_POINTS) ** 0.5))
+        depth_mm = imprint.depth_mm[every // 2 :: every, every // 2 :: every]
+        rows, columns = np.nonzero(depth_mm)
+        if rows.size == 0:
+            every, depth_mm = 1, imprint.depth_mm
+            rows, columns = np.nonzero(depth_mm)
+        x_mm = self._x_mm[left:right][every // 2 :: every][columns]
+        y_mm = self._y_mm[top:bottom][every // 2 :: every][rows]
+        area_mm2 = self.sensor.pixel_area_mm2 * every**2
+        return np.stack([x_mm, y_mm], axis=1), depth_mm[rows, columns], area_mm2
+
+    def indent(
+        self,
+        vertices_mm: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        pose: NDArray[np.float64],
+        load: GelLoad,
+    ) -> Imprint:
+        """The imprint of a checked mesh at a pose, without its motion by shear."""
+        sensor = self.sensor
+        deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
+        grain_mm3 = GAP_GRAIN_MM * sensor.pixel_area_mm2
+        reach_mm = self._reach_mm
+        while True:
+            gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=reach_mm)
+            delta = 0.0
+            if gap.touches and load.volume_mm3 is not None:
+                delta = solve_grains(gap.grains, load.volume_mm3 / grain_mm3, deepest)
+            elif gap.touches and load.indentation_mm is not None:
+                delta = min(max(0.0, load.indentation_mm / GAP_GRAIN_MM), deepest)
+            # What lies beyond the reach could only have made the gel give less: δ is a bound.
+            if delta * GAP_GRAIN_MM <= reach_mm:
+                self._reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
+                return self._imprint_at(gap, delta, saturated=delta >= deepest)
+            reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
+
+    def _imprint_at(self, gap: ObjectGap, delta: float, *, saturated: bool) -> Imprint:
+        if delta <= 0:
+            return Imprint()
+        bounds = _patch_bounds(gap.grains, delta)
+        top, bottom, left, right = bounds
+        depth_mm = np.empty((bottom - top, right - left), dtype=np.float32)
+        _fill_depth(gap.grains, delta, bounds, GAP_GRAIN_MM, depth_mm)
+        row, column = gap.window[0], gap.window[2]
+        window = (row + top, row + bottom, column + left, column + right)
+        volume_mm3 = float(depth_mm.sum(dtype=np.float64)) * self.sensor.pixel_area_mm2
+        return Imprint(delta * GAP_GRAIN_MM, volume_mm3, saturated, window, depth_mm)
+
+
 class TactilePad:
     """One tactile pad, made ready for frame after frame.
 
@@ -114,7 +188,7 @@ class TactilePad:
     ) -> None:
         self.sensor = sensor
         self.table = table
-        self._mapper = GapMapper(sensor, camera)
+        self.indenter = Indenter(sensor, camera)
         self._deformer = Deformer(sensor.mm_per_px)
         draws = markers and sensor.markers is not None
         self._renderer = Renderer(
@@ -125,9 +199,7 @@ class TactilePad:
             marker_radius_mm=sensor.markers.radius_mm if draws and sensor.markers else 0.0,
         )
         self._points_mm = marker_grid_mm(sensor)
-        self._x_mm, self._y_mm = pixel_centers_mm(sensor)
         self._markers_drawn = draws
-        self._reach_mm = sensor.gel_depth_mm
 
     def press(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
         """The imprint of an object at a pose (4, 4), object to gel frame in mm.
@@ -136,14 +208,14 @@ class TactilePad:
         there pressed in until the gel has lost the load's volume, or to the load's depth.
         """
         vertices_mm, faces, pose = checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object)
-        imprint = self._indent(vertices_mm, faces, pose, load)
+        imprint = self.indenter.indent(vertices_mm, faces, pose, load)
         shear = np.asarray(load.shear_sum_mm, dtype=np.float64)
         moves = bool(np.any(shear)) or load.turn_sum_mm2 != 0.0
         if imprint.indentation_mm <= 0 or not (moves or self._markers_drawn):
             return imprint
         motion = self._field(imprint).motion(shear, load.turn_sum_mm2)
         if moves:
-            imprint = self._indent(vertices_mm, faces, motion.moved(pose), load)
+            imprint = self.indenter.indent(vertices_mm, faces, motion.moved(pose), load)
         markers = self._field(imprint) if self._markers_drawn and imprint.depth_mm.size else None
         return replace(imprint, motion=motion, markers=markers)
 
@@ -183,59 +255,8 @@ class TactilePad:
         imprint = self.press(mesh, pose_gel_object, load)
         return TactileFrame(self.image(imprint, rng=rng, rgb=rgb), imprint)
 
-    def _indent(
-        self,
-        vertices_mm: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        pose: NDArray[np.float64],
-        load: GelLoad,
-    ) -> Imprint:
-        sensor = self.sensor
-        deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
-        grain_mm3 = GAP_GRAIN_MM * sensor.pixel_area_mm2
-        reach_mm = self._reach_mm
-        while True:
-            gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=reach_mm)
-            delta = 0.0
-            if gap.touches and load.volume_mm3 is not None:
-                delta = solve_grains(gap.grains, load.volume_mm3 / grain_mm3, deepest)
-            elif gap.touches and load.indentation_mm is not None:
-                delta = min(max(0.0, load.indentation_mm / GAP_GRAIN_MM), deepest)
-            # What lies beyond the reach could only have made the gel give less: δ is a bound.
-            if delta * GAP_GRAIN_MM <= reach_mm:
-                self._reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
-                return self._imprint_at(gap, delta, saturated=delta >= deepest)
-            reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
-
-    def _imprint_at(self, gap: ObjectGap, delta: float, *, saturated: bool) -> Imprint:
-        if delta <= 0:
-            return Imprint()
-        bounds = _patch_bounds(gap.grains, delta)
-        top, bottom, left, right = bounds
-        depth_mm = np.empty((bottom - top, right - left), dtype=np.float32)
-        _fill_depth(gap.grains, delta, bounds, GAP_GRAIN_MM, depth_mm)
-        row, column = gap.window[0], gap.window[2]
-        window = (row + top, row + bottom, column + left, column + right)
-        volume_mm3 = float(depth_mm.sum(dtype=np.float64)) * self.sensor.pixel_area_mm2
-        return Imprint(delta * GAP_GRAIN_MM, volume_mm3, saturated, window, depth_mm)
-
     def _field(self, imprint: Imprint) -> MarkerField:
-        top, bottom, left, right = imprint.window
-        # Enough points to tell the patch's shape and weight: the field is smooth.
-        every = max(1, int((imprint.depth_mm.size / FIELD_POINTS) ** 0.5))
-        depth_mm = imprint.depth_mm[every // 2 :: every, every // 2 :: every]
-        rows, columns = np.nonzero(depth_mm)
-        if rows.size == 0:
-            every, depth_mm = 1, imprint.depth_mm
-            rows, columns = np.nonzero(depth_mm)
-        x_mm = self._x_mm[left:right][every // 2 :: every][columns]
-        y_mm = self._y_mm[top:bottom][every // 2 :: every][rows]
-        return MarkerField(
-            self._points_mm,
-            np.stack([x_mm, y_mm], axis=1),
-            depth_mm[rows, columns],
-            self.sensor.pixel_area_mm2 * every**2,
-        )
+        return MarkerField(self._points_mm, *self.indenter.sampled(imprint))
 
     def deformation(self, imprint: Imprint) -> tuple[NDArray[np.float32], Window]:
         """How far the gel's surface lies below rest, mm, and the window in which it does."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from tacgen.collection.gel import contact_law
 from tacgen.collection.perturbed import check_forces
-from tacgen.collection.pipeline import contact_law
 from tacgen.collection.recipe import Contact, Recipe
 from tacgen.core.errors import TacgenError
 from tacgen.dataset.real_grasps import RealGrasps, read_real_grasps

@@ -2,8 +2,9 @@
 
 import pytest
 
+from tacgen.collection.gel import contact_law
 from tacgen.collection.perturbed import recipe_object
-from tacgen.collection.pipeline import contact_law, dataset_spec, tactile_pad
+from tacgen.collection.pipeline import dataset_spec, tactile_pad
 from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
 from tacgen.core.errors import RecipeError, TableError
 from tacgen.core.resources import packaged
@@ -36,6 +37,6 @@ def test_a_recipe_overrides_what_the_object_says():
     changed = recipe_object(entry)
     assert (changed.friction, changed.mass_kg) == (0.2, 1.0)
     assert changed.center_of_mass_mm[2] - plain.center_of_mass_mm[2] == pytest.approx(20)
-    # What a patch holds about its normal is proportional to μ.
-    ratio = changed.spinning_friction_mm / plain.spinning_friction_mm
-    assert ratio == pytest.approx(0.2 / plain.friction)
+    assert changed.spinning_friction_mm is None
+    declared = recipe_object(ObjectEntry(name="sugar_box", spinning_friction_mm=1.5))
+    assert declared.spinning_friction_mm == 1.5

@@ -18,7 +18,7 @@ from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
-from tacgen.objects.add import HERTZ_MM, add_object
+from tacgen.objects.add import add_object
 from tacgen.objects.grasp_ranges import touch_error_mm
 from tacgen.objects.load import read_meshes
 from tacgen.objects.mesh_import import MAX_PART_VERTICES, convex_parts, import_surface
@@ -340,13 +340,6 @@ def test_parts_whose_header_lies_about_their_size_are_refused(tmp_path):
         archive.writestr("faces_0.npy", lie.getvalue())
     with pytest.raises(ObjectError, match="which is not what is there"):
         read_meshes(path, 1.0)
-
-
-def test_the_assumed_moment_is_the_integral_of_a_hertzian_pressure():
-    """∫ p r dA over ∫ p dA of a hemisphere of pressure on a disc of 5 mm radius."""
-    r = (np.arange(200_000) + 0.5) / 200_000
-    p = np.sqrt(1 - r**2)
-    assert pytest.approx(5.0 * (p * r * r).sum() / (p * r).sum(), rel=1e-4) == HERTZ_MM
 
 
 def nut(turned_rad=0.0):

@@ -16,7 +16,7 @@ from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody, principal_axes
 from tacgen.physics.contacts import Contacts, object_contacts
 from tacgen.physics.frames import inverse, pose
-from tacgen.physics.margins import grasp_capacity, slip_margin, torsion_factor
+from tacgen.physics.margins import TorsionLimit, grasp_capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.recorder import frame_end_steps
 from tacgen.physics.robots import FloatingGripper, GripperTarget
@@ -86,6 +86,10 @@ def flat_pads(force_n: float) -> tuple[Contacts, ...]:
     )
 
 
+def declared(spinning_friction_mm: float) -> list[TorsionLimit]:
+    return [lambda share: spinning_friction_mm * torsion_factor(share)] * 2
+
+
 class TestMargins:
     def test_flat_pads_have_the_textbook_limits(self) -> None:
         capacity = grasp_capacity(
@@ -94,7 +98,7 @@ class TestMargins:
             center_of_mass_m=np.array([0.004, 0.012, 0.02]),
             mass_kg=0.3,
             friction=0.5,
-            spinning_friction_mm=2.0,
+            torsion=declared(2.0),
         )
         weight_n = 0.3 * GRAVITY_M_S2
         assert capacity.friction_limit_n == pytest.approx(2 * 0.5 * 10)
@@ -121,7 +125,7 @@ class TestMargins:
                 center_of_mass_m=np.array([0.0, 0.0, 0.05]),
                 mass_kg=0.5,
                 friction=0.5,
-                spinning_friction_mm=0.0,
+                torsion=declared(0.0),
             ).tangential_load_n
 
         weight_n = 0.5 * GRAVITY_M_S2
@@ -146,7 +150,7 @@ class TestMargins:
             center_of_mass_m=np.array([0.0, 0.0, 0.05]),
             mass_kg=1e-6,
             friction=0.5,
-            spinning_friction_mm=0.0,
+            torsion=declared(0.0),
         )
         assert capacity.torsion_limit_n_mm == pytest.approx(0.5 * 20 * 6.0)
 
@@ -157,7 +161,7 @@ class TestMargins:
             center_of_mass_m=np.zeros(3),
             mass_kg=0.2,
             friction=0.5,
-            spinning_friction_mm=2.0,
+            torsion=declared(2.0),
         )
         assert slip_margin(capacity, 0.2, 0.0, np.zeros(2)).translational == pytest.approx(-1.0)
         assert torsion_factor(capacity.friction_share) == 0.0

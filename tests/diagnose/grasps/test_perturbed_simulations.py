@@ -67,7 +67,8 @@ def test_an_extended_recipe_holds_what_was_found():
     made = recipe_object(read.objects[0])
     assert made.mass_kg == pytest.approx(expected.mass_kg, rel=1e-4)
     assert made.center_of_mass_mm == pytest.approx(expected.center_of_mass_mm, abs=0.01)
-    assert made.spinning_friction_mm == pytest.approx(expected.spinning_friction_mm, rel=1e-4)
+    assert made.spinning_friction_factor == pytest.approx(0.7)
+    assert made.spinning_friction_mm is expected.spinning_friction_mm is None
     assert np.ptp(made.surface.vertices_mm, axis=0) == pytest.approx(
         np.ptp(expected.surface.vertices_mm, axis=0), rel=1e-6
     )

@@ -151,7 +151,6 @@ register(
                 (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0),
                 0.4,  # set by a patch that nobody measures
                 prediction=Prediction.CLOSED_FORM_TORSION,
-                figure=("spinning_friction_mm", "mm"),
             ),
         ),
     )

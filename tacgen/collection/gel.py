@@ -1,0 +1,38 @@
+"""The gel of a recipe: its contact law, and the patch in which it presses on an object."""
+
+import math
+from dataclasses import replace
+
+from tacgen.collection.recipe import Contact
+from tacgen.contact.law import ContactLaw, load_law
+from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh
+from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.tactile_pad import Indenter
+
+
+def contact_law(contact: Contact) -> ContactLaw:
+    """The law that a recipe names: a calibrated file, or its own figures.
+
+    Raises ``ContactError`` if the file is not a contact law.
+    """
+    if (path := contact.path()) is not None:
+        return load_law(path)
+    law = ContactLaw.linear(contact.k_n_mm3_per_n, contact.k_s_mm_per_n or math.nan)
+    if contact.law == "linear_depth":
+        k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
+        return replace(law, law="linear_depth", k_depth_mm_per_n=k_depth)
+    return law
+
+
+def gel_patch(
+    indenter: Indenter,
+    law: ContactLaw,
+    surface: Mesh,
+    frame: ContactFrame,
+    *,
+    grasp_index: int = 0,
+    k_n_factor: float = 1.0,
+) -> ContactPatch:
+    """Where the gel presses on ``surface`` under the load of ``frame``, as its image shows it."""
+    (load,) = gel_loads(law, [frame], grasp_index=grasp_index, k_n_factor=k_n_factor)
+    return indenter.patch(surface, frame.pose_gel_object, load)
