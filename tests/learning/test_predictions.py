@@ -15,7 +15,7 @@ from tacgen.learning.predictions import (
 )
 
 
-@pytest.mark.parametrize("temperature", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("temperature", [1.2, 3.0])
 def test_the_temperature_of_too_sure_predictions_is_found(temperature):
     """Labels are drawn from the true probabilities; the network states its logits times T.
 
@@ -27,6 +27,12 @@ def test_the_temperature_of_too_sure_predictions_is_found(temperature):
     stated = expit(logits * temperature)
     found = calibrated_temperature(stated, labels, np.ones(2))
     assert found == pytest.approx(temperature, rel=0.06)
+
+
+def test_validation_grasps_do_not_make_predictions_surer():
+    """Those of a training's own sensor are easier than those of another one."""
+    stated, labels = np.array([0.3, 0.4, 0.6, 0.8]), np.array([0, 0, 1, 1])
+    assert calibrated_temperature(stated, labels, np.ones(2)) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_certain_mistake_gives_a_finite_temperature():
