@@ -1,12 +1,19 @@
 """Commands that find effects missing from the contact law, the lookup table or the grasps."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from tacgen.cli import common
+
+if TYPE_CHECKING:
+    from tacgen.diagnose.contact.result import Diagnosis
+    from tacgen.rig import RigRecipe
+
+PRESSES_CONSIDERED = 200  # drawn from the rig's ranges; the best dozen hardly improves with more
 
 
 @common.diagnose_app.command("contact")
@@ -21,14 +28,24 @@ def diagnose_contact(
             "linear and the extended law (grasp.html)."
         ),
     ] = None,
+    rig: Annotated[
+        str | None,
+        Option(
+            help="Rig recipe with the balls and ranges of your rig: also propose the presses that "
+            "separate the explanations best (next_presses.csv)."
+        ),
+    ] = None,
+    next_presses: Annotated[int, Option(help="How many presses to propose.", min=1)] = 12,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Extend the linear contact law by the effects that a press log supports."""
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.diagnose.contact.result import diagnosis_record
+    from tacgen.rig import load_rig_recipe
 
     common.refuse_existing(force, out / "diagnosis.json")
+    loaded_rig = None if rig is None else load_rig_recipe(rig)
     pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
     diagnosis = diagnose_log(log, out, marker_pitch_mm=pitch_mm)
     common.note(diagnosis.notes)
@@ -41,6 +58,28 @@ def diagnose_contact(
     sentences = [found.sentence for found in diagnosis.channels.values()]
     common.print_result(diagnosis_record(diagnosis), sentences, json_output)
     common.hand_over(*common.contact_lines(out / "contact.yaml"))
+    if loaded_rig is not None:
+        _propose_presses(diagnosis, loaded_rig, next_presses, out / "next_presses.csv")
+
+
+def _propose_presses(diagnosis: "Diagnosis", rig: "RigRecipe", count: int, path: Path) -> None:
+    """Write the presses to make next, drawn from the rig's ranges; say what they separate."""
+    import pandas as pd
+
+    from tacgen.core.files import write_text
+    from tacgen.diagnose.contact.next_presses import propose_presses
+    from tacgen.rig.schedule import draw_press, press_course
+
+    drawn = [draw_press(rig, number) for number in range(PRESSES_CONSIDERED)]
+    courses = [press_course(rig, press, number, 0.0) for number, press in enumerate(drawn)]
+    proposed = propose_presses(diagnosis, courses, count)
+    table = pd.DataFrame([asdict(drawn[one.index]) for one in proposed]).round(4)
+    table["separates"] = [" from ".join(one.between) for one in proposed]
+    write_text(path, table.to_csv(index=False))
+    common.hand_over(
+        f"presses to make next: {path}; the first separates {table['separates'][0]}",
+        f"schedule: {{follow: {path.resolve()}}}   # in a rig recipe; they follow its own presses",
+    )
 
 
 @common.diagnose_app.command("optics")

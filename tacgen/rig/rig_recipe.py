@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from tacgen.contact.effects import find_effect
-from tacgen.core.config import Section
+from tacgen.core.config import Located, Section
 from tacgen.core.errors import ContactError
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import YamlSource, load_checked
@@ -34,6 +34,10 @@ ORDERED = AfterValidator(_ordered)
 Range = Annotated[tuple[FiniteFloat, FiniteFloat], ORDERED]
 RangeFromZero = Annotated[tuple[NonNegativeFloat, FiniteFloat], ORDERED]
 PositiveRange = Annotated[tuple[PositiveFloat, FiniteFloat], ORDERED]
+
+
+Duration = NonNegativeFloat | RangeFromZero
+PositiveDuration = PositiveFloat | PositiveRange
 
 
 class Indenter(Section):
@@ -54,8 +58,10 @@ class RigLaw(Section):
     """Sum of the markers' motion per shear force."""
 
 
-class Schedule(Section):
+class Schedule(Located):
     """The presses: load, hold, shear out and back, unload, rest."""
+
+    path_key: ClassVar[str] = "follow"
 
     presses: PositiveInt = 24
     """Number of presses."""
@@ -65,13 +71,13 @@ class Schedule(Section):
     """Range from which each press's ratio of shear to normal force is drawn."""
     rate_hz: PositiveFloat = 20.0
     """Samples per second."""
-    load_s: PositiveFloat = 1.0
-    """Duration of loading."""
-    hold_s: NonNegativeFloat = 1.5
+    load_s: PositiveDuration = 1.0
+    """Duration of loading, or the range it is drawn from; so for the three below."""
+    hold_s: Duration = 1.5
     """Duration at full force."""
-    shear_s: NonNegativeFloat = 1.5
+    shear_s: Duration = 1.5
     """Duration of shearing out and back."""
-    unload_s: PositiveFloat = 1.0
+    unload_s: PositiveDuration = 1.0
     """Duration of unloading."""
     rest_s: NonNegativeFloat = 8.0
     """Pause after a press."""
@@ -81,6 +87,14 @@ class Schedule(Section):
     """Range of the contact's centre along x, gel frame."""
     y_mm: Range = (-3.0, 3.0)
     """Range of the contact's centre along y, gel frame."""
+    follow: str | None = None
+    """CSV file of presses to make after these, as ``diagnose contact --rig`` proposes them; a path
+    from the recipe's folder."""
+
+    @property
+    def follow_path(self) -> Path | None:
+        """The path of ``follow``; None if the schedule follows no file."""
+        return None if self.follow is None else (self.folder or Path()) / self.follow
 
 
 class Noise(Section):

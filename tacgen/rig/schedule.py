@@ -1,12 +1,17 @@
 """The true course of a rig session: forces, positions, clock and temperature, without noise."""
 
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
-from tacgen.rig.rig_recipe import RigRecipe, Schedule, Temperature
+from tacgen.core.errors import RecipeError
+from tacgen.rig.rig_recipe import RigRecipe, Temperature
 
 Columns = dict[str, NDArray[Any]]
 
@@ -20,35 +25,141 @@ def press_rng(recipe: RigRecipe, press: int, stream: int) -> np.random.Generator
     return np.random.default_rng(sequence)
 
 
+@dataclass(frozen=True, slots=True)
+class Press:
+    """One press: load, hold, shear out and back, unload, and the rest that follows.
+
+    ``shear_ratio`` is the peak shear force over ``force_n``, in the direction ``shear_angle_rad``
+    of the gel's plane; ``x_mm`` and ``y_mm`` are the contact's centre in the gel frame.
+    """
+
+    indenter: str
+    force_n: float
+    shear_ratio: float
+    shear_angle_rad: float
+    x_mm: float
+    y_mm: float
+    load_s: float
+    hold_s: float
+    shear_out_s: float
+    shear_back_s: float
+    unload_s: float
+    rest_s: float
+
+
+PRESS_COLUMNS = tuple(field.name for field in fields(Press))
+"""Columns of a file of presses to follow."""
+
+
 def true_session(recipe: RigRecipe) -> Columns:
     """Columns of a press log but for the response: what was done, exactly."""
     parts: list[Columns] = []
     clock_s = 0.0
-    for press in range(recipe.schedule.presses):
-        part = _true_press(recipe, press, clock_s)
-        clock_s = float(part["time_s"][-1]) + recipe.schedule.rest_s
-        parts.append(part)
+    for number, press in enumerate(session_presses(recipe)):
+        parts.append(press_course(recipe, press, number, clock_s))
+        clock_s = float(parts[-1]["time_s"][-1]) + press.rest_s
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _true_press(recipe: RigRecipe, press: int, start_s: float) -> Columns:
-    schedule, rng = recipe.schedule, press_rng(recipe, press, PRESS)
-    indenter = recipe.indenters[_turn_of(recipe, press)]
-    time_s, normal_n, sheared = _course(schedule, rng)
-    peak_n = rng.uniform(*schedule.force_n)
+def session_presses(recipe: RigRecipe) -> list[Press]:
+    """The presses of a session: those drawn from the schedule, then those it follows."""
+    drawn = [draw_press(recipe, number) for number in range(recipe.schedule.presses)]
+    path = recipe.schedule.follow_path
+    return drawn if path is None else drawn + read_presses(path)
+
+
+def read_presses(path: Path) -> list[Press]:
+    """The presses of a CSV file with the columns ``PRESS_COLUMNS``; others are not read.
+
+    Raises ``RecipeError`` that names the file and what is wrong.
+    """
+    try:
+        table = pd.read_csv(path, dtype={"indenter": str})
+    except (OSError, ValueError) as error:
+        msg = f"{path}: cannot be read as a CSV file of presses ({error})"
+        raise RecipeError(msg) from error
+    if missing := [name for name in PRESS_COLUMNS if name not in table]:
+        msg = f"{path}: lacks the columns {', '.join(missing)}; give one row for each press"
+        raise RecipeError(msg)
+    presses = []
+    for row, values in enumerate(table[list(PRESS_COLUMNS)].to_dict("records")):
+        numbers = {name: value for name, value in values.items() if name != "indenter"}
+        bad = [
+            name
+            for name, value in numbers.items()
+            if not isinstance(value, (int, float))
+            or not math.isfinite(value)
+            or (value < 0 and name not in ("shear_angle_rad", "x_mm", "y_mm"))
+        ]
+        if bad or not numbers["force_n"] > 0 or not numbers["load_s"] + numbers["unload_s"] > 0:
+            wrong = ", ".join(bad or ["force_n, load_s or unload_s"])
+            msg = f"{path}, row {row + 2}: {wrong} is no length of time, force or place; correct it"
+            raise RecipeError(msg)
+        presses.append(Press(str(values["indenter"]), **{n: float(v) for n, v in numbers.items()}))
+    return presses
+
+
+def draw_press(recipe: RigRecipe, number: int) -> Press:
+    """The press of that number as the schedule draws it."""
+    schedule, rng = recipe.schedule, press_rng(recipe, number, PRESS)
+    load, hold, shear, unload = (
+        _duration(given, rng)
+        for given in (schedule.load_s, schedule.hold_s, schedule.shear_s, schedule.unload_s)
+    )
+    lengths = np.array([load, hold, 0.5 * shear, 0.5 * shear, unload])
+    lengths *= rng.uniform(1.0 - schedule.jitter, 1.0 + schedule.jitter, len(lengths))
+    force_n = rng.uniform(*schedule.force_n)
     ratio, angle = rng.uniform(*schedule.shear_ratio), rng.uniform(-np.pi, np.pi)
     x_mm, y_mm = rng.uniform(*schedule.x_mm), rng.uniform(*schedule.y_mm)
-    n = len(time_s)
+    indenter = recipe.indenters[_turn_of(recipe, number)].name
+    load_s, hold_s, out_s, back_s, unload_s = lengths.tolist()
+    return Press(
+        indenter=indenter,
+        force_n=force_n,
+        shear_ratio=ratio,
+        shear_angle_rad=angle,
+        x_mm=x_mm,
+        y_mm=y_mm,
+        load_s=load_s,
+        hold_s=hold_s,
+        shear_out_s=out_s,
+        shear_back_s=back_s,
+        unload_s=unload_s,
+        rest_s=schedule.rest_s,
+    )
+
+
+def _duration(given: float | tuple[float, float], rng: np.random.Generator) -> float:
+    """A length of time; one of a range is drawn evenly on a logarithmic scale."""
+    if isinstance(given, tuple):
+        low, high = np.log(np.maximum(given, 1e-3))
+        return float(np.exp(rng.uniform(low, high)))
+    return given
+
+
+def press_course(recipe: RigRecipe, press: Press, number: int, start_s: float) -> Columns:
+    """The columns of one press, sampled at the schedule's rate from ``start_s`` on."""
+    radii_mm = {indenter.name: indenter.radius_mm for indenter in recipe.indenters}
+    if press.indenter not in radii_mm:
+        msg = f"press {number}: indenter {press.indenter!r} is none of {', '.join(radii_mm)}"
+        raise RecipeError(msg)
+    lengths = (press.load_s, press.hold_s, press.shear_out_s, press.shear_back_s, press.unload_s)
+    ends = np.r_[0.0, np.cumsum(lengths)]
+    rate_hz = recipe.schedule.rate_hz
+    time_s = np.arange(0.0, ends[-1] + 0.5 / rate_hz, 1.0 / rate_hz)
+    normal = np.interp(time_s, ends, [0.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    sheared = np.interp(time_s, ends, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    n, peak_n = len(time_s), press.force_n
     columns: Columns = {
-        "trial": np.full(n, press, dtype=np.int64),
+        "trial": np.full(n, number, dtype=np.int64),
         "time_s": start_s + time_s,
-        "indenter": np.full(n, indenter.name),
-        "radius_mm": np.full(n, indenter.radius_mm),
-        "x_mm": np.full(n, x_mm),
-        "y_mm": np.full(n, y_mm),
-        "force_normal_n": peak_n * normal_n,
-        "force_shear_x_n": peak_n * ratio * np.cos(angle) * sheared,
-        "force_shear_y_n": peak_n * ratio * np.sin(angle) * sheared,
+        "indenter": np.full(n, press.indenter),
+        "radius_mm": np.full(n, radii_mm[press.indenter]),
+        "x_mm": np.full(n, press.x_mm),
+        "y_mm": np.full(n, press.y_mm),
+        "force_normal_n": peak_n * normal,
+        "force_shear_x_n": peak_n * press.shear_ratio * np.cos(press.shear_angle_rad) * sheared,
+        "force_shear_y_n": peak_n * press.shear_ratio * np.sin(press.shear_angle_rad) * sheared,
     }
     if recipe.temperature is not None:
         columns["temperature_c"] = _room(recipe.temperature, columns["time_s"])
@@ -60,20 +171,6 @@ def _turn_of(recipe: RigRecipe, press: int) -> int:
     n_balls = len(recipe.indenters)
     place = press % n_balls
     return int(press_rng(recipe, press - place, ORDER).permutation(n_balls)[place])
-
-
-def _course(
-    schedule: Schedule, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Time, share of the peak normal force, and share of the peak shear force."""
-    lengths = np.array([schedule.load_s, schedule.hold_s, 0.5 * schedule.shear_s,
-                        0.5 * schedule.shear_s, schedule.unload_s])  # fmt: skip
-    lengths *= rng.uniform(1.0 - schedule.jitter, 1.0 + schedule.jitter, len(lengths))
-    ends = np.r_[0.0, np.cumsum(lengths)]
-    time_s = np.arange(0.0, ends[-1] + 0.5 / schedule.rate_hz, 1.0 / schedule.rate_hz)
-    normal = np.interp(time_s, ends, [0.0, 1.0, 1.0, 1.0, 1.0, 0.0])
-    sheared = np.interp(time_s, ends, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
-    return time_s, normal, sheared
 
 
 def _room(temperature: Temperature, time_s: FloatArray) -> FloatArray:

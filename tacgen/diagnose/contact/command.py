@@ -77,7 +77,8 @@ def diagnose(
                 notes += result.channel_notes(channels[channel])
     if "normal" not in channels:
         raise PressError.from_problems(notes)
-    return result.Diagnosis(channels, _law_of(channels), tuple(dict.fromkeys(notes)))
+    law, notes_once = _law_of(channels), tuple(dict.fromkeys(notes))
+    return result.Diagnosis(channels, law, notes_once, session_clock)
 
 
 class _Channel:

@@ -169,6 +169,17 @@ def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
     return best
 
 
+def prediction_and_jacobian(data: ChannelData, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """The fitted model's reduced prediction (R,) of ``data`` and its Jacobian (R, P) there.
+
+    The Jacobian is 0 where the fit's is: for a parameter that its bound holds.
+    """
+    space = _Space(data, fit.model)
+    prediction = data.reduce(fit.model.response(data))
+    jacobian = space.jacobian(space.start, prediction)
+    return prediction, jacobian * (np.abs(fit.jacobian).max(axis=0) > 0)
+
+
 @dataclass(frozen=True)
 class StandardErrors:
     """Standard errors of the compliance and of each effect's free parameters."""

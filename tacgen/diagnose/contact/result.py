@@ -100,11 +100,15 @@ _LAW_WORDS = {"normal": "V = k_n F_n", "shear": "D = k_s F_s"}
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All channels of a log, the law that came of it, and what the reader should know."""
+    """All channels of a log, the law that came of it, and what the reader should know.
+
+    ``session_clock``: whether the log's ``time_s`` runs on from trial to trial.
+    """
 
     channels: Mapping[str, ChannelDiagnosis]
     law: ContactLaw
     notes: tuple[str, ...]
+    session_clock: bool = True
 
     @property
     def linear_law(self) -> ContactLaw:
