@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import contact_law, gel_patch
 from tacgen.collection.grid import PlannedGrasp, rng_of
 from tacgen.collection.perturbed import perturbed_object, recipe_object
@@ -129,6 +130,7 @@ class GraspPipeline:
             rise_mm=trace.rise_mm,
             turn_rad=trace.turn_rad,
             margin=trace.margin,
+            label_confidence=label_confidence(trace, grasp.grasped, self.recipe),
             grasp_frame=frame,
             picture=picture,
             reason=trace.reason,

@@ -165,6 +165,17 @@ class Randomize(Section):
     """Angle of the gripper about z."""
 
 
+class Uncertainty(Section):
+    """How exactly a grasp is repeated: standard deviations for ``label_confidence``."""
+
+    force_relative: NonNegativeFloat = 0.05
+    """Force of the gripper, relative; assumed."""
+    friction_relative: NonNegativeFloat = 0.05
+    """Friction coefficient, relative; a step of ``tacgen friction`` at a usual 0.4 is 0.06."""
+    position_mm: NonNegativeFloat = 1.0
+    """Place of the gripper across the fingers' closing; assumed."""
+
+
 def _one_line(text: str) -> str:
     if "\n" in text or not text.strip():
         msg = f"is to be one line of text, got {text!r}"
@@ -248,6 +259,8 @@ class Recipe(Section):
     """Content of the shards."""
     randomize: Randomize = Randomize()
     """Domain randomisation."""
+    uncertainty: Uncertainty = Uncertainty()
+    """How exactly a grasp is repeated."""
     cluster: Cluster = Cluster()
     """Batch jobs."""
 

@@ -1,5 +1,6 @@
 """The frozen records that go into a dataset and come out of it: one grasp, and what all share."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -34,7 +35,8 @@ class GraspSample:
     ``pads`` maps ``left`` and/or ``right`` to that pad's images and forces; it is empty where the
     grasp was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z
     (mm) and the quaternion x, y, z, w in the world. ``grasp_frame`` is the frame of the moment of
-    grasp. ``picture`` (h, w, 3) uint8 shows the scene from outside.
+    grasp, ``label_confidence`` the label's probability, NaN where unknown. ``picture``
+    (h, w, 3) uint8 shows the scene from outside.
     """
 
     config: GraspConfig
@@ -48,6 +50,7 @@ class GraspSample:
     rise_mm: float = 0.0
     turn_rad: float = 0.0
     margin: SlipMargin | None = None
+    label_confidence: float = math.nan
     grasp_frame: int = 0
     picture: NDArray[np.uint8] | None = None
     reason: str = ""

@@ -56,6 +56,8 @@ class ArraySpec:
 _TRANSLATIONAL = "(friction limit - tangential load) / weight; NaN where unknown"
 _ROTATIONAL = "(torsional limit - moment of gravity) / (weight x 1 mm); NaN where unknown"
 _SLIP_DIRECTION = "unit vector along which it first slips; 0 where it does not"
+CONFIDENCE = "/grasp/label_confidence"
+_CONFIDENCE = "probability of the label by the recipe's uncertainty; NaN where unknown"
 _GRASP: tuple[tuple[str, str, tuple[str | int, ...], str, str, str], ...] = (
     ("index", "int64", ("N",), "1", "", "number of the grasp in the grid"),
     ("object", f"S{MAX_OBJECT_BYTES}", ("N",), "", "", "name of the object"),
@@ -77,8 +79,14 @@ _GRASP: tuple[tuple[str, str, tuple[str | int, ...], str, str, str], ...] = (
     ("margin_rotational", "float64", ("N",), "weights mm", "", _ROTATIONAL),
     ("first_slip_time_s", "float64", ("N",), "s", "", "when it first slips; NaN where it does not"),
     ("first_slip_direction", "float64", ("N", 2), "1", "gel", _SLIP_DIRECTION),
+    ("label_confidence", "float64", ("N",), "1", "", _CONFIDENCE),
 )
-_MAY_BE_NAN = ("margin_translational", "margin_rotational", "first_slip_time_s")
+_MAY_BE_NAN = (
+    "margin_translational",
+    "margin_rotational",
+    "first_slip_time_s",
+    "label_confidence",
+)
 _TACTILE: tuple[tuple[str, str, tuple[str | int, ...], str, str], ...] = (
     ("rgb", "uint8", ("N", "T", "H", "W", 3), "grey level", "tactile images"),
     ("reference", "uint8", ("H", "W", 3), "grey level", "the undeformed gel"),
@@ -102,12 +110,16 @@ CONTACT_NAMES = tuple(name for name, *_ in _CONTACT)
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The arrays of one dataset, and where each pad's stand."""
+    """The arrays of one dataset, and where each pad's stand.
+
+    Datasets collected before there was ``label_confidence`` are without ``confidence``.
+    """
 
     sensor: str
     pads: tuple[str, ...]
     depth: bool
     picture: bool
+    confidence: bool = True
 
     def tactile(self, pad: str, name: str) -> str:
         """Path of ``rgb``, ``reference`` or ``depth_mm`` of a pad."""
@@ -120,7 +132,7 @@ class Layout:
 
     def arrays(self) -> Iterator[ArraySpec]:
         """Every array, in the order in which it is written."""
-        yield from GRASP_ARRAYS
+        yield from GRASP_ARRAYS if self.confidence else GRASP_ARRAYS[:-1]
         for pad in self.pads:
             for name, dtype, shape, unit, text in _TACTILE[: 3 if self.depth else 2]:
                 path, noisy = self.tactile(pad, name), name == "rgb"

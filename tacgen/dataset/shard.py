@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
-from tacgen.dataset.schema import FORMAT_VERSION, PADS, ArraySpec, Layout
+from tacgen.dataset.schema import CONFIDENCE, FORMAT_VERSION, PADS, ArraySpec, Layout
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
 MAX_TEXT_BYTES = 256  # of a name or status; more is damage
@@ -43,6 +43,8 @@ class Shard:
     def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""
         dataset = self.arrays[path]
+        if isinstance(dataset, np.ndarray):
+            return dataset
         stored = dataset.id.get_type()
         values = np.empty(dataset.id.shape, stored.dtype)
         dataset.id.read(h5s.ALL, h5s.ALL, values, stored)
@@ -119,6 +121,7 @@ def _checked(path: Path, file: h5py.File) -> Shard:
     if problems:
         _refuse(path, problems)
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
+    arrays.setdefault(CONFIDENCE, np.full(sizes["N"], np.nan))
     return Shard(path, file, layout, arrays, (start, stop), _text(file, "recipe_sha256"))
 
 
@@ -148,8 +151,8 @@ def _layout_of(path: Path, file: h5py.File) -> Layout:
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     plain = Layout(sensor, names, depth=False, picture=False)
-    depth = _array_at(file, plain.tactile(names[0], "depth_mm")) is not None
-    return Layout(sensor, names, depth, _array_at(file, "/scene/picture") is not None)
+    optional = (plain.tactile(names[0], "depth_mm"), "/scene/picture", CONFIDENCE)
+    return Layout(sensor, names, *(_array_at(file, path) is not None for path in optional))
 
 
 def _text(file: h5py.File, name: str) -> str:

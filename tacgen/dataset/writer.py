@@ -109,6 +109,7 @@ def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, obj
     yield "/grasp/margin_translational", margin.translational if margin else np.nan
     yield "/grasp/margin_rotational", margin.rotational if margin else np.nan
     yield "/grasp/first_slip_time_s", margin.first_slip_time_s if margin else np.nan
+    yield "/grasp/label_confidence", sample.label_confidence
     if margin:
         yield "/grasp/first_slip_direction", margin.first_slip_direction
     if sample.object_pose is not None:

@@ -65,6 +65,7 @@ def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
         object_pose=np.tile([0, 0, 10.0 * index, 0, 0, 0, 1.0], (frames, 1)),
         rise_mm=180.0 * label,
         turn_rad=0.01,
+        label_confidence=0.5 + 0.04 * index,
         margin=SlipMargin(0.5 if label else -0.5, 1.0, np.nan if label else 1.5, np.zeros(2)),
         grasp_frame=1,
         picture=rng.integers(0, 255, (*spec.picture_px, 3), dtype=np.uint8)
