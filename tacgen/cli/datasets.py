@@ -1,5 +1,6 @@
 """Commands for datasets: plan, collect, inspect, verify, merge, export."""
 
+import json
 import os
 from pathlib import Path
 from typing import Annotated
@@ -72,6 +73,43 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
     rows = grid_rows(plan_recipe(load_recipe(recipe)))
     common.print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
     common.hand_over(f"tacgen collect {recipe} --out data")
+
+
+@common.app.command("compare-engines", rich_help_panel=common.DATASETS)
+def compare_engines(
+    recipe: common.RecipeArgument,
+    out: Annotated[Path | None, Option(help="Folder for grasps.csv and comparison.json.")] = None,
+    workers: common.WorkersOption = 1,
+    force: common.ForceFlag = False,
+    json_output: common.JsonFlag = False,
+) -> None:
+    """Simulate the grasps of a recipe in PyBullet and in MuJoCo; list where their labels differ."""
+    from tqdm import tqdm
+
+    from tacgen.collection import compare_engines as engines
+    from tacgen.collection.recipe import load_recipe
+    from tacgen.core.files import write_text
+
+    loaded = load_recipe(recipe)
+    table, record = (Path(out or "") / name for name in ("grasps.csv", "comparison.json"))
+    if out:
+        common.refuse_existing(force, table, record)
+    with tqdm(unit="grasp", disable=None, leave=False) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        found = engines.compare_engines(loaded, workers=workers, show=show)
+    counts = engines.counts_of(found)
+    result = {"near_margin": engines.NEAR_MARGIN, "counts": counts.to_dict(orient="index")}
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(table, found.to_csv(index=False))
+        write_text(record, json.dumps(result, indent=2) + "\n")
+    differing = found[~found["agree"]].drop(columns="agree").set_index("index").round(3)
+    blocks = [f"grasp {index}\n{row.to_string()}\n" for index, row in differing.iterrows()]
+    common.print_result(result, [*blocks, counts.to_string()], json_output)
 
 
 @common.app.command(rich_help_panel=common.DATASETS)

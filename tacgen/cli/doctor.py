@@ -37,6 +37,7 @@ def examine(folder: Path = Path()) -> list[Finding]:
     return [
         _python(),
         _pybullet(),
+        _extra("mujoco", "mujoco", "physics: {engine: mujoco}, also without PyBullet"),
         _gl_platform("EGL", "egl", "a GPU driver with libEGL (Debian: libegl1)"),
         _gl_platform("OSMesa", "osmesa", "Debian: libosmesa6, and PyOpenGL 3.1.4 or newer"),
         _cores(),
@@ -48,7 +49,7 @@ def examine(folder: Path = Path()) -> list[Finding]:
 
 def _python() -> Finding:
     ok = (3, 10) <= sys.version_info[:2] <= (3, 11)
-    fix = "" if ok else "PyBullet ships wheels for 3.10 and 3.11; others build it from source"
+    fix = "" if ok else "PyBullet ships wheels for 3.10 and 3.11; use MuJoCo with others"
     return Finding("python", ok, False, ".".join(map(str, sys.version_info[:3])), fix)
 
 
@@ -59,7 +60,8 @@ def _pybullet() -> Finding:
         load_bullet()
     except PhysicsError as error:
         problem, _, fix = str(error).partition("; ")
-        return Finding("pybullet", False, True, problem, fix)
+        needed = importlib.util.find_spec("mujoco") is None
+        return Finding("pybullet", False, needed, problem, fix)
     return Finding("pybullet", True, True, f"{importlib.metadata.version('pybullet')}, with numpy")
 
 

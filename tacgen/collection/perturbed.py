@@ -323,7 +323,7 @@ def _grasp_job(
     law = contact_law(recipe.contact)
     indenter = Indenter(load_sensor(recipe.sensor, needs_table=False), recipe.contact.camera)
     first_item = np.cumsum([0, *(len(changes) + 1 for _, changes in tasks)])
-    with GraspSimulator(recipe.robot.name) as simulator:
+    with GraspSimulator(recipe.robot.name, recipe.physics.engine) as simulator:
 
         def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Outcome]:
             config, changes = tasks[task]

@@ -50,7 +50,7 @@ class GraspPipeline:
         self.recipe = recipe
         self._law = contact_law(recipe.contact)
         self._pad = tactile_pad(recipe)
-        self.simulator = GraspSimulator(recipe.robot.name)
+        self.simulator = GraspSimulator(recipe.robot.name, recipe.physics.engine)
         self._object = lru_cache(maxsize=4)(recipe_object)
 
     def __enter__(self) -> "GraspPipeline":

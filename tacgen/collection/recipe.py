@@ -297,7 +297,9 @@ def load_recipe(name: str | Path) -> Recipe:
     >>> recipe.name, recipe.sensor.name
     ('quickstart', 'gelsight')
     """
-    return load_checked(Recipe, name, _unknown_names, _repeated_objects, _values_out_of_range)
+    return load_checked(
+        Recipe, name, _unknown_names, _repeated_objects, _values_out_of_range, _arm_without_engine
+    )
 
 
 def known_objects(recipe: Recipe) -> tuple[str, ...]:
@@ -337,6 +339,14 @@ def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
 def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     names = [entry.name for entry in recipe.objects]
     return source.repeated("objects", names, "keep one, or make two recipes")
+
+
+def _arm_without_engine(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+    if recipe.physics.engine == "mujoco" and recipe.robot.name != "wsg50":
+        fix = "set `robot: {name: wsg50}` or `physics: {engine: pybullet}`"
+        yield source.problem(
+            ("physics", "engine"), f"= mujoco has the floating gripper alone; {fix}"
+        )
 
 
 def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:

@@ -24,7 +24,7 @@ from tacgen.dataset.schema import CONTACT_NAMES, FORMAT_VERSION, MAX_REASON_BYTE
 LIBRARY_VERSION = ("v110", "v110")
 LIBRARIES = (
     *("numpy", "scipy", "numba", "opencv-python-headless", "pybullet"),
-    *("h5py", "hdf5plugin", "zstandard"),
+    *("mujoco", "h5py", "hdf5plugin", "zstandard"),
 )
 HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 32015, Zstandard)."
 

@@ -59,7 +59,7 @@ def approach(
         reason = _first_obstacle(world, robot, body, corners)
         if not reason:
             # Near the object, symmetrically, so that closing takes little time.
-            found = _distances(world, robot, body, STROKE_MM * M_PER_MM)
+            found = world.distances(robot.body, body.body, STROKE_MM * M_PER_MM)
             near_m = min((distance for _, distance in found), default=0.0)
             robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))
             return ""
@@ -95,7 +95,7 @@ def _first_obstacle(
         reason = robot.place(waypoint)
         if reason:
             return reason
-        met = _distances(world, robot, body, 0.0)
+        met = world.distances(robot.body, body.body, 0.0)
         if met:
             height = f"with the pads {waypoint.z_m * MM_PER_M:.0f} mm above the table"
             if {link for link, _ in met} == {robot.palm}:
@@ -107,11 +107,3 @@ def _first_obstacle(
                 f"stroke of {STROKE_MM:g} mm"
             )
     return ""
-
-
-def _distances(
-    world: World, robot: Robot, body: ObjectBody, limit_m: float
-) -> list[tuple[int, float]]:
-    """Links of the robot and how near they are to the object, within ``limit_m``."""
-    points = world.bullet.getClosestPoints(robot.body, body.body, limit_m, linkIndexB=-1)
-    return [(point[3], point[8]) for point in points]

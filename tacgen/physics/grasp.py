@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib import import_module
+from typing import get_args
 
 import numpy as np
 
@@ -22,7 +24,7 @@ from tacgen.core.records import (
 from tacgen.core.units import M_PER_MM, PUBLISHED_K_N_MM3_PER_N
 from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
-from tacgen.physics.bodies import ObjectBody
+from tacgen.physics.bullet import Engine
 from tacgen.physics.contacts import Bodies, Snapshot, contact_frames, object_contacts
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.margins import (
@@ -34,15 +36,14 @@ from tacgen.physics.margins import (
     torsion_factor,
 )
 from tacgen.physics.recorder import Recorder, frame_end_steps
-from tacgen.physics.robots import ArmWithGripper, FloatingGripper, Robot
 from tacgen.physics.settings import (
     PAD_NAMES,
+    EngineName,
     FrameRequest,
     PhysicsSettings,
     RobotName,
     force_problem,
 )
-from tacgen.physics.world import World
 
 CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
@@ -51,23 +52,29 @@ STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that
 PatchOf = Callable[[ContactFrame], ContactPatch]
 """The patch in which a gel presses on the object at a pad's pose and normal force."""
 
-_ROBOTS: dict[str, type[Robot]] = {"wsg50": FloatingGripper, "ur5e_wsg50": ArmWithGripper}
+_ENGINES: dict[EngineName, str] = {
+    "pybullet": "tacgen.physics.bullet",
+    "mujoco": "tacgen.physics.mujoco",
+}
+"""The module of each engine; its ``Engine`` is a class like PyBullet's."""
 
 
 class GraspSimulator:
-    """A PyBullet world and a kind of robot; use it as a context manager.
+    """A physics engine and a kind of robot; use it as a context manager.
 
     A grasp's trace depends on its arguments alone, not on the grasps before it.
 
-    Raises ``PhysicsError`` if the robot is unknown, or PyBullet is missing or lacks numpy.
+    Raises ``PhysicsError`` if the robot or the engine is unknown, the engine is missing or does
+    not have the robot, or PyBullet lacks numpy.
     """
 
-    def __init__(self, robot: RobotName = "wsg50") -> None:
-        if robot not in _ROBOTS:
-            msg = f"robot {robot!r} is not known; known: {', '.join(_ROBOTS)}"
-            raise PhysicsError(msg)
-        self.robot = robot
-        self.world = World()
+    def __init__(self, robot: RobotName = "wsg50", engine: EngineName = "pybullet") -> None:
+        for what, name, known in (("robot", robot, RobotName), ("engine", engine, EngineName)):
+            if name not in get_args(known):
+                msg = f"{what} {name!r} is not known; known: {', '.join(get_args(known))}"
+                raise PhysicsError(msg)
+        self.engine = engine
+        self.world: Engine = import_module(_ENGINES[engine]).Engine(robot)
 
     def __enter__(self) -> "GraspSimulator":
         self.world.__enter__()
@@ -95,8 +102,15 @@ def run_grasp(
     A grasp that cannot be executed has the status ``unreachable`` or ``no_contact``, a reason,
     the label −1 and no frames.
 
-    Raises ``PhysicsError`` if the force is not one the gripper can be asked for.
+    Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the simulator
+    has another engine than ``settings``.
     """
+    if simulator.engine != settings.engine:
+        msg = (
+            f"the settings ask for the engine {settings.engine!r}, the simulator has "
+            f"{simulator.engine!r}; open GraspSimulator(robot, {settings.engine!r})"
+        )
+        raise PhysicsError(msg)
     problem = force_problem(config.force_n, settings.max_force_n)
     if problem:
         msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
@@ -120,10 +134,7 @@ class _Grasp:
         self.patch_of = patch_of
         self.note = ""
         self.world = simulator.world
-        self.world.rebuild(settings, settings.iterations_for(config.force_n, obj.mass_kg))
-        self.body = ObjectBody(self.world, obj)
-        self.robot: Robot = _ROBOTS[simulator.robot](self.world, settings)
-        self.robot.fingers.set_surface(settings, obj.friction)
+        self.body, self.robot = self.world.build(obj, settings, config.force_n)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
         self.bodies = Bodies(
@@ -204,7 +215,7 @@ class _Grasp:
         spinning_m = [mm * M_PER_MM for mm in capacity.spinning_mm]
         by_pad = dict(zip(self.bodies.pad_links, spinning_m, strict=True))
         self.bodies = replace(self.bodies, spinning_friction_m=by_pad)
-        self.robot.fingers.set_spinning_friction(by_pad)
+        self.robot.fingers.set_spinning_friction(by_pad, capacity.friction_share)
         return capacity
 
     def _torsion_limit(self, load: ContactFrame) -> TorsionLimit:

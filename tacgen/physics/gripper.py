@@ -25,6 +25,10 @@ PAD_PITCH_MM = 2.0  # of the vertices on the dome: chords of a 30 mm dome lie 17
 FINGER_THICKNESS_MM = 12.0  # assumed
 FINGER_LENGTH_MM = 150.0
 """From the pad's centre to the palm; assumed, so that tall objects can be held low."""
+STEM_HEIGHT_MM = FINGER_LENGTH_MM + PAD_HEIGHT_MM / 2
+STEM_HALF_EXTENTS_MM = (FINGER_THICKNESS_MM / 2, PAD_WIDTH_MM / 2 - 1.0, STEM_HEIGHT_MM / 2)
+STEM_CENTER_MM = (PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2, 0.0, (STEM_HEIGHT_MM - PAD_HEIGHT_MM) / 2)
+"""Of the finger behind the right pad, from the dome's top."""
 PALM_HALF_EXTENTS_MM = (73.0, 25.0, 35.0)  # of the gripper's housing; assumed
 
 
@@ -64,10 +68,9 @@ def finger_links(world: World, settings: PhysicsSettings, hand: int) -> list[Lin
 
     Each stem follows its finger: PyBullet numbers links depth first, whatever it is given.
     """
-    stem_height_mm = FINGER_LENGTH_MM + PAD_HEIGHT_MM / 2
-    stem_half_extents_mm = (FINGER_THICKNESS_MM / 2, PAD_WIDTH_MM / 2 - 1.0, stem_height_mm / 2)
     links: list[Link] = []
     create_shape = world.bullet.createCollisionShape
+    x_mm, y_mm, z_mm = STEM_CENTER_MM
     for side in (PAD_SIDE[pad] for pad in PAD_NAMES):
         finger = hand + 1 + len(links)
         vertices_m = pad_vertices_m(side, settings.pad_dome_radius_mm)
@@ -85,12 +88,8 @@ def finger_links(world: World, settings: PhysicsSettings, hand: int) -> list[Lin
             Link(
                 parent=finger,
                 joint_type=world.bullet.JOINT_FIXED,
-                shape=_box(world, stem_half_extents_mm),
-                position_m=(
-                    side * (PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2) * M_PER_MM,
-                    0.0,
-                    (stem_height_mm - PAD_HEIGHT_MM) / 2 * M_PER_MM,
-                ),
+                shape=_box(world, STEM_HALF_EXTENTS_MM),
+                position_m=(side * x_mm * M_PER_MM, y_mm * M_PER_MM, z_mm * M_PER_MM),
             )
         )
     return links
@@ -139,8 +138,10 @@ class Fingers:
                     contactDamping=settings.pad_damping_n_s_mm / M_PER_MM,
                 )
 
-    def set_spinning_friction(self, spinning_friction_m: Mapping[str, float]) -> None:
-        """Moment about the contact normal that each pad resists, for each newton of force."""
+    def set_spinning_friction(
+        self, spinning_friction_m: Mapping[str, float], friction_share: float
+    ) -> None:
+        """Moment about its normal that each pad resists, for each newton of force."""
         for pad, link in self.links.items():
             self._world.bullet.changeDynamics(
                 self._body, link, spinningFriction=spinning_friction_m[pad]

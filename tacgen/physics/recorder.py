@@ -66,7 +66,7 @@ class Recorder:
             half_m = STROKE_MM / 2 * M_PER_MM
             self.snapshots[self.step] = Snapshot(
                 step=self.step,
-                contacts=self._world.bullet.getContactPoints(),
+                contacts=self._world.contacts(),
                 object_position_m=object_position,
                 object_quaternion=object_quaternion,
                 object_angular_velocity=angular_velocity,

@@ -19,7 +19,7 @@ from tacgen.physics.gripper import (
     finger_links,
     palm_link,
 )
-from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.settings import PhysicsSettings, RobotName
 from tacgen.physics.world import Link, World
 
 AXIS_FORCE_N = 2000.0
@@ -198,6 +198,7 @@ class ArmWithGripper:
 
 Robot: TypeAlias = FloatingGripper | ArmWithGripper
 """A body in the world that carries the gripper; a further one has the same methods."""
+ROBOTS: dict[RobotName, type[Robot]] = {"wsg50": FloatingGripper, "ur5e_wsg50": ArmWithGripper}
 
 
 def _position(matrix: Pose) -> tuple[float, float, float]:

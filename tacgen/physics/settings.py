@@ -16,6 +16,7 @@ from pydantic.dataclasses import dataclass
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
 RobotName = Literal["wsg50", "ur5e_wsg50"]
+EngineName = Literal["pybullet", "mujoco"]
 Pads = Literal["left", "right", "both"]
 PAD_NAMES = ("left", "right")
 SMALLEST_DOME_RADIUS_MM = 20.0
@@ -45,8 +46,10 @@ class PhysicsSettings:
     Raises pydantic's ``ValidationError``, which lists every figure that cannot be.
     """
 
+    engine: EngineName = "pybullet"
+    """The physics engine; ``mujoco`` simulates the ``wsg50`` alone, and runs on every Python."""
     time_step_s: PositiveFloat = 1 / 480
-    """PyBullet's time step."""
+    """The engine's time step."""
     solver_iterations: PositiveInt = 50
     """Least iterations of PyBullet's solver; large forces on light objects need more."""
     clearance_mm: NonNegativeFloat = 8.0

@@ -77,7 +77,8 @@ def load_bullet() -> ModuleType:
     except ImportError as error:
         msg = (
             f"PyBullet cannot be imported ({error}); install it with `pip install pybullet` under "
-            "Python 3.10 or 3.11, for which it ships wheels"
+            "Python 3.10 or 3.11, for which it ships wheels, or simulate in MuJoCo: "
+            "`pip install 'tacgen[mujoco]'` and `physics: {engine: mujoco}`"
         )
         raise PhysicsError(msg) from error
     return require_numpy(pybullet)
@@ -181,6 +182,15 @@ class World:
         step = self.bullet.stepSimulation
         for _ in range(count):
             step()
+
+    def contacts(self) -> tuple[tuple[Any, ...], ...]:
+        """All contact points of the last step."""
+        return tuple(self.bullet.getContactPoints())
+
+    def distances(self, robot: int, body: int, limit_m: float) -> list[tuple[int, float]]:
+        """Links of the robot and how near they are to the object, within ``limit_m``."""
+        points = self.bullet.getClosestPoints(robot, body, limit_m, linkIndexB=-1)
+        return [(point[3], point[8]) for point in points]
 
     def hull_shape(self, parts: Sequence[Mesh], *, enclosing: bool = False) -> int:
         """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.

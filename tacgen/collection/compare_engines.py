@@ -1,0 +1,94 @@
+"""The grasps of a recipe in both physics engines: where their labels differ, and by what margin."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from typing import Any, get_args
+
+import pandas as pd
+
+from tacgen.collection.grid import PlannedGrasp, plan_recipe
+from tacgen.collection.pipeline import GraspPipeline
+from tacgen.collection.recipe import Recipe
+from tacgen.core.records import GraspTrace
+from tacgen.core.workers import Report, run_tasks
+from tacgen.physics.settings import EngineName
+
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+NEAR_MARGIN = 0.05  # of what the grasp needs; nearer to slipping, engines may well differ
+GRASP_LIMIT_S = 120.0  # of both simulations, which take 0.1 to 1 s; one that hangs has crashed
+
+
+def compare_engines(
+    recipe: Recipe, *, workers: int = 1, show: Callable[[int, int], None] = lambda done, total: None
+) -> pd.DataFrame:
+    """A row for each grasp of ``recipe``: its configuration and its ending in each engine.
+
+    ``<engine>_margin`` is what friction and torsion can hold over what is asked of them, the
+    smaller ratio less 1; NaN where the grasp was not executed. ``agree``: the labels are the same.
+
+    Raises ``PhysicsError`` if an engine is missing, or lacks the recipe's robot.
+    """
+    for engine in ENGINES:
+        _pipeline(recipe, engine)
+    planned = plan_recipe(recipe)
+    crashed = {f"{engine}_{key}": value for engine in ENGINES for key, value in _CRASHED.items()}
+    rows = [asdict(grasp.config) | crashed for grasp in planned]
+    tasks, job = range(len(planned)), partial(_grasp_job, recipe, planned)
+    done = 0
+    for event in run_tasks(tasks, job, workers=workers, item_limit_s=GRASP_LIMIT_S):
+        if event.kind == "done":
+            rows[event.task] |= event.value
+            done += 1
+            show(done, len(planned))
+    found = pd.DataFrame(rows)
+    found["agree"] = found["pybullet_label"] == found["mujoco_label"]
+    return found
+
+
+def counts_of(found: pd.DataFrame) -> pd.DataFrame:
+    """Grasps and equal labels by object; ``far``: PyBullet's margin is beyond ``NEAR_MARGIN``."""
+    far = ~(found["pybullet_margin"].abs() <= NEAR_MARGIN)
+    flags = {"grasps": True, "agree": found["agree"], "far": far, "far_agree": far & found["agree"]}
+    counts = pd.DataFrame(flags, found.index).groupby(found["object"], sort=False).sum()
+    counts.loc["all"] = counts.sum()
+    return counts
+
+
+_CRASHED = {"status": "crashed", "label": -1, "failure_mode": "", "reason": ""} | dict.fromkeys(
+    ("margin", "rise_mm", "turn_rad"), float("nan")
+)
+
+
+def _ending(trace: GraspTrace) -> dict[str, Any]:
+    ending = {key: getattr(trace, key, None) for key in _CRASHED}
+    margin = trace.margin
+    ratios = (margin.friction_ratio, margin.torsion_ratio) if margin else (float("nan"),)
+    return ending | {"margin": min(ratios) - 1}
+
+
+def _pipeline(recipe: Recipe, engine: EngineName) -> GraspPipeline:
+    physics = replace(recipe.physics, engine=engine)
+    return GraspPipeline(recipe.model_copy(update={"physics": physics}))
+
+
+@contextlib.contextmanager
+def _grasp_job(
+    recipe: Recipe, planned: Sequence[PlannedGrasp]
+) -> Iterator[Callable[[int, Mapping[int, str], Report], dict[str, Any]]]:
+    """One process: a task is one grasp, its items are the engines."""
+    with contextlib.ExitStack() as stack:
+        pipelines = [stack.enter_context(_pipeline(recipe, engine)) for engine in ENGINES]
+
+        def job(task: int, crashed: Mapping[int, str], report: Report) -> dict[str, Any]:
+            found: dict[str, Any] = {}
+            for k, (engine, pipeline) in enumerate(zip(ENGINES, pipelines, strict=True)):
+                item = len(ENGINES) * task + k
+                if item not in crashed:
+                    report("start", item, None)
+                    ending = _ending(pipeline.simulate(planned[task]).trace)
+                    found |= {f"{engine}_{key}": value for key, value in ending.items()}
+            return found
+
+        yield job

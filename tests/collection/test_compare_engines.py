@@ -1,0 +1,52 @@
+"""Both engines on one grid: rows, counts and files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from tacgen.cli.common import app
+from tacgen.collection.compare_engines import counts_of
+
+RECIPE = """
+name: two
+objects: [golf_ball, wood_block]
+grid: {sample: 2}
+sensor: gelsight_mini
+"""
+
+
+def test_grasps_near_slipping_count_apart() -> None:
+    found = pd.DataFrame(
+        {
+            "object": ["cup", "cup", "cup", "ball"],
+            "pybullet_margin": [0.04, -0.2, np.nan, 3.0],
+            "agree": [False, True, False, True],
+        }
+    )
+    counts = counts_of(found)
+    assert counts.loc["cup"].tolist() == [3, 1, 2, 1]
+    assert counts.loc["all"].tolist() == [4, 2, 3, 2]
+
+
+@pytest.mark.slow
+def test_a_grid_in_both_engines(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="needs `pip install 'tacgen[mujoco]'`")
+    recipe, out = tmp_path / "recipe.yaml", tmp_path / "out"
+    recipe.write_text(RECIPE)
+    arguments = ["compare-engines", str(recipe), "--out", str(out), "--json"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    table = pd.read_csv(out / "grasps.csv")
+    assert table["object"].tolist() == ["golf_ball"] * 2 + ["wood_block"] * 2
+    assert {"pybullet_margin", "mujoco_margin", "mujoco_reason"} <= set(table.columns)
+    record = json.loads((out / "comparison.json").read_text())
+    assert record["counts"]["all"]["grasps"] == 4
+    assert record["counts"]["all"]["agree"] == int(table["agree"].sum())
+    again = CliRunner().invoke(app, arguments)
+    assert "exists already" in str(again.exception)
