@@ -5,7 +5,7 @@ can be seen. The same gel is diagnosed three times: after 2 n presses at random,
 and after n/2 at random with n/2 more that the diagnosis of those proposed. Right is a diagnosis
 that names the effect, in its channel, and nothing else.
 
-python -m validation.contact.next_presses --loops 120 --presses 20 --seed 7000
+python -m validation.contact.next_presses --loops 112
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ CANDIDATES = 200
 def main() -> int:
     """Print the rates of right names, and those by effect."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--loops", type=int, default=120)
+    parser.add_argument("--loops", type=int, default=112)
     parser.add_argument("--presses", type=int, default=20, help="n: half of the presses at random")
-    parser.add_argument("--strength", type=float, nargs=2, default=(0.1, 0.5))
+    parser.add_argument("--strength", type=float, nargs=2, default=(0.1, 0.4))
     parser.add_argument("--seed", type=int, default=7000)
     arguments = parser.parse_args()
     kinds = [(channel, name) for channel, names in EFFECTS.items() for name in names]
