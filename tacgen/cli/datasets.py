@@ -94,6 +94,7 @@ def compare_engines(
     table, record = (Path(out or "") / name for name in ("grasps.csv", "comparison.json"))
     if out:
         common.refuse_existing(force, table, record)
+        out.mkdir(parents=True, exist_ok=True)
     with tqdm(unit="grasp", disable=None, leave=False) as bar:
 
         def show(done: int, total: int) -> None:
@@ -104,7 +105,6 @@ def compare_engines(
     counts = engines.counts_of(found)
     result = {"near_margin": engines.NEAR_MARGIN, "counts": counts.to_dict(orient="index")}
     if out:
-        out.mkdir(parents=True, exist_ok=True)
         write_text(table, found.to_csv(index=False))
         write_text(record, json.dumps(result, indent=2) + "\n")
     differing = found[~found["agree"]].drop(columns="agree").set_index("index").round(3)

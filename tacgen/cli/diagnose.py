@@ -1,5 +1,6 @@
 """Commands that find effects missing from the contact law, the lookup table or the grasps."""
 
+import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -35,7 +36,9 @@ def diagnose_contact(
             "separate the explanations best (next_presses.csv)."
         ),
     ] = None,
-    next_presses: Annotated[int, Option(help="How many presses to propose.", min=1)] = 12,
+    next_presses: Annotated[
+        int, Option(help="How many presses to propose, with --rig.", min=1, max=PRESSES_CONSIDERED)
+    ] = 12,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -44,7 +47,8 @@ def diagnose_contact(
     from tacgen.diagnose.contact.result import diagnosis_record
     from tacgen.rig import load_rig_recipe
 
-    common.refuse_existing(force, out / "diagnosis.json")
+    proposals = out / "next_presses.csv"
+    common.refuse_existing(force, out / "diagnosis.json", proposals)
     loaded_rig = None if rig is None else load_rig_recipe(rig)
     pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
     diagnosis = diagnose_log(log, out, marker_pitch_mm=pitch_mm)
@@ -58,8 +62,9 @@ def diagnose_contact(
     sentences = [found.sentence for found in diagnosis.channels.values()]
     common.print_result(diagnosis_record(diagnosis), sentences, json_output)
     common.hand_over(*common.contact_lines(out / "contact.yaml"))
+    proposals.unlink(missing_ok=True)  # those of an earlier diagnosis
     if loaded_rig is not None:
-        _propose_presses(diagnosis, loaded_rig, next_presses, out / "next_presses.csv")
+        _propose_presses(diagnosis, loaded_rig, next_presses, proposals)
 
 
 def _propose_presses(diagnosis: "Diagnosis", rig: "RigRecipe", count: int, path: Path) -> None:
@@ -70,15 +75,18 @@ def _propose_presses(diagnosis: "Diagnosis", rig: "RigRecipe", count: int, path:
     from tacgen.diagnose.contact.next_presses import propose_presses
     from tacgen.rig.schedule import draw_press, press_course
 
-    drawn = [draw_press(rig, number) for number in range(PRESSES_CONSIDERED)]
+    # Numbers beyond the recipe's own presses: those may have been made already.
+    first = rig.schedule.presses
+    drawn = [draw_press(rig, first + number) for number in range(PRESSES_CONSIDERED)]
     courses = [press_course(rig, press, number, 0.0) for number, press in enumerate(drawn)]
     proposed = propose_presses(diagnosis, courses, count)
     table = pd.DataFrame([asdict(drawn[one.index]) for one in proposed]).round(4)
     table["separates"] = [" from ".join(one.between) for one in proposed]
     write_text(path, table.to_csv(index=False))
+    quoted = json.dumps(str(path.resolve()), ensure_ascii=False)
     common.hand_over(
         f"presses to make next: {path}; the first separates {table['separates'][0]}",
-        f"schedule: {{follow: {path.resolve()}}}   # in a rig recipe; they follow its own presses",
+        f"schedule: {{follow: {quoted}}}   # in a rig recipe; they follow its own presses",
     )
 
 

@@ -48,9 +48,16 @@ def compare_engines(
 
 
 def counts_of(found: pd.DataFrame) -> pd.DataFrame:
-    """Grasps and equal labels by object; ``far``: PyBullet's margin is beyond ``NEAR_MARGIN``."""
-    far = ~(found["pybullet_margin"].abs() <= NEAR_MARGIN)
-    flags = {"grasps": True, "agree": found["agree"], "far": far, "far_agree": far & found["agree"]}
+    """Grasps and equal labels by object.
+
+    ``executed``: in one engine at least; ``far``: of those, PyBullet's margin, if it has one, is
+    beyond ``NEAR_MARGIN``.
+    """
+    executed = (found[[f"{engine}_label" for engine in ENGINES]] >= 0).any(axis=1)
+    far = executed & ~(found["pybullet_margin"].abs() <= NEAR_MARGIN)
+    agree = found["agree"]
+    flags = {"grasps": True, "executed": executed, "agree": agree, "far": far}
+    flags["far_agree"] = far & agree
     counts = pd.DataFrame(flags, found.index).groupby(found["object"], sort=False).sum()
     counts.loc["all"] = counts.sum()
     return counts

@@ -7,12 +7,14 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import (
     AfterValidator,
     BeforeValidator,
+    Discriminator,
     Field,
     FiniteFloat,
     NonNegativeFloat,
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    Tag,
 )
 
 from tacgen.contact.effects import find_effect
@@ -36,8 +38,18 @@ RangeFromZero = Annotated[tuple[NonNegativeFloat, FiniteFloat], ORDERED]
 PositiveRange = Annotated[tuple[PositiveFloat, FiniteFloat], ORDERED]
 
 
-Duration = NonNegativeFloat | RangeFromZero
-PositiveDuration = PositiveFloat | PositiveRange
+def _kind(given: Any) -> str:
+    return "range" if isinstance(given, (list, tuple)) else "number"
+
+
+ONE_OR_RANGE = Discriminator(_kind)
+Duration = Annotated[
+    Annotated[NonNegativeFloat, Tag("number")] | Annotated[RangeFromZero, Tag("range")],
+    ONE_OR_RANGE,
+]
+PositiveDuration = Annotated[
+    Annotated[PositiveFloat, Tag("number")] | Annotated[PositiveRange, Tag("range")], ONE_OR_RANGE
+]
 
 
 class Indenter(Section):
@@ -87,7 +99,7 @@ class Schedule(Located):
     """Range of the contact's centre along x, gel frame."""
     y_mm: Range = (-3.0, 3.0)
     """Range of the contact's centre along y, gel frame."""
-    follow: str | None = None
+    follow: Annotated[str, Field(min_length=1)] | None = None
     """CSV file of presses to make after these, as ``diagnose contact --rig`` proposes them; a path
     from the recipe's folder."""
 

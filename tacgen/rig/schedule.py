@@ -1,6 +1,7 @@
 """The true course of a rig session: forces, positions, clock and temperature, without noise."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ class Press:
     rest_s: float
 
 
+SHORTEST_S = 1e-3  # of a range that begins at 0: a fiftieth of a usual sample
 PRESS_COLUMNS = tuple(field.name for field in fields(Press))
 """Columns of a file of presses to follow."""
 
@@ -65,16 +67,17 @@ def session_presses(recipe: RigRecipe) -> list[Press]:
     """The presses of a session: those drawn from the schedule, then those it follows."""
     drawn = [draw_press(recipe, number) for number in range(recipe.schedule.presses)]
     path = recipe.schedule.follow_path
-    return drawn if path is None else drawn + read_presses(path)
+    names = [indenter.name for indenter in recipe.indenters]
+    return drawn if path is None else drawn + read_presses(path, names)
 
 
-def read_presses(path: Path) -> list[Press]:
-    """The presses of a CSV file with the columns ``PRESS_COLUMNS``; others are not read.
+def read_presses(path: Path, indenters: Sequence[str]) -> list[Press]:
+    """The presses of a CSV file with the columns ``PRESS_COLUMNS``, made with ``indenters``.
 
     Raises ``RecipeError`` that names the file and what is wrong.
     """
     try:
-        table = pd.read_csv(path, dtype={"indenter": str})
+        table = pd.read_csv(path, dtype={"indenter": str}, keep_default_na=False)
     except (OSError, ValueError) as error:
         msg = f"{path}: cannot be read as a CSV file of presses ({error})"
         raise RecipeError(msg) from error
@@ -94,6 +97,12 @@ def read_presses(path: Path) -> list[Press]:
         if bad or not numbers["force_n"] > 0 or not numbers["load_s"] + numbers["unload_s"] > 0:
             wrong = ", ".join(bad or ["force_n, load_s or unload_s"])
             msg = f"{path}, row {row + 2}: {wrong} is no length of time, force or place; correct it"
+            raise RecipeError(msg)
+        if values["indenter"] not in indenters:
+            msg = (
+                f"{path}, row {row + 2}: indenter {values['indenter']!r} is none of the recipe's "
+                f"({', '.join(indenters)}); add it under `indenters:` or correct the row"
+            )
             raise RecipeError(msg)
         presses.append(Press(str(values["indenter"]), **{n: float(v) for n, v in numbers.items()}))
     return presses
@@ -131,18 +140,15 @@ def draw_press(recipe: RigRecipe, number: int) -> Press:
 
 def _duration(given: float | tuple[float, float], rng: np.random.Generator) -> float:
     """A length of time; one of a range is drawn evenly on a logarithmic scale."""
-    if isinstance(given, tuple):
-        low, high = np.log(np.maximum(given, 1e-3))
-        return float(np.exp(rng.uniform(low, high)))
-    return given
+    if not isinstance(given, tuple):
+        return given
+    low, high = np.log(np.maximum(given, SHORTEST_S))
+    return float(np.exp(rng.uniform(low, high))) if given[1] > 0 else 0.0
 
 
 def press_course(recipe: RigRecipe, press: Press, number: int, start_s: float) -> Columns:
     """The columns of one press, sampled at the schedule's rate from ``start_s`` on."""
     radii_mm = {indenter.name: indenter.radius_mm for indenter in recipe.indenters}
-    if press.indenter not in radii_mm:
-        msg = f"press {number}: indenter {press.indenter!r} is none of {', '.join(radii_mm)}"
-        raise RecipeError(msg)
     lengths = (press.load_s, press.hold_s, press.shear_out_s, press.shear_back_s, press.unload_s)
     ends = np.r_[0.0, np.cumsum(lengths)]
     rate_hz = recipe.schedule.rate_hz

@@ -24,14 +24,18 @@ sensor: gelsight_mini
 def test_grasps_near_slipping_count_apart() -> None:
     found = pd.DataFrame(
         {
-            "object": ["cup", "cup", "cup", "ball"],
-            "pybullet_margin": [0.04, -0.2, np.nan, 3.0],
-            "agree": [False, True, False, True],
+            "object": ["cup", "cup", "cup", "ball", "ball"],
+            "pybullet_margin": [0.04, -0.2, np.nan, 3.0, np.nan],
+            "pybullet_label": [1, 0, -1, 1, -1],
+            "mujoco_label": [0, 0, 1, 1, -1],
+            "agree": [False, True, False, True, True],
         }
     )
     counts = counts_of(found)
-    assert counts.loc["cup"].tolist() == [3, 1, 2, 1]
-    assert counts.loc["all"].tolist() == [4, 2, 3, 2]
+    assert counts.columns.tolist() == ["grasps", "executed", "agree", "far", "far_agree"]
+    assert counts.loc["cup"].tolist() == [3, 3, 1, 2, 1]
+    assert counts.loc["ball"].tolist() == [2, 1, 2, 1, 1], "no engine could make the last"
+    assert counts.loc["all"].tolist() == [5, 4, 3, 3, 2]
 
 
 @pytest.mark.slow

@@ -68,6 +68,36 @@ def test_a_label_that_the_closed_form_contradicts_is_on_the_border():
     assert confidence(trace(1.3, 0.0, label=1), EXACT_PLACE) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("limit_mm", [0.3, 0.95, 1.6, 4.0])
+@pytest.mark.parametrize("lever_mm", [0.0, 1.0])
+def test_a_narrow_patch_holds_only_where_the_place_is_right(limit_mm, lever_mm):
+    """An object that hardly takes up friction: the place decides, and it is integrated here."""
+    grasp = trace(0.1, lever_mm, label=int(lever_mm < limit_mm))
+    ratio = limit_mm / lever_mm if lever_mm else np.inf
+    grasp.margin = SlipMargin(9.0, limit_mm - lever_mm, np.nan, np.zeros(2), 10.0, ratio)
+    y_mm = np.linspace(-6, 6, 20_001)
+    square = 0.1**2 + (1 - 0.1**2) * ((lever_mm + y_mm) / limit_mm) ** 2
+    held = norm.cdf(-0.5 * np.log(square) / np.hypot(0.05, 0.05))
+    expected = np.average(held, weights=norm.pdf(y_mm))
+    if grasp.label == 0:
+        expected = 1 - expected
+    given = Uncertainty(force_relative=0.05, friction_relative=0.05, position_mm=1.0)
+    assert confidence(grasp, given) == pytest.approx(expected, abs=0.01)
+
+
+def test_pads_that_hold_no_moment_lose_an_object_that_needs_one():
+    lost, held = trace(1 / 3, 5.0, label=0), trace(1 / 3, 5.0, label=1)
+    lost.margin = held.margin = SlipMargin(2.0, -5.0, np.nan, np.zeros(2), 3.0, 0.0)
+    assert confidence(lost, EXACT_PLACE) > 0.99
+    assert confidence(held, EXACT_PLACE) == pytest.approx(0.5)
+
+
+def test_an_object_held_without_friction_is_on_the_border():
+    grasp = trace(2.0, 0.0, label=1)
+    grasp.margin = SlipMargin(-1.0, 0.0, np.nan, np.zeros(2), 0.0, np.inf)
+    assert confidence(grasp, EXACT_PLACE) == pytest.approx(0.5)
+
+
 def test_an_exact_repetition_has_the_same_label():
     exact = Uncertainty(force_relative=0.0, friction_relative=0.0, position_mm=0.0)
     for share in (0.9, 1.1):

@@ -36,7 +36,7 @@ class Engine:
         if robot != "wsg50":
             msg = (
                 f"the engine 'mujoco' has no robot {robot!r}; set `robot: {{name: wsg50}}`, or "
-                "`physics: {engine: pybullet}`"
+                "simulate in PyBullet alone: `physics: {engine: pybullet}`"
             )
             raise PhysicsError(msg)
         try:

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
+from tacgen.core.errors import RecipeError
 from tacgen.diagnose.contact.command import diagnose
 from tacgen.diagnose.contact.next_presses import _Rival, _separations, propose_presses
 from tacgen.rig import RigRecipe, load_rig_recipe, simulate_session
@@ -124,7 +125,8 @@ def test_a_session_follows_the_presses_of_a_file(tmp_path: Path):
     [
         (lambda t: t.drop(columns="hold_s"), "lacks the columns hold_s"),
         (lambda t: t.assign(force_n=-1.0), "row 2: force_n"),
-        (lambda t: t.assign(indenter="fist"), "indenter 'fist' is none of ball_4mm"),
+        (lambda t: t.assign(hold_s=""), "row 2: hold_s"),
+        (lambda t: t.assign(indenter="fist"), "row 2: indenter 'fist' is none of the recipe's"),
     ],
 )
 def test_a_file_of_presses_that_cannot_be_made_is_refused(tmp_path: Path, change, message: str):
@@ -138,6 +140,30 @@ def test_a_file_of_presses_that_cannot_be_made_is_refused(tmp_path: Path, change
     assert done.exit_code != 0
     assert message in str(done.exception) + done.output
     assert not (tmp_path / "out" / "press_log.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("schedule", "message"),
+    [
+        ("load_s: [2, 1]", "schedule.load_s runs from 2 down to 1"),
+        ("hold_s: -1", "schedule.hold_s = -1: must be at least 0"),
+        ("load_s: 0", "schedule.load_s = 0: must be above 0"),
+        ("follow: ''", "schedule.follow = '': must not be empty"),
+    ],
+)
+def test_a_duration_that_cannot_be_is_one_message(tmp_path: Path, schedule: str, message: str):
+    (tmp_path / "rig.yaml").write_text(f"extends: rig\nschedule: {{{schedule}}}\n")
+    with pytest.raises(RecipeError) as raised:
+        load_rig_recipe(tmp_path / "rig.yaml")
+    assert message in str(raised.value)
+    assert str(raised.value).count("schedule.") == 1
+
+
+def test_a_range_of_durations_is_drawn_whole():
+    holds = [draw_press(rig([], hold_s=(0.0, 9.0)), number).hold_s for number in range(200)]
+    assert min(holds) < 0.01
+    assert max(holds) > 5.0
+    assert draw_press(rig([], hold_s=(0.0, 0.0)), 0).hold_s == 0.0
 
 
 def _as_dict(press) -> dict:
