@@ -84,23 +84,17 @@ def compare_engines(
     json_output: common.JsonFlag = False,
 ) -> None:
     """Simulate the grasps of a recipe in PyBullet and in MuJoCo; list where their labels differ."""
-    from tqdm import tqdm
-
     from tacgen.collection import compare_engines as engines
     from tacgen.collection.recipe import load_recipe
     from tacgen.core.files import write_text
+    from tacgen.core.progress import progress_counter
 
     loaded = load_recipe(recipe)
     table, record = (Path(out or "") / name for name in ("grasps.csv", "comparison.json"))
     if out:
         common.refuse_existing(force, table, record)
         out.mkdir(parents=True, exist_ok=True)
-    with tqdm(unit="grasp", disable=None, leave=False) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with progress_counter("grasp") as show:
         found = engines.compare_engines(loaded, workers=workers, show=show)
     counts = engines.counts_of(found)
     result = {"near_margin": engines.NEAR_MARGIN, "counts": counts.to_dict(orient="index")}

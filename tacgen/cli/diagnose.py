@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tacgen.diagnose.contact.result import Diagnosis
     from tacgen.rig import RigRecipe
 
-PRESSES_CONSIDERED = 200  # drawn from the rig's ranges; the best dozen hardly improves with more
+PRESSES_CONSIDERED = 200  # drawn from the rig's ranges; comparing them takes some 0.3 s
 
 
 @common.diagnose_app.command("contact")
@@ -80,6 +80,9 @@ def _propose_presses(diagnosis: "Diagnosis", rig: "RigRecipe", count: int, path:
     drawn = [draw_press(rig, first + number) for number in range(PRESSES_CONSIDERED)]
     courses = [press_course(rig, press, number, 0.0) for number, press in enumerate(drawn)]
     proposed = propose_presses(diagnosis, courses, count)
+    if not proposed:
+        common.note(["the log's columns allow one explanation only; no further press can test it"])
+        return
     table = pd.DataFrame([asdict(drawn[one.index]) for one in proposed]).round(4)
     table["separates"] = [" from ".join(one.between) for one in proposed]
     write_text(path, table.to_csv(index=False))

@@ -1,7 +1,7 @@
 """The true course of a rig session: forces, positions, clock and temperature, without noise."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.columns import csv_problem
 from tacgen.core.errors import RecipeError
 from tacgen.rig.rig_recipe import RigRecipe, Temperature
 
@@ -77,35 +78,38 @@ def read_presses(path: Path, indenters: Sequence[str]) -> list[Press]:
     Raises ``RecipeError`` that names the file and what is wrong.
     """
     try:
-        table = pd.read_csv(path, dtype={"indenter": str}, keep_default_na=False)
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read as a CSV file of presses ({error})"
-        raise RecipeError(msg) from error
+        msg = f"{path}: cannot be read as presses to follow: {csv_problem(error)}"
+        raise RecipeError(msg) from None
     if missing := [name for name in PRESS_COLUMNS if name not in table]:
         msg = f"{path}: lacks the columns {', '.join(missing)}; give one row for each press"
         raise RecipeError(msg)
+    numbers = table[list(PRESS_COLUMNS[1:])].apply(pd.to_numeric, errors="coerce")
     presses = []
-    for row, values in enumerate(table[list(PRESS_COLUMNS)].to_dict("records")):
-        numbers = {name: value for name, value in values.items() if name != "indenter"}
-        bad = [
-            name
-            for name, value in numbers.items()
-            if not isinstance(value, (int, float))
-            or not math.isfinite(value)
-            or (value < 0 and name not in ("shear_angle_rad", "x_mm", "y_mm"))
-        ]
-        if bad or not numbers["force_n"] > 0 or not numbers["load_s"] + numbers["unload_s"] > 0:
-            wrong = ", ".join(bad or ["force_n, load_s or unload_s"])
-            msg = f"{path}, row {row + 2}: {wrong} is no length of time, force or place; correct it"
+    for row, values in enumerate(numbers.to_dict("records")):
+        indenter, where = table["indenter"][row], f"{path}, row {row + 2}"
+        if bad := [name for name, value in values.items() if not _is_possible(name, value)]:
+            name = str(bad[0])
+            msg = f"{where}: {name} = {table[name][row]!r} cannot be made; correct it"
             raise RecipeError(msg)
-        if values["indenter"] not in indenters:
+        if indenter not in indenters:
             msg = (
-                f"{path}, row {row + 2}: indenter {values['indenter']!r} is none of the recipe's "
+                f"{where}: indenter {indenter!r} is none of the recipe's "
                 f"({', '.join(indenters)}); add it under `indenters:` or correct the row"
             )
             raise RecipeError(msg)
-        presses.append(Press(str(values["indenter"]), **{n: float(v) for n, v in numbers.items()}))
+        presses.append(Press(indenter, **{str(name): value for name, value in values.items()}))
     return presses
+
+
+def _is_possible(name: Hashable, value: float) -> bool:
+    """Whether a press can have that figure; NaN is none."""
+    if name in ("shear_angle_rad", "x_mm", "y_mm"):
+        return math.isfinite(value)
+    return (
+        0 < value < math.inf if name in ("force_n", "load_s", "unload_s") else 0 <= value < math.inf
+    )
 
 
 def draw_press(recipe: RigRecipe, number: int) -> Press:

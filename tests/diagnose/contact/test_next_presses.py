@@ -125,7 +125,8 @@ def test_a_session_follows_the_presses_of_a_file(tmp_path: Path):
     [
         (lambda t: t.drop(columns="hold_s"), "lacks the columns hold_s"),
         (lambda t: t.assign(force_n=-1.0), "row 2: force_n"),
-        (lambda t: t.assign(hold_s=""), "row 2: hold_s"),
+        (lambda t: pd.concat([t, t.assign(hold_s="")]), "row 3: hold_s = ''"),
+        (lambda t: t.assign(load_s="soon"), "row 2: load_s = 'soon'"),
         (lambda t: t.assign(indenter="fist"), "row 2: indenter 'fist' is none of the recipe's"),
     ],
 )
@@ -168,3 +169,13 @@ def test_a_range_of_durations_is_drawn_whole():
 
 def _as_dict(press) -> dict:
     return {name: getattr(press, name) for name in type(press).__dataclass_fields__}
+
+
+def test_one_explanation_alone_leaves_nothing_to_separate(monkeypatch):
+    from tacgen.diagnose.contact import next_presses
+
+    log = columns(rig([], presses=8))
+    explanations = next_presses._explanations
+    monkeypatch.setattr(next_presses, "_explanations", lambda *given: explanations(*given)[:1])
+    course = press_course(rig([]), draw_press(rig([]), 0), 0, 0.0)
+    assert propose_presses(diagnose(log), [course], 3) == []
