@@ -113,7 +113,8 @@ class GraspPipeline:
         grasp = self.simulate(planned)
         trace, frame = grasp.trace, grasp_frame(grasp.trace)
         executed = trace.status == "executed"
-        noise = rng_of(planned.seed, _STREAM_NOISE) if self.recipe.optics.noise else None
+        adds_noise = self.recipe.optics.noise is True
+        noise = rng_of(planned.seed, _STREAM_NOISE) if adds_noise else None
         pads = {pad: self._pad_sample(grasp, pad, frame, noise) for pad in trace.frames if executed}
         picture = None
         if self.recipe.dataset.scene_pictures:
@@ -206,6 +207,7 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
     if (path := recipe.contact.path()) is not None:
         contact_law(recipe.contact)
         calibration["contact_law"] = sha256_of(path)
+    at_load = recipe.optics.noise == "at_load"
     return DatasetSpec(
         recipe=recipe.resolved(),
         recipe_sha256=recipe.sha256(),
@@ -216,6 +218,7 @@ def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,
         reference_rgb=tactile_pad(recipe).image(Imprint()),
+        noise_at_load_grey=load_table(sensor.table).noise_grey if at_load else 0.0,
         depth=recipe.dataset.depth,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
     )

@@ -124,8 +124,8 @@ class Optics(Section):
     """Draw the shadows of the sensor's lights."""
     markers: bool = False
     """Draw the gel's dots, moved by pressure, shear and twist."""
-    noise: bool = True
-    """Add the camera's noise."""
+    noise: Literal[True, False, "at_load"] = True
+    """Add the camera's noise; ``at_load``: only when images are read, for smaller files."""
 
 
 class Split(Section):

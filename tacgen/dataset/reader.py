@@ -18,7 +18,7 @@ from tacgen.core.records import GraspConfig, SlipMargin
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample
-from tacgen.dataset.schema import CONTACT_NAMES, GRASP_NAMES, Layout
+from tacgen.dataset.schema import CONTACT_NAMES, GRASP_NAMES, PADS, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 
 if TYPE_CHECKING:
@@ -159,11 +159,21 @@ class Dataset:
     def rgb(
         self, index: int, pad: str | None = None, frame: int | None = None
     ) -> NDArray[np.uint8]:
-        """Tactile images of a grasp, (T, H, W, 3), or one ``frame`` of them, (H, W, 3)."""
-        path = self._layout(index).tactile(self._pad(pad), "rgb")
-        if frame is not None:
-            return self._image(index, path, frame)
-        return np.stack([self._image(index, path, frame) for frame in range(self.n_frames)])
+        """Tactile images of a grasp, (T, H, W, 3), or one ``frame`` of them, (H, W, 3).
+
+        They have the camera's noise, the same whenever they are read.
+        """
+        pad = self._pad(pad)
+        if frame is None:
+            return np.stack([self.rgb(index, pad, frame) for frame in range(self.n_frames)])
+        shard = self._shard(self._place(index))
+        rgb = self._image(index, shard.layout.tactile(pad, "rgb"), frame)
+        if not shard.noise_at_load_grey or not rgb.any():  # of a grasp that was not executed
+            return rgb
+        from tacgen.core.noise import with_camera_noise
+
+        seed, which = int(self._read(index, "/grasp/seed")), PADS.index(pad)
+        return with_camera_noise(rgb, shard.noise_at_load_grey, seed, which, frame)
 
     def reference(self, pad: str | None = None) -> NDArray[np.uint8]:
         """The image of the undeformed gel, (H, W, 3)."""

@@ -65,7 +65,9 @@ class DatasetSpec:
     ``pads`` are ``left``, ``right`` or both; ``time_s`` the times of the T frames, from
     closing on (0 for a single image). The last shard may hold fewer than ``shard_size`` grasps.
     ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept,
-    ``picture_px`` (height, width) the size of the scene pictures, if there are any.
+    ``picture_px`` (height, width) the size of the scene pictures, if there are any. The images are
+    stored without the camera's noise where ``noise_at_load_grey`` is the standard deviation of what
+    the reader adds.
     """
 
     recipe: Mapping[str, Any]
@@ -79,6 +81,7 @@ class DatasetSpec:
     reference_rgb: NDArray[np.uint8]
     depth: bool = False
     picture_px: tuple[int, int] | None = None
+    noise_at_load_grey: float = 0.0
 
     @property
     def n_shards(self) -> int:

@@ -20,6 +20,9 @@ SPLITS = ("train", "test")
 STATUSES = ("executed", "unreachable", "no_contact", "crashed")
 FAILURE_MODES = ("", "translational_slip", "rotational_slip")
 
+NOISE_AT_LOAD = "noise_at_load_grey"
+"""Root attribute: standard deviation of the camera's noise that readers add; none if missing."""
+
 MAX_OBJECT_BYTES, MAX_REASON_BYTES = 64, 160
 
 

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
-from tacgen.dataset.schema import CONFIDENCE, FORMAT_VERSION, PADS, ArraySpec, Layout
+from tacgen.dataset.schema import (
+    CONFIDENCE,
+    FORMAT_VERSION,
+    NOISE_AT_LOAD,
+    PADS,
+    ArraySpec,
+    Layout,
+)
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
 MAX_TEXT_BYTES = 256  # of a name or status; more is damage
@@ -39,6 +46,7 @@ class Shard:
     arrays: Mapping[str, h5py.Dataset]
     index_range: tuple[int, int]
     recipe_sha256: str
+    noise_at_load_grey: float
 
     def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""
@@ -122,7 +130,16 @@ def _checked(path: Path, file: h5py.File) -> Shard:
         _refuse(path, problems)
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
     arrays.setdefault(CONFIDENCE, np.full(sizes["N"], np.nan))
-    return Shard(path, file, layout, arrays, (start, stop), _text(file, "recipe_sha256"))
+    noise_grey = _attribute(file, NOISE_AT_LOAD, "f", ())
+    return Shard(
+        path,
+        file,
+        layout,
+        arrays,
+        (start, stop),
+        _text(file, "recipe_sha256"),
+        0.0 if noise_grey is None else float(noise_grey),
+    )
 
 
 def _refuse(path: Path, problems: Sequence[str]) -> NoReturn:

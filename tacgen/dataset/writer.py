@@ -18,7 +18,13 @@ from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample
-from tacgen.dataset.schema import CONTACT_NAMES, FORMAT_VERSION, MAX_REASON_BYTES, Layout
+from tacgen.dataset.schema import (
+    CONTACT_NAMES,
+    FORMAT_VERSION,
+    MAX_REASON_BYTES,
+    NOISE_AT_LOAD,
+    Layout,
+)
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
@@ -159,3 +165,5 @@ def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> Non
     file.attrs["format_version"] = np.int64(FORMAT_VERSION)
     file.attrs["index_range"] = np.array([indices.start, indices.stop], np.int64)
     file.attrs["mm_per_px"] = spec.sensor.mm_per_px
+    if spec.noise_at_load_grey > 0:
+        file.attrs[NOISE_AT_LOAD] = spec.noise_at_load_grey

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
+from tacgen.core.noise import CameraNoise
 from tacgen.optics import shade
 from tacgen.optics.effects import (
     OpticalEffect,
@@ -21,7 +22,6 @@ from tacgen.optics.effects import (
     with_cast_shadows,
 )
 from tacgen.optics.markers import draw_markers
-from tacgen.optics.noise import CameraNoise
 from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import ContactLight, Leds, LookupTable
 

@@ -1,5 +1,7 @@
 """A dataset in a user's own hands: indexing, slices, what it prints, torch."""
 
+import h5py
+import hdf5plugin  # noqa: F401  (registers the filters)
 import numpy as np
 import pytest
 
@@ -63,3 +65,49 @@ def test_a_side_that_is_not_there_is_refused(toy):
     pytest.importorskip("torch")
     with pytest.raises(DatasetError, match="split 'val' is not known; give one of train, test"):
         toy[0].torch(split="val")
+
+
+@pytest.fixture
+def noiseless(tmp_path):
+    """A dataset of two pads to whose images the reader adds noise of 2 grey levels."""
+    spec = make_spec(noise_at_load_grey=2.0, pads=("left", "right"))
+    collect_toy(tmp_path / "noiseless", spec)
+    return tmp_path / "noiseless", spec
+
+
+def test_noise_at_load_is_that_of_a_camera(noiseless):
+    root, spec = noiseless
+    dataset = Dataset(root)
+    clean = [make_sample(index, spec).pads for index in (0, 1, 2, 3)]
+    left, right = (
+        np.stack(
+            [dataset.rgb(k, pad) - pads[pad].rgb.astype(float) for k, pads in enumerate(clean)]
+        )
+        for pad in ("left", "right")
+    )
+    # 27 648 values: the deviation of a standard deviation is 0.4 %, of a mean 0.012, of a
+    # correlation 0.006; rounding adds a variance of 1/12.
+    assert left.std() == pytest.approx(np.sqrt(4 + 1 / 12), rel=0.02)
+    assert abs(left.mean()) < 0.05
+    for other in (right, *(np.roll(left, 1, axis) for axis in (0, 1, -1))):
+        assert abs(np.corrcoef(left.ravel(), other.ravel())[0, 1]) < 0.03
+
+
+def test_noise_at_load_is_always_the_same(noiseless):
+    root, _ = noiseless
+    first, again = Dataset(root), Dataset(root)
+    assert np.array_equal(first[3]["rgb"], again[3]["rgb"])
+    assert np.array_equal(first.rgb(3, "right", 2), again.read(3).pads["right"].rgb[2])
+
+
+def test_noise_at_load_is_not_stored(noiseless):
+    root, spec = noiseless
+    with h5py.File(root / "shards" / "shard-00000.h5") as file:
+        assert file.attrs["noise_at_load_grey"] == 2.0
+        stored = file["/tactile/gelsight_left/rgb"][1]
+    assert np.array_equal(stored, make_sample(1, spec).pads["left"].rgb)
+
+
+def test_what_was_not_executed_has_no_noise(noiseless):
+    root, _ = noiseless
+    assert not Dataset(root)[4]["rgb"].any()

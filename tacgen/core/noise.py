@@ -1,5 +1,6 @@
 """The camera's noise."""
 
+from functools import cache
 from statistics import NormalDist
 from typing import Any
 
@@ -44,3 +45,20 @@ class CameraNoise:
         """Add noise to a C-contiguous ``image`` (H, W, 3) and round it to 8 bits, into ``rgb``."""
         words = rng.bit_generator.random_raw((image.size + 3) // 4).view(np.uint16)
         _quantize(image, words, self._quantiles, np.float32(self.sigma_grey), rgb)
+
+
+def with_camera_noise(
+    rgb: NDArray[np.uint8], sigma_grey: float, seed: int, *key: int
+) -> NDArray[np.uint8]:
+    """An image (H, W, 3) stored without noise, with that of a camera: always the same one for a
+    ``seed`` and ``key``.
+
+    The image was rounded before, so that its variance is a twelfth of a squared grey level more.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+    noisy = np.empty_like(rgb)
+    _camera_noise(sigma_grey).quantize(rgb.astype(np.float32), rng, noisy)
+    return noisy
+
+
+_camera_noise = cache(CameraNoise)
