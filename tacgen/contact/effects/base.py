@@ -28,6 +28,7 @@ Bounds: TypeAlias = Callable[[LoadHistory, Parameters], tuple[float, float]]
 
 _LOGARITHMIC_UNITS = ("s", "N", "mm3", "trials")
 MIN_GAIN = 0.02  # least factor on the compliance: beyond the fitted range a gel stays a gel
+FREE_SD = 0.3  # of a free amount: more is rare even where an effect is strong
 _MIN_RATIO = 1e-3  # keeps the logarithm of a ratio finite
 
 
@@ -39,7 +40,8 @@ class Parameter:
     A ``shape`` (an exponent, a time constant) says how the amount acts and is fitted with it; a
     ``reference`` (a load, a time) is set, not fitted. ``bounds`` narrows ``low`` to ``high`` to
     what a given log can determine; ``of_response`` marks a reference that is the span of the
-    measured response.
+    measured response. A finite ``prior_sd`` makes it a free amount: one of many that together give
+    the effect any shape, and of which a fit expects this standard deviation about 0.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Parameter:
     high: float
     bounds: Bounds | None = None
     of_response: bool = False
+    prior_sd: float = np.inf
 
     @property
     def is_logarithmic(self) -> bool:
@@ -126,6 +129,12 @@ class Effect:
         """``parameters`` with the identity for every one that is not given."""
         return {p.name: p.identity for p in self.parameters} | dict(parameters)
 
+    @property
+    def free_form(self) -> Variant | None:
+        """The variant of all its free amounts; it is fitted once the effect is named by others."""
+        probes = [{one.name: 0.05} for one in self.parameters if np.isfinite(one.prior_sd)]
+        return variant("free form", probes) if probes else None
+
     def can_act_on(self, history: LoadHistory) -> bool:
         """Whether the log has the columns that it needs and varies in them."""
         return history.has(*self.needs) and self.is_identifiable(history)
@@ -191,6 +200,14 @@ def amount(
     return Parameter(name, unit, "amount", identity, low, high, bounds)
 
 
+def free_amounts(name: str, count: int) -> tuple[Parameter, ...]:
+    """Free amounts ``name_1`` to ``name_<count>``."""
+    return tuple(
+        Parameter(f"{name}_{k}", "1", "amount", 0.0, -10.0, 10.0, prior_sd=FREE_SD)
+        for k in range(1, count + 1)
+    )
+
+
 def shape(
     name: str, low: float, high: float, start: float, unit: str = "1", bounds: Bounds | None = None
 ) -> Parameter:
@@ -223,6 +240,24 @@ def variant(
 def share_of(reference: str, low: float, high: float) -> Bounds:
     """Bounds that are shares of one of the effect's reference values."""
     return lambda history, p: (low * p[reference], high * p[reference])
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A function of any shape: a line from knot to knot, held beyond them, 0 by default."""
+
+    name: str
+    knots: tuple[float, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its value at every knot: free amounts."""
+        return free_amounts(self.name, len(self.knots))
+
+    def __call__(self, at: FloatArray, p: Parameters) -> FloatArray:
+        """Its values (N,) ``at`` (N,) the variable."""
+        values = [p[f"{self.name}_{k}"] for k in range(1, len(self.knots) + 1)]
+        return np.asarray(np.interp(at, self.knots, values)) if any(values) else np.zeros_like(at)
 
 
 def power_shape(ratio: FloatArray, exponent: float) -> FloatArray:

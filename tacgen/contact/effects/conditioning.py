@@ -4,6 +4,7 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+CURVE = base.Curve("after", (0.0, 1.0, 2.0, 4.0, 8.0, 16.0))  # over the presses before
 MIN_TRIALS = 6  # with fewer, the first trials are most of them
 
 
@@ -17,7 +18,8 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     n = (np.maximum(history.trial - p["first_trial"], 0.0) / p["trials"]) ** p["power"]
     tail = p["tail"]
     faded = np.exp(-n) if tail < 1e-6 else (1.0 + tail * n) ** (-1.0 / tail)
-    return base.with_gain(load, p["amount"] * faded)
+    relative = p["amount"] * faded + CURVE(history.trial - p["first_trial"], p)
+    return base.with_gain(load, relative)
 
 
 def _trials_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
@@ -52,6 +54,7 @@ base.register(
             base.shape("trials", 0.3, 20.0, 3.0, "trials", _trials_bounds),
             base.shape("tail", 0.0, 20.0, 0.0),
             base.shape("power", 0.5, 4.0, 1.0),
+            *CURVE.parameters,
             base.reference("first_trial", "trial", 0.0),
         ),
         apply=_apply,

@@ -6,33 +6,37 @@ import numpy as np
 
 from tacgen.contact.effects import base, kernels
 
+FREE_RECOVERING, FREE_HELD = base.free_amounts("recovering", 6), base.free_amounts("held", 6)
 TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
 
 
 def _apply(
     load: base.FloatArray, history: base.LoadHistory, p: base.Parameters, channel: base.Channel
 ) -> base.FloatArray:
-    """Load plus one or two Prony terms.
+    """Load plus one or two Prony terms, or those of the free form.
 
     A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew;
     with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial's contact began,
-    which is gone with the load; in between, a share of each.
+    which is gone with the load; in between, a share of each. The free form has an amount of each
+    kind for six τ at even ratios from ``shortest_s`` to ``longest_s``.
 
     Source: Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
     """
+    recovery = p["recovery"]
+    terms = [(p[tau], recovery * p[one], (1.0 - recovery) * p[one]) for one, tau in TERMS]
+    taus = np.geomspace(p["shortest_s"], p["longest_s"], len(FREE_RECOVERING))
+    for tau, one, other in zip(taus, FREE_RECOVERING, FREE_HELD, strict=True):
+        terms.append((tau, p[one.name], p[other.name]))
     result = load.copy()
-    for amount_name, tau_name in TERMS:
-        if p[amount_name] == 0.0:
-            continue
-        tau = p[tau_name]
-        if p["recovery"] > 0.0:
+    for tau, recovering, with_load in terms:
+        if recovering != 0.0:
             for axis in range(load.shape[1]):
                 values = np.ascontiguousarray(load[:, axis])
                 slow = kernels.low_pass(values, history.time_s, history.starts, tau, True)
-                result[:, axis] += p["recovery"] * p[amount_name] * slow
-        if p["recovery"] < 1.0:
+                result[:, axis] += recovering * slow
+        if with_load != 0.0:
             grown = -np.expm1(-history.time_since_contact_s(channel) / tau)
-            result += (1.0 - p["recovery"]) * p[amount_name] * load * grown[:, None]
+            result += with_load * load * grown[:, None]
     return result
 
 
@@ -40,6 +44,10 @@ def _tau_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, f
     """Slower than sampling and faster than some trials: else it is no creep that a log shows."""
     duration_s = history.trial_duration_s
     return max(4.0 * history.sample_period_s, 0.02 * duration_s), 5.0 * duration_s
+
+
+def _references(history: base.LoadHistory) -> dict[str, float]:
+    return {"shortest_s": history.sample_period_s, "longest_s": 5.0 * history.trial_duration_s}
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
@@ -80,9 +88,14 @@ for _channel in base.CHANNELS:
                 base.shape("tau_s", 1e-3, 1e5, 1.0, "s", _tau_bounds),
                 base.shape("tau_2_s", 1e-3, 1e5, 10.0, "s", _tau_bounds),
                 base.shape("recovery", 0.0, 1.0, 1.0),
+                *FREE_RECOVERING,
+                *FREE_HELD,
+                base.reference("shortest_s", "s"),
+                base.reference("longest_s", "s"),
             ),
             apply=partial(_apply, channel=_channel),
             variants=_variants,
+            references=_references,
             shown_against="time_in_trial_s",
             separated_by={
                 "latency": "hold the load for several seconds: creep goes on, a delay is over",

@@ -4,6 +4,7 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+CURVE = base.Curve("curve", (-0.5, -0.3, -0.1, 0.1, 0.3, 0.5))
 MIN_TRIALS = 6  # with fewer, any sequence of trials drifts
 
 
@@ -15,6 +16,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     """
     tau = np.clip((history.time_s - p["start_s"]) / p["span_s"] - 0.5, -0.75, 0.75)
     relative = tau * (p["linear"] + tau * (p["quadratic"] + tau * p["cubic"]))
+    relative = relative + CURVE(tau, p)
     return np.asarray(base.with_gain(load, relative) + (p["offset_n"] * tau)[:, None])
 
 
@@ -42,6 +44,7 @@ base.register(
             base.amount("quadratic", -10.0, 10.0),
             base.amount("cubic", -20.0, 20.0),
             base.amount("offset_n", -20.0, 20.0, "N"),
+            *CURVE.parameters,
             base.reference("start_s", "s", 0.0),
             base.reference("span_s", "s"),
         ),

@@ -20,6 +20,9 @@ CONTACT_SHARE = 0.05
 """Share of the log's span above which a load counts as contact, and by which it must fall to count
 as unloading: above the noise of any usable gauge."""
 
+ROWS_PER_SMOOTHED = 80
+"""Rows of a trial for each row of smoothing either way: so few are no peak of a press."""
+
 
 class LoadHistory:
     """Samples of a log sorted by trial and time, with what the effects derive from them.
@@ -87,13 +90,19 @@ class LoadHistory:
     @cached_property
     def shear_size_n(self) -> FloatArray:
         """|F_s| of a lightly smoothed shear force (N,)."""
-        x, y = (kernels.moving_mean(self.force_shear_n[:, k], self.starts, 2) for k in (0, 1))
+        x, y = (self.smooth(self.force_shear_n[:, k]) for k in (0, 1))
         return np.hypot(x, y)
 
     @cached_property
     def normal_smooth_n(self) -> FloatArray:
         """A lightly smoothed normal force (N,), for what noise would bias: peaks and ratios."""
-        return kernels.moving_mean(self.force_normal_n, self.starts, 2)
+        return self.smooth(self.force_normal_n)
+
+    def smooth(self, values: FloatArray) -> FloatArray:
+        """``values`` (N,) averaged over neighbours where trials have enough samples for that."""
+        rows = int(np.median(np.diff(self.starts))) if self.n_samples else 0
+        reach = min(2, rows // ROWS_PER_SMOOTHED)
+        return kernels.moving_mean(np.ascontiguousarray(values), self.starts, reach)
 
     @cached_property
     def normal_span_n(self) -> float:
@@ -127,6 +136,11 @@ class LoadHistory:
             found = kernels.reversal(self._smooth_n(channel), self.starts, margin)
             self._reversals[channel] = found
         return self._reversals[channel]
+
+    def peak_since_contact(self, channel: Channel) -> NDArray[np.int64]:
+        """Row (N,) of the largest load since the trial's last contact began."""
+        least = CONTACT_SHARE * self.span_n(channel)
+        return kernels.peak_since_contact(self._smooth_n(channel), self.starts, least)
 
     def time_since_contact_s(self, channel: Channel) -> FloatArray:
         """Time since the load first stood above a twentieth of the log's span, trial by trial (N,).

@@ -8,6 +8,14 @@ from tacgen.contact.effects import base, kernels
 
 SPREAD = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Widths of the Prandtl-Ishlinskii operator's plays, as shares of its largest."""
+PLAY_WIDTHS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5, 0.8)
+"""Half-widths of the free form's plays, as shares of the log's span."""
+PLAYS = base.free_amounts("play", len(PLAY_WIDTHS))
+KEPT = base.Curve("kept", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+RETURN = base.Curve("return", (0.0, 0.2, 0.4, 0.6, 0.8))
+"""Of the share of the peak that is gone: what the free form adds there, as a share of the peak; of
+the trial's peak so far, and of the peak since contact, which a gel that is let go forgets."""
+FREE = (*KEPT.parameters, *RETURN.parameters)
 MIN_UNLOADING_SHARE = 0.02  # rows of unloading that a log must have for a way back to show
 
 
@@ -19,13 +27,15 @@ def _apply(
     With P the load at its peak so far: ``residual``·(P − F) at any time, ``loop``·F(1 − |F|/|P|)
     and ``jump``·F while unloading; ``play``·(F − play operator of width ``width_n``) and
     ``friction``·(Dahl friction of that width) turn round with the direction, and ``spread`` is
-    the play with widths spread evenly up to ``width_n``.
+    the play with widths spread evenly up to ``width_n``. The free form is a sum of plays with an
+    amount each, and P times a curve of 1 − F/P: of what a gel keeps of its peak load.
 
     Source: Visintin 1994, Differential Models of Hysteresis, ch. III: play, Prandtl-Ishlinskii.
     """
     peak_row, unloading = history.reversal(channel)
     peak = load[peak_row]
-    result = load + p["residual"] * (peak - load) * _below(load, peak)
+    below = _below(load, peak)
+    result = load + p["residual"] * (peak - load) * below
     back = unloading[:, None] * load
     if p["loop"] != 0.0:
         size = np.linalg.norm(peak, axis=1) + 1e-9
@@ -33,17 +43,22 @@ def _apply(
         result = result + p["loop"] * back * (1.0 - share)[:, None]
     if p["jump"] != 0.0:
         result = result + p["jump"] * back
+    if any(p[one.name] != 0.0 for one in FREE):
+        for curve, top in (KEPT, peak), (RETURN, load[history.peak_since_contact(channel)]):
+            gone = 1.0 - (load * top).sum(axis=1) / ((top**2).sum(axis=1) + 1e-18)
+            result = result + curve(gone, p)[:, None] * top * _below(load, top)
     for axis in range(load.shape[1]):
         values = np.ascontiguousarray(load[:, axis])
-        for share, size in (
-            (1.0, p["play"]),
-            *((one, p["spread"] / len(SPREAD)) for one in SPREAD),
+        for width_n, size in (
+            (p["width_n"], p["play"]),
+            *((one * p["width_n"], p["spread"] / len(SPREAD)) for one in SPREAD),
+            *((w * p["span_n"], p[one.name]) for w, one in zip(PLAY_WIDTHS, PLAYS, strict=True)),
         ):
             if size != 0.0:
-                lagging = kernels.play(values, history.starts, share * p["width_n"])
+                lagging = kernels.play(values, history.starts, width_n)
                 result[:, axis] += size * (values - lagging)
         if p["friction"] != 0.0:
-            smooth = kernels.moving_mean(values, history.starts, 2)
+            smooth = history.smooth(values)
             rubbing = kernels.dahl(smooth, history.starts, p["width_n"])
             result[:, axis] += p["friction"] * rubbing
     return result
@@ -90,6 +105,8 @@ def _register(channel: base.Channel) -> None:
                 base.amount("play", -3.0, 3.0),
                 base.amount("spread", -3.0, 3.0),
                 base.amount("friction", -3.0, 3.0),
+                *PLAYS,
+                *FREE,
                 base.shape("width_n", 1e-4, 1e3, 1.0, "N", base.share_of("span_n", 0.01, 1.2)),
                 base.reference("span_n", "N"),
             ),

@@ -94,6 +94,21 @@ def moving_mean(values: FloatArray, starts: NDArray[np.int64], reach: int) -> Fl
 
 
 @njit(cache=True)
+def peak_since_contact(
+    load: FloatArray, starts: NDArray[np.int64], least: float
+) -> NDArray[np.int64]:
+    """Row of the largest load since it last stood above ``least``, in contact; else the row."""
+    peak_row = np.empty(load.size, dtype=np.int64)
+    for k in range(starts.size - 1):
+        best = starts[k]
+        for i in range(starts[k], starts[k + 1]):
+            if load[i] > load[best] or load[i] < least or load[best] < least:
+                best = i
+            peak_row[i] = best
+    return peak_row
+
+
+@njit(cache=True)
 def reversal(
     load: FloatArray, starts: NDArray[np.int64], margin: float
 ) -> tuple[NDArray[np.int64], BoolArray]:

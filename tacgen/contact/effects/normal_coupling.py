@@ -4,6 +4,8 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+CURVE = base.Curve("curve", (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0))
+
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Compliance 1 + amount·b, b the power shape of F_n / reference.
@@ -12,7 +14,8 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     ball.
     """
     ratio = np.maximum(history.normal_smooth_n, 0.05 * p["reference_n"]) / p["reference_n"]
-    return base.with_gain(load, p["amount"] * base.power_shape(ratio, p["exponent"]))
+    bend = base.power_shape(ratio, p["exponent"])
+    return base.with_gain(load, p["amount"] * bend + CURVE(ratio, p))
 
 
 base.register(
@@ -24,6 +27,7 @@ base.register(
         parameters=(
             base.amount("amount", -3.0, 5.0),
             base.shape("exponent", -2.0, 4.0, 1.0),
+            *CURVE.parameters,
             base.reference("reference_n", "N"),
         ),
         apply=_apply,

@@ -4,6 +4,7 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+CURVE = base.Curve("curve", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2))
 MIN_SHEAR_SHARE = 0.01
 """A shear force below this share of the normal one is the gauge's misalignment."""
 
@@ -11,11 +12,9 @@ MIN_SHEAR_SHARE = 0.01
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Gain by a power of |F_s|/F_n, by a power of |F_s|, and force leaking from |F_s|, x and y."""
     shear = history.shear_size_n
-    relative = np.zeros(history.n_samples)
-    if p["ratio"] != 0.0:
-        pressed = np.maximum(history.normal_smooth_n, p["floor_n"])
-        scaled = np.minimum(shear / pressed / p["ratio_reference"], 2.0)
-        relative = relative + p["ratio"] * scaled ** p["exponent"]
+    pressed = np.maximum(history.normal_smooth_n, p["floor_n"])
+    scaled = np.minimum(shear / pressed / p["ratio_reference"], 2.0)
+    relative = p["ratio"] * scaled ** p["exponent"] + CURVE(scaled, p)
     if p["size"] != 0.0:
         relative = relative + p["size"] * (shear / p["reference_n"]) ** p["exponent"]
     leak = p["leak"] * shear + history.force_shear_n @ np.array([p["leak_x"], p["leak_y"]])
@@ -44,6 +43,7 @@ base.register(
             base.amount("size", -3.0, 5.0),
             *(base.amount(name, -3.0, 3.0) for name in ("leak", "leak_x", "leak_y")),
             base.shape("exponent", 0.5, 4.0, 2.0),
+            *CURVE.parameters,
             base.reference("ratio_reference", "1"),
             base.reference("reference_n", "N"),
             base.reference("floor_n", "N"),

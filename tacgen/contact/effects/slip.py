@@ -4,6 +4,8 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+CURVE = base.Curve("curve", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2))
+
 
 def load_ratio(history: base.LoadHistory, floor_n: float) -> base.FloatArray:
     """|F_s| / F_n (N,), with F_n no less than ``floor_n``."""
@@ -23,6 +25,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     """Mindlin's growth below μ, then a power of the ratio, and a limit of the force that acts."""
     ratio = load_ratio(history, p["floor_n"])
     relative = p["amount"] * np.minimum(ratio / p["ratio_reference"], 2.0) ** p["exponent"]
+    relative = relative + CURVE(ratio / p["ratio_reference"], p)
     if p["mindlin"] != 0.0:
         relative = relative + p["mindlin"] * (mindlin_factor(ratio / p["mu"]) - 1.0)
     if np.isfinite(p["gross_mu"]):
@@ -71,6 +74,7 @@ base.register(
             base.amount(
                 "gross_mu", 0.01, np.inf, "1", np.inf, base.share_of("ratio_reference", 0.2, 4.0)
             ),
+            *CURVE.parameters,
             base.reference("ratio_reference", "1"),
             base.reference("floor_n", "N"),
         ),

@@ -4,6 +4,8 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+CURVE = base.Curve("curve", (0.0, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0))
+
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Compliance 1 + amount·b + curvature·b², b the power shape of |F| / reference.
@@ -12,7 +14,8 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     load; Johnson 1985, Contact Mechanics, §5.8.
     """
     bend = base.power_shape(np.abs(load[:, 0]) / p["reference_n"], p["exponent"])
-    return base.with_gain(load, p["amount"] * bend + p["curvature"] * bend**2)
+    relative = p["amount"] * bend + p["curvature"] * bend**2
+    return base.with_gain(load, relative + CURVE(np.abs(load[:, 0]) / p["reference_n"], p))
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
@@ -37,6 +40,7 @@ base.register(
         parameters=(
             base.amount("amount", -3.0, 5.0),
             base.amount("curvature", -5.0, 5.0),
+            *CURVE.parameters,
             base.shape("exponent", -0.4, 5.0, 1.0),
             base.reference("reference_n", "N"),
         ),

@@ -70,12 +70,14 @@ class Model:
 class Fit:
     """A fitted model, its weighted residual (R,) and Jacobian (R, P), rows as ``reduce`` has.
 
-    The Jacobian is 0 for a parameter that its bound holds.
+    The Jacobian is 0 for a parameter that its bound holds. ``prior`` (P, P + 1) are rows of the
+    same least squares, the residual last, that hold amounts of free forms near their identity.
     """
 
     model: Model
     residual: FloatArray
     jacobian: FloatArray
+    prior: FloatArray
 
     @property
     def loss(self) -> float:
@@ -106,10 +108,9 @@ def fit_model(data: ChannelData, start: Model) -> Fit:
     """Least squares from ``start`` by Levenberg-Marquardt within the parameters' bounds."""
     space = _Space(data, start)
     vector = space.start
-    target = data.reduce(data.target)
-    residual = target - data.reduce(space.model(vector).response(data))
+    residual = space.residual(vector)
     damping = 1e-3
-    jacobian = space.jacobian(vector, target - residual)
+    jacobian = space.jacobian(vector, residual)
     for _ in range(_MAX_STEPS):
         inner = space.inner(vector, jacobian.T @ residual)
         open_jacobian = jacobian[:, inner]
@@ -123,7 +124,7 @@ def fit_model(data: ChannelData, start: Model) -> Fit:
             step = np.linalg.solve(damped, gradient) / size
             trial[inner] += np.clip(step, -space.reach[inner], space.reach[inner])
             trial = space.clip(trial)
-            new = target - data.reduce(space.model(trial).response(data))
+            new = space.residual(trial)
             if new @ new < residual @ residual:
                 improved = True
                 break
@@ -133,12 +134,12 @@ def fit_model(data: ChannelData, start: Model) -> Fit:
         gain = 1.0 - float(new @ new) / max(float(residual @ residual), 1e-300)
         vector, residual = trial, new
         damping = max(damping / 10.0, 1e-9)
-        jacobian = space.jacobian(vector, target - residual)
+        jacobian = space.jacobian(vector, residual)
         if gain < 1e-5:
             break
     inner = space.inner(vector, jacobian.T @ residual)
     acts = np.linalg.norm(jacobian, axis=0) > 1e-3 * np.linalg.norm(residual)
-    return Fit(space.model(vector), residual, jacobian * (inner & acts))
+    return space.fit(vector, residual, jacobian * (inner & acts))
 
 
 def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
@@ -148,24 +149,24 @@ def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
     instrumental variables do; a step that leads out of the neighbourhood is not taken.
     """
     space = _Space(data, fit.model)
-    target, vector, best = data.reduce(data.target), space.start, fit
+    vector, best = space.start, fit
     for _ in range(steps):
         open_ = np.flatnonzero(np.abs(best.jacobian).max(axis=0) > 0)
         a, b, _ = data.halves(np.column_stack([best.jacobian[:, open_], best.residual]))
-        gram = 0.5 * (a.T @ b + b.T @ a)
+        prior = best.prior[:, [*open_, -1]]
+        gram = 0.5 * (a.T @ b + b.T @ a + prior.T @ prior)
         scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
         if np.linalg.eigvalsh(gram[:-1, :-1] / np.outer(scale, scale))[0] < 1e-6:
             return best
         trial = vector.copy()
         trial[open_] += np.linalg.solve(gram[:-1, :-1], gram[:-1, -1])
         trial = space.clip(trial)
-        residual = target - data.reduce(space.model(trial).response(data))
-        if residual @ residual > 1.02 * fit.loss:
-            return best
-        vector = trial
-        jacobian = space.jacobian(vector, target - residual)
+        residual = space.residual(trial)
         kept = np.abs(best.jacobian).max(axis=0) > 0
-        best = Fit(space.model(vector), residual, jacobian * kept)
+        found = space.fit(trial, residual, space.jacobian(trial, residual) * kept)
+        if found.loss > 1.02 * fit.loss:
+            return best
+        vector, best = trial, found
     return best
 
 
@@ -176,7 +177,7 @@ def prediction_and_jacobian(data: ChannelData, fit: Fit) -> tuple[FloatArray, Fl
     """
     space = _Space(data, fit.model)
     prediction = data.reduce(fit.model.response(data))
-    jacobian = space.jacobian(space.start, prediction)
+    jacobian = space.jacobian(space.start, space.residual(space.start))[: prediction.size]
     return prediction, jacobian * (np.abs(fit.jacobian).max(axis=0) > 0)
 
 
@@ -197,7 +198,8 @@ def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     rows = np.repeat(data.row_unit, data.n_outputs)
     products = fit.jacobian * fit.residual[:, None]
     sums = np.stack([np.bincount(rows, column) for column in products.T], axis=1)
-    inverse = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, rcond=1e-12, hermitian=True)
+    information = fit.jacobian.T @ fit.jacobian + fit.prior[:, :-1].T @ fit.prior[:, :-1]
+    inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
     factor = data.n_units / max(data.n_units - fit.jacobian.shape[1], 1)
     covariance = factor * inverse @ (sums.T @ sums) @ inverse
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * space.natural_scale(space.start)
@@ -215,7 +217,8 @@ class _Space:
         # Of each number after the first: term, parameter, size, whether it is a logarithm.
         self.slots: list[tuple[int, str, float, bool]] = []
         self._compliance_scale = abs(model.compliance) or 1.0
-        bounds, reach = [(1.0, 1e-3, np.inf)], [np.inf]
+        self._target = data.reduce(data.target)
+        bounds, reach, precision = [(1.0, 1e-3, np.inf)], [np.inf], [0.0]
         for index, term in enumerate(model.terms):
             for name in term.variant.free:
                 parameter = term.effect.parameter(name)
@@ -229,10 +232,12 @@ class _Space:
                 start = [np.log(v) if logarithmic else v / scale for v in (value, low, high)]
                 bounds.append((start[0], start[1], start[2]))
                 reach.append(_MAX_LOG_STEP if logarithmic else np.inf)
+                precision.append(data.noise * scale / parameter.prior_sd)
         coefficients = [c for term in model.covariates for c in term.coefficients]
         bounds += [(c, -np.inf, np.inf) for c in coefficients]
         self.start, self._low, self._high = np.array(bounds).T
         self.reach = np.array(reach + [np.inf] * len(coefficients))
+        self._precision = np.array(precision + [0.0] * len(coefficients))
 
     def natural_scale(self, vector: FloatArray) -> FloatArray:
         """d(parameter)/d(number) at ``vector``, in the parameters' own units."""
@@ -267,13 +272,23 @@ class _Space:
         )
         return Model(float(vector[0]) * self._compliance_scale, terms, covariates)
 
-    def jacobian(self, vector: FloatArray, response: FloatArray) -> FloatArray:
-        """d(reduced response)/d(vector) (R, P) by forward differences, inwards at a bound."""
+    def residual(self, vector: FloatArray) -> FloatArray:
+        """What the model leaves (R,), and below it the rows of the prior (P,)."""
+        response = self._data.reduce(self.model(vector).response(self._data))
+        return np.concatenate([self._target - response, -self._precision * vector])
+
+    def fit(self, vector: FloatArray, residual: FloatArray, jacobian: FloatArray) -> Fit:
+        """The fit at ``vector`` from both with the rows of the prior."""
+        rows = self._target.size
+        prior = np.column_stack([np.diag(self._precision), residual[rows:]])
+        return Fit(self.model(vector), residual[:rows], jacobian[:rows], prior)
+
+    def jacobian(self, vector: FloatArray, residual: FloatArray) -> FloatArray:
+        """−d(residual)/d(vector) by forward differences, inwards at a bound."""
         columns = []
         for i in range(vector.size):
             step = 1e-4 * max(1.0, abs(vector[i])) if i <= len(self.slots) else 1e-3
             moved = vector.copy()
             moved[i] += step if vector[i] + step <= self._high[i] else -step
-            changed = self._data.reduce(self.model(moved).response(self._data))
-            columns.append((changed - response) / (moved[i] - vector[i]))
+            columns.append((residual - self.residual(moved)) / (moved[i] - vector[i]))
         return np.stack(columns, axis=1)

@@ -125,7 +125,7 @@ def _explanations(sets: CandidateSets, attribution: Attribution) -> list[FittedS
     """The law that was found, without each of its effects, and with one other or one more."""
     base = sets.fitted((), attribution.base.fit.model)
     final = base
-    for member in attribution.final.members:
+    for member in attribution.named.members:
         if member.is_effect:
             same = [one for one, _ in sets.pool(final) if one.label == member.label]
             final = sets.add(final, same[:1])

@@ -68,7 +68,7 @@ def dependences(
 ) -> tuple[Dependence, ...]:
     """Test the residual of ``fit`` against every covariate, strongest first.
 
-    Units of resampling are trials (`scores.shuffle_statistics`); each covariate enters as a
+    Units of resampling are trials (`scores.shuffle_p_values`); each covariate enters as a
     cubic, or as levels, on the compliance and added.
     """
     rules, response = data.rules, fit.model.law_response(data)
@@ -85,8 +85,8 @@ def dependences(
     grams, groups, base = scores.fit_grams(data, fit, [*blocks.values(), ones])
     *groups, (constant,) = groups
     shuffled = scores.shuffles(data.n_units, rules.n_shuffles, rng)
-    statistics = scores.shuffle_statistics(grams, base, groups, shuffled, constant, rules)
-    p_values = np.minimum(scores.shuffle_p_values(statistics, rules) * len(groups), 1.0)
+    p_values = scores.shuffle_p_values(grams, base, groups, shuffled, constant, rules)
+    p_values = np.minimum(p_values * len(groups), 1.0)
     sets = [base, *([*base, *group] for group in groups)]
     without, *losses = scores.cv_losses(grams, data.folds(), sets, rules).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)

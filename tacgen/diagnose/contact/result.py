@@ -181,7 +181,7 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
         "confusable_with": list(chosen.confusable),
         "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
         "p_value": found.p_value(chosen.p_value),
-        "form": chosen.candidate.label,
+        "form": f"{term.name}: {term.variant.label}",
     }
 
 

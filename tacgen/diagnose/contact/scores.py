@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincc
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
@@ -20,15 +20,20 @@ from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.rules import SelectionRules
 
 
-def unit_grams(data: ChannelData, columns: FloatArray) -> FloatArray:
+def unit_grams(
+    data: ChannelData, columns: FloatArray, *, between_halves: bool = True
+) -> FloatArray:
     """Sums over each unit of products of ``columns`` (R, P) between the halves: (U, P, P).
 
     Symmetrised; in the mean free of noise, and so not positive definite where a column is noise.
+    Otherwise of products within the halves, on the same scale.
     """
     a, b, unit = data.halves(columns)
     bounds = np.searchsorted(unit, np.arange(data.n_units + 1))
-    grams = np.stack([a[i:j].T @ b[i:j] for i, j in pairwise(bounds)])
-    return 0.5 * (grams + grams.transpose(0, 2, 1))
+    if between_halves:
+        grams = np.stack([a[i:j].T @ b[i:j] for i, j in pairwise(bounds)])
+        return 0.5 * (grams + grams.transpose(0, 2, 1))
+    return 0.5 * np.stack([a[i:j].T @ a[i:j] + b[i:j].T @ b[i:j] for i, j in pairwise(bounds)])
 
 
 def fit_grams(
@@ -48,18 +53,21 @@ def cv_losses(
     folds: NDArray[np.int64],
     sets: Sequence[Sequence[int]],
     rules: SelectionRules,
+    training: FloatArray | None = None,
 ) -> FloatArray:
     """Held-out sum of squares of every unit, for every set of columns: (S, U).
 
-    ``sets`` hold column numbers; the last column is the target.
+    ``sets`` hold column numbers; the last column is the target. Coefficients are fitted to
+    ``training`` (≥ U, P, P), whose first U are the units, by default to ``grams`` too.
     """
     losses = np.empty((len(sets), grams.shape[0]))
-    total = grams.sum(axis=0)
+    training = grams if training is None else training
+    total = training.sum(axis=0)
     for rows, index in _of_one_length(sets):
         for fold in range(int(folds.max()) + 1):
             out = np.flatnonzero(folds == fold)
             held = grams[out]
-            weights = _solve(total - held.sum(axis=0), index, rules)
+            weights = _solve(total - training[out].sum(axis=0), index, rules)
             block = held[:, index[:, :, None], index[:, None, :]]
             onto = (block @ weights[None, :, :, None])[..., 0]
             change = ((onto - 2.0 * held[:, index, -1]) * weights).sum(axis=-1)
@@ -133,7 +141,7 @@ def shuffles(n_units: int, count: int, rng: np.random.Generator) -> Shuffles:
     return Shuffles(signs, orders)
 
 
-def shuffle_statistics(
+def shuffle_p_values(
     grams: FloatArray,
     base: Sequence[int],
     groups: Sequence[Sequence[int]],
@@ -141,20 +149,19 @@ def shuffle_statistics(
     ones: int,
     rules: SelectionRules,
 ) -> FloatArray:
-    """−log p of the score of every group of columns under every shuffle: (F + 1, groups).
+    """Return the p of the score of every group of columns by its own shuffles: (groups,).
 
     The score of a unit is the product of the group's columns, made orthogonal to the base, and the
     residual. Two kinds of null are used. Where the columns are, within each unit, a constant times
     the response (or a constant), what counts is one number a trial, and those numbers are permuted.
     Otherwise each unit's score is given a random sign, which holds whatever the correlations within
-    the unit. A statistic is put on the scale of a χ² law so that groups of different size compare.
-    ``base[0]`` is the column of the compliance, ``ones`` that of a constant.
+    the unit. ``base[0]`` is the column of the compliance, ``ones`` that of a constant.
     """
     total = grams.sum(axis=0)
     base = list(base)
     weights = coefficients(total, base, rules)
     left = grams[:, :, -1] - grams[:, :, base] @ weights
-    statistics = np.empty((shuffled.signs.shape[0], len(groups)))
+    p_values = np.empty(len(groups))
     for number, group in enumerate(groups):
         columns = list(group)
         projection = np.linalg.lstsq(
@@ -178,8 +185,8 @@ def shuffle_statistics(
         scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
         sums = sums / size
         quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
-        statistics[:, number] = -chi2.logsf(np.maximum(quadratic, 0.0), len(columns))
-    return statistics
+        p_values[number] = _shuffle_p_value(np.maximum(quadratic, 0.0), len(columns), rules)
+    return p_values
 
 
 def _shape_within_units(
@@ -201,18 +208,19 @@ def _information(grams: FloatArray, shape: int) -> FloatArray:
     return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
 
 
-def shuffle_p_values(statistics: FloatArray, rules: SelectionRules) -> FloatArray:
-    """Return the p of each group (columns) by its own shuffles.
+def _shuffle_p_value(quadratic: FloatArray, size: int, rules: SelectionRules) -> float:
+    """Return the p of the first of the ``quadratic`` forms (F + 1,) of ``size`` scores.
 
     Beyond the largest twentieth of the shuffles an exponential tail, fitted to that twentieth,
-    goes on where ranks end: the statistics are on a scale where that is their law's tail.
+    goes on where ranks end: −log p of a χ² law is a scale where that is the tail.
     """
-    null = np.sort(statistics[1:], axis=0)
-    count = null.shape[0]
-    top = max(5, int(rules.shuffle_tail_share * count))
-    threshold = null[-top - 1]
-    excess = (null[-top:] - threshold).mean(axis=0) + 1e-12
-    observed = statistics[0]
-    by_rank = (1.0 + (null >= observed).sum(axis=0)) / (1.0 + count)
-    by_tail = top / count * np.exp(-np.maximum(observed - threshold, 0.0) / excess)
-    return np.asarray(np.where(observed > threshold, np.minimum(by_tail, by_rank), by_rank))
+    null = quadratic[1:]
+    top = max(5, int(rules.shuffle_tail_share * null.size))
+    highest = np.sort(np.partition(null, -top - 1)[-top - 1 :])
+    by_chi2 = gammaincc(0.5 * size, 0.5 * np.append(highest, quadratic[0]))
+    threshold, *tail, observed = -np.log(np.maximum(by_chi2, 1e-300))
+    by_rank = (1.0 + (null >= quadratic[0]).sum()) / (1.0 + null.size)
+    if observed <= threshold:
+        return float(by_rank)
+    excess = float(np.mean(tail)) - threshold + 1e-12
+    return float(min(by_rank, top / null.size * np.exp(-(observed - threshold) / excess)))

@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from tacgen.contact.effects import Effect, all_effects
+from tacgen.contact.effects import Effect, Variant, all_effects
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
@@ -74,12 +74,14 @@ class Chosen:
 class Attribution:
     """What a channel's residual was traced to.
 
-    ``base`` and ``final`` are fits to the trials that were given; ``chosen`` is in the order in
-    which the members were added; ``ranking`` lists the single candidates at the start (label,
-    gain of the held-out RMSE, p).
+    ``base``, ``named`` and ``final`` are fits to the trials that were given: without effects, with
+    those that were chosen, and with their free forms where these predict better; ``chosen`` is in
+    the order in which the members were added; ``ranking`` lists the single candidates at the start
+    (label, gain of the held-out RMSE, p).
     """
 
     base: FittedSet
+    named: FittedSet
     final: FittedSet
     chosen: tuple[Chosen, ...]
     ranking: tuple[tuple[str, float, float], ...] = ()
@@ -121,16 +123,26 @@ class CandidateSets:
             fit = fit_model(self.data, start)
             design = np.column_stack([fit.jacobian, fit.residual])
             grams = scores.unit_grams(self.data, design)
-            plain = grams[:, -1, -1]
-            losses = self._cv_losses(grams, [range(fit.jacobian.shape[1])], plain)[0]
+            plain, training = grams[:, -1, -1], None
+            if fit.prior.any():
+                # Many similar columns: between the halves they are nearly singular.
+                training = scores.unit_grams(self.data, design, between_halves=False)
+                prior = 0.5 * fit.prior.T @ fit.prior
+                training = np.concatenate([training, prior[None]])
+            columns = range(fit.jacobian.shape[1])
+            losses = self._cv_losses(grams, [columns], plain, training)[0]
             self._fits[key] = FittedSet(members, fit, losses)
         return replace(self._fits[key], members=members)
 
     def _cv_losses(
-        self, grams: FloatArray, sets: Sequence[Sequence[int]], without: FloatArray
+        self,
+        grams: FloatArray,
+        sets: Sequence[Sequence[int]],
+        without: FloatArray,
+        training: FloatArray | None = None,
     ) -> FloatArray:
         """Held-out losses (S, U) of sets of columns; of those that cannot be, ``without`` (U,)."""
-        losses = scores.cv_losses(grams, self._folds, sets, self.rules)
+        losses = scores.cv_losses(grams, self._folds, sets, self.rules, training)
         return scores.believable(losses, without, self.data.noise_loss, self.rules)
 
     def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
@@ -156,6 +168,13 @@ class CandidateSets:
         members = tuple(m for m in full.members if m.label != member.label)
         model = full.fit.model
         return self.fitted(members, model.without(member.name, member.covariate))
+
+    def with_free_form(self, full: FittedSet, effect: Effect, form: Variant) -> FittedSet:
+        """``full`` with the effect in its free form, fitted from amounts of 0."""
+        members = tuple(replace(m, variant=form) if m.effect is effect else m for m in full.members)
+        start = start_term(effect, form, self.data, [0.0] * len(form.probes))
+        terms = tuple(start if term.effect is effect else term for term in full.fit.model.terms)
+        return self.fitted(members, replace(full.fit.model, terms=terms))
 
     def pool(self, current: FittedSet, *, new_oscillations: bool = False) -> Pool:
         """Candidates beside ``current`` and the losses that each leaves on held-out units."""
@@ -219,13 +238,12 @@ class CandidateSets:
         """Return the p of each candidate, corrected for the number of names looked at."""
         ones = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
         grams, groups, base = self._grams(current.fit, [*candidates, ones])
-        statistics = scores.shuffle_statistics(
+        by_shuffle = scores.shuffle_p_values(
             grams, base, groups[:-1], self._shuffled, groups[-1][0], self.rules
         )
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
         n_names = 1 if self.data.few_trials else len({c.name for c in candidates})
-        by_shuffle = np.maximum(scores.shuffle_p_values(statistics, self.rules), search)
-        return np.asarray(np.minimum(by_shuffle * n_names, 1.0))
+        return np.asarray(np.minimum(np.maximum(by_shuffle, search) * n_names, 1.0))
 
     def p_value(self, full: FittedSet, member: Candidate) -> float:
         """Return the p of the member's columns beside the others, not corrected for a choice."""
@@ -306,8 +324,8 @@ class Selection:
             if current.names in visited:
                 break
             visited.add(current.names)
-        current = self._pruned(current)
-        return Attribution(base, current, self._described(current), ranking)
+        named = self._pruned(current)
+        return Attribution(base, named, self._refined(named), self._described(named), ranking)
 
     def _extended(self, current: FittedSet, pool: Pool, p_values: FloatArray) -> FittedSet | None:
         """The best set with one or two members more; None if nothing is significant."""
@@ -348,6 +366,15 @@ class Selection:
             if best is fitted:
                 return fitted
             fitted = best
+        return fitted
+
+    def _refined(self, fitted: FittedSet) -> FittedSet:
+        """``fitted`` with the free form of every member with which held-out trials gain."""
+        for member in fitted.members:
+            if member.effect is not None and member.effect.free_form is not None:
+                trial = self.sets.with_free_form(fitted, member.effect, member.effect.free_form)
+                least = self.rules.min_swap_gain * self.sets.total(fitted)
+                fitted = trial if trial.loss < fitted.loss - least else fitted
         return fitted
 
     def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:

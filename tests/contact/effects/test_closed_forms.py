@@ -91,6 +91,30 @@ def test_a_hysteresis_loop_closes_at_both_ends():
     assert loop.max() == pytest.approx(2.0 * 0.2 * 5.0 / 4.0, rel=0.02)
 
 
+def test_what_a_gel_keeps_of_its_peak_is_forgotten_or_not_when_it_is_let_go():
+    """Two presses in a trial, the second half as high: of which peak does its way back know?"""
+    up, down = np.linspace(0, 8, 81), np.linspace(8, 0, 81)
+    force = np.concatenate([up, down, up / 2, down / 2])
+    history = history_of(force)
+    second = slice(324 - 60, 324 - 20)
+    kept = dict.fromkeys([f"kept_{k}" for k in range(1, 7)], 0.1)
+    kept = volume(history, "hysteresis", **kept)[:, 0] - 2.0 * force
+    np.testing.assert_allclose(kept[second], 2.0 * 0.1 * 8.0)
+    let_go = dict.fromkeys([f"return_{k}" for k in range(1, 6)], 0.1)
+    let_go = volume(history, "hysteresis", **let_go)[:, 0] - 2.0 * force
+    np.testing.assert_allclose(let_go[second], 2.0 * 0.1 * 4.0)
+
+
+def test_a_peak_of_a_few_samples_is_not_smoothed_away():
+    """A press of 20 samples keeps its ratio; one of 400 loses some of its noise."""
+    rng = np.random.default_rng(0)
+    course = np.exp(-0.5 * np.linspace(-4, 4, 20) ** 2)
+    coarse = history_of(np.full(20, 5.0), force_shear_x_n=course, force_shear_y_n=0 * course)
+    np.testing.assert_allclose(coarse.shear_size_n, course)
+    noisy = history_of(5.0 + 0.1 * rng.standard_normal(400))
+    assert noisy.normal_smooth_n.std() == pytest.approx(0.1 / np.sqrt(5), rel=0.15)
+
+
 def test_play_lags_by_its_width_each_way():
     force = np.concatenate([np.linspace(0, 5, 80), np.linspace(5, 0, 80)])
     lag = volume(history_of(force), "hysteresis", play=-1.0, width_n=0.5)[:, 0] - 2.0 * force

@@ -1,0 +1,164 @@
+"""Free forms of effects recover shapes that were computed independently, and win only where due."""
+
+import numpy as np
+import pytest
+
+from tacgen.contact.effects import find_effect
+from tacgen.contact.effects.hysteresis import PLAY_WIDTHS
+from tacgen.contact.law import respond
+from tacgen.diagnose.contact import scores
+from tacgen.diagnose.contact.channel import ChannelSamples
+from tacgen.diagnose.contact.model import Model, fit_model, references_of, start_term
+from tacgen.diagnose.contact.rules import DEFAULT_RULES as RULES
+from tacgen.diagnose.contact.selection import Selection
+
+K_N = 4.0
+N_TRIALS, N_SAMPLES = 24, 60
+
+
+def presses(response, noise, seed, schedule=(0.0, 0.35, 0.65, 0.95, 1.0), peaks_n=(3.0, 9.0)):
+    """Ramp, hold, ramp down; ``response(force, time, peak)`` of each press, plus white noise.
+
+    ``schedule``: when the ramp up begins, the hold begins and ends, and the load is gone.
+    """
+    rng = np.random.default_rng(seed)
+    parts = []
+    for trial in range(N_TRIALS):
+        peak, duration = rng.uniform(*peaks_n), rng.uniform(4.0, 8.0)
+        time = np.linspace(0.0, duration, N_SAMPLES)
+        knots = duration * np.array(schedule)
+        force = np.interp(time, knots, [0.0, peak, peak, 0.0, 0.0])
+        volume = K_N * response(force, time, knots, peak) + noise * rng.normal(size=time.size)
+        parts.append(np.stack([np.full(N_SAMPLES, trial), trial * 20.0 + time, force, volume]))
+    names = ("trial", "time_s", "force_normal_n", "volume_mm3")
+    return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
+
+
+def free_fit(columns, name):
+    """The effect's free form, fitted to a log of the normal channel."""
+    data, effect = ChannelSamples(columns, "normal").thinned(), find_effect("normal", name)
+    form = effect.free_form
+    start = Model(K_N, (start_term(effect, form, data, [0.0] * len(form.probes)),))
+    return data, fit_model(data, start)
+
+
+def prandtl_ishlinskii(weights, widths):
+    """Closed form of Σ w (F − play_r[F]) for one press: min(F, r), then less min(fall, 2r)."""
+
+    def response(force, time, knots, peak):
+        fallen = np.where(time > knots[2], peak - force, 0.0)
+        stops = np.minimum(np.where(time > knots[2], peak, force)[:, None], widths)
+        return force + (stops - np.minimum(fallen[:, None], 2 * np.array(widths))) @ weights
+
+    return response
+
+
+def test_plays_recover_a_prandtl_ishlinskii_spectrum():
+    weights = np.array([0.0, 0.0, 0.25, 0.0, 0.15, 0.0, 0.1])
+    probe = presses(lambda force, *_: force, 0.0, 1)
+    span = ChannelSamples(probe, "normal").thinned().history.normal_span_n
+    widths = span * np.array(PLAY_WIDTHS)
+    noise = 0.02
+    columns = presses(prandtl_ishlinskii(weights, widths), noise, 1)
+    data, fit = free_fit(columns, "hysteresis")
+    values = fit.model.terms[0].values
+    found = np.array([values[f"play_{k}"] for k in range(1, 8)])
+    # Neighbouring widths share what noise does not tell apart: their running sums are known.
+    np.testing.assert_allclose(np.cumsum(found), np.cumsum(weights), atol=0.08)
+    assert np.sqrt(fit.loss / data.target.size) == pytest.approx(noise, rel=0.1)
+
+
+def prony(amounts, taus):
+    """Closed form of Σ a ∫(1 − exp(−(t − s)/τ)) dF(s) for three ramps."""
+
+    def response(force, time, knots, peak):
+        result = force.copy()
+        turns = [(knots[0], 1.0), (knots[1], -1.0)], [(knots[2], -1.0), (knots[3], 1.0)]
+        lengths = knots[1] - knots[0], knots[3] - knots[2]
+        for ends, length in zip(turns, lengths, strict=True):
+            for begin, sign in ends:
+                since = np.maximum(time - begin, 0.0)
+                for amount, tau in zip(amounts, taus, strict=True):
+                    grown = since + tau * np.expm1(-since / tau)
+                    result = result + sign * amount * peak / length * grown
+        return result
+
+    return response
+
+
+def test_a_prony_spectrum_between_the_grid_s_times_is_predicted_on_another_schedule():
+    truth = prony([0.1, 0.15, 0.2], [0.25, 1.3, 6.0])
+    noise = 0.01
+    _, fit = free_fit(presses(truth, noise, 2), "creep")
+    other = presses(truth, 0.0, 3, schedule=(0.05, 0.15, 0.5, 0.7, 1.0))
+    data = ChannelSamples(other, "normal").thinned()
+    linear = data.target - K_N * data.history.load("normal")
+    left = data.target - fit.model.law_response(data)
+    assert np.sqrt((left**2).mean()) < 0.02 * np.sqrt((linear**2).mean())
+
+
+def test_a_curve_recovers_a_shape_that_no_power_has():
+    def bend(share):
+        return 0.2 * np.tanh(share / 0.3) - 0.1 * share**2
+
+    columns = presses(lambda f, *_: f * (1 + bend(f / 9.0)), 0.02, 4, peaks_n=(8.5, 9.0))
+    data, fit = free_fit(columns, "stiffening")
+    force = np.linspace(0.5, 8.5, 9)
+    response = respond(
+        type(data.history)(
+            {"trial": np.zeros(9), "time_s": np.arange(9.0), "force_normal_n": force}
+        ),
+        "normal",
+        fit.model.compliance,
+        [(term.effect, term.values) for term in fit.model.terms],
+    )
+    # A line from knot to knot leaves at most h²/8 of the curvature: 0.15²/8 · 1.7 of tanh's.
+    np.testing.assert_allclose(response[:, 0], K_N * force * (1 + bend(force / 9.0)), rtol=0.006)
+
+
+@pytest.mark.parametrize(
+    ("weights", "form", "share"),
+    [([0.4, 0.0, 0.2], "free form", 0.1), ([0.0, 0.3, 0.0], "play", 1.0)],
+    ids=["two plays", "one play"],
+)
+def test_the_free_form_is_kept_only_where_held_out_trials_gain(weights, form, share):
+    """Two plays, one narrow and one wide, are no few-parameter form; one play is."""
+    response = prandtl_ishlinskii(-np.array(weights), [0.3, 1.0, 4.0])
+    columns = presses(response, 0.1, 5, schedule=(0.05, 0.4, 0.45, 0.95, 1.0))
+    data = ChannelSamples(columns, "normal").thinned()
+    found = Selection(data, np.random.default_rng(0)).run()
+    assert [one.candidate.name for one in found.chosen] == ["hysteresis"]
+    (term,) = found.final.fit.model.terms
+    assert term.variant.label.startswith(form)
+    assert found.final.loss <= share * found.named.loss
+    assert found.final.loss < 0.15 * data.noise_loss, "the rest is noise"
+
+
+def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
+    rng = np.random.default_rng(6)
+    columns = presses(lambda f, *_: f * (1 + 0.1 * f), 0.3, 7)
+    data = ChannelSamples(columns, "normal").thinned()
+    load = data.reduce(data.history.load("normal"))
+    x = np.stack([load, rng.normal(size=load.size) + 0.1 * load], axis=1)
+    y = data.reduce(data.target)
+    design = np.column_stack([x, y])
+    precision = np.diag([0.0, 50.0, 0.0])
+    within = scores.unit_grams(data, design, between_halves=False)
+    training = np.concatenate([within, 0.5 * precision[None] ** 2])
+    between = scores.unit_grams(data, design)
+    losses = scores.cv_losses(between, data.folds(), [[0, 1]], RULES, training)[0]
+    fold_of_row = data.folds()[data.row_unit]
+    for fold in range(int(data.folds().max()) + 1):
+        kept = fold_of_row != fold
+        rows = np.vstack([x[kept], precision[:2, :2]])
+        weights = np.linalg.lstsq(rows, np.append(y[kept], [0.0, 0.0]), rcond=None)[0]
+        a, b, unit = data.halves(y - x @ weights)
+        slow = np.bincount(unit, a * b, minlength=data.n_units)[data.folds() == fold]
+        np.testing.assert_allclose(losses[data.folds() == fold], slow, rtol=1e-4, atol=1e-6)
+
+
+def test_references_of_the_free_forms_stand_in_the_law():
+    """A law file says where the knots are: the simulation has another log's span and sampling."""
+    data = ChannelSamples(presses(lambda f, *_: f, 0.1, 8), "normal").thinned()
+    assert {"shortest_s", "longest_s"} <= set(references_of(find_effect("normal", "creep"), data))
+    assert "span_n" in references_of(find_effect("normal", "hysteresis"), data)
