@@ -14,6 +14,7 @@ from tacgen.objects.meshes import hull
 
 GOLDEN_ANGLE_RAD = np.pi * (3 - np.sqrt(5))
 FLESH_ROWS = 160
+COLLISION_ROWS, COLLISION_SECTIONS = 15, 28  # chords of 5 mm, which lie 0.13 mm inside
 
 _FLESH = np.array(
     [
@@ -52,10 +53,10 @@ def strawberry(
     rings = polar_rings(profile[:, :1], angle, profile[:, 1])
     rings += _relief(profile, angle, radius, flesh, (seeds, pit_mm, seed_mm, leaves, leaf_mm))
 
-    heights = flesh * np.array([0.03, 0.14, 0.28, 0.42, 0.54, 0.64, 0.72, 0.80, 0.88])
-    thin = np.searchsorted(profile[:FLESH_ROWS, 1], heights)
-    body = rings[[*thin.tolist(), FLESH_ROWS - 12]][:, :: segments // 18]
-    stem = rings[[FLESH_ROWS + 6, len(rings) - 1]][:, :: segments // 10]
+    # Evenly thinned, without pits: alike on both sides, and with a facet at the bottom to rest on.
+    rows = np.linspace(3, FLESH_ROWS - 12, COLLISION_ROWS).round().astype(int)
+    body = _turned(profile[rows], COLLISION_SECTIONS)
+    stem = _turned(profile[[FLESH_ROWS + 6, -1]], 12)
     lying = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     return settled(
         Shape(
@@ -79,6 +80,12 @@ def _profile(radius_mm: float, flesh_mm: float, stem_mm: float) -> Curve:
         [(2.0, flesh_mm + 2.5), (1.8, top - 1.2)],
         arc((1.0, top - 0.8), 0.8, 0, 80, 5),
     )
+
+
+def _turned(profile: Curve, sections: int) -> NDArray[np.float64]:
+    """Rings (k, sections, 3) about z; of a multiple of four sections, facets face ±x and ±y."""
+    angle = angles_rad(sections) + np.pi / sections
+    return polar_rings(profile[:, :1], angle, profile[:, 1])
 
 
 def _relief(

@@ -141,11 +141,16 @@ class Fingers:
     def set_spinning_friction(
         self, spinning_friction_m: Mapping[str, float], friction_share: float
     ) -> None:
-        """Moment about its normal that each pad resists, for each newton of force."""
+        """Moment about its normal that each pad resists, for each newton of force.
+
+        A touch that Bullet keeps but does not find again in a step would hold the coefficients of
+        its first moment, so the pads' touches are found anew.
+        """
         for pad, link in self.links.items():
             self._world.bullet.changeDynamics(
                 self._body, link, spinningFriction=spinning_friction_m[pad]
             )
+            self._world.collide(self._body, link, Collides.GRIPPER)  # also drops its touches
 
     def place(self, travel_m: float) -> None:
         """Put both fingers ``travel_m`` in from the full opening, at rest."""

@@ -14,7 +14,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tacgen.core.records import GraspTrace
+from tacgen.core.resources import packaged
 from tacgen.core.units import MM_PER_M
+from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.margins import torsion_factor
@@ -186,6 +189,26 @@ def test_an_off_centre_grasp_turns_where_the_soft_finger_gives_way(
     assert steady(0.9)
     assert not steady(1.1)
     record_threshold("offset_over_closed_form", steady, 0.9, 1.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "force_n", "y_mm", "z_mm"),
+    [("mustard_bottle", 15.0, -6.0, 90.0), ("flat_screwdriver", 15.0, -70.0, 12.0)],
+)
+def test_objects_of_several_parts_turn_where_the_soft_finger_gives_way(
+    simulator: GraspSimulator, name: str, force_n: float, y_mm: float, z_mm: float
+) -> None:
+    """PyBullet keeps a touch that it does not find again with the friction that it began with."""
+    shipped = load_object(packaged("objects") / name)
+
+    def gripped(spinning_friction_mm: float) -> GraspTrace:
+        obj = replace(shipped, spinning_friction_mm=spinning_friction_mm)
+        return grasp(simulator, obj, force_n=force_n, y_mm=y_mm, z_mm=z_mm)
+
+    ample = gripped(20.0)
+    needed_mm = 20.0 / ample.margin.torsion_ratio
+    assert gripped(1.1 * needed_mm).turn_rad < 0.02
+    assert gripped(0.9 * needed_mm).turn_rad > 0.05
 
 
 @pytest.mark.parametrize("pressure", ["uniform", "hertz", "paraboloid"])
