@@ -50,8 +50,8 @@ class PhysicsSettings:
     """The physics engine; ``mujoco`` simulates the ``wsg50`` alone, and runs on every Python."""
     time_step_s: PositiveFloat = 1 / 480
     """The engine's time step."""
-    solver_iterations: PositiveInt = 50
-    """Least iterations of PyBullet's solver; large forces on light objects need more."""
+    solver_iterations: PositiveInt = 100
+    """Most iterations of PyBullet's solver; large forces on light objects may take more."""
     clearance_mm: NonNegativeFloat = 8.0
     """Gap between the nearer pad and the object before closing."""
     closing_speed_mm_s: PositiveFloat = 40.0
