@@ -133,9 +133,13 @@ def judge(case: Case, diagnosis: dict[str, Any]) -> dict[str, str]:
 
 
 def ratios(case: Case, diagnosis: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """error_after over floors, the Gaussian process and the error on later trials, by channel."""
+    """Errors over floors and over the Gaussian process, by channel.
+
+    That on later trials over the noise is given for channels that have an effect of the list.
+    """
     found = {}
-    for channel, noise in (("normal", case.floor_mm3), ("shear", case.floor_mm)):
+    channels = (("normal", case.floor_mm3, case.normal), ("shear", case.floor_mm, case.shear))
+    for channel, noise, effects in channels:
         if channel in diagnosis["channels"] and noise > 0:
             record = diagnosis["channels"][channel]
             after = record["error_after"]["rmse"]
@@ -146,6 +150,8 @@ def ratios(case: Case, diagnosis: dict[str, Any]) -> dict[str, dict[str, float]]
                 "after_over_gp": after / (record["gp_baseline"]["rmse"] or np.nan),
                 "later_over_after": diagnosis["later"][channel] / after,
             }
+            if effects:
+                found[channel]["later_over_true_noise"] = diagnosis["later"][channel] / noise
     return found
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.arrays import FloatArray
@@ -103,7 +103,7 @@ class Pooled:
         between = max(q - free, 0.0) / spare if free else 0.0
         weight = 1.0 / (1.0 / weight + between)
         scatter = math.sqrt(1.0 / weight.sum() + between)
-        p_value = float(chi2.sf(q, free)) if free else 1.0
+        p_value = float(chdtrc(free, q)) if free else 1.0
         return cls(float(np.average(value, weights=weight)), scatter, p_value)
 
 

@@ -139,4 +139,6 @@ def _predict(x: FloatArray, y: FloatArray, test: FloatArray) -> FloatArray:
             evidence = -np.log(fitted) * y.size / 2 - np.log(np.diag(factor[0])).sum()
             settings.append((evidence, width, weights))
     _, width, weights = max(settings, key=lambda setting: setting[0])
-    return np.asarray(np.exp(-0.5 * cdist(test, x, "sqeuclidean") / width) @ weights)
+    exponent = cdist(test, x, "sqeuclidean")
+    exponent *= -0.5 / width
+    return np.asarray(np.exp(exponent, out=exponent) @ weights)

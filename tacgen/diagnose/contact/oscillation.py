@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
-from scipy.stats import gumbel_r
 
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
@@ -100,4 +99,4 @@ def _gumbel_p(observed: float, null: FloatArray) -> float:
         return 1.0
     scale = max(float(null.std()) * np.sqrt(6.0) / np.pi, 1e-300)
     location = float(null.mean()) - np.euler_gamma * scale
-    return float(gumbel_r.sf(observed, location, scale))
+    return float(-np.expm1(-np.exp(min((location - observed) / scale, 700.0))))

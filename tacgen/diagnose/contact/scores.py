@@ -28,12 +28,18 @@ def unit_grams(
     Symmetrised; in the mean free of noise, and so not positive definite where a column is noise.
     Otherwise of products within the halves, on the same scale.
     """
-    a, b, unit = data.halves(columns)
-    bounds = np.searchsorted(unit, np.arange(data.n_units + 1))
-    if between_halves:
-        grams = np.stack([a[i:j].T @ b[i:j] for i, j in pairwise(bounds)])
-        return 0.5 * (grams + grams.transpose(0, 2, 1))
-    return 0.5 * np.stack([a[i:j].T @ a[i:j] + b[i:j].T @ b[i:j] for i, j in pairwise(bounds)])
+    size = columns.shape[1]
+    shaped = columns.reshape(-1, data.n_outputs, size)
+    bounds = np.searchsorted(data.pair_unit, np.arange(data.n_units + 1))
+    grams = np.empty((data.n_units, size, size))
+    for gram, (i, j) in zip(grams, pairwise(bounds), strict=True):
+        a, b = (shaped[rows[i:j]].reshape(-1, size) for rows in data.pairs)
+        if between_halves:
+            products = a.T @ b
+            gram[:] = 0.5 * (products + products.T)
+        else:
+            gram[:] = 0.5 * (a.T @ a + b.T @ b)
+    return grams
 
 
 def fit_grams(
