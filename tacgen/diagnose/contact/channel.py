@@ -71,14 +71,38 @@ class ChannelData:
         unit[self.pairs] = self.pair_unit
         return unit
 
+    @property
+    def unit_trial(self) -> NDArray[np.int64]:
+        """The trial of each unit (U,)."""
+        trial = np.zeros(self.n_units, dtype=np.int64)
+        trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
+        return trial
+
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
         count, n_trials = self.rules.n_folds, self.history.n_trials
         if n_trials < self.rules.min_trials_as_folds:
             return np.arange(self.n_units) % min(count, self.n_units)
-        unit_trial = np.zeros(self.n_units, dtype=np.int64)
-        unit_trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
-        return unit_trial % min(count, n_trials)
+        return self.unit_trial % min(count, n_trials)
+
+    def memory_units(self, reduced: FloatArray) -> int:
+        """Over how many units what is left (R,) goes on, as noise with a memory does; at least 1.
+
+        Twice its integrated autocorrelation time: so far apart, rows hardly correlate.
+        Source: Geyer 1992, Statistical Science 7: the sum ends where the correlation does.
+        """
+        rows = reduced.reshape(-1, self.n_outputs)
+        lengths = np.diff(self.history.starts)
+        within = self.history.trial_index
+        square, time = float((rows**2).sum()), 1.0
+        for lag in range(1, int(lengths.max())):
+            same = within[lag:] == within[:-lag]
+            correlation = float((rows[lag:] * rows[:-lag])[same].sum()) / max(square, 1e-300)
+            if correlation < 0.05:
+                break
+            time += 2.0 * correlation
+        rows_per_unit = self.history.n_samples / self.n_units
+        return max(1, round(2.0 * time / rows_per_unit))
 
     @property
     def span(self) -> float:

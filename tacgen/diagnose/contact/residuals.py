@@ -84,8 +84,8 @@ def dependences(
     ones = data.reduce(np.ones_like(data.target))[:, None]
     grams, groups, base = scores.fit_grams(data, fit, [*blocks.values(), ones])
     *groups, (constant,) = groups
-    shuffled = scores.shuffles(data.n_units, rules.n_shuffles, rng)
-    p_values = scores.shuffle_p_values(grams, base, groups, shuffled, constant, rules)
+    shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
+    p_values, _ = scores.shuffle_p_values(grams, base, groups, shuffled, constant, rules)
     p_values = np.minimum(p_values * len(groups), 1.0)
     sets = [base, *([*base, *group] for group in groups)]
     without, *losses = scores.cv_losses(grams, data.folds(), sets, rules).sum(axis=1)

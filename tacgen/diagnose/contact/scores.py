@@ -7,7 +7,7 @@ candidates and pairs cost milliseconds. The products are between the two halves 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -133,18 +133,29 @@ def _solve(gram: FloatArray, index: NDArray[np.int64], rules: SelectionRules) ->
 
 @dataclass(frozen=True)
 class Shuffles:
-    """Sign flips and permutations of the units, (F + 1, U) each; row 0 changes nothing."""
+    """Sign flips of the units (F + 1, U), permutations of the trials (F + 1, T); row 0 is neither.
+
+    ``trial`` (U,) is the trial of each unit.
+    """
 
     signs: FloatArray
     orders: NDArray[np.int64]
+    trial: NDArray[np.int64]
+
+    def of_blocks(self, n_units: int) -> "Shuffles":
+        """The same, but with one sign for so many neighbouring units of a trial."""
+        first = np.searchsorted(self.trial, self.trial)
+        block = first + (np.arange(self.trial.size) - first) // n_units * n_units
+        return replace(self, signs=self.signs[:, block])
 
 
-def shuffles(n_units: int, count: int, rng: np.random.Generator) -> Shuffles:
-    """``count`` random sign flips and permutations of ``n_units`` units."""
-    signs = rng.choice([-1.0, 1.0], size=(count + 1, n_units))
-    orders = rng.permuted(np.tile(np.arange(n_units), (count + 1, 1)), axis=1)
-    signs[0], orders[0] = 1.0, np.arange(n_units)
-    return Shuffles(signs, orders)
+def shuffles(trial: NDArray[np.int64], count: int, rng: np.random.Generator) -> Shuffles:
+    """``count`` random sign flips of units, of ascending trials (U,), and orders of trials."""
+    n_trials = int(trial[-1]) + 1
+    signs = rng.choice([-1.0, 1.0], size=(count + 1, trial.size))
+    orders = rng.permuted(np.tile(np.arange(n_trials), (count + 1, 1)), axis=1)
+    signs[0], orders[0] = 1.0, np.arange(n_trials)
+    return Shuffles(signs, orders, trial)
 
 
 def shuffle_p_values(
@@ -154,11 +165,13 @@ def shuffle_p_values(
     shuffled: Shuffles,
     ones: int,
     rules: SelectionRules,
-) -> FloatArray:
+) -> tuple[FloatArray, BoolArray]:
     """Return the p of the score of every group of columns by its own shuffles: (groups,).
 
+    And which groups are of trials: they have one value a trial, and trials were permuted.
+
     The score of a unit is the product of the group's columns, made orthogonal to the base, and the
-    residual. Two kinds of null are used. Where the columns are, within each unit, a constant times
+    residual. Two kinds of null are used. Where the columns are, within each trial, a constant times
     the response (or a constant), what counts is one number a trial, and those numbers are permuted.
     Otherwise each unit's score is given a random sign, which holds whatever the correlations within
     the unit. ``base[0]`` is the column of the compliance, ``ones`` that of a constant.
@@ -167,38 +180,48 @@ def shuffle_p_values(
     base = list(base)
     weights = coefficients(total, base, rules)
     left = grams[:, :, -1] - grams[:, :, base] @ weights
-    p_values = np.empty(len(groups))
+    bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
+    trial_grams, trial_left = (np.add.reduceat(sums, bounds, axis=0) for sums in (grams, left))
+    p_values, of_trials = np.empty(len(groups)), np.zeros(len(groups), dtype=bool)
     for number, group in enumerate(groups):
         columns = list(group)
         projection = np.linalg.lstsq(
             total[np.ix_(base, base)], total[np.ix_(base, columns)], rcond=1e-10
         )[0]
-        shape = _shape_within_units(grams, base[0], ones, columns, rules)
+        shape = _shape_within_trials(trial_grams, base[0], ones, columns, rules)
+        of_trials[number] = shape is not None
         if shape is None:
             scores = left[:, columns] - left[:, base] @ projection
             scores = scores / (np.sqrt((scores**2).sum(axis=0)) + 1e-300)
             covariance = scores.T @ scores
             sums = shuffled.signs @ scores
         else:
-            information = _information(grams, shape)
-            per_unit = left[:, shape] / np.sqrt(information)
-            per_unit = per_unit / (per_unit.std() + 1e-300)
-            across = grams[:, shape, columns] - grams[:, shape, base] @ projection
-            across = across / np.sqrt(information)[:, None]
+            information = _information(trial_grams, shape)
+            deviation = _deviation(trial_left[:, shape], information)
+            own = (information / deviation)[:, None]
+            across = trial_grams[:, shape, columns] - trial_grams[:, shape, base] @ projection
+            per_trial, across = (
+                _orthogonal(numbers / deviation[:, None], own)
+                for numbers in (trial_left[:, [shape]], across)
+            )
+            per_trial = per_trial[:, 0] / (per_trial.std() + 1e-300)
             covariance = across.T @ across
-            sums = per_unit[shuffled.orders] @ across
+            sums = per_trial[shuffled.orders] @ across
         size = np.sqrt(np.diag(covariance)) + 1e-150
         scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
         sums = sums / size
         quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
-        p_values[number] = _shuffle_p_value(np.maximum(quadratic, 0.0), len(columns), rules)
-    return p_values
+        permuted = bool(of_trials[number])
+        p_values[number] = _shuffle_p_value(
+            np.maximum(quadratic, 0.0), len(columns), rules, permuted=permuted
+        )
+    return p_values, of_trials
 
 
-def _shape_within_units(
+def _shape_within_trials(
     grams: FloatArray, compliance: int, ones: int, columns: Sequence[int], rules: SelectionRules
 ) -> int | None:
-    """The column that all of ``columns`` are proportional to within each unit, if any is."""
+    """The column that all of ``columns`` are proportional to within each trial, if any is."""
     own = grams[:, columns, columns].sum()
     for shape in (compliance, ones):
         information = _information(grams, shape)
@@ -208,25 +231,50 @@ def _shape_within_units(
     return None
 
 
+def _deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
+    """Standard deviation (T,) of trials' scores: noise of the samples, and trials that differ.
+
+    The first adds a variance in proportion to the information, the second to its square. What is
+    divided by it can be permuted, though trials with more load or samples say more. The second's
+    share is the likeliest for normal scores; the scale is left out.
+    """
+    shares = np.array([0.0, *np.logspace(-2, 3, 11)])[:, None]
+    variance = information * (1.0 + shares * information / information.mean())
+    scale = (scores**2 / variance).mean(axis=1)
+    likelihood = -scores.size * np.log(scale + 1e-290) - np.log(variance).sum(axis=1)
+    return np.asarray(np.sqrt(variance[np.argmax(likelihood)]))
+
+
+def _orthogonal(columns: FloatArray, to: FloatArray) -> FloatArray:
+    """``columns`` (T, M) less their share along ``to`` (T, 1); 0 where nothing else is in one."""
+    across = columns - to @ (to.T @ columns) / (to.T @ to)
+    is_more = np.linalg.norm(across, axis=0) > 1e-6 * np.linalg.norm(columns, axis=0)
+    return np.asarray(across * is_more)
+
+
 def _information(grams: FloatArray, shape: int) -> FloatArray:
-    """Sum of squares of a column in each unit, with a floor for units that hardly have any."""
+    """Sum of squares of a column in each trial, with a floor for those that hardly have any."""
     own = grams[:, shape, shape]
     return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
 
 
-def _shuffle_p_value(quadratic: FloatArray, size: int, rules: SelectionRules) -> float:
+def _shuffle_p_value(
+    quadratic: FloatArray, size: int, rules: SelectionRules, *, permuted: bool
+) -> float:
     """Return the p of the first of the ``quadratic`` forms (F + 1,) of ``size`` scores.
 
     Beyond the largest twentieth of the shuffles an exponential tail, fitted to that twentieth,
-    goes on where ranks end: −log p of a χ² law is a scale where that is the tail.
+    goes on where ranks end: −log p of a χ² law is a scale where that is the tail. Of ``permuted``
+    trials, which have many orders, it goes on only from what no shuffle reaches.
     """
     null = quadratic[1:]
     top = max(5, int(rules.shuffle_tail_share * null.size))
     highest = np.sort(np.partition(null, -top - 1)[-top - 1 :])
     by_chi2 = gammaincc(0.5 * size, 0.5 * np.append(highest, quadratic[0]))
     threshold, *tail, observed = -np.log(np.maximum(by_chi2, 1e-300))
-    by_rank = (1.0 + (null >= quadratic[0]).sum()) / (1.0 + null.size)
-    if observed <= threshold:
+    reached = int((null >= quadratic[0] * (1.0 - 1e-9)).sum())
+    by_rank = (1.0 + reached) / (1.0 + null.size)
+    if observed <= threshold or (permuted and reached):
         return float(by_rank)
     excess = float(np.mean(tail)) - threshold + 1e-12
     return float(min(by_rank, top / null.size * np.exp(-(observed - threshold) / excess)))

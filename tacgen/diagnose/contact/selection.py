@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from tacgen.contact.effects import Effect, Variant, all_effects
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
@@ -113,7 +113,7 @@ class CandidateSets:
         self._session_clock = session_clock
         self._oscillations: list[Covariate] = []
         self._folds = data.folds()
-        self._shuffled = scores.shuffles(data.n_units, rules.n_shuffles, rng)
+        self._shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
 
     def fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
@@ -234,27 +234,45 @@ class CandidateSets:
     ) -> tuple[FloatArray, list[list[int]], list[int]]:
         return scores.fit_grams(self.data, fit, [candidate.columns for candidate in candidates])
 
-    def p_values(self, current: FittedSet, candidates: Sequence[Candidate]) -> FloatArray:
-        """Return the p of each candidate, corrected for the number of names looked at."""
+    def p_values(
+        self,
+        current: FittedSet,
+        candidates: Sequence[Candidate],
+        shuffled: scores.Shuffles | None = None,
+    ) -> tuple[FloatArray, BoolArray]:
+        """The p of each candidate, corrected for the number of names, and which are of trials.
+
+        Of trials are those with one value a trial, whose test permutes trials. Only these are
+        corrected where trials are few.
+        """
         ones = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
         grams, groups, base = self._grams(current.fit, [*candidates, ones])
-        by_shuffle = scores.shuffle_p_values(
-            grams, base, groups[:-1], self._shuffled, groups[-1][0], self.rules
+        by_shuffle, of_trials = scores.shuffle_p_values(
+            grams, base, groups[:-1], shuffled or self._shuffled, groups[-1][0], self.rules
         )
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
-        n_names = 1 if self.data.few_trials else len({c.name for c in candidates})
-        return np.asarray(np.minimum(np.maximum(by_shuffle, search) * n_names, 1.0))
+        n_names = len({c.name for c in candidates})
+        looked_at = np.where(of_trials | (not self.data.few_trials), n_names, 1)
+        return np.minimum(np.maximum(by_shuffle, search) * looked_at, 1.0), of_trials
 
-    def p_value(self, full: FittedSet, member: Candidate) -> float:
-        """Return the p of the member's columns beside the others, not corrected for a choice."""
-        rest = self.without(full, member)
+    def p_value(self, full: FittedSet, member: Candidate) -> tuple[float, bool]:
+        """The p of the member's columns beside the others, for no choice, and if it is of trials.
+
+        Parts of trials count as one for as long as what the whole set leaves goes on.
+        """
+        rest, shuffled = self.without(full, member), self._shuffled
+        if self.data.few_trials:
+            shuffled = shuffled.of_blocks(self.data.memory_units(full.fit.residual))
         if member.covariate is not None:
             fresh = cand.covariate_candidates(self.data, rest.fit, [member.covariate])
         else:
             effects = [member.effect] if member.effect is not None else []
             same = cand.effect_candidates(self.data, rest.fit.model, effects)
             fresh = [one for one in same if one.label == member.label]
-        return float(self.p_values(rest, fresh)[0]) if fresh else 1.0
+        if not fresh:
+            return 1.0, False
+        (p_value,), (of_trials,) = self.p_values(rest, fresh, shuffled)
+        return float(p_value), bool(of_trials)
 
     def total(self, fitted: FittedSet) -> float:
         """Held-out sum of squares, the noise included."""
@@ -278,18 +296,23 @@ class CandidateSets:
         return gain > self._min_gain * self.total(larger)
 
     def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
-        """Whether ``gain`` over ``without`` is so large that a weak p is enough."""
+        """Whether ``gain`` over ``without`` is so large that a weak p of sign flips is enough."""
         rules = self.rules
         least = max(rules.clear_share * without.loss, rules.clear_gain * self.total(without))
         return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
 
-    def is_needed(self, full: FittedSet, member: Candidate) -> bool:
-        """Whether held-out trials, shuffles and the other members' worth call for ``member``."""
+    def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
+        """Whether held-out trials, shuffles and the other members' worth call for ``member``.
+
+        ``n_names`` is how many names it was chosen from.
+        """
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
             return False
-        worth, p_value = rest.loss - full.loss, self.p_value(full, member)
-        if p_value > self.alpha and not self.is_clear(rest, worth, p_value):
+        worth, (p_value, of_trials) = rest.loss - full.loss, self.p_value(full, member)
+        if of_trials or not self.data.few_trials:
+            p_value *= n_names
+        if p_value > self.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
         return worth >= self.rules.least_share_of_rival * most
@@ -315,9 +338,9 @@ class Selection:
         visited = {base.names}
         while len(current.members) < self._max_members:
             pool = self.sets.pool(current, new_oscillations=True)
-            p_values = self.sets.p_values(current, [candidate for candidate, _ in pool])
+            p_values, of_trials = self.sets.p_values(current, [candidate for candidate, _ in pool])
             ranking = ranking or self._ranking(current, pool, p_values)
-            extended = self._extended(current, pool, p_values)
+            extended = self._extended(current, pool, p_values, of_trials)
             if extended is None:
                 break
             current = self._pruned(self._swapped(extended))
@@ -327,14 +350,16 @@ class Selection:
         named = self._pruned(current)
         return Attribution(base, named, self._refined(named), self._described(named), ranking)
 
-    def _extended(self, current: FittedSet, pool: Pool, p_values: FloatArray) -> FittedSet | None:
+    def _extended(
+        self, current: FittedSet, pool: Pool, p_values: FloatArray, of_trials: BoolArray
+    ) -> FittedSet | None:
         """The best set with one or two members more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
         n_names = len({candidate.name for candidate, _ in pool})
         significant = [
             (candidate, gain)
-            for (candidate, gain), p in zip(pool, p_values, strict=True)
-            if p <= sets.alpha or sets.is_clear(current, gain, p / n_names)
+            for (candidate, gain), p, whole in zip(pool, p_values, of_trials, strict=True)
+            if p <= sets.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
         ]
         best = _best_of_each(significant, rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
@@ -346,7 +371,7 @@ class Selection:
         for pair in sorted(pairs, key=sets.score):
             added = pair.members[len(current.members) :]
             if sets.is_worth(best_single or current, pair) and all(
-                sets.is_needed(pair, member) for member in added
+                sets.is_needed(pair, member, n_names) for member in added
             ):
                 return pair
         return best_single
@@ -417,7 +442,7 @@ class Selection:
             chosen = Chosen(
                 member,
                 gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
-                p_value=sets.p_value(final, member),
+                p_value=sets.p_value(final, member)[0],
                 confusable=tuple(dict.fromkeys(close)),
             )
             if rivals:

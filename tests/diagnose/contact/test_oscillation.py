@@ -28,7 +28,7 @@ def log(period_s, amplitude, n_trials=30, n_samples=50, seed=0):
 
 def best_wave(columns):
     data = ChannelSamples(columns, "normal").thinned()
-    flips = shuffles(data.n_units, 40, np.random.default_rng(1)).signs[1:]
+    flips = shuffles(data.unit_trial, 40, np.random.default_rng(1)).signs[1:]
     waves = find_oscillations(data, fit_model(data, Model(K_N)), flips)
     return min(waves, key=lambda wave: wave.p_search) if waves else None
 

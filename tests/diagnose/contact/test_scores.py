@@ -61,15 +61,56 @@ def test_the_noise_floor_is_that_of_volume_and_force_together():
 @pytest.mark.slow
 def test_shuffles_keep_their_level_and_see_a_bend():
     rng = np.random.default_rng(3)
-    shuffled = scores.shuffles(N_TRIALS, 499, rng)
+    shuffled = scores.shuffles(np.arange(N_TRIALS), 499, rng)
 
     def p_value(bend):
         _, grams, _ = grams_of(log(rng, bend=bend))
-        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, 2, RULES)[0]
+        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, 2, RULES)[0][0]
 
     null = np.array([p_value(0.0) for _ in range(150)])
     assert 0.0 <= np.mean(null < 0.1) < 0.2
     assert p_value(0.05) < 1e-4
+
+
+def test_permutations_keep_their_level_where_trials_differ():
+    """Each trial has its own gain; those with more load say more about it, and differ as much."""
+    rng = np.random.default_rng(11)
+    n_trials, n_logs = 24, 400
+    shuffled = scores.shuffles(np.arange(n_trials), 199, rng)
+    p_values = []
+    for _ in range(n_logs):
+        load = rng.uniform(0.5, 9.0, n_trials)  # of a trial, as the root of its information
+        condition = rng.normal(size=n_trials)
+        left = 0.05 * rng.normal(size=n_trials) * load + 0.01 * rng.normal(size=n_trials)
+        columns = np.stack([load, condition * load, np.ones(n_trials), left], axis=1)
+        grams = columns[:, :, None] * columns[:, None, :]
+        p_values.append(scores.shuffle_p_values(grams, [0], [[1]], shuffled, 2, RULES)[0][0])
+    # Two standard deviations of 400 draws at 0.1 are 0.03.
+    assert np.mean(np.array(p_values) < 0.1) == pytest.approx(0.1, abs=0.03)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.6, 0.95])
+def test_parts_of_a_trial_count_as_one_for_as_long_as_noise_goes_on(memory):
+    """The integrated autocorrelation time of an AR(1) process is (1 + ρ) / (1 − ρ)."""
+    rng = np.random.default_rng(12)
+    columns = log(rng)
+    columns["trial"] = np.repeat(np.arange(4), N_TRIALS * N_SAMPLES // 4)
+    data = ChannelSamples(columns, "normal").thinned(400)
+    noise = np.zeros(data.history.n_samples)
+    for i in range(1, noise.size):
+        noise[i] = memory * noise[i - 1] + rng.standard_normal()
+    rows = 2 * (1 + memory) / (1 - memory)
+    rows_per_unit = data.history.n_samples / data.n_units
+    # 1 600 rows hold 40 of the longest memory: its estimate is good to a third.
+    expected = max(1, rows / rows_per_unit)
+    assert data.memory_units(noise) == pytest.approx(expected, rel=0.35, abs=0.5)
+
+
+def test_blocks_of_units_share_a_sign_within_their_trial():
+    trial = np.repeat([0, 1], [5, 3])
+    blocks = scores.shuffles(trial, 50, np.random.default_rng(1)).of_blocks(2).signs
+    for one, other, is_same in ((0, 1, True), (2, 3, True), (1, 2, False), (4, 5, False)):
+        assert np.array_equal(blocks[:, one], blocks[:, other]) == is_same
 
 
 def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
