@@ -14,7 +14,7 @@ from tests.small_world import write_world
 
 from .conftest import digests
 
-CORES = ("Prescott", "Sandybridge", "Haswell", "Zen", "SkylakeX")
+CORES = ("Prescott", "Sandybridge", "Haswell", "SkylakeX")  # Zen has the kernels of Haswell
 VARIANTS = {f"OpenBLAS for {name}": {"OPENBLAS_CORETYPE": name} for name in CORES} | {
     "C library without FMA": {
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable,-FMA4"
