@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from tacgen.contact.effects import find_effect
+from tacgen.contact.effects import LoadHistory, find_effect
+from tacgen.contact.effects.history import REQUIRED
 from tacgen.contact.effects.hysteresis import PLAY_WIDTHS
-from tacgen.contact.law import respond
+from tacgen.contact.law import ContactLaw, FittedEffect, load_law, respond, save_law
+from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.channel import ChannelSamples
-from tacgen.diagnose.contact.model import Model, fit_model, references_of, start_term
+from tacgen.diagnose.contact.model import Model, fit_model, start_term
+from tacgen.diagnose.contact.result import shown_parameters
 from tacgen.diagnose.contact.rules import DEFAULT_RULES as RULES
 from tacgen.diagnose.contact.selection import Selection
 
@@ -102,12 +105,10 @@ def test_a_curve_recovers_a_shape_that_no_power_has():
         return 0.2 * np.tanh(share / 0.3) - 0.1 * share**2
 
     columns = presses(lambda f, *_: f * (1 + bend(f / 9.0)), 0.02, 4, peaks_n=(8.5, 9.0))
-    data, fit = free_fit(columns, "stiffening")
+    _, fit = free_fit(columns, "stiffening")
     force = np.linspace(0.5, 8.5, 9)
     response = respond(
-        type(data.history)(
-            {"trial": np.zeros(9), "time_s": np.arange(9.0), "force_normal_n": force}
-        ),
+        LoadHistory({"trial": np.zeros(9), "time_s": np.arange(9.0), "force_normal_n": force}),
         "normal",
         fit.model.compliance,
         [(term.effect, term.values) for term in fit.model.terms],
@@ -157,8 +158,22 @@ def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
         np.testing.assert_allclose(losses[data.folds() == fold], slow, rtol=1e-4, atol=1e-6)
 
 
-def test_references_of_the_free_forms_stand_in_the_law():
-    """A law file says where the knots are: the simulation has another log's span and sampling."""
-    data = ChannelSamples(presses(lambda f, *_: f, 0.1, 8), "normal").thinned()
-    assert {"shortest_s", "longest_s"} <= set(references_of(find_effect("normal", "creep"), data))
-    assert "span_n" in references_of(find_effect("normal", "hysteresis"), data)
+@pytest.mark.parametrize("name", ["hysteresis", "creep", "stiffening"])
+def test_a_law_file_holds_the_whole_free_form(name, tmp_path):
+    """Spans and times that place its functions too: a grasp has others than the log."""
+    weights = [0.2, 0.0, 0.1]
+    columns = presses(prandtl_ishlinskii(weights, [0.3, 1.0, 4.0]), 0.05, 8)
+    _, fit = free_fit(columns, name)
+    (term,) = fit.model.terms
+    parameters = {key: Estimate(value) for key, value in shown_parameters(term).items()}
+    effects = (FittedEffect(name, "normal", parameters),)
+    law = ContactLaw("volume_linear", Estimate(fit.model.compliance), effects=effects)
+    save_law(law, tmp_path / "contact.yaml")
+    grasp = {key: columns[key][: 2 * N_SAMPLES] for key in REQUIRED}
+    grasp["force_normal_n"] = 0.4 * grasp["force_normal_n"]
+    volume, _ = load_law(tmp_path / "contact.yaml").predict(grasp, simulate=True)
+    terms = [(term.effect, term.values)]
+    expected = respond(LoadHistory(grasp), "normal", fit.model.compliance, terms)[:, 0]
+    np.testing.assert_allclose(volume, np.maximum(expected, 0.0), rtol=1e-12, atol=1e-12)
+    linear = fit.model.compliance * grasp["force_normal_n"]
+    assert np.abs(volume - linear).max() > 0.01 * linear.max()
