@@ -196,7 +196,7 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
 class Outcome:
     """How one simulated grasp ended, and how far it was from ending otherwise.
 
-    Two ratios are those of ``records.SlipMargin``; ``turn_ratio`` is how far the lifted object
+    Three ratios are those of ``records.SlipMargin``; ``turn_ratio`` is how far the lifted object
     turned over the largest turn of a success. All numbers are NaN, and the label is −1, where the
     grasp was not executed.
     """
@@ -207,6 +207,7 @@ class Outcome:
     torsion_ratio: float = NAN
     rise_mm: float = NAN
     turn_ratio: float = NAN
+    whole_torsion_ratio: float = NAN
     status: str = "executed"
 
     @classmethod
@@ -217,7 +218,8 @@ class Outcome:
             return cls(trace.label, trace.failure_mode, status=trace.status)
         ratios = margin.friction_ratio, margin.torsion_ratio
         turn_ratio = trace.turn_rad / settings.success_turn_rad
-        return cls(trace.label, trace.failure_mode, *ratios, trace.rise_mm, turn_ratio)
+        whole = margin.whole_torsion_ratio
+        return cls(trace.label, trace.failure_mode, *ratios, trace.rise_mm, turn_ratio, whole)
 
 
 Place = tuple[str, float, float, float, float, float]

@@ -156,7 +156,8 @@ class SlipMargin:
     limit − moment of gravity about the pads' axis) / (weight × 1 mm). ``first_slip_time_s`` is
     NaN and ``first_slip_direction`` (2,), in the gel's x and y, is 0 where nothing slips.
     ``friction_ratio`` and ``torsion_ratio`` are the same limits over what is asked of them:
-    above 1 holds. They are NaN where only the differences were kept.
+    above 1 holds; ``whole_torsion_ratio`` is what the latter would be without tangential load.
+    They are NaN where only the differences were kept.
     """
 
     translational: float
@@ -165,6 +166,7 @@ class SlipMargin:
     first_slip_direction: NDArray[np.float64]
     friction_ratio: float = float("nan")
     torsion_ratio: float = float("nan")
+    whole_torsion_ratio: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,13 +22,15 @@ the limits change most; the last leaves 2 % of the friction for a moment."""
 class Capacity:
     """What the pads can hold and what the lifted object asks of them.
 
-    ``torsion_limit_n_mm`` already allows for the friction that the weight takes up;
-    ``spinning_mm`` is what each pad's has to add to its contact points' friction, for each newton.
+    ``torsion_limit_n_mm`` already allows for the friction that the weight takes up,
+    ``whole_torsion_n_mm`` does not; ``spinning_mm`` is what each pad's has to add to its contact
+    points' friction, for each newton.
     """
 
     friction_limit_n: float
     tangential_load_n: float
     torsion_limit_n_mm: float
+    whole_torsion_n_mm: float
     moment_n_mm: float
     spinning_mm: tuple[float, ...]
 
@@ -103,7 +105,7 @@ def grasp_capacity(
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2
     forces = np.concatenate([pad.normal_force_n for pad in pads])
     if forces.sum() <= 0:
-        return Capacity(0.0, weight_n, 0.0, 0.0, (0.0,) * len(pads))
+        return Capacity(0.0, weight_n, 0.0, 0.0, 0.0, (0.0,) * len(pads))
     points = np.concatenate([pad.point_m for pad in pads])
     pushes = forces[:, None] * np.concatenate([pad.normal for pad in pads])
     total_n = float(forces.sum())
@@ -116,7 +118,7 @@ def grasp_capacity(
     center = (forces @ points) / total_n
     moment = np.cross(center_of_mass_m - center, -weight_n * up)
     moment += np.cross(points - center, pushes).sum(axis=0)
-    torsion_n_mm, spinning_mm = 0.0, []
+    torsion_n_mm, whole_n_mm, spinning_mm = 0.0, 0.0, []
     for pad, limit in zip(pads, torsion, strict=True):
         normal_n = float(pad.normal_force_n.sum())
         if normal_n <= 0:
@@ -128,10 +130,12 @@ def grasp_capacity(
         of_points_mm = friction * arm_mm * torsion_factor(share)
         spinning_mm.append(max(0.0, limit(share) - of_points_mm))
         torsion_n_mm += normal_n * (of_points_mm + spinning_mm[-1])
+        whole_n_mm += normal_n * max(limit(0.0), friction * arm_mm)
     return Capacity(
         friction_limit_n=friction_limit_n,
         tangential_load_n=tangential_load_n,
         torsion_limit_n_mm=torsion_n_mm,
+        whole_torsion_n_mm=whole_n_mm,
         moment_n_mm=abs(float(moment @ closing_axis)) * MM_PER_M,
         spinning_mm=tuple(spinning_mm),
     )
@@ -149,6 +153,7 @@ def slip_margin(
         first_slip_direction=frozen_array(first_slip_direction),
         friction_ratio=_ratio(capacity.friction_limit_n, capacity.tangential_load_n),
         torsion_ratio=_ratio(capacity.torsion_limit_n_mm, capacity.moment_n_mm),
+        whole_torsion_ratio=_ratio(capacity.whole_torsion_n_mm, capacity.moment_n_mm),
     )
 
 

@@ -108,6 +108,8 @@ class TestMargins:
         share = weight_n / 10.0
         assert capacity.torsion_limit_n_mm == pytest.approx(40.0 * np.sqrt(1 - share**2))
         margin = slip_margin(capacity, 0.3, float("nan"), np.zeros(2))
+        # Without the weight's share of the friction the pads hold 2 mm for each newton.
+        assert margin.whole_torsion_ratio == pytest.approx(40.0 / (weight_n * 12.0))
         assert margin.translational == pytest.approx((10 - weight_n) / weight_n)
 
     def test_slanted_faces_carry_weight_or_add_to_it(self) -> None:

@@ -1,43 +1,69 @@
-"""What the trust study counts, against closed forms; the study itself takes an hour."""
-
-from dataclasses import replace
+"""What the trust study counts; the study itself takes hours."""
 
 import numpy as np
 import pytest
 
-from tacgen.collection.perturbed import Perturbation
-from validation.grasps.trust import Trial, as_force, least_fresh_wrong, summary_of
+from tacgen.diagnose.grasps.hypotheses import candidates_for
+from tacgen.diagnose.grasps.model_comparison import Cause, Explanation, Posterior, interpolated
+from validation.grasps.trust import CASES, Trial, judged, summary_of, wrong_values
 
-TRIAL = Trial("box", "mass", 0.05, 40, 5, ("mass",), (1.4,), ("grip_force",), 0.2, 0.05, 0.05, 0.02)
-
-
-@pytest.mark.parametrize("count", [20, 40])
-def test_the_least_error_is_half_a_grasp_of_all_and_one_more(count):
-    """A fresh grasp lies beside the truth in 2 of count + 1 orders, and on the wrong side in 1/4.
-
-    Its deviation over draws is about its mean, so 4000 draws give it to 5 % at three deviations.
-    """
-    found = least_fresh_wrong(count, 0.0, np.random.default_rng(0))
-    assert found == pytest.approx(1 / (2 * (count + 1)), rel=0.05)
+CANDIDATES = {one.parameter.key: one for one in candidates_for(("cup",))}
 
 
-@pytest.mark.slow
-def test_flipped_labels_cost_more_and_more_grasps_less():
-    few, many = (least_fresh_wrong(n, 0.05, np.random.default_rng(0)) for n in (40, 100))
-    assert 1 / 82 < few < 2 / 82
-    assert many < few
+def cause(key, coordinate, deviation=0.03):
+    nodes = np.array(CANDIDATES[key].parameter.nodes)
+    table = np.zeros((len(nodes), 1))
+    model = interpolated(CANDIDATES[key], nodes, table, table + 0.5)
+    return Cause(model, coordinate, deviation)
 
 
-def test_fresh_mislabels_count_flips_once():
-    assert replace(TRIAL, fresh_wrong=0.0).rate_fresh == pytest.approx(0.05)
-    assert replace(TRIAL, fresh_wrong=1.0).rate_fresh == pytest.approx(0.95)
-    assert TRIAL.rate_fresh == pytest.approx(0.02 * 0.95 + 0.98 * 0.05)
+def on_a_ridge(p_value=0.002):
+    """A force of 0.56, of which a mass may be a part: what data tell is to 0.03, of log F/m."""
+    data = np.array([[1.0, -1.0], [-1.0, 1.0]]) / 0.03**2
+    covariance = np.linalg.inv(data + np.diag([1 / 0.2**2, 1 / 0.4**2]))
+    force = np.log(0.56)
+    both = (cause("force_scale", 0.3 * force, 0.18), cause("mass_factor", -0.7 * force, 0.18))
+    return Posterior(
+        (
+            Explanation((cause("force_scale", force),), 20.0, 20.0, np.diag([0.03**2])),
+            Explanation(both, 17.0, 20.0, covariance),
+        ),
+        p_value,
+        2.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("truth", "expected"),
+    [
+        ({"grip_force": 0.56}, "right"),
+        ({"mass": 1 / 0.56}, "confounded"),
+        ({"grip_force": 0.8, "mass": 0.8 / 0.56}, "confounded"),
+        # The product is said to be another.
+        ({"grip_force": 0.8, "mass": 1.1}, "false"),
+        ({"grip_force": 0.56, "center_of_mass": 18.0}, "missed"),
+        ({"center_of_mass": 18.0}, "false"),
+        ({}, "false"),
+    ],
+)
+def test_a_product_must_hold_all_causes_and_be_the_true_one(truth, expected):
+    assert judged(on_a_ridge(), truth, ("cup",)) == expected
+
+
+def test_nothing_named_is_right_where_nothing_is_wrong():
+    assert judged(on_a_ridge(p_value=0.5), {}, ("cup",)) == "right"
+    assert judged(on_a_ridge(p_value=0.5), {"mass": 1.4}, ("cup",)) == "missed"
+
+
+def test_every_pair_is_a_case_and_half_of_the_values_are_the_other_way_round():
+    assert sum(len(one) == 2 for one in CASES) == 10
+    forces = {wrong_values(seed)["grip_force"] for seed in range(10)}
+    assert forces == {0.8, 1.25}
 
 
 def test_trials_that_change_too_few_labels_are_counted_apart():
-    text = summary_of([TRIAL, replace(TRIAL, n_changed=1, named=())])
-    assert "| mass | 5 % | 2 | 1 | 1 of 1 | 1 of 1 |" in text
-
-
-def test_a_mass_is_a_force_upside_down():
-    assert as_force(Perturbation(mass_factor=1.25)) == Perturbation(force_scale=0.8)
+    trial = Trial(
+        "cup", ("mass",), 0.05, True, ("mass",), (1.4,), (("friction",),), "right", 0.2, 0.05
+    )
+    few = Trial("cup", ("mass",), 0.05, False, (), (), (), "missed", 0.02, 0.02)
+    assert "| 1 | 5 % | 2 | 1 | 1 | 0 | 0 | 0 | 2.0 | 20.0 → 5.0 % |" in summary_of([trial, few])

@@ -1,15 +1,17 @@
 """How far ``tacgen diagnose grasps`` can be trusted: simulations perturbed on purpose.
 
-Real grasps are simulated with one wrong figure, and the diagnosis, which knows only the declared
-simulation and the labels, has to name it. Then fresh grasps, which it never saw, are simulated with
-the true perturbation and with the one that was found.
+Real grasps are simulated with none, one or two wrong figures, and the diagnosis, which knows only
+the declared simulation and the labels, has to name them, or to say which of them it cannot tell
+apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,90 +19,70 @@ from tacgen.collection.perturbed import Perturbation, place_of
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import BoolArray
 from tacgen.core.records import GraspConfig
-from tacgen.diagnose.grasps.command import choose_confirmed, refine
+from tacgen.diagnose.grasps.command import refine
 from tacgen.diagnose.grasps.model_comparison import (
     FAILED,
     NO_READING,
     SUCCESS,
+    Cause,
     Labels,
-    choose,
-    confusable,
+    Posterior,
+    posterior,
 )
-from tacgen.diagnose.grasps.perturbed_simulations import (
-    DECLARED,
-    PerturbedSimulations,
-    combined_perturbation,
-)
+from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations
 from tacgen.diagnose.grasps.result import diagnose_labels
-from tacgen.diagnose.grasps.slip_margin import is_sure, margins_of
 from tacgen.objects import load_object
 
-FRESH_SEED = 1000
-SETS: tuple[tuple[tuple[str, ...], int, int], ...] = (
-    (("wood_block",), 40, 1),
-    (("potted_meat_can",), 40, 1),
-    (("scissors",), 40, 1),
-    (("tomato_soup_can",), 40, 1),
-    (("cup",), 40, 1),
-    (("wood_block", "potted_meat_can"), 40, 1),
-    (("rubiks_cube",), 40, 1),
-    (("sugar_box",), 24, 2),
+SETS: tuple[tuple[tuple[str, ...], int], ...] = (
+    (("sugar_box",), 31),
+    (("tomato_soup_can",), 32),
+    (("rubiks_cube",), 34),
+    (("sugar_box", "mustard_bottle"), 36),
+    (("mustard_bottle",), 33),
+    (("flat_screwdriver",), 35),
 )
-"""Objects, number of grasps and seed of each set of configurations."""
-PERTURBATIONS: dict[str, Perturbation] = {
-    "none": DECLARED,
-    "center_of_mass +y": Perturbation(center_of_mass_y_mm=20.0),
-    "center_of_mass -y": Perturbation(center_of_mass_y_mm=-20.0),
-    "grip_force": Perturbation(force_scale=0.8),
-    "mass": Perturbation(mass_factor=1.4),
+"""Objects and seed of each set of configurations; what is an object's is wrong in the first."""
+N_GRASPS = 60
+WRONG: dict[str, tuple[str, float]] = {
+    "grip_force": ("force_scale", 0.8),
+    "mass": ("mass_factor", 1.4),
+    "friction": ("friction_factor", 0.7),
+    "center_of_mass": ("center_of_mass_y_mm", 18.0),
+    "spinning_friction": ("spinning_friction_factor", 1.6),
 }
+"""What may be wrong and how far; half of them the other way round, drawn with a set's seed."""
+CASES: tuple[tuple[str, ...], ...] = tuple(
+    names for size in range(3) for names in combinations(WRONG, size)
+)
 FLIPS = (0.0, 0.05)
-N_FRESH, N_DRAWS = 100, 4000
 LEAST_CHANGED = 2
-"""Nothing can name a perturbation that changes fewer labels."""
+"""Nothing can name a cause that changes fewer labels, or tell it from the others."""
+PHYSICS = {"lift_mm": 40.0, "success_rise_mm": 30.0, "time_step_s": 1 / 240, "hold_s": 0.1}
+"""A shorter lift in longer steps: 0.4 of the time."""
+DEVIATIONS = 3.0
+"""A product that was reported for several causes must be the true one to so many."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One diagnosis: what was wrong, and what was named.
+    """One diagnosis: the causes, what was named, and with what each was said to be confounded.
 
-    ``rate_after`` is the diagnosis's own figure, ``rate_of_truth`` the share of flipped labels,
-    and ``fresh_wrong`` the share of fresh grasps whose labels differ between the true perturbation
-    and the one that was found.
+    ``result`` is ``right``, ``confounded`` (all causes are named or said to be confounded with
+    what is named, nothing else is named, and the product of the confounded ones is the true one),
+    ``missed`` (a cause is not mentioned) or ``false`` (something named has no part in the truth).
+    ``telling`` says whether every cause changes labels enough.
     """
 
     objects: str
-    change: str
+    causes: tuple[str, ...]
     flips: float
-    n_grasps: int
-    n_changed: int
+    telling: bool
     named: tuple[str, ...]
     values: tuple[float, ...]
-    confusable: tuple[str, ...]
+    confounded: tuple[tuple[str, ...], ...]
+    result: str
     rate_before: float
     rate_after: float
-    rate_of_truth: float
-    fresh_wrong: float
-
-    @property
-    def rate_fresh(self) -> float:
-        """Expected mislabel rate of fresh grasps whose real labels are flipped as often."""
-        return self.fresh_wrong + self.flips * (1 - 2 * self.fresh_wrong)
-
-    @property
-    def expected(self) -> str:
-        """The name that is right; empty where nothing is wrong."""
-        return "" if self.change == "none" else self.change.split()[0]
-
-    @property
-    def right(self) -> bool:
-        """Whether the right name came first, or nothing was named where nothing is wrong."""
-        return self.named[:1] == ((self.expected,) if self.expected else ())
-
-    @property
-    def listed(self) -> bool:
-        """Whether the right name is the first or reported as equally good."""
-        return self.right or self.expected in self.confusable
 
 
 def planned_grasps(objects: Sequence[str], count: int, seed: int) -> tuple[GraspConfig, ...]:
@@ -117,129 +99,139 @@ def planned_grasps(objects: Sequence[str], count: int, seed: int) -> tuple[Grasp
     return tuple(configs)
 
 
-def run_set(
-    objects: Sequence[str], count: int, seed: int, out: Path, workers: int, *, quick: bool
-) -> Iterator[Trial]:
-    """Every perturbation on one set of configurations; simulations in ``out`` are kept.
-
-    ``quick`` stops at the first name and does not simulate about its value.
-    """
-    recipe = Recipe.model_validate({"name": "trust", "objects": list(objects)})
-    configs = planned_grasps(objects, count, seed)
-    folder = out / f"{'-'.join(objects)}_{count}_{seed}"
-    simulations = PerturbedSimulations(recipe, configs, folder, workers)
-    fresh_configs = planned_grasps(objects, N_FRESH, seed + FRESH_SEED)
-    fresh = PerturbedSimulations(recipe, fresh_configs, folder / "fresh", workers)
-    comparison = simulations.comparison()
-    for name, change in PERTURBATIONS.items():
-        simulations.simulate([(config, change) for config in configs])
-        truth = np.array([outcome.label == 1 for outcome in simulations.outcomes(change)])
-        declared = np.array([outcome.label == 1 for outcome in simulations.outcomes(DECLARED)])
-        for number, flips in enumerate(FLIPS):
-            rng = np.random.default_rng([seed, number])
-            success = truth.copy()
-            success[rng.choice(count, round(flips * count), replace=False)] ^= True
-            known = np.where(success, SUCCESS, FAILED)
-            labels = Labels(known, np.zeros(count, bool), NO_READING)
-            if quick:
-                current, steps = comparison, choose(comparison, labels, rng)[:1]
-            else:
-                current = refine(simulations, comparison, labels)
-                steps, _ = choose_confirmed(simulations, current, labels, rng)
-            found = diagnose_labels(current, labels, steps, declared.astype(int), {}, (), rng)
-            found_changes = {one: combined_perturbation(found.found, one) for one in objects}
-            wrong = fresh_labels(fresh, found_changes) != fresh_labels(
-                fresh, dict.fromkeys(objects, change)
-            )
-            yield Trial(
-                "+".join(objects),
-                name,
-                flips,
-                count,
-                int((truth != declared).sum()),
-                tuple(score.name for score in found.found),
-                tuple(round(score.value, 4) for score in found.found),
-                confusable(found.steps[0].scores),
-                found.rate_before,
-                found.rate_after,
-                float((success != truth).mean()),
-                float(wrong.mean()),
-            )
+def wrong_values(seed: int) -> dict[str, float]:
+    """The value of each of ``WRONG`` in the set of that seed."""
+    up = np.random.default_rng([seed, len(WRONG)]).uniform(size=len(WRONG)) < 0.5
+    values = {}
+    for (name, (key, value)), reversed_ in zip(WRONG.items(), up, strict=True):
+        other = -value if key.endswith("mm") else round(1 / value, 4)
+        values[name] = other if reversed_ else value
+    return values
 
 
-def fresh_labels(
-    simulations: PerturbedSimulations, changes: Mapping[str, Perturbation]
-) -> BoolArray:
-    """Whether each grasp succeeds (N,) under the perturbation of its object.
+def perturbation(
+    names: Collection[str], values: dict[str, float], *, is_first: bool
+) -> Perturbation:
+    """What these causes do to grasps of the set's first object, or of another."""
+    figures: dict[str, Any] = {
+        WRONG[name][0]: values[name] for name in names if is_first or name == "grip_force"
+    }
+    return Perturbation(**figures)
 
-    A mass is simulated as the force that it amounts to, and a grasp that another force leaves
-    certain is not simulated at it.
-    """
-    simulations.simulate([(config, DECLARED) for config in simulations.configs])
-    margin, _ = margins_of(simulations.outcomes(DECLARED))
-    keys = []
-    for config, own in zip(simulations.configs, margin, strict=True):
-        change = as_force(changes[config.object])
-        by_force = change == Perturbation(force_scale=change.force_scale)
-        known = by_force and is_sure(own, change.force_scale)
-        keys.append((config, DECLARED if known else change))
-    simulations.simulate(keys)
-    return np.array(
-        [simulations.known[place_of(config), change].label == 1 for config, change in keys]
+
+def simulations_of(objects: Sequence[str], seed: int, out: Path) -> PerturbedSimulations:
+    """The simulations of a set, kept in ``out``."""
+    recipe = Recipe.model_validate(
+        {"name": "trust", "objects": list(objects), "physics": PHYSICS, "seed": seed}
     )
+    folder = out / f"{'-'.join(objects)}_{seed}"
+    return PerturbedSimulations(recipe, planned_grasps(objects, N_GRASPS, seed), folder, 1)
 
 
-def as_force(change: Perturbation) -> Perturbation:
-    """The perturbation in which a force does what a mass does in ``change``."""
-    scale = round(change.force_scale / change.mass_factor, 3)
-    return replace(change, mass_factor=1.0, force_scale=scale)
+def true_labels(
+    simulations: PerturbedSimulations, objects: Sequence[str], seed: int
+) -> dict[tuple[str, ...], BoolArray]:
+    """Whether each grasp succeeds (N,), by causes."""
+    values = wrong_values(seed)
+    keys = {
+        names: [
+            (config, perturbation(names, values, is_first=config.object == objects[0]))
+            for config in simulations.configs
+        ]
+        for names in CASES
+    }
+    simulations.simulate([key for own in keys.values() for key in own])
+    return {
+        names: np.array([simulations.known[place_of(c), change].label == 1 for c, change in own])
+        for names, own in keys.items()
+    }
 
 
-def least_fresh_wrong(count: int, flips: float, rng: np.random.Generator) -> float:
-    """What no diagnosis can beat: the mean of ``fresh_wrong`` where only the number is not known.
+def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Iterator[Trial]:
+    """Every case on one set of configurations; simulations in ``out`` are kept."""
+    simulations = simulations_of(objects, seed, out)
+    declared = simulations.comparison()
+    truths, values = true_labels(simulations, objects, seed), wrong_values(seed)
+    for names, truth in truths.items():
+        others = [truths[tuple(one for one in names if one != name)] for name in names]
+        changed = [int((truth != one).sum()) for one in [*others, *([truths[()]] if names else [])]]
+        rng = np.random.default_rng([seed, round(100 * flips)])
+        success = truth.copy()
+        success[rng.choice(N_GRASPS, round(flips * N_GRASPS), replace=False)] ^= True
+        known = np.where(success, SUCCESS, FAILED)
+        labels = Labels(known, np.zeros(N_GRASPS, bool), NO_READING)
+        simulations.forget_refinement()
+        comparison = refine(simulations, declared, labels)
+        found = posterior(comparison, labels, rng)
+        diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, (), rng)
+        yield Trial(
+            "+".join(objects),
+            names,
+            flips,
+            min(changed, default=LEAST_CHANGED) >= LEAST_CHANGED,
+            tuple(cause.name for cause in found.found),
+            tuple(round(cause.value, 4) for cause in found.found),
+            tuple(tuple(one.other.name for one in found.shared(own)) for own in found.found),
+            judged(found, {name: values[name] for name in names}, objects),
+            diagnosis.rate_before,
+            diagnosis.rate_after,
+        )
 
-    ``count`` grasps whose thresholds lie at random along one number, every threshold known, the
-    name and the share of flips too; the number is the posterior median. Without flips it is the
-    middle of the gap between two thresholds, and the mean is 1/(2 (count + 1)).
-    """
-    wrong = []
-    flip = max(flips, 1e-4)
-    for _ in range(N_DRAWS):
-        places, truth = np.sort(rng.uniform(size=count)), rng.uniform(0.1, 0.9)
-        success = places < truth
-        success[rng.choice(count, round(flips * count), replace=False)] ^= True
-        edges = np.concatenate([[0.0], places, [1.0]])
-        # In gap k the first k grasps hold and the rest fail.
-        agree = np.cumsum(np.concatenate([[0], 2 * success - 1])) + (~success).sum()
-        weight = np.diff(edges) * (flip / (1 - flip)) ** (agree.max() - agree)
-        upto = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
-        wrong.append(abs(np.interp(0.5, upto, edges) - truth))
-    return float(np.mean(wrong))
+
+def judged(found: Posterior, truth: dict[str, float], objects: Sequence[str]) -> str:
+    """The result of a trial, see ``Trial``; ``truth`` are the values of the causes by name."""
+
+    def is_true(cause: Cause) -> bool:
+        own = cause.candidate
+        of_gripper = own.hypothesis.of_gripper
+        return own.name in truth and (of_gripper or own.objects == tuple(objects[:1]))
+
+    groups = [(cause, *(one.other for one in found.shared(cause))) for cause in found.found]
+    mentioned = {one.name for group in groups for one in group if is_true(one)}
+    if any(not any(map(is_true, group)) for group in groups):
+        return "false"
+    if mentioned != set(truth):
+        return "missed"
+    if all(is_true(group[0]) for group in groups) and len(groups) == len(truth):
+        return "right"
+    for cause in found.found:
+        total, deviation = 0.0, cause.deviation
+        exponents = {cause.name: 1.0} | {
+            one.other.name: one.exponent for one in found.shared(cause) if is_true(one.other)
+        }
+        for name, exponent in exponents.items():
+            shifted = WRONG[name][0].endswith("mm")
+            place = truth.get(name, 0.0 if shifted else 1.0)
+            total += exponent * (place if shifted else float(np.log(place)))
+        if abs(total - cause.coordinate) > DEVIATIONS * deviation:
+            return "false"
+    return "confounded"
 
 
 def summary_of(trials: Sequence[Trial]) -> str:
-    """The trials in Markdown, a row for each perturbation and share of flipped labels."""
+    """The trials in Markdown, a row for each number of causes and share of flipped labels."""
     lines = [
-        "| wrong | flipped | trials | too few labels changed | right first "
-        "| right first or reported as equally good "
-        "| mislabels before → after (truth) | fresh (truth) |",
-        "|---|---|---|---|---|---|---|---|",
+        "| causes | flipped | trials | too few labels changed | right | confounded | missed "
+        "| false | names mentioned | mislabels before → after |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for flips in FLIPS:
-        for change in PERTURBATIONS:
-            own = [t for t in trials if t.change == change and t.flips == flips]
-            seen = [t for t in own if not t.expected or t.n_changed >= LEAST_CHANGED]
+    for size in sorted({len(one.causes) for one in trials}):
+        for flips in FLIPS:
+            own = [one for one in trials if len(one.causes) == size and one.flips == flips]
+            seen = [one for one in own if one.telling]
             if not seen:
                 continue
-            before, after, truth, fresh = (
-                100 * float(np.mean([getattr(t, f"rate_{what}") for t in seen]))
-                for what in ("before", "after", "of_truth", "fresh")
+            counts = [
+                sum(one.result == kind for one in seen)
+                for kind in ("right", "confounded", "missed", "false")
+            ]
+            names = np.mean([len({*one.named, *sum(one.confounded, ())}) for one in seen])
+            before, after = (
+                100 * float(np.mean([getattr(one, f"rate_{what}") for one in seen]))
+                for what in ("before", "after")
             )
             lines.append(
-                f"| {change} | {100 * flips:.0f} % | {len(own)} | {len(own) - len(seen)} "
-                f"| {sum(t.right for t in seen)} of {len(seen)} "
-                f"| {sum(t.listed for t in seen)} of {len(seen)} "
-                f"| {before:.1f} → {after:.1f} % ({truth:.1f} %) "
-                f"| {fresh:.1f} % ({100 * flips:.1f} %) |"
+                f"| {size} | {100 * flips:.0f} % | {len(own)} | {len(own) - len(seen)} "
+                f"| {' | '.join(map(str, counts))} | {names:.1f} | {before:.1f} → {after:.1f} % |"
             )
     return "\n".join(lines) + "\n"

@@ -22,12 +22,10 @@ from tacgen.diagnose.grasps.model_comparison import (
     SLID,
     SUCCESS,
     TURNED,
-    CandidateScore,
-    Choice,
+    Cause,
     Labels,
     ModelComparison,
-    choose,
-    confirmed,
+    posterior,
 )
 from tacgen.diagnose.grasps.next_grasps import Proposal, propose_grasps, rivals_of
 from tacgen.diagnose.grasps.perturbed_simulations import (
@@ -75,31 +73,33 @@ def diagnose_grasps(
     labels = replace(labels_of(real.grasps), reading=reading)
     comparison = refine(simulations, comparison, labels)
     rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(0x67,)))
-    steps, simulated = choose_confirmed(simulations, comparison, labels, rng)
+    found = posterior(comparison, labels, rng)
+    names = list(real.by_object())
+    before, after = (
+        simulations.labels({name: combined_perturbation(causes, name) for name in names})
+        for causes in ((), found.found)
+    )
     diagnosis = diagnose_labels(
         comparison,
         labels,
-        steps,
-        simulated[0],
+        found,
+        before,
         _covariates(real.grasps),
         _notes(recipe, real, simulations.outcomes(DECLARED)),
         rng,
         reading=about,
     )
-    rivals = rivals_of(diagnosis.steps[0].scores, bool(diagnosis.found))
     findings = GraspFindings(
         diagnosis,
-        simulated[len(diagnosis.found)],
-        propose_grasps(simulations, rivals),
-        extended_recipe(recipe, diagnosis.found, list(real.by_object())),
+        after,
+        propose_grasps(simulations, rivals_of(found)),
+        extended_recipe(recipe, found.found, names),
     )
-    _write(findings, record_of(findings, recipe, list(real.by_object())), out)
+    _write(findings, record_of(findings, recipe, names), out)
     return findings
 
 
-def extended_recipe(
-    recipe: Recipe, found: Sequence[CandidateScore], objects: Sequence[str]
-) -> Recipe:
+def extended_recipe(recipe: Recipe, found: Sequence[Cause], objects: Sequence[str]) -> Recipe:
     """The recipe with everything that was found, for ``tacgen collect``.
 
     Objects that were grasped but are not in the recipe are added to it, so that what was found
@@ -130,34 +130,12 @@ def extended_recipe(
 def refine(
     simulations: PerturbedSimulations, comparison: ModelComparison, labels: Labels
 ) -> ModelComparison:
-    """Simulate the leading candidates about their own values, which moves them, a few times."""
+    """Simulate the leading explanations about their own values, which moves them, a few times."""
     for _ in range(RULES.refining_rounds):
-        scores = comparison.scores(labels)
-        least = max(0.0, scores[0].gain - RULES.leading_gain)
-        leading = [score for score in scores if score.gain > least][: RULES.most_refined]
-        if not leading:
-            break
-        comparison = simulations.refined(leading)
+        explanations = comparison.explanations(labels)
+        least = explanations[0].gain - RULES.leading_gain
+        comparison = simulations.refined([one for one in explanations if one.gain > least])
     return comparison
-
-
-def choose_confirmed(
-    simulations: PerturbedSimulations,
-    comparison: ModelComparison,
-    labels: Labels,
-    rng: np.random.Generator,
-) -> tuple[list[Choice], list[IntArray]]:
-    """The choice, and labels (N,) simulated with none, one, two … of what it took."""
-    steps = choose(comparison, labels, rng)
-    accepted = [step.scores[0] for step in steps if step.accepted]
-    names = {config.object for config in simulations.configs}
-    simulated = [
-        simulations.labels({name: combined_perturbation(accepted[:count], name) for name in names})
-        for count in range(len(accepted) + 1)
-    ]
-    real = labels.success.astype(np.int64)
-    mislabels = [int((one != real).sum()) for one in simulated]
-    return confirmed(steps, mislabels), simulated
 
 
 def labels_of(grasps: Sequence[RealGrasp]) -> Labels:

@@ -1,64 +1,113 @@
-"""Candidates against the declared simulation and each other, by the evidence of real labels.
+"""What real labels say about everything that may be wrong, together: a joint posterior.
 
-The evidence is the labels' probability under a candidate, averaged over its parameter's prior. Its
+An explanation is a set of candidates, each with its parameter; the empty one is the simulation as
+declared. Its evidence is the labels' probability averaged over the priors of its parameters. The
 logarithm is the sum of the scores of predicting each label from those before it, in any order: a
 cross-validation over grasps, averaged over every size of the held-out part (Fong & Holmes 2020, On
-the marginal likelihood and cross-validation). A parameter that explains nothing lowers it.
+the marginal likelihood and cross-validation). A parameter that explains nothing lowers it. Evidence
+times prior weight gives the probability of each explanation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from functools import cached_property
 
 import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import expit, logit, logsumexp
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.diagnose.grasps.hypotheses import Candidate
+from tacgen.diagnose.grasps.hypotheses import Candidate, Prediction
 from tacgen.diagnose.grasps.rules import RULES
+from tacgen.diagnose.grasps.slip_margin import gain_by_torsion
 
 SUCCESS, FAILED, TURNED, SLID = range(4)
 """What is known of a real grasp: a failure may come with its mode or without."""
 
-_N_WIDTHS = len(RULES.border_widths)
-_NUISANCE = [(flip, width) for flip in RULES.flip_rates for width in RULES.border_widths]
-_LOG_NUISANCE = np.log(np.repeat(RULES.flip_weights, _N_WIDTHS) / _N_WIDTHS)
+_FLIPS = np.array(RULES.flip_rates, np.float32)[:, None, None]
+_WIDTHS = np.array(RULES.border_widths)[:, None]
+_LOG_NUISANCE = np.log(np.repeat(RULES.flip_weights, len(_WIDTHS)) / len(_WIDTHS))
 
 
 @dataclass(frozen=True)
 class LabelModel:
-    """What would happen to N grasps over M values of a parameter; one value for the declared one.
+    """What would happen to N grasps over M values of parameters; one value for the declared one.
 
-    ``coordinate`` (M,) and ``log_prior`` (M,) are the parameter's axis and weights; ``margin``
-    (M, N) and ``turning`` (M, N) are of ``slip_margin``; ``log_force`` (M,) is the logarithm of
-    the delivered over the declared force.
+    ``log_prior`` (M,) are the values' weights; ``margin`` (M, N) and ``turning`` (M, N) are of
+    ``slip_margin``, and so is ``moment`` (M, N), its ``moment_part``; ``log_force`` (M,) is the
+    logarithm of the delivered over the declared force.
     """
 
-    coordinate: FloatArray
     log_prior: FloatArray
     margin: FloatArray
     turning: FloatArray
     log_force: FloatArray
+    moment: FloatArray
 
-    def log_probability(self) -> FloatArray:
-        """Log-probability (M, S, 4, N) of what can be known, for S flip rates and widths."""
-        tables = []
-        for flip, width in _NUISANCE:
-            success = flip + (1 - 2 * flip) * expit(self.margin / width)
-            failure = 1 - success
-            tables.append(
-                np.stack(
-                    [success, failure, failure * self.turning, failure * (1 - self.turning)], axis=1
-                )
-            )
-        return np.asarray(np.log(np.stack(tables, axis=1)))
+    def log_probability(self, known: IntArray) -> FloatArray:
+        """Log-probability (M, S, N) of what is known (N,), for S flip rates and widths."""
+        sign = np.where(known == SUCCESS, 1, -1)
+        held = expit((sign * self.margin[:, None, :] / _WIDTHS).astype(np.float32))
+        right = _FLIPS + (1 - 2 * _FLIPS) * held[:, None]
+        found = np.log(right.reshape(len(held), -1, held.shape[-1]))
+        if np.isin(known, (TURNED, SLID)).any():
+            by_mode = np.where(known == TURNED, self.turning, 1 - self.turning)
+            found += np.log(np.where(known >= TURNED, by_mode, 1.0))[:, None, :]
+        return np.asarray(found)
+
+    def log_weights(self, log_scale: FloatArray | float, stderr: float) -> FloatArray:
+        """Log of prior × probability (..., M, S) of readings (...) of the force."""
+        total = self.log_prior[:, None] + _LOG_NUISANCE
+        if np.isfinite(stderr):
+            apart = (np.asarray(log_scale)[..., None] - self.log_force) / stderr
+            total = total - 0.5 * apart[..., None] ** 2
+        return total
+
+    def log_joint(self, labels: "Labels") -> FloatArray:
+        """Log of prior × probability (M, S) of all labels."""
+        weights = self.log_weights(labels.reading.log_scale, labels.reading.stderr)
+        fit = self.log_probability(labels.known).sum(axis=-1, dtype=np.float64)
+        return np.asarray(weights + fit)
 
 
 @dataclass(frozen=True)
 class CandidateModel(LabelModel):
-    """A candidate's predictions over its parameter; its own weight is in ``log_prior``."""
+    """A candidate's predictions over its parameter, at ``coordinate`` (M,).
 
+    The candidate's own weight is in ``log_prior``; ``as_declared`` (N,) is its margin at the
+    declared value, which refining may have corrected.
+    """
+
+    coordinate: FloatArray
+    as_declared: FloatArray
     candidate: Candidate
+
+    @property
+    def acts(self) -> BoolArray:
+        """Whether any value changes the margin of each grasp (N,)."""
+        return np.asarray(np.ptp(self.margin, axis=0) > 0)
+
+    @property
+    def change(self) -> FloatArray:
+        """How far each value (M,) is from the declared one."""
+        return self.coordinate - self.candidate.parameter.center
+
+    def only(self, part: slice) -> "CandidateModel":
+        """Some of the values."""
+        return CandidateModel(
+            self.log_prior[part],
+            self.margin[part],
+            self.turning[part],
+            self.log_force[part],
+            self.moment[part],
+            self.coordinate[part],
+            self.as_declared,
+            self.candidate,
+        )
+
+    def thinned(self, step: int) -> "CandidateModel":
+        """Every so many-th value."""
+        found = self.only(slice(None, None, step))
+        return replace(found, log_prior=found.log_prior + np.log(step))
 
 
 def interpolated(
@@ -67,43 +116,37 @@ def interpolated(
     node_margin: FloatArray,
     node_turning: FloatArray,
     log_force: FloatArray | None = None,
+    node_moment: FloatArray | None = None,
 ) -> CandidateModel:
     """The model of a candidate from what is known at the values ``nodes`` (K,), (K, N).
 
-    ``log_force`` (K,) as in ``LabelModel``; None where the force is as declared.
+    ``log_force`` (K,) as in ``LabelModel``; None where the force is as declared. ``node_moment``
+    None where nothing turns.
     """
     parameter = candidate.parameter
     places = parameter.coordinate(nodes)
     axis = np.linspace(places[0], places[-1], RULES.axis_values)
-    center = parameter.coordinate(np.array([parameter.declared]))[0]
-    log_prior = -0.5 * ((axis - center) / parameter.spread) ** 2
+    log_prior = -0.5 * ((axis - parameter.center) / parameter.spread) ** 2
     force = np.zeros(RULES.axis_values) if log_force is None else np.interp(axis, places, log_force)
     return CandidateModel(
-        axis,
         log_prior - logsumexp(log_prior) + np.log(candidate.weight),
         _along(axis, places, node_margin),
         _along(axis, places, node_turning),
         force,
+        _along(axis, places, 0 * node_margin if node_moment is None else node_moment),
+        axis,
+        _along(np.array([parameter.center]), places, node_margin)[0],
         candidate,
     )
 
 
-def declared_model(margin: FloatArray, turning: FloatArray) -> LabelModel:
-    """The model that nothing is wrong, from margin and turning share (N,)."""
+def declared_model(
+    margin: FloatArray, turning: FloatArray, moment: FloatArray | None = None
+) -> LabelModel:
+    """The model that nothing is wrong, from margin, turning share and moment's part (N,)."""
     zero = np.zeros(1)
-    return LabelModel(zero, zero, margin[None], turning[None], zero)
-
-
-def combined_with(
-    model: CandidateModel, first: LabelModel, at: int, declared: LabelModel
-) -> CandidateModel:
-    """``model`` where ``first`` holds at its value number ``at``.
-
-    A margin is a sum of logarithms of what each changes, so the changes add.
-    """
-    shift = first.margin[at] - declared.margin[0]
-    turning = np.where(np.abs(shift) > 0, first.turning[at], model.turning)
-    return replace(model, margin=model.margin + shift, turning=turning)
+    part = 0 * margin if moment is None else moment
+    return LabelModel(zero, margin[None], turning[None], zero, part[None])
 
 
 def _along(axis: FloatArray, nodes: FloatArray, values: FloatArray) -> FloatArray:
@@ -111,6 +154,71 @@ def _along(axis: FloatArray, nodes: FloatArray, values: FloatArray) -> FloatArra
     upper = np.clip(np.searchsorted(nodes, axis), 1, len(nodes) - 1)
     part = ((axis - nodes[upper - 1]) / (nodes[upper] - nodes[upper - 1]))[:, None]
     return (1 - part) * values[upper - 1] + part * values[upper]
+
+
+@dataclass(frozen=True, slots=True)
+class JointOutcome:
+    """Margins (N,) of grasps simulated with several causes at once; NaN where one was not."""
+
+    coordinate: Mapping[Candidate, float]
+    margin: FloatArray
+
+
+def joint_model(
+    declared: LabelModel, parts: Sequence[CandidateModel], known: Sequence[JointOutcome] = ()
+) -> LabelModel:
+    """Several candidates at once, over the product of their values (the last varies fastest).
+
+    A margin is a sum of logarithms of what each changes, so the changes add, to the margin as
+    declared by what is changed most. A torsion adds by the part that turning has where others are
+    changed. What ``known`` outcomes of some or all of them differ by is
+    added in proportion to the product of those changes, in that order.
+    """
+    if not parts:
+        return declared
+
+    def spread(values: FloatArray, k: int) -> FloatArray:
+        return values.reshape(
+            [-1 if j == k else 1 for j in range(len(parts))] + [*values.shape[1:]]
+        )
+
+    turning = logit(declared.turning[0])
+    margin: FloatArray = np.zeros(())
+    log_prior, log_force, base, weight = (np.zeros(()) for _ in range(4))
+    for k, part in enumerate(parts):
+        margin = margin + spread(part.margin - part.as_declared, k)
+        size = np.abs(part.change) / part.candidate.parameter.spread + 1e-9
+        base = base + spread(size, k)[..., None] * part.as_declared
+        weight = weight + spread(size, k)
+        turning = turning + spread(logit(part.turning) - logit(declared.turning[0]), k)
+        log_prior = log_prior + spread(part.log_prior, k)
+        log_force = log_force + spread(part.log_force, k)
+    margin = margin + base / weight[..., None]
+    for k, torsion in enumerate(parts):
+        if torsion.candidate.parameter.prediction is Prediction.CLOSED_FORM_TORSION:
+            log_factor = spread(torsion.change[:, None] * torsion.acts, k)
+            before = gain_by_torsion(declared.moment[0], log_factor)
+            for j, part in enumerate(parts):
+                if j != k:
+                    margin = margin + gain_by_torsion(spread(part.moment, j), log_factor) - before
+    for outcome in known:
+        share, at = np.ones(()), []
+        for k, part in enumerate(parts):
+            center = part.candidate.parameter.center
+            place = outcome.coordinate.get(part.candidate, center)
+            at.append(int(np.argmin(np.abs(part.coordinate - place))))
+            if place != center:
+                share = share * spread(np.clip(part.change / (place - center), 0, 2), k)
+        apart = np.nan_to_num(outcome.margin - margin[tuple(at)])
+        margin = margin + share[..., None] * apart
+    n = margin.shape[-1]
+    return LabelModel(
+        log_prior.ravel(),
+        margin.reshape(-1, n),
+        expit(turning).reshape(-1, n),
+        log_force.ravel(),
+        np.repeat(declared.moment, log_prior.size, axis=0),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,82 +246,14 @@ class Labels:
         return np.asarray(self.known == SUCCESS)
 
 
-def one_hot(known: IntArray, used: BoolArray | None = None) -> FloatArray:
-    """What is known of the grasps (B, N) as (B, 4, N) zeros and ones, unused grasps all zero."""
-    table = (known[:, None, :] == np.arange(4)[None, :, None]).astype(np.float64)
-    return np.asarray(table if used is None else table * used)
+@dataclass(frozen=True, slots=True, eq=False)
+class Cause:
+    """A candidate of an explanation: its posterior ``coordinate`` and that one's deviation.
 
-
-Model = TypeVar("Model", bound=LabelModel)
-
-
-class Evidence(Generic[Model]):
-    """The log-evidence of models for labels; tables of probabilities are made once."""
-
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        self._table = model.log_probability()
-        values, settings = self._table.shape[:2]
-        self._log_prior = model.log_prior[:, None] + _LOG_NUISANCE[None, :]
-        self._flat = self._table.reshape(values * settings, -1)
-        self._shape = values, settings
-
-    def joint(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> FloatArray:
-        """Log of prior × likelihood (B, M, S) for one-hot labels (B, 4, N) and readings (B,)."""
-        fit = (known.reshape(len(known), -1) @ self._flat.T).reshape(-1, *self._shape)
-        total = fit + self._log_prior
-        if np.isfinite(stderr):
-            apart = (log_scale[:, None] - self.model.log_force) / stderr
-            total = total - 0.5 * apart[:, :, None] ** 2
-        return total
-
-    def log_evidence(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> FloatArray:
-        """Log of the evidence times the candidate's prior weight (B,)."""
-        return np.asarray(logsumexp(self.joint(known, log_scale, stderr), axis=(1, 2)))
-
-    def best_fit(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> float:
-        """The largest log-likelihood over all values, for one set of labels, without the prior."""
-        joint = self.joint(known, log_scale, stderr)[0]
-        return float((joint - self.model.log_prior[:, None]).max())
-
-    def posterior(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> FloatArray:
-        """Posterior weights (M, S) for one set of labels."""
-        joint = self.joint(known, log_scale, stderr)[0]
-        return np.asarray(np.exp(joint - logsumexp(joint)))
-
-    def predicted(self, weights: FloatArray) -> FloatArray:
-        """Probability (4, N) of what can be known of each grasp, averaged over ``weights``."""
-        return np.asarray(np.einsum("ms,mscn->cn", weights, np.exp(self._table)))
-
-    def success_probability(self, labels: Labels, used: BoolArray | None = None) -> FloatArray:
-        """Probability (N,) of success, averaged over the posterior from the ``used`` grasps."""
-        return np.asarray(self.predicted(self.posterior(*_arguments(labels, used)))[SUCCESS])
-
-    def drawn(
-        self, weights: FloatArray, modes: BoolArray, count: int, rng: np.random.Generator
-    ) -> IntArray:
-        """Labels (count, N) drawn from the posterior prediction; ``modes`` (N,) come with one."""
-        values, settings = self._shape
-        chosen = rng.choice(values * settings, size=count, p=weights.ravel())
-        table = np.exp(self._table.reshape(values * settings, 4, -1)[chosen])
-        success = rng.uniform(size=table[:, 0].shape) < table[:, SUCCESS]
-        turned = rng.uniform(size=success.shape) * table[:, FAILED] < table[:, TURNED]
-        failed = np.where(modes[None, :], np.where(turned, TURNED, SLID), FAILED)
-        return np.where(success, SUCCESS, failed)
-
-
-@dataclass(frozen=True, slots=True)
-class CandidateScore:
-    """How well one hypothesis explains the labels.
-
-    ``gain`` is the log-evidence over that of the declared simulation; ``fit`` the largest
-    log-likelihood of the labels over it; ``model`` that of the hypothesis's best candidate, with
-    the posterior ``coordinate`` and its standard deviation; ``second_mode`` the likeliest value
-    apart from it, where one has at least ``RULES.second_mode_share`` of the posterior.
+    ``second_mode`` is the likeliest value apart from it, where one has at least
+    ``RULES.second_mode_share`` of the posterior.
     """
 
-    gain: float
-    fit: float
     model: CandidateModel
     coordinate: float
     deviation: float
@@ -221,7 +261,7 @@ class CandidateScore:
 
     @property
     def candidate(self) -> Candidate:
-        """The best candidate of the hypothesis."""
+        """What is wrong."""
         return self.model.candidate
 
     @property
@@ -239,150 +279,262 @@ class CandidateScore:
         """Its standard error, in the parameter's unit."""
         return self.deviation * (self.value if self.candidate.parameter.is_factor else 1.0)
 
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """A set of causes, and how well it explains the labels.
+
+    ``gain`` is the log of its evidence times prior weight over that of the declared simulation;
+    ``fit`` the largest log-likelihood of the labels over that one's; ``covariance`` (k, k) that of
+    the causes' coordinates.
+    """
+
+    causes: tuple[Cause, ...]
+    gain: float
+    fit: float
+    covariance: FloatArray
+
     @property
-    def nearest(self) -> int:
-        """Number of the value nearest to the posterior one."""
-        return int(np.argmin(np.abs(self.model.coordinate - self.coordinate)))
+    def candidates(self) -> frozenset[Candidate]:
+        """What is wrong."""
+        return frozenset(cause.candidate for cause in self.causes)
+
+    @property
+    def name(self) -> str:
+        """The names of the causes."""
+        return " and ".join(cause.name for cause in self.causes)
+
+
+AS_DECLARED = Explanation((), 0.0, 0.0, np.zeros((0, 0)))
 
 
 class ModelComparison:
-    """The declared simulation and everything that could be wrong with it, for one set of grasps."""
+    """The declared simulation and everything that could be wrong with it, for one set of grasps.
 
-    def __init__(self, declared: LabelModel, models: Sequence[CandidateModel]) -> None:
-        self.declared = Evidence(declared)
-        self.others = [Evidence(model) for model in models]
-        self.names = tuple(dict.fromkeys(model.candidate.name for model in models))
+    ``joint`` are grasps simulated with several candidates at once.
+    """
 
-    def given(self, chosen: CandidateScore) -> "ModelComparison":
-        """The comparison where what was chosen holds."""
-        at, best, declared = chosen.nearest, chosen.model, self.declared.model
-        base = replace(
-            declared_model(best.margin[at], best.turning[at]), log_force=best.log_force[at][None]
+    def __init__(
+        self,
+        declared: LabelModel,
+        models: Sequence[CandidateModel],
+        joint: Mapping[frozenset[Candidate], JointOutcome] | None = None,
+    ) -> None:
+        self.declared = declared
+        self.models = tuple(models)
+        self.joint = joint or {}
+
+    def model_of(self, parts: Sequence[CandidateModel]) -> LabelModel:
+        """Several candidates at once, at fewer values each the more there are."""
+        own = {part.candidate for part in parts}
+        known = [one for key, one in self.joint.items() if key <= own]
+        known.sort(key=lambda one: len(one.coordinate))
+        return joint_model(self.declared, _thinned(parts), known)
+
+    def explanation(self, parts: Sequence[CandidateModel], labels: Labels) -> Explanation:
+        """What the labels say about this set of candidates."""
+        model = self.model_of(parts)
+        by_declared, joint = self.declared.log_joint(labels), model.log_joint(labels)
+        fit = (joint - model.log_prior[:, None]).max() - by_declared.max()
+        gain = logsumexp(joint) - logsumexp(by_declared) + len(parts) * np.log(RULES.cause_odds)
+        axes = [part.coordinate for part in _thinned(parts)]
+        weights = np.exp(logsumexp(joint, axis=1) - logsumexp(joint)).reshape(
+            [len(axis) for axis in axes]
         )
-        rest = [
-            combined_with(evidence.model, best, at, declared)
-            for evidence in self.others
-            if evidence.model.candidate is not best.candidate
-        ]
-        return ModelComparison(base, rest)
-
-    def gains(self, known: FloatArray, log_scale: FloatArray, stderr: float) -> FloatArray:
-        """Log-evidence of every name over the declared one's (names, B), for B sets of labels."""
-        base = self.declared.log_evidence(known, log_scale, stderr)
-        by_name: dict[str, list[FloatArray]] = {name: [] for name in self.names}
-        for evidence in self.others:
-            found = evidence.log_evidence(known, log_scale, stderr)
-            by_name[evidence.model.candidate.name].append(found)
-        return np.stack([logsumexp(by_name[name], axis=0) - base for name in self.names])
-
-    def scores(self, labels: Labels, used: BoolArray | None = None) -> list[CandidateScore]:
-        """Every name, the one with most evidence first, from the ``used`` (N,) grasps alone."""
-        known, log_scale, stderr = _arguments(labels, used)
-        gains = self.gains(known, log_scale, stderr)[:, 0]
-        base_fit = self.declared.best_fit(known, log_scale, stderr)
-        found = []
-        for name, gain in zip(self.names, gains, strict=True):
-            own = [one for one in self.others if one.model.candidate.name == name]
-            best = max(own, key=lambda one: one.log_evidence(known, log_scale, stderr)[0])
-            weights = best.posterior(known, log_scale, stderr).sum(axis=1)
-            axis = best.model.coordinate
-            mean, deviation, rest = _mean_of_best_mode(axis, weights)
+        causes = []
+        for k, (part, axis) in enumerate(zip(parts, axes, strict=True)):
+            own = weights.sum(axis=tuple(j for j in range(len(parts)) if j != k))
+            mean, deviation, rest = _mean_of_best_mode(axis, own)
             second_mode = None
-            if rest.sum() > RULES.second_mode_share * weights.sum():
-                second = _mean_of_best_mode(axis, rest)[0]
-                second_mode = best.model.candidate.parameter.value(second)
-            fit = max(one.best_fit(known, log_scale, stderr) for one in own) - base_fit
-            found.append(CandidateScore(float(gain), fit, best.model, mean, deviation, second_mode))
-        return sorted(found, key=lambda score: -score.gain)
+            if rest.sum() > RULES.second_mode_share:
+                second_mode = part.candidate.parameter.value(_mean_of_best_mode(axis, rest)[0])
+            causes.append(Cause(part, mean, deviation, second_mode))
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(parts))
+        apart = places - weights.ravel() @ places
+        covariance = (weights.ravel() * apart.T) @ apart
+        return Explanation(tuple(causes), float(gain), float(fit), covariance)
+
+    def singles(self, labels: Labels) -> list[Explanation]:
+        """Every candidate alone, the likeliest first."""
+        found = [self.explanation([model], labels) for model in self.models]
+        return sorted(found, key=lambda one: -one.gain)
+
+    def explanations(self, labels: Labels) -> list[Explanation]:
+        """The likeliest sets of up to ``RULES.max_causes``, each extended from a smaller one."""
+        level = self.singles(labels)
+        found = list(level)
+        for _ in range(1, RULES.max_causes):
+            sets: dict[frozenset[Candidate], list[CandidateModel]] = {}
+            for leader in level[: RULES.most_extended]:
+                own = [cause.model for cause in leader.causes]
+                for model in self.models:
+                    if model.candidate not in leader.candidates:
+                        sets.setdefault(leader.candidates | {model.candidate}, [*own, model])
+            larger = [self.explanation(parts, labels) for parts in sets.values()]
+            larger.sort(key=lambda one: -one.gain)
+            found += larger
+            if not larger or larger[0].gain < level[0].gain:
+                break
+            level = larger
+        return sorted(found, key=lambda one: -one.gain)
 
     def null_gains(self, labels: Labels, rng: np.random.Generator) -> FloatArray:
-        """The largest gain (``RULES.null_draws``,) in labels drawn from the declared model."""
-        known, log_scale, stderr = _arguments(labels, None)
-        weights = self.declared.posterior(known, log_scale, stderr)
-        drawn = one_hot(self.declared.drawn(weights, labels.modes, RULES.null_draws, rng))
-        spread = stderr if np.isfinite(stderr) else 0.0
-        log_force = self.declared.model.log_force[0]
-        readings = log_force + spread * rng.standard_normal(RULES.null_draws)
-        return np.asarray(self.gains(drawn, readings, stderr).max(axis=0))
+        """The largest gain of a hypothesis (``RULES.null_draws``,) in labels drawn as declared."""
+        weights = np.exp(self.declared.log_joint(labels))
+        count = RULES.null_draws
+        chosen = rng.choice(weights.size, size=count, p=weights.ravel() / weights.sum())
+        success = np.exp(self.declared.log_probability(np.full(labels.known.shape, SUCCESS)))[0]
+        held = rng.uniform(size=(count, len(labels.known))) < success[chosen]
+        turned = rng.uniform(size=held.shape) < self.declared.turning
+        failed = np.where(labels.modes, np.where(turned, TURNED, SLID), FAILED)
+        drawn = np.where(held, SUCCESS, failed)
+        stderr = labels.reading.stderr
+        readings = (stderr if np.isfinite(stderr) else 0.0) * rng.standard_normal(count)
+        base = _log_evidence(self.declared, drawn, readings, stderr)
+        by_name: dict[str, list[FloatArray]] = {}
+        for model in self.models:
+            found = _log_evidence(model, drawn, readings, stderr)
+            by_name.setdefault(model.candidate.name, []).append(found)
+        gains = np.stack([logsumexp(found, axis=0) for found in by_name.values()]) - base
+        return np.asarray(gains.max(axis=0) + np.log(RULES.cause_odds))
+
+    def success_probability(
+        self, labels: Labels, explanations: Sequence[Explanation], folds: IntArray | None = None
+    ) -> FloatArray:
+        """Probability (N,) of success, averaged over ``explanations`` by their evidence.
+
+        With ``folds`` (N,), each grasp's from the other folds' labels alone, the weights of the
+        explanations included. The simulation as declared is one without causes.
+        """
+        n = len(labels.known)
+        used = np.ones((1, n), bool) if folds is None else folds != np.unique(folds)[:, None]
+        row = np.zeros(n, int) if folds is None else np.searchsorted(np.unique(folds), folds)
+        found, evidence = [], []
+        for one in explanations:
+            model = self.model_of([cause.model for cause in one.causes])
+            prior = model.log_weights(labels.reading.log_scale, labels.reading.stderr)
+            by_grasp = model.log_probability(labels.known).reshape(-1, n)
+            total = by_grasp @ used.T + prior.reshape(-1, 1)
+            whole = logsumexp(total, axis=0)
+            weights = np.exp(total - whole)
+            success = np.exp(model.log_probability(np.full(n, SUCCESS))).reshape(-1, n)
+            found.append((weights[:, row] * success).sum(axis=0))
+            evidence.append(whole + len(one.causes) * np.log(RULES.cause_odds))
+        share = np.exp(evidence - logsumexp(evidence, axis=0))[:, row]
+        return np.asarray((share * np.stack(found)).sum(axis=0))
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """One step of the choice: all scores, the p-value of the first, and whether it is accepted."""
+class Shared:
+    """A found ``cause`` as it is where an ``other`` one may be wrong as well.
 
-    scores: list[CandidateScore]
+    The labels determine cause + ``exponent`` × other (coordinates, so that of factors it is a
+    product of powers) much better than either.
+    """
+
+    cause: Cause
+    other: Cause
+    exponent: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What the labels say: explanations, the likeliest first, and whether one is needed at all.
+
+    ``p_value`` is the share of labels drawn from the declared simulation in which one hypothesis
+    gains as much as the best does here; ``critical_gain`` what ``RULES.false_alarm`` of them reach.
+    """
+
+    explanations: tuple[Explanation, ...]
     p_value: float
     critical_gain: float
-    accepted: bool
+
+    @property
+    def best(self) -> Explanation:
+        """The likeliest explanation."""
+        return self.explanations[0]
+
+    @property
+    def found(self) -> tuple[Cause, ...]:
+        """Its causes; none where clean labels often need an explanation as much."""
+        return self.best.causes if self.p_value <= RULES.false_alarm else ()
+
+    def by_hypothesis(self) -> list[Explanation]:
+        """The best single cause of each name, with the evidence of all of that name."""
+        best: dict[str, Explanation] = {}
+        for one in self.explanations:
+            if len(one.causes) == 1:
+                known = best.setdefault(one.name, one)
+                if known is not one:
+                    gain = float(np.logaddexp(known.gain, one.gain))
+                    best[one.name] = replace(known, gain=gain)
+        return sorted(best.values(), key=lambda one: -one.gain)
+
+    @cached_property
+    def log_total(self) -> float:
+        """Log of the sum of all weights, over that of the declared simulation."""
+        return float(logsumexp([0.0, *(one.gain for one in self.explanations)]))
+
+    def probability(self, candidates: Set[Candidate]) -> float:
+        """Probability that all of these are wrong, among whatever else."""
+        gains = [one.gain for one in self.explanations if candidates <= one.candidates]
+        return float(np.exp(logsumexp(gains) - self.log_total)) if gains else 0.0
+
+    def shared(self, cause: Cause) -> tuple[Shared, ...]:
+        """What ``cause``, one that was found, cannot be told apart from; the likeliest first.
+
+        Those by other names beside which it is much less certain. In the precision matrix of both,
+        less the prior's, all that the labels tell is in one combination.
+        """
+        found: dict[str, Shared] = {}
+        k = self.best.causes.index(cause)
+        alone = np.sqrt(self.best.covariance[k, k])
+        for one in self.explanations:
+            added = [own for own in one.causes if own.candidate not in self.best.candidates]
+            if len(added) != 1 or not self.best.candidates < one.candidates:
+                continue
+            order = [own.candidate for own in one.causes]
+            pair = [order.index(cause.candidate), order.index(added[0].candidate)]
+            covariance = one.covariance[np.ix_(pair, pair)]
+            precision = np.linalg.inv(covariance + RULES.least_variance * np.eye(2))
+            told = precision[0, 0] - cause.candidate.parameter.spread**-2
+            least = RULES.ridge_widening * alone
+            if added[0].candidate.objects != cause.candidate.objects:
+                least *= np.sqrt(2)  # as where either is told by the grasps of one of two objects
+            if np.sqrt(covariance[0, 0]) > least and told > 0 and added[0].name != cause.name:
+                exponent = float(precision[0, 1] / told)
+                both = Shared(one.causes[pair[0]], added[0], exponent)
+                found.setdefault(added[0].name, both)
+        return tuple(found.values())
 
 
-def choose(comparison: ModelComparison, labels: Labels, rng: np.random.Generator) -> list[Choice]:
-    """Accept candidates one by one, while clean labels would hardly ever give as much evidence.
-
-    What is accepted on top of another must also be ``confirmed`` by simulating both together.
-    """
-    steps: list[Choice] = []
-    while len(steps) <= RULES.max_effects and comparison.others:
-        scores = comparison.scores(labels)
-        null = comparison.null_gains(labels, rng)
-        p_value = float((1 + (null >= scores[0].gain).sum()) / (1 + len(null)))
-        critical = float(np.quantile(null, 1 - RULES.false_alarm))
-        significant = p_value <= RULES.false_alarm and scores[0].gain > 0
-        accepted = significant and len(steps) < RULES.max_effects
-        steps.append(Choice(scores, p_value, max(critical, 0.0), accepted))
-        if not accepted:
-            break
-        comparison = comparison.given(scores[0])
-    return steps
+def posterior(comparison: ModelComparison, labels: Labels, rng: np.random.Generator) -> Posterior:
+    """The joint posterior, and the share of clean labels in which as much would be found."""
+    null = comparison.null_gains(labels, rng)
+    found = Posterior(tuple(comparison.explanations(labels)), 1.0, 0.0)
+    gain = found.by_hypothesis()[0].gain
+    p_value = float((1 + (null >= gain).sum()) / (1 + len(null)))
+    critical = float(np.quantile(null, 1 - RULES.false_alarm))
+    return replace(found, p_value=p_value, critical_gain=critical)
 
 
-def confirmed(steps: Sequence[Choice], mislabels: Sequence[int]) -> list[Choice]:
-    """The steps, ended before the first addition that simulation does not confirm.
-
-    ``mislabels`` (K + 1,) are simulated with none, one, two … of the K choices that were accepted.
-    An addition to an effect must correct at least ``RULES.least_corrected``.
-    """
-    kept: list[Choice] = []
-    for number, step in enumerate(steps):
-        added = step.accepted and number > 0
-        if added and mislabels[number] - mislabels[number + 1] < RULES.least_corrected:
-            kept.append(replace(step, accepted=False))
-            break
-        kept.append(step)
-    return kept
+def _thinned(parts: Sequence[CandidateModel]) -> list[CandidateModel]:
+    """Fewer values each, the more there are, and of the first the most: it explains the most."""
+    steps = RULES.axis_steps[max(0, len(parts) - 1)]
+    return [part.thinned(step) for part, step in zip(parts, steps, strict=False)]
 
 
-def heldout_success(
-    comparison: ModelComparison, labels: Labels, steps: Sequence[Choice], folds: IntArray
+def _log_evidence(
+    model: LabelModel, drawn: IntArray, readings: FloatArray, stderr: float
 ) -> FloatArray:
-    """Probability (N,) of success of each grasp, from a choice and a fit without its fold.
-
-    The whole choice is made anew on the other folds, by the gains that ``steps`` asked for.
-    """
-    predicted = np.zeros(len(folds))
-    for fold in np.unique(folds):
-        used, current = folds != fold, comparison
-        probability = current.declared.success_probability(labels, used)
-        best: CandidateScore | None = None
-        for step in steps:
-            current = current.given(best) if best is not None else current
-            best = current.scores(labels, used)[0]
-            if best.gain <= step.critical_gain:
-                break
-            probability = Evidence(best.model).success_probability(labels, used)
-        predicted[~used] = probability[~used]
-    return predicted
-
-
-def confusable(scores: Sequence[CandidateScore]) -> tuple[str, ...]:
-    """Names that fit the labels as well as the first: only the prior speaks for it."""
-    first = scores[0]
-    return tuple(
-        other.name
-        for other in scores[1:]
-        if other.fit > first.fit - RULES.equal_fit
-        and other.gain > first.gain - RULES.confusable_gain
-    )
+    """Log of the evidence times the prior weight (B,) for labels (B, N) and readings (B,)."""
+    n = drawn.shape[1]
+    total = model.log_weights(readings, stderr)
+    for kind in np.unique(drawn):
+        table = model.log_probability(np.full(n, kind)).reshape(-1, n)
+        fit = (drawn == kind).astype(np.float64) @ table.T
+        total = total + fit.reshape(-1, *total.shape[-2:])
+    return np.asarray(logsumexp(total, axis=(-2, -1)))
 
 
 def _mean_of_best_mode(axis: FloatArray, weights: FloatArray) -> tuple[float, float, FloatArray]:
@@ -399,8 +551,3 @@ def _mean_of_best_mode(axis: FloatArray, weights: FloatArray) -> tuple[float, fl
     rest = weights.copy()
     rest[left:right] = 0.0
     return mean, float(np.sqrt(part @ (own - mean) ** 2)), rest
-
-
-def _arguments(labels: Labels, used: BoolArray | None) -> tuple[FloatArray, FloatArray, float]:
-    reading = labels.reading
-    return one_hot(labels.known[None], used), np.array([reading.log_scale]), reading.stderr

@@ -1,6 +1,5 @@
 """Which real grasps to make next: those on which the leading explanations disagree most."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,12 +8,12 @@ from scipy.special import expit
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import place_of
 from tacgen.core.records import GraspConfig
-from tacgen.diagnose.grasps.model_comparison import CandidateScore
+from tacgen.diagnose.grasps.model_comparison import Cause, Explanation, Posterior
 from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations, combined_perturbation
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import margins_of
 
-Rivals = dict[str, tuple[CandidateScore, ...]]
+Rivals = dict[str, tuple[Cause, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,34 +29,44 @@ class Proposal:
         return max(self.success.values()) - min(self.success.values())
 
 
-def rivals_of(scores: Sequence[CandidateScore], found: bool) -> Rivals:
-    """The explanations to separate, by name; no score at all is the declared simulation."""
-    best = scores[0]
-    rivals: Rivals = {} if found else {"as declared": ()}
-    if best.second_mode is not None:
-        there = float(best.candidate.parameter.coordinate(np.array([best.second_mode]))[0])
-        rivals[best.name] = (best,)
-        rivals[f"{best.name} at {best.second_mode:.3g}"] = (replace(best, coordinate=there),)
-    for score in scores:
-        close = score.gain > best.gain - RULES.confusable_gain
-        if len(rivals) < RULES.max_rivals and close:
-            rivals[score.name] = (_at_the_same_ratio(score, best),)
+def rivals_of(posterior: Posterior) -> Rivals:
+    """The explanations to separate, by name; one without causes is the declared simulation."""
+    best = posterior.best
+    rivals: Rivals = {} if posterior.found else {"as declared": ()}
+    for cause in best.causes:
+        if cause.second_mode is not None:
+            there = float(cause.candidate.parameter.coordinate(np.array([cause.second_mode]))[0])
+            other = replace(cause, coordinate=there)
+            rivals[best.name] = best.causes
+            rivals[f"{best.name}, {cause.name} at {cause.second_mode:.3g}"] = tuple(
+                other if one is cause else one for one in best.causes
+            )
+    for one in posterior.explanations:
+        close = one.gain > best.gain - RULES.confusable_gain
+        if len(rivals) < RULES.max_rivals and close and len(one.causes) == len(best.causes):
+            rivals.setdefault(one.name, _at_the_same_ratio(one, best))
     if len(rivals) < 2:
         rivals["as declared"] = ()
     return rivals
 
 
-def _at_the_same_ratio(score: CandidateScore, best: CandidateScore) -> CandidateScore:
-    """``score`` at the value that changes force over weight as ``best`` does.
+def _at_the_same_ratio(one: Explanation, best: Explanation) -> tuple[Cause, ...]:
+    """The causes of ``one`` at values that change force over weight as ``best`` does.
 
     Several hypotheses act through that one ratio. Only what differs where it is the same can
     separate them; their own estimates differ by what their priors hold usual.
     """
-    sign = score.candidate.parameter.force_exponent * best.candidate.parameter.force_exponent
+    new = [cause for cause in one.causes if cause.candidate not in best.candidates]
+    left = [cause for cause in best.causes if cause.candidate not in one.candidates]
+    if len(new) != 1:
+        return one.causes
+    sign = new[0].candidate.parameter.force_exponent * left[0].candidate.parameter.force_exponent
     if not sign:
-        return score
-    axis = score.model.coordinate
-    return replace(score, coordinate=float(np.clip(best.coordinate * sign, axis[0], axis[-1])))
+        return one.causes
+    axis = new[0].model.coordinate
+    there = float(np.clip(left[0].coordinate * sign, axis[0], axis[-1]))
+    kept = [cause for cause in best.causes if cause is not left[0]]
+    return (*kept, replace(new[0], coordinate=there))
 
 
 def propose_grasps(simulations: PerturbedSimulations, rivals: Rivals) -> tuple[Proposal, ...]:
@@ -69,16 +78,16 @@ def propose_grasps(simulations: PerturbedSimulations, rivals: Rivals) -> tuple[P
     """
     configs = _considered(simulations)
     wanted = [
-        (config, combined_perturbation(scores, config.object))
-        for scores in rivals.values()
+        (config, combined_perturbation(causes, config.object))
+        for causes in rivals.values()
         for config in configs
     ]
     simulations.simulate(wanted)
     proposals = []
     for config in configs:
         success = {}
-        for name, scores in rivals.items():
-            change = combined_perturbation(scores, config.object)
+        for name, causes in rivals.items():
+            change = combined_perturbation(causes, config.object)
             outcome = simulations.known[place_of(config), change]
             margin, _ = margins_of([outcome])
             expected = float(expit(margin[0] / RULES.proposal_width))

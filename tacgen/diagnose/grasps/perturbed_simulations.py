@@ -9,7 +9,8 @@ matters: about the values that lead (``refined``).
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -29,27 +30,33 @@ from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspConfig
 from tacgen.diagnose.grasps.hypotheses import Candidate, Parameter, Prediction, candidates_for
 from tacgen.diagnose.grasps.model_comparison import (
-    CandidateScore,
+    CandidateModel,
+    Cause,
+    Explanation,
+    JointOutcome,
     LabelModel,
     ModelComparison,
     declared_model,
     interpolated,
+    joint_model,
 )
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import (
     at_force,
     crossings,
+    gain_by_torsion,
     holds_from,
-    is_sure,
     limited,
     margin_at_force,
-    margin_at_torsion,
     margins_of,
+    moment_part,
 )
 
 DECLARED = Perturbation()
 Show = Callable[[int, int], None]
-Tables = tuple[FloatArray, FloatArray, FloatArray]
+Tables = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Motion = tuple[Candidate, tuple[str, ...]]
+"""What changes how the grasps of some objects move."""
 
 
 @dataclass
@@ -63,6 +70,7 @@ class PerturbedSimulations:
     show: Show = lambda done, total: None
     known: dict[Key, Outcome] = field(default_factory=dict)
     further: dict[Candidate, set[float]] = field(default_factory=dict)
+    joint: dict[frozenset[Candidate], JointOutcome] = field(default_factory=dict)
 
     def simulate(self, wanted: Iterable[tuple[GraspConfig, Perturbation]]) -> None:
         """Make the outcomes of these grasps known."""
@@ -86,38 +94,93 @@ class PerturbedSimulations:
         self.simulate(self._wanted())
         return self._comparison()
 
-    def refined(self, scores: Sequence[CandidateScore]) -> ModelComparison:
-        """The comparison with these candidates simulated where their values matter."""
-        wanted = []
-        for score in scores:
-            own, parameter = score.candidate, score.candidate.parameter
-            equivalent = parameter.prediction is Prediction.EQUIVALENT_FORCE
-            if equivalent and not parameter.force_exponent:
+    def forget_refinement(self) -> None:
+        """Compare from the first nodes again; what was simulated stays known."""
+        self.further.clear()
+        self.joint.clear()
+
+    def refined(self, explanations: Sequence[Explanation]) -> ModelComparison:
+        """The comparison with the first few of these simulated where their values matter.
+
+        Those that move the grasps alike count once.
+        """
+        distinct: dict[frozenset[Motion], Explanation] = {}
+        for one in explanations:
+            motions = frozenset(self._motion(own)[0] for own in one.candidates)
+            if len(motions) == len(one.causes) and len(distinct) < RULES.most_refined:
+                distinct.setdefault(motions, one)
+        wanted: list[tuple[GraspConfig, Perturbation]] = []
+        together = []
+        for one in distinct.values():
+            if len(one.causes) > 1:
+                places, changes = self._at_once(one.causes)
+                together.append((places, changes))
+                wanted += [(self.configs[n], change) for n, change in changes.items()]
                 continue
-            for config, value in self._informative(score):
-                if equivalent:
-                    own, value = self._force, parameter.at_force(value)
-                value = float(f"{value:.3g}")  # enough, and the same from one run to the next
+            (own, _), sign = self._motion(one.causes[0].candidate)
+            if own.parameter.prediction is Prediction.EQUIVALENT_FORCE:
+                continue
+            for config, value in self._informative(one.causes[0]):
+                value = _rounded(value**sign)
                 self.further.setdefault(own, set()).add(value)
                 wanted.append((config, own.parameter.perturb(value)))
         self.simulate(wanted)
+        for places, changes in together:
+            self._keep(places, changes)
         return self._comparison()
 
-    def _informative(self, score: CandidateScore) -> Iterator[tuple[GraspConfig, float]]:
-        """Grasps and values at which a simulation would tell most about the score's value.
+    def _motion(self, candidate: Candidate) -> tuple[Motion, int]:
+        """The candidate that moves the same objects as this one does, by which exponent."""
+        parameter = candidate.parameter
+        if parameter.prediction is Prediction.EQUIVALENT_FORCE and parameter.force_exponent:
+            return (self._force, candidate.objects), parameter.force_exponent
+        return (candidate, candidate.objects), 1
+
+    def _at_once(
+        self, causes: Sequence[Cause]
+    ) -> tuple[dict[Motion, float], dict[int, Perturbation]]:
+        """Where several causes are, and their changes to grasps whose label could be another."""
+        places: dict[Motion, float] = {}
+        acting: list[tuple[tuple[str, ...], Perturbation]] = []
+        for cause in causes:
+            motion, sign = self._motion(cause.candidate)
+            own, value = motion[0].parameter, _rounded(cause.value**sign)
+            places[motion] = float(own.coordinate(np.array([value]))[0])
+            acting.append((motion[1], own.perturb(value)))
+        parts = [_at(cause.model, cause.coordinate) for cause in causes]
+        near = np.abs(joint_model(self._declared(), parts).margin[0]) < RULES.sure_margin
+        found = {}
+        for n in np.flatnonzero(near).tolist():
+            changes = [one for objects, one in acting if self.configs[n].object in objects]
+            if len(changes) > 1:
+                found[n] = reduce(Perturbation.and_then, changes)
+        return places, found
+
+    def _keep(self, places: Mapping[Motion, float], changes: Mapping[int, Perturbation]) -> None:
+        """Keep what was simulated at once, for all candidates that move the grasps so."""
+        margin = np.full(len(self.configs), np.nan)
+        for n, change in changes.items():
+            margin[n] = margins_of([self.known[place_of(self.configs[n]), change]])[0][0]
+        alike: list[list[tuple[Candidate, float]]] = [[] for _ in places]
+        for candidate in self._candidates:
+            motion, sign = self._motion(candidate)
+            if motion in places:
+                alike[list(places).index(motion)].append((candidate, sign * places[motion]))
+        for chosen in product(*alike):
+            self.joint[frozenset(dict(chosen))] = JointOutcome(dict(chosen), margin)
+
+    def _informative(self, cause: Cause) -> Iterator[tuple[GraspConfig, float]]:
+        """Grasps and values at which a simulation would tell most about the cause's value.
 
         Each grasp whose label changes near the value, at the value where it seems to change. What
         was predicted by closed form is simulated at the value and one deviation to each side.
         """
-        candidate, axis = score.candidate, score.model.coordinate
-        margin, parameter = score.model.margin, candidate.parameter
-        closed_form = parameter.prediction in (
-            Prediction.CLOSED_FORM_FORCE,
-            Prediction.CLOSED_FORM_TORSION,
-        )
-        deviation = max(score.deviation, 0.5 * float(axis[1] - axis[0]))
-        near = np.abs(axis - score.coordinate) <= RULES.refining_deviations * deviation
-        about = score.coordinate + deviation * np.array([-1.0, 0.0, 1.0])
+        candidate, axis = cause.candidate, cause.model.coordinate
+        margin, parameter = cause.model.margin, candidate.parameter
+        closed_form = parameter.prediction is Prediction.CLOSED_FORM_FORCE
+        deviation = max(cause.deviation, 0.5 * float(axis[1] - axis[0]))
+        near = np.abs(axis - cause.coordinate) <= RULES.refining_deviations * deviation
+        about = cause.coordinate + deviation * np.array([-1.0, 0.0, 1.0])
         about = np.clip(about, axis[0], axis[-1])
         for n, config in enumerate(self.configs):
             if config.object not in candidate.objects:
@@ -149,19 +212,26 @@ class PerturbedSimulations:
 
     def _wanted(self) -> list[tuple[GraspConfig, Perturbation]]:
         """Grasps at the nodes of the candidates that are simulated from the start."""
-        margin = dict(zip(self.configs, self._declared().margin[0], strict=True))
-        return [
-            (config, candidate.parameter.perturb(node))
-            for candidate in self._candidates
-            if candidate.parameter.is_simulated
-            for node in candidate.parameter.nodes
-            for config in self.configs
-            if config.object in candidate.objects
-            and not (candidate is self._force and is_sure(margin[config], node))
-        ]
+        wanted = []
+        for candidate in self._candidates:
+            parameter = candidate.parameter
+            if not parameter.is_simulated:
+                continue
+            near = np.ones((len(parameter.nodes), len(self.configs)), dtype=bool)
+            if parameter.prediction is not Prediction.NONE:
+                margin, _ = self._predicted(candidate, np.array(parameter.nodes), None)
+                near = np.minimum(np.abs(margin), np.abs(self._declared().margin))
+                near = near < RULES.sure_margin
+            wanted += [
+                (self.configs[n], parameter.perturb(parameter.nodes[k]))
+                for k, n in np.argwhere(near)
+                if self.configs[n].object in candidate.objects
+            ]
+        return wanted
 
     def _declared(self) -> LabelModel:
-        return declared_model(*margins_of(self.outcomes(DECLARED)))
+        outcomes = self.outcomes(DECLARED)
+        return declared_model(*margins_of(outcomes), moment_part(outcomes))
 
     @cached_property
     def _force(self) -> Candidate:
@@ -178,13 +248,14 @@ class PerturbedSimulations:
             log_force = None
             if candidate.parameter.changes_force:
                 log_force = self._log_force(candidate.parameter, tables[0]).mean(axis=1)
-            models.append(interpolated(candidate, *tables, log_force))
-        return ModelComparison(self._declared(), models)
+            models.append(interpolated(candidate, *tables[:3], log_force, tables[3]))
+        return ModelComparison(self._declared(), models, self.joint)
 
     def _tables(self, candidate: Candidate, force: Tables | None = None) -> Tables:
-        """Nodes (K,), margin and turning share (K, N): simulated, predicted, or in between.
+        """Nodes (K,), margin, turning share and moment's part (K, N), as in ``LabelModel``.
 
-        ``force`` are those of the force, from which other candidates' may follow.
+        They are simulated, predicted, or in between. ``force`` are those of the force, from which
+        other candidates' may follow.
         """
         parameter = candidate.parameter
         values = {*parameter.nodes, *self.further.get(candidate, set())}
@@ -192,6 +263,7 @@ class PerturbedSimulations:
             values |= {parameter.at_force(factor) for factor in force[0]}
         nodes = np.array(sorted(values))
         margin, turning = self._predicted(candidate, nodes, force)
+        moment = np.repeat(self._declared().moment, len(nodes), axis=0)
         known = np.isin(nodes, parameter.nodes)[:, None] | np.zeros(margin.shape, bool)
         if not parameter.is_simulated:
             known[:] = True
@@ -202,15 +274,19 @@ class PerturbedSimulations:
             change = parameter.perturb(float(node))
             keys = {n: (place_of(self.configs[n]), change) for n in acting}
             own = [n for n, key in keys.items() if key in self.known]
-            margin[k, own], turning[k, own] = margins_of([self.known[keys[n]] for n in own])
+            outcomes = [self.known[keys[n]] for n in own]
+            margin[k, own], turning[k, own] = margins_of(outcomes)
+            if parameter.prediction is Prediction.NONE:
+                moment[k, own] = moment_part(outcomes)
             known[k, own] = True
         at = parameter.coordinate(nodes)
         for n, own in enumerate(known.T):
             turning[:, n] = np.interp(at, at[own], turning[own, n])
+            moment[:, n] = np.interp(at, at[own], moment[own, n])
             place = holds_from(at[own], margin[own, n]) if candidate is self._force else None
             between = np.interp(at, at[own], margin[own, n])
             margin[:, n] = between if place is None else limited(at - place)
-        return nodes, margin, turning
+        return nodes, margin, turning, moment
 
     def _predicted(
         self, candidate: Candidate, nodes: FloatArray, force: Tables | None
@@ -224,13 +300,7 @@ class PerturbedSimulations:
         if candidate is self._force:
             found = margin + np.log(nodes)[:, None]
         elif candidate.parameter.prediction is Prediction.CLOSED_FORM_TORSION:
-            outcomes = self.outcomes(DECLARED)
-            found = margin_at_torsion(
-                declared.margin[0],
-                np.array([one.friction_ratio for one in outcomes]),
-                np.array([one.torsion_ratio for one in outcomes]),
-                np.log(nodes),
-            )
+            found = declared.margin + gain_by_torsion(declared.moment, np.log(nodes)[:, None])
         elif not candidate.parameter.is_simulated and force is not None:
             log_scale, wanted = np.log(force[0]), self._log_force(candidate.parameter, nodes)
             found = margin_at_force(log_scale, force[1], wanted)
@@ -252,10 +322,21 @@ class PerturbedSimulations:
         return np.asarray(np.log(perturbed / np.array(delivered(DECLARED))))
 
 
-def combined_perturbation(scores: Sequence[CandidateScore], name: str) -> Perturbation:
+def combined_perturbation(causes: Sequence[Cause], name: str) -> Perturbation:
     """All changes that were found, for grasps of the object ``name``."""
     found = Perturbation()
-    for score in scores:
-        if score.candidate.acts_on(name):
-            found = found.and_then(score.candidate.parameter.perturb(round(score.value, 4)))
+    for cause in causes:
+        if cause.candidate.acts_on(name):
+            found = found.and_then(cause.candidate.parameter.perturb(round(cause.value, 4)))
     return found
+
+
+def _rounded(value: float) -> float:
+    """Digits that suffice for a simulation, and the same from one run to the next."""
+    return float(f"{value:.3g}")
+
+
+def _at(model: CandidateModel, coordinate: float) -> CandidateModel:
+    """The model at the value nearest to ``coordinate`` alone."""
+    k = int(np.argmin(np.abs(model.coordinate - coordinate)))
+    return model.only(slice(k, k + 1))

@@ -40,17 +40,17 @@ def write_grasp_report(
         channel=channel,
         figures=figures,
         outcome_note=plots.OUTCOME_NOTE,
-        rankings=[_ranking_figure(step) for step in channel["steps"]],
+        ranking=_ranking_figure(channel),
     )
 
 
-def _ranking_figure(step: Mapping[str, Any]) -> Figure:
-    """The evidence for every candidate at one step."""
+def _ranking_figure(channel: Mapping[str, Any]) -> Figure:
+    """The evidence for every candidate alone."""
     gains = {
         one["description"]: one["log_evidence_gain"]
-        for one in step["candidates"]
+        for one in channel["ranking"]
         if one["log_evidence_gain"] is not None
     }
-    critical = step["critical_gain"]
+    critical = channel["critical_gain"]
     marked = [name for name, gain in gains.items() if gain > critical]
     return plots.rankings([("", gains, marked, critical)], "gain in log-evidence")

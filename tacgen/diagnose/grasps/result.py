@@ -10,8 +10,14 @@ from scipy.stats import binom, rankdata
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspObject
 from tacgen.diagnose.contact.result import SCHEMA, Verdict, finite
-from tacgen.diagnose.grasps import model_comparison
 from tacgen.diagnose.grasps.hypotheses import advice
+from tacgen.diagnose.grasps.model_comparison import (
+    AS_DECLARED,
+    Cause,
+    Labels,
+    ModelComparison,
+    Posterior,
+)
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.report.formatting import decimals_for
 
@@ -26,7 +32,7 @@ class GraspDiagnosis:
     mislabels follow, strongest first, with p-values corrected for the number of covariates.
     """
 
-    steps: tuple[model_comparison.Choice, ...]
+    posterior: Posterior
     real: IntArray
     simulated_before: IntArray
     heldout: IntArray
@@ -36,9 +42,9 @@ class GraspDiagnosis:
     reading: str = ""
 
     @property
-    def found(self) -> tuple[model_comparison.CandidateScore, ...]:
-        """What was named, in the order in which it was added."""
-        return tuple(step.scores[0] for step in self.steps if step.accepted)
+    def found(self) -> tuple[Cause, ...]:
+        """What was named."""
+        return self.posterior.found
 
     @property
     def rate_before(self) -> float:
@@ -86,40 +92,66 @@ class GraspDiagnosis:
                 f"{before} of {n} grasps are mislabelled by the simulation; no listed effect "
                 f"explains it, and the mislabels{follow}."
             )
-        names = " and ".join(describe(score) for score in self.found)
+        names = " and ".join(self._described(cause) for cause in self.found)
         text = (
             f"Declared wrongly: {names}. As declared, {before} of {n} grasps are mislabelled; "
             f"predicted from the other grasps, {after} are."
         )
-        for score in self.found:
-            if score.second_mode is not None:
-                parameter = score.candidate.parameter
-                value = f"{score.second_mode:.{decimals_for(score.stderr)}f}"
+        for cause in self.found:
+            if cause.second_mode is not None:
+                parameter = cause.candidate.parameter
+                value = f"{cause.second_mode:.{decimals_for(cause.stderr)}f}"
                 unit = "times the declared" if parameter.is_factor else parameter.unit
-                text += f" {score.name} at {value} {unit} explains these labels nearly as well."
-        unsure = model_comparison.confusable(self.steps[0].scores)
-        if unsure:
-            text += (
-                f" These labels cannot separate {self.found[0].name} from {', '.join(unsure)}; the "
-                "more usual error is named."
-            )
+                text += f" {cause.name} at {value} {unit} explains these labels nearly as well."
+            text += self._confounded(cause)
         if self.too_many_remaining:
             text += f" {self.n_remaining} mislabels remain, too many for chance; they{follow}."
         return text
 
+    def ridge(self, cause: Cause) -> str:
+        """The product of factors that the labels determine, such as ``grip_force ÷ mass of cup``.
 
-def describe(score: model_comparison.CandidateScore) -> str:
+        Empty where the cause is no factor, or shares what is known with none.
+        """
+        text = ""
+        for one in self.posterior.shared(cause):
+            if cause.candidate.parameter.is_factor and one.other.candidate.parameter.is_factor:
+                power = f"{abs(one.exponent):.1f}"
+                power = "" if power == "1.0" else f"^{power}"
+                sign = "×" if one.exponent > 0 else "÷"
+                text += f" {sign} {one.other.candidate.title}{power}"
+        return cause.candidate.title + text if text else ""
+
+    def _described(self, cause: Cause) -> str:
+        text = describe(cause)
+        return text.replace(cause.candidate.title, self.ridge(cause) or cause.candidate.title, 1)
+
+    def _confounded(self, cause: Cause) -> str:
+        """What these labels cannot separate from a finding, in words."""
+        shared = self.posterior.shared(cause)
+        if not shared:
+            return ""
+        known = f"{cause.name} may not be wrong alone"
+        if self.ridge(cause):
+            known = f"Only this product is known, not {cause.name} alone"
+        parts = ", or ".join(
+            f"{describe(one.cause)} beside {describe(one.other)}" for one in shared
+        )
+        return f" {known}: {parts} would do as well. The recipe is changed in {cause.name}."
+
+
+def describe(cause: Cause) -> str:
     """A finding in words, such as ``grip_force at 0.80 ± 0.03 times the declared``."""
-    digits = decimals_for(score.stderr)
-    sign = "" if score.candidate.parameter.is_factor else "+"
-    value, error = f"{score.value:{sign}.{digits}f}", f"{score.stderr:.{digits}f}"
-    return score.candidate.reported(value, error)
+    digits = decimals_for(cause.stderr)
+    sign = "" if cause.candidate.parameter.is_factor else "+"
+    value, error = f"{cause.value:{sign}.{digits}f}", f"{cause.stderr:.{digits}f}"
+    return cause.candidate.reported(value, error)
 
 
 def diagnose_labels(
-    comparison: model_comparison.ModelComparison,
-    labels: model_comparison.Labels,
-    steps: Sequence[model_comparison.Choice],
+    comparison: ModelComparison,
+    labels: Labels,
+    posterior: Posterior,
     simulated: IntArray,
     covariates: Mapping[str, FloatArray],
     notes: Sequence[str],
@@ -129,24 +161,22 @@ def diagnose_labels(
 ) -> GraspDiagnosis:
     """Predict held-out grasps, and look for what the remaining mislabels follow.
 
-    ``steps`` were chosen from all labels, ``simulated`` (N,) are labels as declared, and
+    ``posterior`` is that of all labels, ``simulated`` (N,) are labels as declared, and
     ``covariates`` (N,) what remaining mislabels may follow.
     """
     real = labels.success.astype(np.int64)
-    accepted = [step for step in steps if step.accepted]
     folds, heldout, final = _folds(real, rng), simulated, simulated
     probability: FloatArray = np.clip(simulated, 0, 1).astype(np.float64)
-    if accepted:
-        heldout = (
-            model_comparison.heldout_success(comparison, labels, accepted, folds) > 0.5
-        ).astype(np.int64)
-        for step in accepted:
-            comparison = comparison.given(step.scores[0])
-        probability = comparison.declared.success_probability(labels)
+    if posterior.found:
+        least = posterior.best.gain - RULES.leading_gain
+        leading = [one for one in posterior.explanations if one.gain > least]
+        by_others = comparison.success_probability(labels, [AS_DECLARED, *leading], folds)
+        heldout = (by_others > 0.5).astype(np.int64)
+        probability = comparison.success_probability(labels, [posterior.best])
         final = (probability > 0.5).astype(np.int64)
     dependences = _dependences(real, probability, covariates, rng)
     return GraspDiagnosis(
-        tuple(steps), real, simulated, heldout, final, dependences, tuple(notes), reading
+        posterior, real, simulated, heldout, final, dependences, tuple(notes), reading
     )
 
 
@@ -201,14 +231,12 @@ def diagnosis_record(
     given as the figure.
     """
     n = len(diagnosis.real)
-    first = diagnosis.steps[0]
+    posterior = diagnosis.posterior
     remaining = diagnosis.dependences if diagnosis.too_many_remaining else {}
     channel = {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
-        "effects": [
-            _effect(diagnosis, step, declared) for step in diagnosis.steps if step.accepted
-        ],
+        "effects": [_effect(diagnosis, cause, declared) for cause in diagnosis.found],
         "unexplained": [{"covariate": name, "p_value": p} for name, p in remaining.items()],
         "error_before": _error(diagnosis.rate_before, n),
         "error_after": _error(diagnosis.rate_after, n),
@@ -217,72 +245,82 @@ def diagnosis_record(
             "how": "labels that no value of what was found matches",
         },
         "trials": {"fit": n, "test": n},
-        "held_out": f"{min(RULES.max_folds, n)} folds of {n} grasps; the whole choice made "
+        "held_out": f"{min(RULES.max_folds, n)} folds of {n} grasps; the explanations weighed "
         "anew without each",
         "false_alarm_rate": RULES.false_alarm,
         "force_from_images": diagnosis.reading,
         "ranking": [
             {
-                "candidate": score.name,
-                "log_evidence_gain": finite(score.gain),
-                "log_likelihood_gain": finite(score.fit),
-                "parameters": _parameters(score, declared),
-                "objects": list(score.candidate.objects),
+                "candidate": one.name,
+                "description": describe(one.causes[0]),
+                "log_evidence_gain": finite(one.gain),
+                "log_likelihood_gain": finite(one.fit),
+                "parameters": _parameters(one.causes[0], declared),
+                "objects": list(one.causes[0].candidate.objects),
             }
-            for score in first.scores
+            for one in posterior.by_hypothesis()
         ],
-        "p_value": first.p_value,
-        "steps": [
+        "p_value": posterior.p_value,
+        "critical_gain": finite(posterior.critical_gain),
+        "explanations": [
             {
-                "chosen": step.accepted,
-                "p_value": step.p_value,
-                "critical_gain": finite(step.critical_gain),
-                "candidates": [
-                    {"description": describe(score), "log_evidence_gain": finite(score.gain)}
-                    for score in step.scores
-                ],
+                "causes": [describe(cause) for cause in one.causes],
+                "probability": float(np.exp(one.gain - posterior.log_total)),
+                "log_evidence_gain": finite(one.gain),
             }
-            for step in diagnosis.steps
+            for one in posterior.explanations[: RULES.explanations_reported]
         ],
     }
     return {"schema": SCHEMA, "notes": list(diagnosis.notes), "channels": {"grasp": channel}}
 
 
 def _effect(
-    diagnosis: GraspDiagnosis, step: model_comparison.Choice, declared: Mapping[str, GraspObject]
+    diagnosis: GraspDiagnosis, cause: Cause, declared: Mapping[str, GraspObject]
 ) -> dict[str, Any]:
-    score, *others = step.scores
-    unsure = model_comparison.confusable(step.scores)
+    posterior = diagnosis.posterior
+    shared = posterior.shared(cause)
+    others = [one for one in posterior.explanations if cause.name not in one.name.split(" and ")]
+    without = others[0].gain if others else 0.0
     return {
-        "name": score.name,
-        "description": describe(score),
-        "parameters": _parameters(score, declared),
-        "objects": list(score.candidate.objects),
+        "name": cause.name,
+        "description": describe(cause),
+        "parameters": _parameters(cause, declared),
+        "objects": list(cause.candidate.objects),
+        "probability": posterior.probability({cause.candidate}),
         "heldout_gain": diagnosis.rate_before - diagnosis.rate_after,
         "runner_up": others[0].name if others else "",
-        "runner_up_log_evidence_behind": score.gain - others[0].gain if others else None,
-        "log_evidence_gain": score.gain,
-        "p_value": step.p_value,
-        "or_value": score.second_mode,
-        "confusable_with": list(unsure),
-        "what_would_tell": [advice(score.name, other) for other in unsure],
+        "runner_up_log_evidence_behind": posterior.best.gain - without,
+        "log_evidence_gain": posterior.best.gain,
+        "p_value": posterior.p_value,
+        "or_value": cause.second_mode,
+        "ridge": diagnosis.ridge(cause),
+        "confusable_with": [one.other.name for one in shared],
+        "shared_with": [
+            {
+                "name": one.other.name,
+                "objects": list(one.other.candidate.objects),
+                "exponent": one.exponent,
+                "parameters": _parameters(one.other, declared),
+                "beside": _parameters(one.cause, declared),
+            }
+            for one in shared
+        ],
+        "what_would_tell": [advice(cause.name, one.other.name) for one in shared],
     }
 
 
-def _parameters(
-    score: model_comparison.CandidateScore, declared: Mapping[str, GraspObject]
-) -> dict[str, dict[str, Any]]:
+def _parameters(cause: Cause, declared: Mapping[str, GraspObject]) -> dict[str, dict[str, Any]]:
     """The parameter, and for one object the figure that its factor amounts to."""
-    objects, parameter = score.candidate.objects, score.candidate.parameter
-    found = {parameter.key: _estimate(score, 1.0, parameter.unit)}
+    objects, parameter = cause.candidate.objects, cause.candidate.parameter
+    found = {parameter.key: _estimate(cause, 1.0, parameter.unit)}
     if parameter.figure is not None and len(objects) == 1:
         name, unit = parameter.figure
-        found[name] = _estimate(score, getattr(declared[objects[0]], name), unit)
+        found[name] = _estimate(cause, getattr(declared[objects[0]], name), unit)
     return found
 
 
-def _estimate(score: model_comparison.CandidateScore, factor: float, unit: str) -> dict[str, Any]:
-    value, stderr = factor * score.value, factor * score.stderr
+def _estimate(cause: Cause, factor: float, unit: str) -> dict[str, Any]:
+    value, stderr = factor * cause.value, factor * cause.stderr
     return {"value": finite(value), "stderr": finite(stderr), "unit": unit}
 
 

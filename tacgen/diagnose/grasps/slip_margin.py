@@ -15,28 +15,61 @@ def limited(margin: FloatArray) -> FloatArray:
 
 
 def closed_form_margin(
-    friction_ratio: FloatArray, torsion_ratio: FloatArray, torsion_factor: FloatArray | float = 1.0
+    friction_ratio: FloatArray,
+    torsion_ratio: FloatArray,
+    whole_torsion_ratio: FloatArray | float = np.inf,
 ) -> FloatArray:
     """Logarithm of the factor by which the grip could be weaker before it slips.
 
     With s the part of the friction that the weight takes up and m the part of the whole moment that
     gravity asks for, a soft contact slips at s² + m² = 1, and both fall as the force grows.
-    ``friction_ratio`` (...) and ``torsion_ratio`` (...) are limit over demand, see
-    ``records.SlipMargin``; NaN gives NaN. The latter is √(1 − s²)/m; where the weight alone slips
-    it is 0 and m is not known. The pads hold a moment larger by ``torsion_factor`` than they did.
+    The ratios (...) are limit over demand, see ``records.SlipMargin``; NaN gives NaN.
+    ``torsion_ratio`` is √(1 − s²)/m; where the weight alone slips it is 0, and the whole one is
+    1/m.
 
     Source: Howe & Cutkosky 1996, Practical force-motion models for sliding manipulation.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = 1 / friction_ratio
-        remaining = np.sqrt(np.maximum(0.0, 1 - share**2))
-        moment = np.where(remaining > 0, remaining / (torsion_ratio * torsion_factor), 0.0)
+    share, moment = _demands(friction_ratio, torsion_ratio, whole_torsion_ratio)
+    with np.errstate(divide="ignore"):
         margin: FloatArray = -0.5 * np.log(share**2 + moment**2)
     return limited(margin)
 
 
+def _demands(
+    friction_ratio: FloatArray, torsion_ratio: FloatArray, whole_torsion_ratio: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """The parts s of the friction and m of the moment that gravity asks for (...)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = 1 / friction_ratio
+        remaining = np.sqrt(np.maximum(0.0, 1 - share**2))
+        return share, np.where(remaining > 0, remaining / torsion_ratio, 1 / whole_torsion_ratio)
+
+
+def moment_part(outcomes: Sequence[Outcome]) -> FloatArray:
+    """How much of a grasp's slip is turning: m²/(s² + m²) (N,), 0 where it is not known."""
+    share, moment = _demands(
+        np.array([one.friction_ratio for one in outcomes]),
+        np.array([one.torsion_ratio for one in outcomes]),
+        np.array([one.whole_torsion_ratio for one in outcomes]),
+    )
+    with np.errstate(invalid="ignore"):
+        return np.nan_to_num(moment**2 / (share**2 + moment**2))
+
+
+def gain_by_torsion(moment: FloatArray, log_factor: FloatArray) -> FloatArray:
+    """What margins gain where the pads hold a larger moment, by the part ``moment`` of turning.
+
+    −½ log(s² + m²/f²) + ½ log(s² + m²).
+    """
+    return np.asarray(-0.5 * np.log1p(moment * np.expm1(-2 * log_factor)))
+
+
 def signed_margin(
-    label: IntArray, friction_ratio: FloatArray, torsion_ratio: FloatArray, turn_ratio: FloatArray
+    label: IntArray,
+    friction_ratio: FloatArray,
+    torsion_ratio: FloatArray,
+    turn_ratio: FloatArray,
+    whole_torsion_ratio: FloatArray | float = np.inf,
 ) -> FloatArray:
     """How far each grasp is from the other label: positive holds, negative fails.
 
@@ -47,7 +80,8 @@ def signed_margin(
     """
     least, most = RULES.turn_margin
     slip = np.nan_to_num(
-        closed_form_margin(friction_ratio, torsion_ratio), nan=-RULES.farthest_margin
+        closed_form_margin(friction_ratio, torsion_ratio, whole_torsion_ratio),
+        nan=-RULES.farthest_margin,
     )
     with np.errstate(invalid="ignore"):
         turned = 0.5 * np.abs(np.log(np.maximum(turn_ratio, 1e-5)))
@@ -81,9 +115,10 @@ def margins_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
     friction = np.array([one.friction_ratio for one in outcomes])
     torsion = np.array([one.torsion_ratio for one in outcomes])
     turn = np.array([one.turn_ratio for one in outcomes])
+    whole = np.array([one.whole_torsion_ratio for one in outcomes])
     turned = np.array([one.failure_mode == "rotational_slip" for one in outcomes])
     return (
-        signed_margin(label, friction, torsion, turn),
+        signed_margin(label, friction, torsion, turn, whole),
         turning_share(label, turned, friction, torsion),
     )
 
@@ -111,21 +146,6 @@ def at_force(log_force: FloatArray, values: FloatArray, wanted: FloatArray) -> F
     """Anything (M, N) of each grasp at its own ``wanted`` force, from (K, N) at ``log_force``."""
     columns = range(values.shape[1])
     return np.stack([np.interp(wanted[:, n], log_force, values[:, n]) for n in columns], axis=1)
-
-
-def margin_at_torsion(
-    margin: FloatArray,
-    friction_ratio: FloatArray,
-    torsion_ratio: FloatArray,
-    log_factor: FloatArray,
-) -> FloatArray:
-    """Margins where the pads hold a moment that is larger by ``log_factor`` (M,).
-
-    Grasps change by as much as turning has a part in their slip.
-    """
-    before = closed_form_margin(friction_ratio, torsion_ratio)
-    after = closed_form_margin(friction_ratio, torsion_ratio, np.exp(log_factor)[:, None])
-    return limited(margin + np.nan_to_num(after - before))
 
 
 def holds_from(log_force: FloatArray, margin: FloatArray) -> float | None:

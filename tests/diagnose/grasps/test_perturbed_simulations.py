@@ -16,14 +16,19 @@ from tacgen.collection.recipe import Recipe
 from tacgen.core.records import GraspConfig
 from tacgen.diagnose.grasps.command import extended_recipe
 from tacgen.diagnose.grasps.hypotheses import candidates_for
-from tacgen.diagnose.grasps.model_comparison import CandidateScore, interpolated
+from tacgen.diagnose.grasps.model_comparison import (
+    Cause,
+    Explanation,
+    Posterior,
+    interpolated,
+)
 from tacgen.diagnose.grasps.next_grasps import rivals_of
 from tacgen.diagnose.grasps.perturbed_simulations import (
     PerturbedSimulations,
     combined_perturbation,
 )
 from tacgen.diagnose.grasps.result import describe
-from tacgen.diagnose.grasps.slip_margin import crossings
+from tacgen.diagnose.grasps.slip_margin import crossings, margins_of
 from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
@@ -35,22 +40,22 @@ def config(force_n, y_mm=0.0):
     return GraspConfig(0, BOX, force_n, 0.0, y_mm, 87.5)
 
 
-def score(key, value):
+def cause(key, value):
     candidate = CANDIDATES[key]
     nodes = np.array(candidate.parameter.nodes)
     table = np.zeros((len(nodes), 1))
     coordinate = float(candidate.parameter.coordinate(np.array([value]))[0])
-    return CandidateScore(1.0, 1.0, interpolated(candidate, nodes, table, table), coordinate, 0.01)
+    return Cause(interpolated(candidate, nodes, table, table + 0.5), coordinate, 0.01)
 
 
 def test_an_extended_recipe_holds_what_was_found():
     found = [
-        score("mass_factor", 1.4),
-        score("center_of_mass_y_mm", 12.0),
-        score("spinning_friction_factor", 0.7),
-        score("object_scale", 1.02),
-        score("force_scale", 0.8),
-        score("height_offset_mm", 2.0),
+        cause("mass_factor", 1.4),
+        cause("center_of_mass_y_mm", 12.0),
+        cause("spinning_friction_factor", 0.7),
+        cause("object_scale", 1.02),
+        cause("force_scale", 0.8),
+        cause("height_offset_mm", 2.0),
     ]
     read = Recipe.model_validate(extended_recipe(RECIPE, found, [BOX]).resolved())
     assert read.physics_settings.delivered_force_scale == pytest.approx(0.8)
@@ -76,15 +81,15 @@ def test_an_extended_recipe_holds_what_was_found():
 
 def test_a_finding_is_reported_with_its_object_and_as_many_digits_as_its_error():
     assert (
-        describe(score("mass_factor", 1.4)) == f"mass of {BOX} at 1.400 ± 0.014 times the declared"
+        describe(cause("mass_factor", 1.4)) == f"mass of {BOX} at 1.400 ± 0.014 times the declared"
     )
-    shifted = replace(score("center_of_mass_y_mm", -21.34), deviation=4.41)
+    shifted = replace(cause("center_of_mass_y_mm", -21.34), deviation=4.41)
     assert describe(shifted) == f"center_of_mass of {BOX} along y off by -21.3 ± 4.4 mm"
 
 
 def test_grasps_to_make_next_separate_the_two_sides_of_a_shift():
-    shifted = replace(score("center_of_mass_y_mm", -21.0), second_mode=22.0)
-    rivals = rivals_of([shifted], True)
+    shifted = replace(cause("center_of_mass_y_mm", -21.0), second_mode=22.0)
+    rivals = rivals_of(Posterior((Explanation((shifted,), 5.0, 5.0, np.eye(1)),), 0.0, 0.0))
     sides = [combined_perturbation(found, BOX).center_of_mass_y_mm for found in rivals.values()]
     assert sides == [-21.0, 22.0]
 
@@ -99,9 +104,7 @@ def test_a_mass_predicts_what_the_inverse_force_does_failure_modes_included(tmp_
     configs = (config(6.0), config(7.0, 8.0), config(14.0, 6.0))
     simulations = PerturbedSimulations(RECIPE, configs, tmp_path, 1)
     comparison = simulations.comparison()
-    by_key = {
-        evidence.model.candidate.parameter.key: evidence.model for evidence in comparison.others
-    }
+    by_key = {model.candidate.parameter.key: model for model in comparison.models}
     force, mass = by_key["force_scale"], by_key["mass_factor"]
     assert mass.coordinate == pytest.approx(-force.coordinate[::-1])
     # Both are drawn through the same simulated values.
@@ -124,17 +127,36 @@ def test_refining_finds_where_a_grasp_slips_that_the_closed_form_puts_elsewhere(
     comparison = simulations.comparison()
     places = []
     for _ in range(4):
-        by_key = {e.model.candidate.parameter.key: e.model for e in comparison.others}
+        by_key = {model.candidate.parameter.key: model for model in comparison.models}
         force, mass = by_key["force_scale"], by_key["mass_factor"]
         places.append(crossings(force.coordinate, force.margin[:, 0])[0])
         assert crossings(mass.coordinate, mass.margin[:, 0]) == pytest.approx([-places[-1]])
-        comparison = simulations.refined([CandidateScore(1.0, 1.0, mass, -np.log(0.8), 0.1)])
+        heavier = Explanation((Cause(mass, -np.log(0.8), 0.1),), 1.0, 1.0, np.eye(1))
+        comparison = simulations.refined([heavier])
     truth = np.log(0.86 / 1.1)
     # The threshold lies between 0.7 and 0.8 of the force at first; each round halves that.
     assert all(
         abs(place - truth) <= np.log(0.8 / 0.7) / 2 ** (k + 1) for k, place in enumerate(places)
     )
     assert abs(places[-1] - truth) < 0.01
+
+
+def test_two_causes_are_simulated_at_once_and_kept_for_all_that_move_the_grasp_so(tmp_path):
+    simulations = RimmedSimulations(RECIPE, (config(7.0),), tmp_path, 1)
+    comparison = simulations.comparison()
+    by_key = {model.candidate.parameter.key: model for model in comparison.models}
+    force, mass, friction = (
+        by_key[key] for key in ("force_scale", "mass_factor", "friction_factor")
+    )
+    causes = (Cause(mass, np.log(1.25), 0.1), Cause(friction, np.log(0.9), 0.1))
+    simulations.refined([Explanation(causes, 1.0, 1.0, np.eye(2))])
+    change = Perturbation(force_scale=0.8, friction_factor=0.9)
+    outcome = simulations.known[place_of(config(7.0)), change]
+    assert outcome.friction_ratio == pytest.approx(1.1 * 0.8 * 0.9)
+    for other, sign in ((mass, 1), (force, -1)):
+        kept = simulations.joint[frozenset({other.candidate, friction.candidate})]
+        assert kept.coordinate[other.candidate] == pytest.approx(sign * np.log(1.25))
+        assert kept.margin == pytest.approx(margins_of([outcome])[0])
 
 
 def test_crossings_lie_where_the_line_between_values_is_zero():

@@ -29,9 +29,10 @@ def test_the_page_shows_outcomes_candidates_and_next_grasps(tmp_path):
         "simulated_again": {"rate": 0.0, "mislabels": 0},
         "effects": [{"description": FOUND, "what_would_tell": ["grip_force or friction: lift"]}],
         "false_alarm_rate": 0.03,
-        "steps": [
-            {"chosen": True, "p_value": 0.002, "critical_gain": 3.0, "candidates": candidates}
-        ],
+        "ranking": candidates,
+        "p_value": 0.002,
+        "critical_gain": 3.0,
+        "explanations": [{"causes": [FOUND, "mass of mug"], "probability": 0.25}],
         "force_from_images": "",
         "next_grasps": [
             {
@@ -51,7 +52,8 @@ def test_the_page_shows_outcomes_candidates_and_next_grasps(tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert "3 of 6 (50.0 %)" in page
     assert "1 of 6 (16.7 %)" in page
-    assert "step 1: the first is added" in page
+    assert f"{FOUND}; mass of mug" in page
+    assert "25.0 %" in page
     assert "grip_force or friction: lift." in page
     assert "if grip_force" in page
     assert page.count("data:image/png") == 2

@@ -111,7 +111,7 @@ register(
         parameters=(
             center_of_mass("x", (-30.0, -15.0, 0.0, 15.0, 30.0)),
             # The lever between the pads and the centre lies along y: finer nodes.
-            center_of_mass("y", (-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0)),
+            center_of_mass("y", tuple(7.5 * k for k in range(-4, 5))),
             center_of_mass("z", (-30.0, -15.0, 0.0, 15.0, 30.0)),
         ),
         separated_by={

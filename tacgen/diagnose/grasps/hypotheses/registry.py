@@ -28,7 +28,7 @@ class Prediction(Enum):
     CLOSED_FORM_FORCE = auto()
     """Nearly as at another grip force: simulated about leading values only."""
     CLOSED_FORM_TORSION = auto()
-    """By the torsion that the pads hold: simulated about leading values only."""
+    """By the torsion that the pads hold: simulated where a grasp is near its threshold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +66,18 @@ class Parameter:
         return self.declared == 1.0
 
     @property
+    def center(self) -> float:
+        """The declared value on the axis of ``coordinate``."""
+        return 0.0 if self.is_factor else self.declared
+
+    @property
     def is_simulated(self) -> bool:
         """Whether values are simulated from the start."""
-        return self.prediction in (Prediction.NONE, Prediction.GRIP_FORCE)
+        return self.prediction in (
+            Prediction.NONE,
+            Prediction.GRIP_FORCE,
+            Prediction.CLOSED_FORM_TORSION,
+        )
 
     def coordinate(self, values: FloatArray) -> FloatArray:
         """Values on the axis on which the prior is normal and outcomes are interpolated."""
@@ -122,10 +131,15 @@ class Candidate:
         """Whether grasps of the object ``name`` change, of objects not grasped yet too."""
         return self.hypothesis.of_gripper or name in self.objects
 
+    @property
+    def title(self) -> str:
+        """The name and whose, such as ``mass of cup``."""
+        whose = "" if self.hypothesis.of_gripper else f" of {', '.join(self.objects)}"
+        return self.name + whose
+
     def reported(self, value: str, error: str) -> str:
         """The finding in words, such as ``grip_force at 0.80 ± 0.03 times the declared``."""
-        whose = "" if self.hypothesis.of_gripper else f" of {', '.join(self.objects)}"
-        return f"{self.name}{whose} {self.parameter.reported(value, error)}"
+        return f"{self.title} {self.parameter.reported(value, error)}"
 
 
 _REGISTRY: dict[str, Hypothesis] = {}
