@@ -1,0 +1,53 @@
+"""The clean logs of the study of false names: what spoils them is what their kind says."""
+
+import numpy as np
+import pytest
+
+from validation.blind.generator import draw_case
+from validation.contact import clean_logs
+
+
+def spoiled(kind, seed=3):
+    """A spoiled log, its case, and the error (n,) of its volume over the noise."""
+    case = draw_case(seed, n_trials=40, with_shear=True)
+    frame = clean_logs.KINDS[kind][0](case.frame, case, np.random.default_rng(seed))
+    truth = case.volume_mm3[frame.index]
+    return frame, (frame["volume_mm3"].to_numpy() - truth) / case.noise_mm3
+
+
+@pytest.mark.parametrize("kind", clean_logs.KINDS)
+def test_every_kind_has_the_columns_of_a_log_and_no_effect(kind):
+    frame, error = spoiled(kind)
+    assert {"trial", "time_s", "force_normal_n", "volume_mm3"} <= set(frame)
+    force = frame["force_normal_n"].to_numpy()
+    error = error[np.isfinite(error)]
+    # A gain of 2 % a trial adds up to 4 noises here; other kinds' errors are about the noise.
+    assert 0.3 < np.median(np.abs(error)) / 0.67 < 4.0
+    assert len(force) > 1000
+
+
+def test_lasting_noise_lasts():
+    frame, error = spoiled("noise that lasts 5 to 50 samples")
+    same = np.diff(frame["trial"]) == 0
+    # Half of the variance is white, the other half correlated by exp(−1/5) at least.
+    assert np.mean((error[1:] * error[:-1])[same]) > 0.5 * np.exp(-1 / 5) - 0.1
+    assert error.std() == pytest.approx(1.0, abs=0.2)
+
+
+def test_outliers_stick_out_and_the_rest_does_not():
+    _, error = spoiled("outliers")
+    assert 0.003 < np.mean(np.abs(error) > 4.5) < 0.07
+    assert np.abs(error).max() > 20
+
+
+def test_the_table_counts_logs_with_a_false_name_once():
+    said = {"effects": [], "unexplained": []}
+    wrong = {"effects": ["creep"], "unexplained": []}
+    kind = next(iter(clean_logs.KINDS))
+    results = [
+        {"kind": kind, "said": {"normal": wrong, "shear": wrong}},
+        {"kind": kind, "said": {"normal": said, "shear": {**said, "unexplained": ["lamp"]}}},
+    ]
+    rows = clean_logs.table(results).splitlines()[2:]
+    # Clopper and Pearson's interval of 1 in 2 is 1.3 to 98.7 %.
+    assert rows == [f"| {name} | 2 | 1 | 1.3 to 98.7 % | 1 |" for name in (kind, "all")]
