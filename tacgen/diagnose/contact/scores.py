@@ -64,7 +64,8 @@ def cv_losses(
     """Held-out sum of squares of every unit, for every set of columns: (S, U).
 
     ``sets`` hold column numbers; the last column is the target. Coefficients are fitted to
-    ``training`` (≥ U, P, P), whose first U are the units, by default to ``grams`` too.
+    ``training`` (≥ U, P, P), whose first U are the units, by default to ``grams`` too. A set of
+    columns that are all but the same can overflow; ``believable`` refuses it.
     """
     losses = np.empty((len(sets), grams.shape[0]))
     training = grams if training is None else training
@@ -75,8 +76,9 @@ def cv_losses(
             held = grams[out]
             weights = _solve(total - training[out].sum(axis=0), index, rules)
             block = held[:, index[:, :, None], index[:, None, :]]
-            onto = (block @ weights[None, :, :, None])[..., 0]
-            change = ((onto - 2.0 * held[:, index, -1]) * weights).sum(axis=-1)
+            with np.errstate(over="ignore", invalid="ignore"):
+                onto = (block @ weights[None, :, :, None])[..., 0]
+                change = ((onto - 2.0 * held[:, index, -1]) * weights).sum(axis=-1)
             losses[np.ix_(rows, out)] = held[:, -1, -1] + change.T
     return losses
 
