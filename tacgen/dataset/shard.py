@@ -126,20 +126,18 @@ def _checked(path: Path, file: h5py.File) -> Shard:
         for array in layout.arrays()
         for text in _array_problems(found[array.path], array, array.resolve(sizes))
     ]
+    noise_grey = 0.0
+    if h5a.exists(file.id, NOISE_AT_LOAD.encode()):
+        stored = _attribute(file, NOISE_AT_LOAD, "f", ())
+        noise_grey = np.nan if stored is None else float(stored)
+        if not 0 < noise_grey < np.inf:
+            problems.append(f"{NOISE_AT_LOAD} is not a standard deviation")
     if problems:
         _refuse(path, problems)
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
     arrays.setdefault(CONFIDENCE, np.full(sizes["N"], np.nan))
-    noise_grey = _attribute(file, NOISE_AT_LOAD, "f", ())
-    return Shard(
-        path,
-        file,
-        layout,
-        arrays,
-        (start, stop),
-        _text(file, "recipe_sha256"),
-        0.0 if noise_grey is None else float(noise_grey),
-    )
+    recipe_sha256 = _text(file, "recipe_sha256")
+    return Shard(path, file, layout, arrays, (start, stop), recipe_sha256, noise_grey)
 
 
 def _refuse(path: Path, problems: Sequence[str]) -> NoReturn:

@@ -7,6 +7,7 @@ import pytest
 
 from tacgen import Dataset
 from tacgen.core.errors import DatasetError
+from tacgen.dataset.shard import open_shard
 
 from .conftest import collect_toy, make_sample, make_spec
 
@@ -106,6 +107,17 @@ def test_noise_at_load_is_not_stored(noiseless):
         assert file.attrs["noise_at_load_grey"] == 2.0
         stored = file["/tactile/gelsight_left/rgb"][1]
     assert np.array_equal(stored, make_sample(1, spec).pads["left"].rgb)
+
+
+@pytest.mark.parametrize("value", [np.nan, -1.0, "2", [1.0, 2.0]])
+def test_noise_at_load_that_is_no_deviation_is_refused(noiseless, value):
+    root, _ = noiseless
+    path = root / "shards" / "shard-00000.h5"
+    with h5py.File(path, "r+") as file:
+        del file.attrs["noise_at_load_grey"]
+        file.attrs["noise_at_load_grey"] = value
+    with pytest.raises(DatasetError, match="noise_at_load_grey is not a standard deviation"):
+        open_shard(path)
 
 
 def test_what_was_not_executed_has_no_noise(noiseless):

@@ -6,8 +6,8 @@ verb=$1
 mkdir -p "$2"
 folder=$(cd "$2" && pwd)
 host=$(hostname -s)
-# A port of one's own for each run: two test runs on one machine must not meet.
-port=$((20000 + $$ % 20000))
+# Two ports of one's own for each run: two test runs on one machine must not meet.
+port=$((20000 + $$ % 10000 * 2))
 memory_mb=$(awk '/MemTotal/ {print int($2 / 1024)}' /proc/meminfo)
 
 start() {

@@ -153,6 +153,7 @@ class Shuffles:
 
 def shuffles(trial: NDArray[np.int64], count: int, rng: np.random.Generator) -> Shuffles:
     """``count`` random sign flips of units, of ascending trials (U,), and orders of trials."""
+    trial = np.unique(trial, return_inverse=True)[1]  # without those of one row, which have no unit
     n_trials = int(trial[-1]) + 1
     signs = rng.choice([-1.0, 1.0], size=(count + 1, trial.size))
     orders = rng.permuted(np.tile(np.arange(n_trials), (count + 1, 1)), axis=1)

@@ -296,7 +296,10 @@ class CandidateSets:
         return gain > self._min_gain * self.total(larger)
 
     def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
-        """Whether ``gain`` over ``without`` is so large that a weak p of sign flips is enough."""
+        """Whether ``gain`` over ``without`` is so large that a weak p of sign flips is enough.
+
+        ``p_value`` is not corrected, but of a pair's members, which were chosen together.
+        """
         rules = self.rules
         least = max(rules.clear_share * without.loss, rules.clear_gain * self.total(without))
         return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least

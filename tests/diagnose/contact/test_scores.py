@@ -89,6 +89,24 @@ def test_permutations_keep_their_level_where_trials_differ():
     assert np.mean(np.array(p_values) < 0.1) == pytest.approx(0.1, abs=0.03)
 
 
+def test_a_trial_of_one_row_changes_no_p():
+    columns = log(np.random.default_rng(13), bend=0.02)
+    short = {name: values[:1] + 0.0 for name, values in columns.items()}
+    short["trial"], short["time_s"] = np.array([-1.0]), np.array([-5.0])
+    with_short = {name: np.append(short[name], values) for name, values in columns.items()}
+
+    def p_values(columns):
+        data = ChannelSamples(columns, "normal").thinned()
+        force = data.history.force_normal_n[:, None]
+        number = data.history.trial_index[:, None] / N_TRIALS
+        parts = [force, number * force, np.ones_like(force), data.target - 4.0 * force]
+        grams = scores.unit_grams(data, np.column_stack([data.reduce(part) for part in parts]))
+        shuffled = scores.shuffles(data.unit_trial, 99, np.random.default_rng(0))
+        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, 2, RULES)[0]
+
+    np.testing.assert_allclose(p_values(with_short), p_values(columns))
+
+
 @pytest.mark.parametrize("memory", [0.0, 0.6, 0.95])
 def test_parts_of_a_trial_count_as_one_for_as_long_as_noise_goes_on(memory):
     """The integrated autocorrelation time of an AR(1) process is (1 + ρ) / (1 − ρ)."""
