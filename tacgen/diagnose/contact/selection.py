@@ -397,12 +397,15 @@ class Selection:
         return fitted
 
     def _refined(self, fitted: FittedSet) -> FittedSet:
-        """``fitted`` with the free form of every member with which held-out trials gain."""
+        """``fitted`` with the free form of every member with which held-out trials surely gain."""
         for member in fitted.members:
             if member.effect is not None and member.effect.free_form is not None:
                 trial = self.sets.with_free_form(fitted, member.effect, member.effect.free_form)
-                least = self.rules.min_swap_gain * self.sets.total(fitted)
-                fitted = trial if trial.loss < fitted.loss - least else fitted
+                gains = fitted.loss - trial.loss > self.rules.min_swap_gain * self.sets.total(
+                    fitted
+                )
+                surely = trial.lead_in_se(fitted) >= self.rules.confusable_in_se
+                fitted = trial if gains and surely else fitted
         return fitted
 
     def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:
