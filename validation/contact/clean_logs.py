@@ -34,17 +34,16 @@ Spoil = Callable[[pd.DataFrame, Case, np.random.Generator], pd.DataFrame]
 
 
 def _with_errors(
-    frame: pd.DataFrame, case: Case, errors: Callable[[str, float, float], np.ndarray]
+    frame: pd.DataFrame, case: Case, errors: Callable[[float], np.ndarray]
 ) -> pd.DataFrame:
-    """``frame`` with the generator's noise replaced: ``errors(column, noise, rms)`` (n,)."""
+    """``frame`` with the generator's noise replaced: ``errors(noise)`` (n,) of each column."""
     frame = frame.copy()
     truth = {"volume_mm3": case.volume_mm3, "shear_x_mm": case.shear_mm[:, 0]}
     truth["shear_y_mm"] = case.shear_mm[:, 1]
     for names, noise in zip(RESPONSES, (case.noise_mm3, case.noise_mm), strict=True):
         for name in names:
             if name in frame:
-                rms = float(np.sqrt((truth[name] ** 2).mean()))
-                frame[name] = truth[name] + errors(name, noise, rms)
+                frame[name] = truth[name] + errors(noise)
     return frame
 
 
@@ -56,7 +55,7 @@ def _correlated(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd
     """Noise that lasts 5 to 50 samples, beside as much white noise."""
     memory = np.exp(-1.0 / np.exp(rng.uniform(np.log(5.0), np.log(50.0))))
 
-    def errors(name: str, noise: float, rms: float) -> np.ndarray:
+    def errors(noise: float) -> np.ndarray:
         white = rng.standard_normal(len(frame))
         slow = [_slow(memory, int(count), rng) for count in frame.groupby("trial").size()]
         return np.asarray(noise * (white + np.concatenate(slow)) * np.sqrt(0.5))
@@ -74,7 +73,7 @@ def _slow(memory: float, count: int, rng: np.random.Generator) -> np.ndarray:
 def _heavy_tails(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.DataFrame:
     """Student's t with 3 degrees of freedom."""
     return _with_errors(
-        frame, case, lambda name, noise, rms: noise * rng.standard_t(3, len(frame)) / np.sqrt(3)
+        frame, case, lambda noise: noise * rng.standard_t(3, len(frame)) / np.sqrt(3)
     )
 
 
@@ -82,7 +81,7 @@ def _outliers(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.D
     """One sample in 200 to 20 sticks out by 5 to 50 times the noise, to one side or both."""
     share, one_sided = np.exp(rng.uniform(np.log(0.005), np.log(0.05))), rng.random() < 0.5
 
-    def errors(name: str, noise: float, rms: float) -> np.ndarray:
+    def errors(noise: float) -> np.ndarray:
         size = rng.uniform(5, 50, len(frame)) * (rng.random(len(frame)) < share)
         sign = 1.0 if one_sided else rng.choice([-1.0, 1.0], len(frame))
         return np.asarray(noise * (rng.standard_normal(len(frame)) + sign * size))
@@ -95,7 +94,7 @@ def _growing(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.Da
     load = frame["force_normal_n"].to_numpy()
     share = load / np.sqrt((load**2).mean())
     return _with_errors(
-        frame, case, lambda name, noise, rms: noise * (0.2 + share) * rng.standard_normal(len(load))
+        frame, case, lambda noise: noise * (0.2 + share) * rng.standard_normal(len(load))
     )
 
 

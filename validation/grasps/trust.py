@@ -1,8 +1,8 @@
 """How far ``tacgen diagnose grasps`` can be trusted: simulations perturbed on purpose.
 
 Real grasps are simulated with none, one or two wrong figures, and the diagnosis, which knows only
-the declared simulation and the labels, has to name them, or to say which of them it cannot tell
-apart.
+the declared simulation and the labels, has to name them, or to say which of them it cannot
+separate.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ CASES: tuple[tuple[str, ...], ...] = tuple(
 )
 FLIPS = (0.0, 0.05)
 LEAST_CHANGED = 2
-"""Nothing can name a cause that changes fewer labels, or tell it from the others."""
+"""Nothing can name a cause that changes fewer labels, or separate it from the others."""
 PHYSICS = {"lift_mm": 40.0, "success_rise_mm": 30.0, "time_step_s": 1 / 240, "hold_s": 0.1}
 """A shorter lift in longer steps: 0.4 of the time."""
 DEVIATIONS = 3.0

@@ -238,12 +238,13 @@ class CandidateSets:
         self,
         current: FittedSet,
         candidates: Sequence[Candidate],
+        n_names: int,
         shuffled: scores.Shuffles | None = None,
     ) -> tuple[FloatArray, BoolArray]:
-        """The p of each candidate, corrected for the number of names, and which are of trials.
+        """The p of each candidate, chosen from ``n_names`` names, and which are of trials.
 
         Of trials are those with one value a trial, whose test permutes trials. Only these are
-        corrected where trials are few.
+        corrected for the choice where trials are few.
         """
         ones = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
         grams, groups, base = self._grams(current.fit, [*candidates, ones])
@@ -251,12 +252,11 @@ class CandidateSets:
             grams, base, groups[:-1], shuffled or self._shuffled, groups[-1][0], self.rules
         )
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
-        n_names = len({c.name for c in candidates})
         looked_at = np.where(of_trials | (not self.data.few_trials), n_names, 1)
         return np.minimum(np.maximum(by_shuffle, search) * looked_at, 1.0), of_trials
 
-    def p_value(self, full: FittedSet, member: Candidate) -> tuple[float, bool]:
-        """The p of the member's columns beside the others, for no choice, and if it is of trials.
+    def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
+        """The p of the member's columns beside the others, and whether it is of trials.
 
         Parts of trials count as one for as long as what the whole set leaves goes on.
         """
@@ -271,7 +271,7 @@ class CandidateSets:
             fresh = [one for one in same if one.label == member.label]
         if not fresh:
             return 1.0, False
-        (p_value,), (of_trials,) = self.p_values(rest, fresh, shuffled)
+        (p_value,), (of_trials,) = self.p_values(rest, fresh, n_names, shuffled)
         return float(p_value), bool(of_trials)
 
     def total(self, fitted: FittedSet) -> float:
@@ -312,9 +312,8 @@ class CandidateSets:
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
             return False
-        worth, (p_value, of_trials) = rest.loss - full.loss, self.p_value(full, member)
-        if of_trials or not self.data.few_trials:
-            p_value *= n_names
+        worth = rest.loss - full.loss
+        p_value, of_trials = self.p_value(full, member, n_names)
         if p_value > self.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
@@ -341,7 +340,9 @@ class Selection:
         visited = {base.names}
         while len(current.members) < self._max_members:
             pool = self.sets.pool(current, new_oscillations=True)
-            p_values, of_trials = self.sets.p_values(current, [candidate for candidate, _ in pool])
+            candidates = [candidate for candidate, _ in pool]
+            n_names = len({candidate.name for candidate in candidates})
+            p_values, of_trials = self.sets.p_values(current, candidates, n_names)
             ranking = ranking or self._ranking(current, pool, p_values)
             extended = self._extended(current, pool, p_values, of_trials)
             if extended is None:
@@ -401,11 +402,9 @@ class Selection:
         for member in fitted.members:
             if member.effect is not None and member.effect.free_form is not None:
                 trial = self.sets.with_free_form(fitted, member.effect, member.effect.free_form)
-                gains = fitted.loss - trial.loss > self.rules.min_swap_gain * self.sets.total(
-                    fitted
-                )
-                surely = trial.lead_in_se(fitted) >= self.rules.confusable_in_se
-                fitted = trial if gains and surely else fitted
+                gain = (fitted.loss - trial.loss) / self.sets.total(fitted)
+                is_sure = trial.lead_in_se(fitted) >= self.rules.confusable_in_se
+                fitted = trial if is_sure and gain > self.rules.min_swap_gain else fitted
         return fitted
 
     def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:

@@ -481,10 +481,10 @@ class Posterior:
         return float(np.exp(logsumexp(gains) - self.log_total)) if gains else 0.0
 
     def shared(self, cause: Cause) -> tuple[Shared, ...]:
-        """What ``cause``, one that was found, cannot be told apart from; the likeliest first.
+        """What a found ``cause`` is confounded with, the likeliest first.
 
         Those by other names beside which it is much less certain. In the precision matrix of both,
-        less the prior's, all that the labels tell is in one combination.
+        less the prior's, the labels determine one combination only.
         """
         found: dict[str, Shared] = {}
         k = self.best.causes.index(cause)
@@ -497,12 +497,13 @@ class Posterior:
             pair = [order.index(cause.candidate), order.index(added[0].candidate)]
             covariance = one.covariance[np.ix_(pair, pair)]
             precision = np.linalg.inv(covariance + RULES.least_variance * np.eye(2))
-            told = precision[0, 0] - cause.candidate.parameter.spread**-2
+            by_labels = precision[0, 0] - cause.candidate.parameter.spread**-2
             least = RULES.ridge_widening * alone
             if added[0].candidate.objects != cause.candidate.objects:
-                least *= np.sqrt(2)  # as where either is told by the grasps of one of two objects
-            if np.sqrt(covariance[0, 0]) > least and told > 0 and added[0].name != cause.name:
-                exponent = float(precision[0, 1] / told)
+                least *= np.sqrt(2)  # as where each follows from the grasps of one of two objects
+            is_wider = np.sqrt(covariance[0, 0]) > least
+            if is_wider and by_labels > 0 and added[0].name != cause.name:
+                exponent = float(precision[0, 1] / by_labels)
                 both = Shared(one.causes[pair[0]], added[0], exponent)
                 found.setdefault(added[0].name, both)
         return tuple(found.values())
