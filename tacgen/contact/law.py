@@ -151,19 +151,28 @@ def respond(
     channel: Channel,
     compliance: float,
     effects: Sequence[tuple[Effect, Mapping[str, float]]],
+    known: dict[tuple[str | float, ...], FloatArray] | None = None,
 ) -> FloatArray:
     """Volume (N, 1) or shear motion (N, 2) of a history's samples, in the history's order.
 
     ``effects`` act in the order of their stages, whatever the order they are given in; every
-    parameter must be given.
+    parameter must be given. What comes out of each is taken from, or added to, ``known``: a fit
+    changes one parameter at a time.
     """
     result = history.load(channel)
+    key: tuple[str | float, ...] = ()
     for stage in STAGES:
         if stage == "output":
-            result = compliance * result
+            result, key = compliance * result, (*key, compliance)
         for effect, parameters in effects:
             if effect.stage == stage:
-                result = effect.apply(result, history, parameters)
+                key = (*key, effect.name, *parameters.values())
+                if known is None or key not in known:
+                    result = effect.apply(result, history, parameters)
+                    if known is not None:
+                        known[key] = result
+                else:
+                    result = known[key]
     return result
 
 

@@ -37,7 +37,8 @@ INSEPARABLE = {
     for pair in (("drift", "conditioning"), ("stiffening", "saturation"), ("slip", "saturation"))
 }
 """Pairs that are one thing in a log: both follow the order of the presses, or bend the curve."""
-CLASSES = ("single", "pair", "cross", "clean", "unlisted")
+CLASSES = ("single", "pair", "cross", "clean", "unlisted", "triple")
+N_EFFECTS = {"single": 1, "pair": 2, "triple": 3}
 LEAST_REACHED = 0.9
 
 
@@ -55,8 +56,8 @@ def draw_wanted(kind: str, strengths: list[float], rng: np.random.Generator) -> 
     if kind == "unlisted":
         names = [str(rng.choice(sorted(ALL_UNLISTED)))]
     else:
-        names = [str(n) for n in rng.choice(listed[channel], 1 + (kind == "pair"), replace=False)]
-        if frozenset(names) in INSEPARABLE:
+        names = [str(n) for n in rng.choice(listed[channel], N_EFFECTS[kind], replace=False)]
+        if any(pair <= set(names) for pair in INSEPARABLE):
             return draw_wanted(kind, strengths, rng)
     return {channel: [(name, float(rng.choice(strengths))) for name in names]}
 
@@ -103,9 +104,13 @@ def run(case: Case, seed: int, rules: SelectionRules = DEFAULT_RULES) -> dict[st
     )
     record = diagnosis_record(found)
     volume, shear = found.law.predict(later)
-    record["later"] = {"normal": _rms(later["volume_mm3"].to_numpy() - volume)}
+    measured = later["volume_mm3"].to_numpy()
+    record["later"] = {"normal": _rms(measured - volume)}
+    record["later_noise"] = {"normal": _rms(measured - case.volume_mm3[later.index])}
     if "shear" in record["channels"]:
-        record["later"]["shear"] = _rms(later[["shear_x_mm", "shear_y_mm"]].to_numpy() - shear)
+        measured = later[["shear_x_mm", "shear_y_mm"]].to_numpy()
+        record["later"]["shear"] = _rms(measured - shear)
+        record["later_noise"]["shear"] = _rms(measured - case.shear_mm[later.index])
     return record
 
 
@@ -135,11 +140,15 @@ def judge(case: Case, diagnosis: dict[str, Any]) -> dict[str, str]:
 def ratios(case: Case, diagnosis: dict[str, Any]) -> dict[str, dict[str, float]]:
     """Errors over floors and over the Gaussian process, by channel.
 
-    That on later trials over the noise is given for channels that have an effect of the list.
+    That on later trials over the noise is given for channels that have an effect of the list, and
+    what it would be had the law no error: the noise of so few samples is not the noise of all.
     """
     found = {}
-    channels = (("normal", case.floor_mm3, case.normal), ("shear", case.floor_mm, case.shear))
-    for channel, noise, effects in channels:
+    channels = (
+        ("normal", case.floor_mm3, case.noise_mm3, case.normal),
+        ("shear", case.floor_mm, case.noise_mm, case.shear),
+    )
+    for channel, noise, of_response, effects in channels:
         if channel in diagnosis["channels"] and noise > 0:
             record = diagnosis["channels"][channel]
             after = record["error_after"]["rmse"]
@@ -152,6 +161,9 @@ def ratios(case: Case, diagnosis: dict[str, Any]) -> dict[str, dict[str, float]]
             }
             if effects:
                 found[channel]["later_over_true_noise"] = diagnosis["later"][channel] / noise
+                drawn = diagnosis["later_noise"][channel]
+                least = float(np.sqrt(max(drawn**2 + noise**2 - of_response**2, 0.0)))
+                found[channel]["later_over_true_noise_of_no_error"] = least / noise
     return found
 
 
@@ -214,7 +226,7 @@ def summary(results: list[dict[str, Any]]) -> str:
         limit = 1.05 if name == "after_over_gp" else 1.10
         within = 100 * np.mean(np.nan_to_num(found) <= limit)
         lines.append(
-            f"{name:24s} {low:.3f} {middle:.3f} {high:.3f} (5 50 95 %), ≤ {limit}: {within:.1f} %"
+            f"{name:33s} {low:.3f} {middle:.3f} {high:.3f} (5 50 95 %), ≤ {limit}: {within:.1f} %"
         )
     return "\n".join(lines) + "\n"
 

@@ -6,7 +6,7 @@ of it, so that adding one is adding a module that calls ``register``.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -28,7 +28,6 @@ Bounds: TypeAlias = Callable[[LoadHistory, Parameters], tuple[float, float]]
 
 _LOGARITHMIC_UNITS = ("s", "N", "mm3", "trials")
 MIN_GAIN = 0.02  # least factor on the compliance: beyond the fitted range a gel stays a gel
-FREE_SD = 0.3  # of a free amount: more is rare even where an effect is strong
 _MIN_RATIO = 1e-3  # keeps the logarithm of a ratio finite
 
 
@@ -40,8 +39,8 @@ class Parameter:
     A ``shape`` (an exponent, a time constant) says how the amount acts and is fitted with it; a
     ``reference`` (a load, a time) is set, not fitted. ``bounds`` narrows ``low`` to ``high`` to
     what a given log can determine; ``of_response`` marks a reference that is the span of the
-    measured response. A finite ``prior_sd`` makes it a free amount: one of many that together give
-    the effect any shape, and of which a fit expects this standard deviation about 0.
+    measured response. An amount that ``is_free`` is one of many that together give the effect any
+    shape: no variant frees it, a fit adds all of them to a variant (``Effect.corrected``).
     """
 
     name: str
@@ -52,7 +51,7 @@ class Parameter:
     high: float
     bounds: Bounds | None = None
     of_response: bool = False
-    prior_sd: float = np.inf
+    is_free: bool = False
 
     @property
     def is_logarithmic(self) -> bool:
@@ -74,6 +73,7 @@ class Variant:
     ``probes`` are settings of the amounts, one for each column of the linearised model; ``shapes``
     are held while probing; ``free`` are the parameters fitted afterwards. Where ``scales`` is
     false the amounts do not act linearly (a limit) and the fit starts from the probe itself.
+    ``prior_sd`` is the standard deviation about 0 that a fit expects of free amounts.
     """
 
     label: str
@@ -81,6 +81,7 @@ class Variant:
     free: tuple[str, ...]
     shapes: Parameters = field(default_factory=dict)
     scales: bool = True
+    prior_sd: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +131,14 @@ class Effect:
         return {p.name: p.identity for p in self.parameters} | dict(parameters)
 
     @property
-    def free_form(self) -> Variant | None:
-        """The variant of all its free amounts; it is fitted once the effect is named by others."""
-        probes = [{one.name: 0.05} for one in self.parameters if np.isfinite(one.prior_sd)]
-        return variant("free form", probes) if probes else None
+    def free_amounts(self) -> tuple[str, ...]:
+        """Names of its free amounts."""
+        return tuple(one.name for one in self.parameters if one.is_free)
+
+    def corrected(self, form: Variant, prior_sd: float) -> Variant:
+        """``form`` with all free amounts: any shape, near that of ``form`` unless data differ."""
+        label, free = f"{form.label}, corrected", (*form.free, *self.free_amounts)
+        return replace(form, label=label, free=free, prior_sd=prior_sd)
 
     def can_act_on(self, history: LoadHistory) -> bool:
         """Whether the log has the columns that it needs and varies in them."""
@@ -203,7 +208,7 @@ def amount(
 def free_amounts(name: str, count: int) -> tuple[Parameter, ...]:
     """Free amounts ``name_1`` to ``name_<count>``."""
     return tuple(
-        Parameter(f"{name}_{k}", "1", "amount", 0.0, -10.0, 10.0, prior_sd=FREE_SD)
+        Parameter(f"{name}_{k}", "1", "amount", 0.0, -10.0, 10.0, is_free=True)
         for k in range(1, count + 1)
     )
 

@@ -13,20 +13,23 @@ TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
 def _apply(
     load: base.FloatArray, history: base.LoadHistory, p: base.Parameters, channel: base.Channel
 ) -> base.FloatArray:
-    """Load plus one or two Prony terms, or those of the free form.
+    """Load plus one or two Prony terms, and corrections.
 
     A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew;
     with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial's contact began,
-    which is gone with the load; in between, a share of each. The free form has an amount of each
+    which is gone with the load; in between, a share of each. Corrections are amounts of each
     kind for six τ at even ratios from ``shortest_s`` to ``longest_s``.
 
     Source: Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
     """
     recovery = p["recovery"]
     terms = [(p[tau], recovery * p[one], (1.0 - recovery) * p[one]) for one, tau in TERMS]
-    taus = np.geomspace(p["shortest_s"], p["longest_s"], len(FREE_RECOVERING))
-    for tau, one, other in zip(taus, FREE_RECOVERING, FREE_HELD, strict=True):
-        terms.append((tau, p[one.name], p[other.name]))
+    free = [
+        (p[one.name], p[other.name]) for one, other in zip(FREE_RECOVERING, FREE_HELD, strict=True)
+    ]
+    if any(map(any, free)):
+        taus = np.geomspace(p["shortest_s"], p["longest_s"], len(free))
+        terms += [(tau, *amounts) for tau, amounts in zip(taus, free, strict=True)]
     result = load.copy()
     for tau, recovering, with_load in terms:
         if recovering != 0.0:

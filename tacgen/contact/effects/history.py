@@ -41,6 +41,7 @@ class LoadHistory:
         _require_usable(arrays)
         self.order = np.lexsort((arrays["time_s"], arrays["trial"]))
         self._columns = arrays
+        self._sorted: dict[str, FloatArray] = {}
         self._reversals: dict[Channel, tuple[NDArray[np.int64], BoolArray]] = {}
         self._since_contact: dict[Channel, FloatArray] = {}
         trial = arrays["trial"][self.order]
@@ -56,12 +57,14 @@ class LoadHistory:
         return all(name in self._columns for name in names)
 
     def column(self, name: str) -> FloatArray:
-        """A numeric column (N,), sorted."""
-        try:
-            return self._columns[name][self.order].astype(np.float64)
-        except KeyError:
-            msg = f"the log has no column {name!r}; it has {', '.join(self._columns)}"
-            raise ContactError(msg) from None
+        """A numeric column (N,), sorted, read-only."""
+        if name not in self._sorted:
+            if name not in self._columns:
+                msg = f"the log has no column {name!r}; it has {', '.join(self._columns)}"
+                raise ContactError(msg)
+            self._sorted[name] = self._columns[name][self.order].astype(np.float64)
+            self._sorted[name].setflags(write=False)
+        return self._sorted[name]
 
     def text(self, name: str) -> NDArray[np.str_]:
         """A text column (N,), sorted."""

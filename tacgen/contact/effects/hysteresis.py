@@ -9,11 +9,11 @@ from tacgen.contact.effects import base, kernels
 SPREAD = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Widths of the Prandtl-Ishlinskii operator's plays, as shares of its largest."""
 PLAY_WIDTHS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5, 0.8)
-"""Half-widths of the free form's plays, as shares of the log's span."""
+"""Half-widths of the plays that correct a form, as shares of the log's span."""
 PLAYS = base.free_amounts("play", len(PLAY_WIDTHS))
 KEPT = base.Curve("kept", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
 RETURN = base.Curve("return", (0.0, 0.2, 0.4, 0.6, 0.8))
-"""Of the share of the peak that is gone: what the free form adds there, as a share of the peak; of
+"""Of the share of the peak that is gone: what a correction adds there, as a share of the peak; of
 the trial's peak so far, and of the peak since contact, which a gel that is let go forgets."""
 FREE = (*KEPT.parameters, *RETURN.parameters)
 MIN_UNLOADING_SHARE = 0.02  # rows of unloading that a log must have for a way back to show
@@ -27,7 +27,7 @@ def _apply(
     With P the load at its peak so far: ``residual``·(P − F) at any time, ``loop``·F(1 − |F|/|P|)
     and ``jump``·F while unloading; ``play``·(F − play operator of width ``width_n``) and
     ``friction``·(Dahl friction of that width) turn round with the direction, and ``spread`` is
-    the play with widths spread evenly up to ``width_n``. The free form is a sum of plays with an
+    the play with widths spread evenly up to ``width_n``. Corrections are plays with an
     amount each, and P times a curve of 1 − F/P: of what a gel keeps of its peak load.
 
     Source: Visintin 1994, Differential Models of Hysteresis, ch. III: play, Prandtl-Ishlinskii.

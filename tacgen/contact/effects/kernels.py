@@ -35,6 +35,24 @@ def low_pass(
 
 
 @njit(cache=True)
+def smoothed(
+    values: FloatArray, time_s: FloatArray, starts: NDArray[np.int64], tau_s: float
+) -> FloatArray:
+    """Exponential smoothing of the samples, as software does it: q += (1 − exp(−Δt/τ))(value − q).
+
+    q starts at the first value.
+    """
+    result = np.empty(values.size)
+    for k in range(starts.size - 1):
+        state = values[starts[k]]
+        result[starts[k]] = state
+        for i in range(starts[k] + 1, starts[k + 1]):
+            state -= np.expm1((time_s[i - 1] - time_s[i]) / tau_s) * (values[i] - state)
+            result[i] = state
+    return result
+
+
+@njit(cache=True)
 def delayed(
     values: FloatArray, time_s: FloatArray, starts: NDArray[np.int64], delay_s: float
 ) -> FloatArray:

@@ -6,13 +6,15 @@ from tacgen.contact.effects import base, kernels
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
-    """The load that the volume answers to: F(t − delay), then a first-order lag."""
+    """F(t − delay), then a first-order lag, or samples that software smooths."""
     times, starts = history.time_s, history.starts
     values = np.ascontiguousarray(load[:, 0])
     if p["delay_s"] != 0.0:
         values = kernels.delayed(values, times, starts, p["delay_s"])
     if p["lag_s"] > 0.0:
         values = kernels.low_pass(values, times, starts, p["lag_s"], False)
+    if p["smoothing_s"] > 0.0:
+        values = kernels.smoothed(values, times, starts, p["smoothing_s"])
     return values[:, None]
 
 
@@ -30,11 +32,13 @@ base.register(
         parameters=(
             base.amount("delay_s", -2.0, 2.0, "s", bounds=_bounds),
             base.amount("lag_s", 0.0, 2.0, "s", bounds=_bounds),
+            base.amount("smoothing_s", 0.0, 2.0, "s", bounds=_bounds),
         ),
         apply=_apply,
         variants=lambda history, references: (
             base.variant("lead or delay", [{"delay_s": history.sample_period_s}]),
             base.variant("first-order lag", [{"lag_s": history.sample_period_s}]),
+            base.variant("smoothed samples", [{"smoothing_s": 0.3 * history.sample_period_s}]),
             base.variant(
                 "delay and lag",
                 [{"delay_s": history.sample_period_s}, {"lag_s": history.sample_period_s}],

@@ -6,16 +6,26 @@ from tacgen.contact.effects import base
 
 PLACE = ("x_mm", "y_mm")
 TERMS = ("x", "y", "xx", "xy", "yy", "xxx", "xxy", "xyy", "yyy")
+GRID = np.linspace(-1.0, 1.0, 5)
+BUMPS = base.free_amounts("bump", GRID.size**2)
+"""Of Gaussians on a grid, as far from each other as they are wide: half the extent."""
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
-    """Gain 1 + a polynomial of up to third degree, and r⁴, in u = x/extent and v = y/extent."""
+    """Gain 1 + a polynomial of up to third degree, and r⁴, in u = x/extent and v = y/extent.
+
+    Free amounts add a smooth function of any shape.
+    """
     u = np.clip(history.column("x_mm") / p["extent_mm"], -1.2, 1.2)
     v = np.clip(history.column("y_mm") / p["extent_mm"], -1.2, 1.2)
     relative = p["rrrr"] * (u**2 + v**2) ** 2 + p["rr"] * (u**2 + v**2)
     for name in TERMS:
         if p[name] != 0.0:
             relative = relative + p[name] * u ** name.count("x") * v ** name.count("y")
+    bumps = np.array([p[one.name] for one in BUMPS]).reshape(GRID.size, GRID.size)
+    if bumps.any():
+        along_x, along_y = (np.exp(-0.5 * ((w[:, None] - GRID) / 0.5) ** 2) for w in (u, v))
+        relative = relative + ((along_x @ bumps) * along_y).sum(axis=1)
     return base.with_gain(load, relative)
 
 
@@ -51,6 +61,7 @@ base.register(
         about="the compliance depends on where the gel is touched",
         parameters=(
             *(base.amount(name, -5.0, 5.0) for name in (*TERMS, "rr", "rrrr")),
+            *BUMPS,
             base.reference("extent_mm", "mm"),
         ),
         apply=_apply,

@@ -4,7 +4,7 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
-LIMITS = ((0.8, 20.0), (0.95, 20.0), (0.8, 6.0), (1.0, 6.0), (1.0, 2.5), (1.4, 2.5))
+LIMITS = ((0.8, 20.0), (0.95, 20.0), (1.1, 20.0), (0.8, 6.0), (1.0, 6.0), (1.2, 6.0))
 """Limits, as shares of the span of the volume, and sharpnesses that a fit starts from."""
 
 
@@ -30,7 +30,7 @@ base.register(
             base.amount(
                 "limit_mm3", 1e-6, np.inf, "mm3", np.inf, base.share_of("span_mm3", 0.4, 5.0)
             ),
-            base.shape("sharpness", 1.5, 60.0, 6.0),
+            base.shape("sharpness", 3.0, 60.0, 6.0),
             base.reference("span_mm3", "mm3", of_response=True),
         ),
         apply=_apply,

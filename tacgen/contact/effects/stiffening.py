@@ -41,7 +41,7 @@ base.register(
             base.amount("amount", -3.0, 5.0),
             base.amount("curvature", -5.0, 5.0),
             *CURVE.parameters,
-            base.shape("exponent", -0.4, 5.0, 1.0),
+            base.shape("exponent", -0.4, 3.0, 1.0),
             base.reference("reference_n", "N"),
         ),
         apply=_apply,

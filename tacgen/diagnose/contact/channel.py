@@ -8,6 +8,7 @@ the place of every sum of squares that is judged.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -104,7 +105,7 @@ class ChannelData:
         rows_per_unit = self.history.n_samples / self.n_units
         return max(1, round(2.0 * time / rows_per_unit))
 
-    @property
+    @cached_property
     def span(self) -> float:
         """A high quantile of |target|: the scale of what is measured."""
         return float(np.quantile(np.abs(self.target), 0.99)) or 1.0

@@ -120,23 +120,22 @@ def gp_rmse(
     center, scale = x.mean(axis=0), x.std(axis=0) + 1e-12
     rows = rng.permutation(x.shape[0])[:_MAX_ROWS]
     x, test = (x[rows] - center) / scale, (test - center) / scale
-    left = np.empty_like(test_residual)
-    for axis in range(fit_residual.shape[1]):
-        y = fit_residual[rows, axis]
-        left[:, axis] = test_residual[:, axis] - _predict(x, y - y.mean(), test) - y.mean()
+    y = fit_residual[rows]
+    left = test_residual - _predict(x, y - y.mean(axis=0), test) - y.mean(axis=0)
     return float(np.sqrt((left**2).mean()))
 
 
 def _predict(x: FloatArray, y: FloatArray, test: FloatArray) -> FloatArray:
-    """Prediction (M, D) from ``x`` (N, D) and ``y`` (N,) by the likeliest length and noise."""
+    """Prediction (M, C) from ``x`` (N, D) and ``y`` (N, C) by the likeliest length and noise."""
     squared, settings = cdist(x, x, "sqeuclidean"), []
     for width in (length**2 * x.shape[1] for length in _LENGTHS):
         correlation = np.exp(-0.5 * squared / width)
         for noise in _NOISES:
-            factor = cho_factor(correlation + noise * np.eye(y.size), lower=True)
+            factor = cho_factor(correlation + noise * np.eye(y.shape[0]), lower=True)
             weights = cho_solve(factor, y)
-            fitted = max(float(y @ weights) / y.size, 1e-300)
-            evidence = -np.log(fitted) * y.size / 2 - np.log(np.diag(factor[0])).sum()
+            fitted = max(float((y * weights).sum()) / y.size, 1e-300)
+            log_roots = np.log(np.diag(factor[0])).sum() * y.shape[1]
+            evidence = -np.log(fitted) * y.size / 2 - log_roots
             settings.append((evidence, width, weights))
     _, width, weights = max(settings, key=lambda setting: setting[0])
     exponent = cdist(test, x, "sqeuclidean")

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -12,7 +13,10 @@ from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import Covariate
 
 _MAX_STEPS = 25  # of Gauss-Newton; it ends earlier where it has converged
+_MAX_KNOWN = 40  # responses of a law's first effects that a fit keeps
 _MAX_LOG_STEP = 0.5  # longest step of what is fitted on a logarithmic scale: a factor of 1.6 each
+
+Known: TypeAlias = dict[tuple[str | float, ...], FloatArray] | None
 
 
 @dataclass(frozen=True)
@@ -52,14 +56,14 @@ class Model:
         kept = tuple(term for term in self.covariates if term.covariate != covariate)
         return replace(self, covariates=kept)
 
-    def law_response(self, data: ChannelData) -> FloatArray:
-        """What the law alone predicts, (N, C), in the history's order."""
+    def law_response(self, data: ChannelData, known: Known = None) -> FloatArray:
+        """What the law alone predicts, (N, C), in the history's order; ``known`` is `respond`'s."""
         acting = [(term.effect, term.values) for term in self.terms]
-        return respond(data.history, data.channel, self.compliance, acting)
+        return respond(data.history, data.channel, self.compliance, acting, known)
 
-    def response(self, data: ChannelData) -> FloatArray:
+    def response(self, data: ChannelData, known: Known = None) -> FloatArray:
         """The law and the covariates, (N, C)."""
-        law = result = self.law_response(data)
+        law = result = self.law_response(data, known)
         for term in self.covariates:
             columns = np.stack(term.covariate.columns(data, law))
             result = result + np.tensordot(np.asarray(term.coefficients), columns, axes=1)
@@ -71,7 +75,7 @@ class Fit:
     """A fitted model, its weighted residual (R,) and Jacobian (R, P), rows as ``reduce`` has.
 
     The Jacobian is 0 for a parameter that its bound holds. ``prior`` (P, P + 1) are rows of the
-    same least squares, the residual last, that hold amounts of free forms near their identity.
+    same least squares, the residual last, that hold free amounts near 0.
     """
 
     model: Model
@@ -216,6 +220,7 @@ class _Space:
 
     def __init__(self, data: ChannelData, model: Model) -> None:
         self._data, self._template = data, model
+        self._known: dict[tuple[str | float, ...], FloatArray] = {}
         # Of each number after the first: term, parameter, size, whether it is a logarithm.
         self.slots: list[tuple[int, str, float, bool]] = []
         self._compliance_scale = abs(model.compliance) or 1.0
@@ -234,7 +239,8 @@ class _Space:
                 start = [np.log(v) if logarithmic else v / scale for v in (value, low, high)]
                 bounds.append((start[0], start[1], start[2]))
                 reach.append(_MAX_LOG_STEP if logarithmic else np.inf)
-                precision.append(data.noise * scale / parameter.prior_sd)
+                prior_sd = term.variant.prior_sd if parameter.is_free else np.inf
+                precision.append(data.noise * scale / prior_sd)
         coefficients = [c for term in model.covariates for c in term.coefficients]
         bounds += [(c, -np.inf, np.inf) for c in coefficients]
         self.start, self._low, self._high = np.array(bounds).T
@@ -276,7 +282,9 @@ class _Space:
 
     def residual(self, vector: FloatArray) -> FloatArray:
         """What the model leaves (R,), and below it the rows of the prior (P,)."""
-        response = self._data.reduce(self.model(vector).response(self._data))
+        if len(self._known) > _MAX_KNOWN:
+            self._known.clear()
+        response = self._data.reduce(self.model(vector).response(self._data, self._known))
         return np.concatenate([self._target - response, -self._precision * vector])
 
     def fit(self, vector: FloatArray, residual: FloatArray, jacobian: FloatArray) -> Fit:

@@ -62,7 +62,8 @@ class SelectionRules:
     # Which of two is kept
     parameter_price: float = 0.002  # share by which one parameter more must be better
     few_parameter_price: float = 0.02  # the same where trials are few
-    min_swap_gain: float = 0.001  # share that an exchange of members, or a free form, must gain
+    min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
+    correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
     least_share_of_rival: float = 0.06  # of another's worth: less is that one's inexact formula
     confusable_in_se: float = 2.0  # lead below which a rival is reported as confusable
 

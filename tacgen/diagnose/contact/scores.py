@@ -224,13 +224,19 @@ def shuffle_p_values(
 def _shape_within_trials(
     grams: FloatArray, compliance: int, ones: int, columns: Sequence[int], rules: SelectionRules
 ) -> int | None:
-    """The column that all of ``columns`` are proportional to within each trial, if any is."""
+    """The column that all of ``columns`` are proportional to within each trial, if any is.
+
+    None also where the factor is the same in all trials, as a constant offset's: it has no order
+    that could be permuted.
+    """
     own = grams[:, columns, columns].sum()
     for shape in (compliance, ones):
         information = _information(grams, shape)
-        explained = (grams[:, shape, columns] ** 2 / information[:, None]).sum()
+        products = grams[:, shape, columns]
+        explained = (products**2 / information[:, None]).sum()
         if explained > rules.one_number_a_trial_share * own:
-            return shape
+            common = (products.sum(axis=0) ** 2 / information.sum()).sum()
+            return shape if common < rules.one_number_a_trial_share * explained else None
     return None
 
 

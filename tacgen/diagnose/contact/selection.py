@@ -15,7 +15,8 @@ from itertools import combinations
 
 import numpy as np
 
-from tacgen.contact.effects import Effect, Variant, all_effects
+from tacgen.contact.effects import Effect, all_effects
+from tacgen.contact.effects.base import Parameters
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
@@ -25,6 +26,8 @@ from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
 from tacgen.diagnose.contact.oscillation import find_oscillations
 from tacgen.diagnose.contact.rules import SelectionRules
+
+_PROBE = 0.01  # of a free amount, where its effect on the response is asked
 
 
 @dataclass(frozen=True)
@@ -169,12 +172,29 @@ class CandidateSets:
         model = full.fit.model
         return self.fitted(members, model.without(member.name, member.covariate))
 
-    def with_free_form(self, full: FittedSet, effect: Effect, form: Variant) -> FittedSet:
-        """``full`` with the effect in its free form, fitted from amounts of 0."""
+    def corrected(self, full: FittedSet, effect: Effect) -> FittedSet:
+        """``full`` with the effect's free amounts added to its form, fitted from 0.
+
+        Together they are expected to change the response by ``correction_share`` of what the
+        effect does.
+        """
+        data, model = self.data, full.fit.model
+        (term,) = (one for one in model.terms if one.effect is effect)
+
+        def with_term(new: Term) -> Model:
+            return replace(model, terms=tuple(new if t is term else t for t in model.terms))
+
+        def change(values: Parameters) -> FloatArray:
+            changed = with_term(replace(term, values=values))
+            return data.reduce(changed.law_response(data) - plain)
+
+        plain = model.law_response(data)
+        size = np.linalg.norm(change(effect.complete({})))
+        probed = [change({**term.values, name: _PROBE}) / _PROBE for name in effect.free_amounts]
+        prior_sd = self.rules.correction_share * float(size / np.linalg.norm(probed))
+        form = effect.corrected(term.variant, prior_sd)
         members = tuple(replace(m, variant=form) if m.effect is effect else m for m in full.members)
-        start = start_term(effect, form, self.data, [0.0] * len(form.probes))
-        terms = tuple(start if term.effect is effect else term for term in full.fit.model.terms)
-        return self.fitted(members, replace(full.fit.model, terms=terms))
+        return self.fitted(members, with_term(replace(term, variant=form)))
 
     def pool(self, current: FittedSet, *, new_oscillations: bool = False) -> Pool:
         """Candidates beside ``current`` and the losses that each leaves on held-out units."""
@@ -381,7 +401,7 @@ class Selection:
         return best_single
 
     def _swapped(self, fitted: FittedSet) -> FittedSet:
-        """Exchange members, and their variants, as long as held-out trials gain."""
+        """Exchange members, and their variants, for needed ones as long as held-out trials gain."""
         sets = self.sets
         for _ in range(4):
             best = fitted
@@ -390,7 +410,8 @@ class Selection:
                 for other in self._alternatives(rest, fitted):
                     trial = sets.add(rest, [other])
                     least = self.rules.min_swap_gain * sets.total(best)
-                    if sets.score(trial) < sets.score(best) - least:
+                    is_better = sets.score(trial) < sets.score(best) - least
+                    if is_better and sets.is_needed(trial, other):
                         best = trial
             if best is fitted:
                 return fitted
@@ -398,13 +419,12 @@ class Selection:
         return fitted
 
     def _refined(self, fitted: FittedSet) -> FittedSet:
-        """``fitted`` with the free form of every member with which held-out trials surely gain."""
+        """``fitted`` with the form of every member corrected where held-out trials gain."""
         for member in fitted.members:
-            if member.effect is not None and member.effect.free_form is not None:
-                trial = self.sets.with_free_form(fitted, member.effect, member.effect.free_form)
+            if member.effect is not None and member.effect.free_amounts:
+                trial = self.sets.corrected(fitted, member.effect)
                 gain = (fitted.loss - trial.loss) / self.sets.total(fitted)
-                is_sure = trial.lead_in_se(fitted) >= self.rules.confusable_in_se
-                fitted = trial if is_sure and gain > self.rules.min_swap_gain else fitted
+                fitted = trial if gain > self.rules.min_swap_gain else fitted
         return fitted
 
     def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:

@@ -30,6 +30,23 @@ def test_creep_under_a_constant_load_is_the_prony_series():
     np.testing.assert_allclose(creeping[:, 0], 6.0 * (1 + grown), rtol=1e-12)
 
 
+def test_what_is_known_of_the_first_effects_changes_no_response():
+    """One dictionary for changes of every effect's parameter and of the compliance, in turn."""
+    history = history_of(np.concatenate([np.linspace(0, 5, 30), np.linspace(5, 0, 30)]))
+    names = ("stiffening", "creep", "saturation")
+    given = {"amount": -0.1}, {"amount": 0.2, "tau_s": 0.7}, {"limit_mm3": 9.0}
+    chain = [find_effect("normal", name) for name in names]
+    values = [e.complete(e.references(history) | v) for e, v in zip(chain, given, strict=True)]
+    known = {}
+    for k, compliance in ((None, 2.0), (0, 2.0), (1, 2.0), (2, 2.0), (None, 2.1), (1, 2.1)):
+        changed = [
+            v | {"amount": 0.3, "limit_mm3": 7.0} if i == k else v for i, v in enumerate(values)
+        ]
+        terms = list(zip(chain, changed, strict=True))
+        quick = respond(history, "normal", compliance, terms, known)
+        np.testing.assert_array_equal(quick, respond(history, "normal", compliance, terms))
+
+
 def test_creep_under_a_ramp_is_the_convolution_integral():
     time = np.linspace(0.0, 5.0, 11)
     history = history_of(2.0 * time, time)
@@ -67,6 +84,24 @@ def test_latency_shifts_a_ramp_by_its_delay():
     np.testing.assert_allclose(late[5:], 6.0 * (time[5:] - 0.25), rtol=1e-9)
     early = volume(history_of(3.0 * time, time), "latency", delay_s=-0.25)[:, 0]
     np.testing.assert_allclose(early[:-5], 6.0 * (time[:-5] + 0.25), rtol=1e-9)
+
+
+def test_smoothed_samples_of_a_step_approach_it_by_a_geometric_series():
+    time = np.cumsum([0.0, 0.1, 0.1, 0.3, 0.05])
+    step = volume(history_of([0.0, 5.0, 5.0, 5.0, 5.0], time), "latency", smoothing_s=0.2)[:, 0]
+    np.testing.assert_allclose(step, 10.0 * (1.0 - np.exp(-time / 0.2)), rtol=1e-12)
+
+
+def test_bumps_of_a_place_add_up_to_a_sum_of_gaussians():
+    x, y = np.array([0.0, 2.0, -4.0, 1.0]), np.array([0.0, 1.0, 3.0, -4.0])
+    history = history_of(np.full(4, 3.0), x_mm=x, y_mm=y)
+    found = volume(history, "position", bump_1=0.1, bump_18=-0.2)[:, 0]
+
+    def bump(u, v):
+        return np.exp(-((x / 4.0 - u) ** 2 + (y / 4.0 - v) ** 2) / (2 * 0.5**2))
+
+    expected = 6.0 * (1.0 + 0.1 * bump(-1.0, -1.0) - 0.2 * bump(0.5, 0.0))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_stiffening_is_one_at_its_reference_and_logarithmic_at_exponent_zero():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.contact.effects import LoadHistory, find_effect
+from tacgen.contact.effects import LoadHistory, Variant, find_effect
 from tacgen.contact.effects.history import REQUIRED
 from tacgen.contact.effects.hysteresis import PLAY_WIDTHS
 from tacgen.contact.law import ContactLaw, FittedEffect, load_law, respond, save_law
@@ -38,11 +38,10 @@ def presses(response, noise, seed, schedule=(0.0, 0.35, 0.65, 0.95, 1.0), peaks_
 
 
 def free_fit(columns, name):
-    """The effect's free form, fitted to a log of the normal channel."""
+    """The effect's free amounts alone, fitted to a log of the normal channel."""
     data, effect = ChannelSamples(columns, "normal").thinned(), find_effect("normal", name)
-    form = effect.free_form
-    start = Model(K_N, (start_term(effect, form, data, [0.0] * len(form.probes)),))
-    return data, fit_model(data, start)
+    form = effect.corrected(Variant("nothing", (), ()), 0.3)
+    return data, fit_model(data, Model(K_N, (start_term(effect, form, data, ()),)))
 
 
 def prandtl_ishlinskii(weights, widths):
@@ -118,11 +117,11 @@ def test_a_curve_recovers_a_shape_that_no_power_has():
 
 
 @pytest.mark.parametrize(
-    ("weights", "form", "share"),
-    [([0.4, 0.0, 0.2], "free form", 0.1), ([0.0, 0.3, 0.0], "play", 1.0)],
+    ("weights", "corrected", "share"),
+    [([0.4, 0.0, 0.2], True, 0.1), ([0.0, 0.3, 0.0], False, 1.0)],
     ids=["two plays", "one play"],
 )
-def test_the_free_form_is_kept_only_where_held_out_trials_gain(weights, form, share):
+def test_a_form_is_corrected_only_where_held_out_trials_gain(weights, corrected, share):
     """Two plays, one narrow and one wide, are no few-parameter form; one play is."""
     response = prandtl_ishlinskii(-np.array(weights), [0.3, 1.0, 4.0])
     columns = presses(response, 0.1, 5, schedule=(0.05, 0.4, 0.45, 0.95, 1.0))
@@ -130,7 +129,7 @@ def test_the_free_form_is_kept_only_where_held_out_trials_gain(weights, form, sh
     found = Selection(data, np.random.default_rng(0)).run()
     assert [one.candidate.name for one in found.chosen] == ["hysteresis"]
     (term,) = found.final.fit.model.terms
-    assert term.variant.label.startswith(form)
+    assert term.variant.label.endswith("corrected") == corrected
     assert found.final.loss <= share * found.named.loss
     assert found.final.loss < 0.15 * data.noise_loss, "the rest is noise"
 

@@ -72,6 +72,23 @@ def test_shuffles_keep_their_level_and_see_a_bend():
     assert p_value(0.05) < 1e-4
 
 
+def test_a_constant_that_is_added_in_every_trial_has_the_p_of_sign_flips():
+    """It has no order that permuting trials could change: a permutation sees nothing of it."""
+    rng = np.random.default_rng(6)
+    p_values = []
+    for offset in [0.0] * 40 + [0.4]:
+        columns = log(rng, force_noise=0.0)
+        columns["volume_mm3"] += offset
+        _, grams, _ = grams_of(columns)
+        shuffled = scores.shuffles(np.arange(N_TRIALS), 499, rng)
+        (p_value,), (of_trials,) = scores.shuffle_p_values(grams, [0], [[2]], shuffled, 2, RULES)
+        assert not of_trials
+        p_values.append(p_value)
+    # Of 40 uniform values 2 are below 0.05 in the mean; more than 7 have a chance of 0.1 %.
+    assert sum(p < 0.05 for p in p_values[:-1]) <= 7
+    assert p_values[-1] < 1e-4, "0.4 mm³ is ten standard errors"
+
+
 def test_permutations_keep_their_level_where_trials_differ():
     """Each trial has its own gain; those with more load say more about it, and differ as much."""
     rng = np.random.default_rng(11)
