@@ -278,7 +278,7 @@ def power_shape(ratio: FloatArray, exponent: float) -> FloatArray:
 
 def with_gain(load: FloatArray, relative: FloatArray) -> FloatArray:
     """``load`` (N, C) times 1 + ``relative`` (N,), never turned round; NaN counts as 0."""
-    gain = np.maximum(1.0 + np.nan_to_num(relative, nan=0.0), MIN_GAIN)
+    gain = np.maximum(1.0 + np.where(np.isnan(relative), 0.0, relative), MIN_GAIN)
     return np.asarray(load * gain[:, None])
 
 

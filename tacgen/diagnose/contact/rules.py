@@ -56,7 +56,6 @@ class SelectionRules:
     clear_alpha: float = 0.02  # before correction: flips of a dozen trials go no lower
     few_alpha: float = 0.05  # alpha where trials are few
     few_min_gain: float = 0.2  # min_gain where trials are few
-    trials_per_member_if_few: int = 4  # for each member where trials are few
     max_members: int = 5  # of a channel's model
 
     # Which of two is kept

@@ -348,8 +348,6 @@ class Selection:
     ) -> None:
         self.data, self.rules = data, data.rules
         self.sets = CandidateSets(data, rng, session_clock=session_clock)
-        most = data.history.n_trials // self.rules.trials_per_member_if_few
-        self._max_members = max(1, most) if data.few_trials else self.rules.max_members
 
     def run(self) -> Attribution:
         """Select forward by singles and pairs, then drop, swap and name the runners-up."""
@@ -358,7 +356,7 @@ class Selection:
         base = current = self.sets.fitted((), Model(rough_k or 1e-6))
         ranking: tuple[tuple[str, float, float], ...] = ()
         visited = {base.names}
-        while len(current.members) < self._max_members:
+        while len(current.members) < self.rules.max_members:
             pool = self.sets.pool(current, new_oscillations=True)
             candidates = [candidate for candidate, _ in pool]
             n_names = len({candidate.name for candidate in candidates})
@@ -371,7 +369,7 @@ class Selection:
             if current.names in visited:
                 break
             visited.add(current.names)
-        named = self._pruned(current)
+        named = self._without_mismatch(self._pruned(current))
         return Attribution(base, named, self._refined(named), self._described(named), ranking)
 
     def _extended(
@@ -389,7 +387,7 @@ class Selection:
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [single for single in singles if sets.is_worth(current, single)]
         best_single = min(singles, key=sets.score, default=None)
-        if len(current.members) + 2 > self._max_members:
+        if len(current.members) + 2 > rules.max_members:
             return best_single
         pairs = [sets.add(current, pair) for pair in sets.pairs(current, pool)]
         for pair in sorted(pairs, key=sets.score):
@@ -416,6 +414,16 @@ class Selection:
             if best is fitted:
                 return fitted
             fitted = best
+        return fitted
+
+    def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
+        """``fitted`` less members that corrections of the others' forms replace, weakest first."""
+        sets = self.sets
+        by_worth = sorted(fitted.members, key=lambda member: sets.without(fitted, member).loss)
+        for member in by_worth[:-1]:
+            rest = sets.without(fitted, member)
+            if not sets.is_worth(self._refined(rest), self._refined(fitted)):
+                return self._without_mismatch(self._pruned(rest))
         return fitted
 
     def _refined(self, fitted: FittedSet) -> FittedSet:

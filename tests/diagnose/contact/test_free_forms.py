@@ -176,3 +176,33 @@ def test_a_law_file_holds_the_whole_free_form(name, tmp_path):
     np.testing.assert_allclose(volume, np.maximum(expected, 0.0), rtol=1e-12, atol=1e-12)
     linear = fit.model.compliance * grasp["force_normal_n"]
     assert np.abs(volume - linear).max() > 0.01 * linear.max()
+
+
+def test_seven_trials_suffice_for_two_clear_effects():
+    creeping = prony([0.15], [1.5])
+    columns = presses(lambda *press: 0.2 + creeping(*press), 0.05, 9)
+    few = columns["trial"] < 7
+    data = ChannelSamples({key: c[few] for key, c in columns.items()}, "normal").thinned()
+    found = Selection(data, np.random.default_rng(0)).run()
+    assert {one.candidate.name for one in found.chosen} == {"creep", "zero_offset"}
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.15])
+def test_what_corrections_of_another_form_explain_is_no_effect_of_its_own(delay_s):
+    """Creep over decades of time, fitted by one Prony term, leaves what looks like a latency."""
+    wide = prony([0.06, 0.06, 0.06, 0.06], [0.15, 0.6, 2.4, 9.6])
+
+    def delayed(force, time, knots, peak):
+        before = np.interp(time - delay_s, knots, [0.0, peak, peak, 0.0, 0.0])
+        return wide(before, time - delay_s, knots, peak)
+
+    data = ChannelSamples(presses(delayed, 0.02, 10), "normal").thinned()
+    selection = Selection(data, np.random.default_rng(0))
+    base = selection.sets.fitted((), Model(K_N))
+    pool = {one.label: one for one, _ in selection.sets.pool(base)}
+    tau = next(label for label in pool if label.startswith("creep: recovering"))
+    both = selection.sets.add(base, [pool[tau], pool["latency: lead or delay"]])
+    kept = {"creep"} if delay_s == 0.0 else {"creep", "latency"}
+    assert selection._without_mismatch(both).names == kept
+    rest = selection.sets.without(both, both.members[1])
+    assert selection.sets.is_worth(rest, both), "one Prony term alone leaves much"
