@@ -103,7 +103,7 @@ def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
         "objects": [{"name": "cup"}],
         "rows": [{"name": "a"}],
         "indenters": [{"name": "ball", "radius_mm": 2.0}],
-        "effects": [{"name": "creep", "strength": 1.0}],
+        "effects": [{"name": "creep", "strength": 1.0, "where": {"column": "x_mm"}}],
     }
     for key in hooks.keys_of(kind):
         assert key.meaning, key.path

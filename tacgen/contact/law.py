@@ -16,7 +16,15 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, ConfigDict, Field
 
-from tacgen.contact.effects import CHANNELS, STAGES, Channel, Effect, LoadHistory, find_effect
+from tacgen.contact.effects import (
+    CHANNELS,
+    STAGES,
+    Channel,
+    Effect,
+    LoadHistory,
+    Where,
+    find_effect,
+)
 from tacgen.core.arrays import FloatArray
 from tacgen.core.config import Section
 from tacgen.core.errors import ContactError, RecipeError
@@ -46,19 +54,40 @@ Given = Annotated[Estimate, BeforeValidator(_estimate)]
 
 @dataclass(frozen=True, slots=True)
 class FittedEffect:
-    """An effect of the registry with fitted parameters; those not given have their identity."""
+    """An effect of the registry with fitted parameters; those not given have their identity.
+
+    With ``where`` it acts in that part of a log only.
+    """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
     name: str
     channel: str
     parameters: Mapping[str, Given] = field(default_factory=dict)
+    where: Where | None = None
+
+    @property
+    def effect(self) -> Effect:
+        """The effect of the registry, acting where this one does."""
+        return find_effect(self.channel, self.name).only(self.where)
 
     @property
     def values(self) -> dict[str, float]:
         """Parameter values, identities filled in."""
         given = {name: estimate.value for name, estimate in self.parameters.items()}
-        return find_effect(self.channel, self.name).complete(given)
+        return self.effect.complete(given)
+
+    def in_simulation(self, history: LoadHistory) -> Effect | None:
+        """What acts on a simulated grasp, which comes after the session; None where nothing does.
+
+        Effects of the measurement do not act, nor do those whose columns the grasp lacks, or whose
+        stretch of the session is over; one that lasted to the session's end acts from then on.
+        """
+        is_over = self.where is not None and self.where.is_over
+        lasts = self.where is not None and self.where.is_stretch
+        effect = replace(self, where=None).effect if lasts else self.effect
+        acts = effect.in_simulation and history.has(*effect.needs) and not is_over
+        return effect if acts else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +133,8 @@ class ContactLaw:
         trial starts from rest, and what happens in it carries through its samples. With
         ``simulate`` they are a simulated grasp: effects of the measurement (zero offset, latency,
         drift with the session) do not act, nor do effects whose columns are missing (no
-        thermometer, say), which then stay at their reference.
+        thermometer, say), which then stay at their reference, nor those of a stretch of the session
+        that was over before it ended.
 
         Returns the volume (N,), mm³, at least 0 when simulating (in a log, noise about 0 N shows),
         and the motion (N, 2), mm, along the gel's x and y; 0 where the log has no shear force.
@@ -139,9 +169,8 @@ class ContactLaw:
     ) -> FloatArray:
         acting = []
         for fitted in self.effects:
-            effect = find_effect(fitted.channel, fitted.name)
-            left_out = simulate and not (effect.in_simulation and history.has(*effect.needs))
-            if effect.channel == channel and not left_out:
+            effect = fitted.in_simulation(history) if simulate else fitted.effect
+            if effect is not None and effect.channel == channel:
                 acting.append((effect, fitted.values))
         return respond(history, channel, 0.0 if math.isnan(compliance) else compliance, acting)
 
@@ -202,9 +231,11 @@ def _law_problems(law: ContactLaw) -> list[str]:
 def _effect_problems(where: str, fitted: FittedEffect) -> list[str]:
     problems = []
     try:
-        effect = find_effect(fitted.channel, fitted.name)
+        effect = fitted.effect
     except ContactError as error:
         return [f"{where}: {error}"]
+    if fitted.where is not None and list(fitted.where.given) == ["column"]:
+        problems.append(f"{where}: where has no limit; give above, up_to or equals")
     for name, estimate in fitted.parameters.items():
         try:
             low, high = effect.parameter(name).low, effect.parameter(name).high
@@ -218,7 +249,7 @@ def _effect_problems(where: str, fitted: FittedEffect) -> list[str]:
 
 def _require_columns(law: ContactLaw, history: LoadHistory) -> None:
     """Raise a ``ContactError`` for columns that the law's effects need and the log lacks."""
-    needed = {one.name: find_effect(one.channel, one.name).needs for one in law.effects}
+    needed = {one.name: one.effect.needs for one in law.effects}
     lacking = {key: [n for n in names if not history.has(n)] for key, names in needed.items()}
     problems = [
         f"the law's effect {name!r} needs the column {', '.join(columns)}, which the log lacks; "
@@ -245,6 +276,7 @@ def save_law(law: ContactLaw, path: Path) -> None:
                 name: {**_numbers(estimate), "unit": estimate.unit}
                 for name, estimate in fitted.parameters.items()
             },
+            **({"where": fitted.where.given} if fitted.where else {}),
         }
         for fitted in law.effects
     ]

@@ -49,7 +49,7 @@ def true_response(recipe: RigRecipe, columns: Mapping[str, NDArray[Any]]) -> Ses
 def _with_parameters(
     given: RigEffect, history: LoadHistory, compliance: float, noise: float
 ) -> FittedEffect:
-    effect = find_effect(given.channel, given.name)
+    effect = find_effect(given.channel, given.name).only(given.where)
     fixed = effect.complete({**effect.references(history), **given.parameters})
     values = fixed
     if given.strength is not None:
@@ -57,7 +57,7 @@ def _with_parameters(
     estimates = {
         name: Estimate(value, 0.0, effect.parameter(name).unit) for name, value in values.items()
     }
-    return FittedEffect(given.name, given.channel, estimates)
+    return FittedEffect(given.name, given.channel, estimates, given.where)
 
 
 def _solve_strength(

@@ -17,7 +17,7 @@ from pydantic import (
     Tag,
 )
 
-from tacgen.contact.effects import find_effect
+from tacgen.contact.effects import Where, find_effect
 from tacgen.core.config import Located, Section
 from tacgen.core.errors import ContactError
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
@@ -146,6 +146,8 @@ class RigEffect(Section):
     """RMS residual of the best linear law over the channel's noise; sets the amplitudes."""
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
     """Values of the effect's parameters."""
+    where: Where | None = None
+    """The part of the log in which alone it acts, such as ``{column: x_mm, above: 2}``."""
 
 
 class Images(Section):

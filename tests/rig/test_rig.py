@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.cli import app
-from tacgen.contact.effects import all_effects
+from tacgen.contact.effects import Where, all_effects
 from tacgen.contact.law import load_law
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
@@ -97,7 +97,9 @@ def test_a_press_does_not_depend_on_how_many_follow():
 
 @pytest.mark.parametrize("effect", all_effects(), ids=lambda e: f"{e.channel}-{e.name}")
 def test_every_effect_reaches_the_strength_asked_for(effect):
-    given = recipe(effects=(RigEffect(name=effect.name, channel=effect.channel, strength=2.0),))
+    where = Where("trial", above=10) if effect.is_local else None
+    one = RigEffect(name=effect.name, channel=effect.channel, strength=2.0, where=where)
+    given = recipe(effects=(one,))
     session = simulate_session(given)
     true = session.true_columns
     if effect.channel == "normal":

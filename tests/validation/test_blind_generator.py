@@ -63,3 +63,14 @@ def test_no_strength_is_no_effect(channel):
         np.testing.assert_allclose(case.volume_mm3, case.k_n_mm3_per_n * load, atol=1e-9)
         shear = case.frame[["force_shear_x_n", "force_shear_y_n"]].to_numpy()
         np.testing.assert_allclose(case.shear_mm, case.k_s_mm_per_n * shear, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["region", "stretch", "indenter"])
+def test_a_local_effect_acts_in_its_trials_only(kind):
+    case = draw_case(5, normal=[("zero_offset", 2.0)], local={"zero_offset": kind}, n_trials=40)
+    inside = case.frame["trial"].isin(case.inside["zero_offset"]).to_numpy()
+    still = draw_case(5, normal=[("zero_offset", 0.0)], local={"zero_offset": kind}, n_trials=40)
+    assert 8 <= len(case.inside["zero_offset"]) <= 27
+    changed = np.abs(case.volume_mm3 - still.volume_mm3) > 1e-9
+    np.testing.assert_array_equal(changed, inside)
+    assert case.reached["normal", "zero_offset"] == pytest.approx(2.0, rel=0.01)

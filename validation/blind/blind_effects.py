@@ -221,6 +221,10 @@ def humidity_gain(load: Floats, trial: Trial, amplitude: float, p: Mapping[str, 
     return load * (1.0 + p["sign"] * amplitude * (humidity - 45.0) / 10.0)
 
 
+def softer(load: Floats, trial: Trial, amplitude: float, p: Mapping[str, float]) -> Floats:
+    return load * (1.0 + p["sign"] * amplitude)
+
+
 # --- the response -----------------------------------------------------------------------------
 
 
@@ -301,3 +305,5 @@ UNLISTED = {
     "humidity_percent": Effect((humidity_gain,), 2, 0.8),
 }
 """Effects that no list holds, by the covariate that they follow."""
+LOCAL = {"compliance_change": Effect((softer,), 2, 0.8)}
+"""Effects that show only where they act in a part of the log."""

@@ -31,7 +31,7 @@ class Case:
     are without noise. ``normal`` and ``shear`` name the effects, ``unexplained`` the covariate
     that a channel follows though no listed effect does ("" where none). ``reached`` are the
     strengths that were reached, by channel and effect; ``floor_`` is the noise of the response with
-    the gauge's, times k.
+    the gauge's, times k. ``inside`` are the trials in which a local effect acts, by its name.
     """
 
     frame: pd.DataFrame
@@ -49,6 +49,7 @@ class Case:
     floor_mm: float
     schedules: tuple[str, ...]
     form_names: tuple[str, ...]
+    inside: Mapping[str, frozenset[int]]
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class _Active:
     form: forms.Form
     constants: Mapping[str, float]
     amplitude: float = 0.0
+    inside: frozenset[int] | None = None
+    """Trials in which it acts; None: in all."""
 
 
 def draw_case(
@@ -72,6 +75,7 @@ def draw_case(
     force_noise_share: float | None = None,
     with_shear: bool | None = None,
     distractors: bool | None = None,
+    local: Mapping[str, str] | None = None,
 ) -> Case:
     """One session on a rig.
 
@@ -87,23 +91,30 @@ def draw_case(
         Noise of the response and of the gauge, as a share of the RMS response (or force).
     with_shear, distractors : bool, optional
         Whether there are shear columns, and covariates that mean nothing.
+    local : mapping, optional
+        Effects that act only in a ``region`` of the gel, a ``stretch`` of the session or with one
+        ``indenter``.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    names = {name for name, _ in (*normal, *shear)}
+    local = local or {}
+    names = {name for name, _ in (*normal, *shear)} | {_SEEN_BY[kind] for kind in local.values()}
     n_trials = int(rng.integers(12, 81) if n_trials is None else n_trials)
     needs_shear = bool(shear) or "shear_coupling" in names
     with_shear = needs_shear or (rng.random() < 0.8 if with_shear is None else with_shear)
     distractors = rng.random() < 0.5 if distractors is None else distractors
     schedules = _choose_schedules(names, rng)
     trials = _draw_session(n_trials, schedules, names, bool(with_shear), rng)
+    inside = {name: _inside(kind, trials, [seed, 1]) for name, kind in local.items()}
     k_n, k_s = float(rng.uniform(2.0, 9.0)), float(rng.uniform(0.2, 3.0))
     noise_share = float(rng.uniform(0.005, 0.03)) if noise_share is None else noise_share
     gauge = float(rng.uniform(0.0, 0.4)) * noise_share
     gauge = gauge if force_noise_share is None else force_noise_share
 
-    volume, noise_mm3, active, reached = _respond("normal", trials, normal, k_n, noise_share, rng)
+    volume, noise_mm3, active, reached = _respond(
+        "normal", trials, normal, inside, k_n, noise_share, rng
+    )
     shear_mm, noise_mm, active_s, reached_s = _respond(
-        "shear", trials, shear, k_s, noise_share, rng
+        "shear", trials, shear, inside, k_s, noise_share, rng
     )
     frame = _frame(trials, volume, noise_mm3, shear_mm, noise_mm, gauge, rng)
     frame = _add_columns(frame, trials, names, bool(with_shear), bool(distractors), rng)
@@ -114,8 +125,8 @@ def draw_case(
     }
     return Case(
         frame=frame,
-        normal=tuple(name for name, _ in normal if name in forms.NORMAL),
-        shear=tuple(name for name, _ in shear if name in forms.SHEAR),
+        normal=tuple(name for name, _ in normal if name in {**forms.NORMAL, **forms.LOCAL}),
+        shear=tuple(name for name, _ in shear if name in {**forms.SHEAR, **forms.LOCAL}),
         unexplained=unlisted,
         reached={**reached, **reached_s},
         volume_mm3=volume[:, 0],
@@ -128,7 +139,30 @@ def draw_case(
         floor_mm=float(np.hypot(noise_mm, k_s * gauge_s)),
         schedules=schedules,
         form_names=tuple(one.form.__name__ for one in (*active, *active_s)),
+        inside=inside,
     )
+
+
+_SEEN_BY = {"region": "position", "stretch": "drift", "indenter": "geometry"}
+"""An effect that needs the same columns."""
+
+
+def _inside(kind: str, trials: list[forms.Trial], seed: list[int]) -> frozenset[int]:
+    """Trials of one part of the gel, of the session, or of one ball: eight trials to two thirds."""
+    rng = np.random.default_rng(seed)
+    for _ in range(100):
+        share, above = rng.uniform(0.25, 0.6), rng.random() < 0.5
+        if kind == "indenter":
+            value = np.array([trial.radius_mm for trial in trials])
+            held = value == rng.choice(np.unique(value))
+        else:
+            axis = str(rng.choice(["x_mm", "y_mm"])) if kind == "region" else "number"
+            value = np.array([getattr(trial, axis) for trial in trials])
+            limit = np.quantile(value, 1 - share if above else share)
+            held = value > limit if above else value <= limit
+        if 8 <= held.sum() <= 0.65 * len(trials):
+            break
+    return frozenset(int(number) for number in np.flatnonzero(held))
 
 
 def _choose_schedules(names: set[str], rng: np.random.Generator) -> tuple[str, ...]:
@@ -211,12 +245,17 @@ def _respond(
     channel: str,
     trials: list[forms.Trial],
     wanted: Wanted,
+    inside: Mapping[str, frozenset[int]],
     compliance: float,
     noise_share: float,
     rng: np.random.Generator,
 ) -> tuple[Floats, float, list[_Active], dict[tuple[str, str], float]]:
     """Noise-free response (n, c), the noise, the effects in it and the strengths reached."""
-    catalogue = {**(ALL_NORMAL if channel == "normal" else ALL_SHEAR), **ALL_UNLISTED}
+    catalogue = {
+        **(ALL_NORMAL if channel == "normal" else ALL_SHEAR),
+        **ALL_UNLISTED,
+        **forms.LOCAL,
+    }
     if channel == "shear":
         peak = max(float(np.hypot(*trial.force_shear_n.T).max()) for trial in trials)
         trials = [replace(t, load=t.force_shear_n, peak_n=max(peak, 1e-6)) for t in trials]
@@ -227,7 +266,7 @@ def _respond(
     for name, strength in wanted:
         effect = catalogue[name]
         form = effect.forms[int(rng.integers(len(effect.forms)))]
-        one = _Active(name, effect, form, forms.draw_constants(rng))
+        one = _Active(name, effect, form, forms.draw_constants(rng), inside=inside.get(name))
         one, got = _amplitude_for(one, trials, load, compliance, strength * noise)
         reached[channel, name] = got / max(noise, 1e-12)
         chain.append(one)
@@ -240,7 +279,8 @@ def _drive(chain: Sequence[_Active], trials: list[forms.Trial]) -> Floats:
     for trial in trials:
         load = trial.load
         for one in ordered:
-            load = one.form(load, trial, one.amplitude, one.constants)
+            if one.inside is None or trial.number in one.inside:
+                load = one.form(load, trial, one.amplitude, one.constants)
         parts.append(load)
     return np.concatenate(parts)
 

@@ -12,6 +12,7 @@ from tacgen.contact.effects.base import Channel as Channel
 from tacgen.contact.effects.base import Effect as Effect
 from tacgen.contact.effects.base import LoadHistory as LoadHistory
 from tacgen.contact.effects.base import Variant as Variant
+from tacgen.contact.effects.base import Where as Where
 from tacgen.contact.effects.base import all_effects as all_effects
 from tacgen.contact.effects.base import find_effect as find_effect
 from tacgen.contact.effects.base import register as register

@@ -14,6 +14,7 @@ import numpy as np
 from tacgen.contact.effects.history import CHANNELS as CHANNELS
 from tacgen.contact.effects.history import Channel as Channel
 from tacgen.contact.effects.history import LoadHistory as LoadHistory
+from tacgen.contact.effects.where import Where as Where
 from tacgen.core.arrays import FloatArray as FloatArray
 from tacgen.core.errors import ContactError
 
@@ -28,6 +29,7 @@ Bounds: TypeAlias = Callable[[LoadHistory, Parameters], tuple[float, float]]
 
 _LOGARITHMIC_UNITS = ("s", "N", "mm3", "trials")
 MIN_GAIN = 0.02  # least factor on the compliance: beyond the fitted range a gel stays a gel
+LIGHT_SHARE = 0.02  # of a reference load that stands for none
 _MIN_RATIO = 1e-3  # keeps the logarithm of a ratio finite
 
 
@@ -94,9 +96,10 @@ class Effect:
     varies in what it follows; with ``needs_session_clock`` it has no meaning where the clock
     restarts with every trial. ``in_simulation`` is false for what belongs to the measurement (a
     gauge's zero, two clocks, the session). ``per_indenter`` allows further parameters
-    ``gain_<indenter>``. Its residual is plotted against ``shown_against``. ``separated_by`` names
-    other effects (or covariates) that it can be confused with, and the measurement that separates
-    the two.
+    ``gain_<indenter>``. ``is_of_trials`` is true of what follows the place, the indenter or the
+    session anyway, ``is_local`` of what shows only where it acts in a part of the log: ``where``.
+    Its residual is plotted against ``shown_against``. ``separated_by`` names other effects (or
+    covariates) that it can be confused with, and the measurement that separates the two.
     """
 
     name: str
@@ -111,6 +114,9 @@ class Effect:
     needs_session_clock: bool = False
     in_simulation: bool = True
     per_indenter: bool = False
+    is_of_trials: bool = False
+    is_local: bool = False
+    where: Where | None = None
     is_identifiable: Callable[[LoadHistory], bool] = lambda history: True
     shown_against: str = "load"
     separated_by: Mapping[str, str] = field(default_factory=dict)
@@ -142,7 +148,37 @@ class Effect:
 
     def can_act_on(self, history: LoadHistory) -> bool:
         """Whether the log has the columns that it needs and varies in them."""
-        return history.has(*self.needs) and self.is_identifiable(history)
+        is_whole = self.where is None and self.is_local
+        return history.has(*self.needs) and not is_whole and self.is_identifiable(history)
+
+    def only(self, where: Where | None) -> "Effect":
+        """The same effect, but with the load unchanged outside of ``where``, if there is one.
+
+        What is 1 at a reference load over a whole log may also be so at no load: then the part has
+        the compliance of the rest where it is pressed lightly.
+        """
+        if where is None:
+            return self
+
+        def apply(load: FloatArray, history: LoadHistory, p: Parameters) -> FloatArray:
+            changed = self.apply(load, history, p)
+            return np.where(where.holds(history)[:, None], changed, load)
+
+        def variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
+            forms = []
+            for one in self.variants(history, references):
+                forms.append((one, one.label, dict(one.shapes)))
+                # Below 0 an exponent levels off: from no load that would be a change of compliance.
+                if "reference_n" in references and one.shapes.get("exponent", 0.0) > 0:
+                    light = {"reference_n": LIGHT_SHARE * references["reference_n"]}
+                    forms.append((one, f"{one.label} from no load", {**one.shapes, **light}))
+            return tuple(
+                replace(v, label=f"{label}, only {where}", shapes=shapes)
+                for v, label, shapes in forms
+            )
+
+        needs = (*self.needs, where.column)
+        return replace(self, apply=apply, variants=variants, needs=needs, where=where)
 
 
 _REGISTRY: dict[tuple[str, str], Effect] = {}

@@ -48,6 +48,7 @@ base.register(
         name="conditioning",
         channel="normal",
         stage="gain",
+        is_of_trials=True,
         about="the first presses differ",
         parameters=(
             base.amount("amount", -0.9, 5.0),

@@ -38,6 +38,7 @@ base.register(
         name="drift",
         channel="normal",
         stage="gain",
+        is_of_trials=True,
         about="the compliance or the zero moves with session time",
         parameters=(
             base.amount("linear", -2.0, 5.0),

@@ -54,6 +54,7 @@ base.register(
         name="geometry",
         channel="normal",
         stage="gain",
+        is_of_trials=True,
         about="the compliance depends on the indenter's size",
         parameters=(
             base.amount("amount", -3.0, 5.0),

@@ -58,6 +58,7 @@ base.register(
         name="position",
         channel="normal",
         stage="gain",
+        is_of_trials=True,
         about="the compliance depends on where the gel is touched",
         parameters=(
             *(base.amount(name, -5.0, 5.0) for name in (*TERMS, "rr", "rrrr")),

@@ -34,6 +34,7 @@ base.register(
         name="temperature",
         channel="normal",
         stage="gain",
+        is_of_trials=True,
         about="the compliance or the zero follows the temperature",
         parameters=(
             base.amount("linear_per_c", -1.0, 1.0, "1/°C"),

@@ -31,10 +31,18 @@ class Candidate:
         return self.effect is not None
 
     @property
+    def is_local(self) -> bool:
+        """Whether it is an effect that acts in a part of the log only."""
+        return self.effect is not None and self.effect.where is not None
+
+    @property
     def n_parameters(self) -> int:
-        """Number of parameters that a fit of it frees: of an oscillation, the frequency too."""
+        """Number of parameters that a fit frees: of an oscillation, the frequency too.
+
+        Of what acts in a part of the log only, where that part ends.
+        """
         if self.variant is not None:
-            return len(self.variant.free)
+            return len(self.variant.free) + self.is_local
         found = self.covariate is not None and self.covariate.kind == "oscillation"
         return int(self.columns.shape[1]) + found
 

@@ -21,6 +21,7 @@ from tacgen.core.version import versions
 from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
+from tacgen.diagnose.contact.localised import with_exact_borders
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.residuals import Dependence, dependences
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
@@ -116,7 +117,7 @@ class _Channel:
             n_fit, n_test, how = n_trials, 0, "none could be: there is one trial"
         data = every.thinned(rules.refit_rows_per_trial)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
-        final = _refitted(data, attribution.final.fit.model)
+        final = _refitted(data, with_exact_borders(data, attribution.final.fit.model))
         samples = every.every_sample()
         left = samples.target - final.model.response(samples)
         skip = () if self._session_clock else ("time_s",)
@@ -223,7 +224,7 @@ def _law_of(channels: dict[str, result.ChannelDiagnosis]) -> ContactLaw:
                 )
                 for key, value in result.shown_parameters(term).items()
             }
-            effects.append(FittedEffect(term.name, name, parameters))
+            effects.append(FittedEffect(term.name, name, parameters, term.effect.where))
     provenance: dict[str, Any] = {
         "versions": versions("numpy"),
         "trials": {n: {"fit": f.n_fit, "test": f.n_test} for n, f in channels.items()},

@@ -21,6 +21,7 @@ import numpy as np
 
 from tacgen.contact.effects import LoadHistory
 from tacgen.core.arrays import FloatArray
+from tacgen.diagnose.contact.candidates import effect_candidates
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import prediction_and_jacobian
 from tacgen.diagnose.contact.result import Diagnosis
@@ -126,9 +127,9 @@ def _explanations(sets: CandidateSets, attribution: Attribution) -> list[FittedS
     base = sets.fitted((), attribution.base.fit.model)
     final = base
     for member in attribution.named.members:
-        if member.is_effect:
-            same = [one for one, _ in sets.pool(final) if one.label == member.label]
-            final = sets.add(final, same[:1])
+        if member.effect is not None:
+            same = effect_candidates(sets.data, final.fit.model, [member.effect])
+            final = sets.add(final, [one for one in same if one.label == member.label])
     smaller = [sets.without(final, member) for member in final.members]
     found = {one.names: one for one in (final, *smaller)}
     for one in (final, *smaller):

@@ -57,7 +57,9 @@ def _residual_figure(channel: Mapping[str, Any], found: ChannelDiagnosis) -> Fig
         if np.issubdtype(values.dtype, np.number) or values.dtype.kind == "U"
     }
     terms = {term.name: term.effect for term in found.final.model.terms}
-    wanted = [terms[effect["name"]].shown_against for effect in channel["effects"]]
+    effects = [terms[effect["name"]] for effect in channel["effects"]]
+    wanted = [one.where.column for one in effects if one.where]
+    wanted += [one.shown_against for one in effects]
     wanted += [one["covariate"] for one in channel["unexplained"]]
     wanted += ALWAYS_DRAWN
     shown = [one for one in dict.fromkeys(wanted) if one in covariates][:MAX_DRAWN]

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tacgen.calibrate.contact.law_fit import PLAIN_UNITS
-from tacgen.contact.effects import separating_measurement
+from tacgen.contact.effects import Where, separating_measurement
 from tacgen.contact.law import ContactLaw
 from tacgen.diagnose.contact.candidates import follows_load, known_columns
 from tacgen.diagnose.contact.channel import ChannelData
@@ -79,7 +79,11 @@ class ChannelDiagnosis:
         unit, what = unit_text(PLAIN_UNITS[self.data.channel][0]), _LAW_WORDS[self.data.channel]
         before, after, floor = self.before.rmse, self.after.rmse, self.floor
         held = "held-out trials" if self.n_test else "the fitted trials"
-        names = " and ".join(name.replace("_", " ") for name in self.effect_names)
+        wheres = {term.name: term.effect.where for term in self.final.model.terms}
+        names = " and ".join(
+            name.replace("_", " ") + (f" (only {wheres[name]})" if wheres[name] else "")
+            for name in self.effect_names
+        )
         error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
@@ -182,6 +186,7 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
         "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
         "p_value": found.p_value(chosen.p_value),
         "form": f"{term.name}: {term.variant.label}",
+        **({"where": term.effect.where.given} if term.effect.where else {}),
     }
 
 
@@ -241,6 +246,10 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
     data, name = found.data, found.data.channel
     notes = [note for column in data.columns if (note := _column_note(data, column))]
     notes += _equal_columns(data)
+    for term in found.final.model.terms:
+        if term.effect.where and term.effect.in_simulation:
+            what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
+            notes.append(f"{what} {_in_simulation(term.effect.where)}")
     if found.n_test == 0:
         notes.append(
             f"{name} channel: one trial only; the errors are those on the trial that was fitted. "
@@ -283,6 +292,17 @@ def _column_note(data: ChannelData, column: str) -> str:
         f"column {column!r} has {levels.size} values for {data.history.n_trials} trials "
         f"({per_trial.size} at their starts): too many to compare"
     )
+
+
+def _in_simulation(where: Where) -> str:
+    """Whether an effect that acts in a part of the log acts on simulated grasps."""
+    if not where.is_stretch:
+        return (
+            f"of `tacgen collect` no grasp has the column {where.column}, so there it does not "
+            "act; press where, and with what, you will grasp"
+        )
+    how = "it acts on none of them" if where.is_over else "it acts on all of them"
+    return f"simulated grasps come after the session's end: {how}"
 
 
 def _equal_columns(data: ChannelData) -> list[str]:

@@ -58,6 +58,9 @@ class SelectionRules:
     few_min_gain: float = 0.2  # min_gain where trials are few
     max_members: int = 5  # of a channel's model
 
+    min_trials_of_part: int = 4  # in a part of the log where alone an effect acts, and outside
+    local_price: float = 0.05  # share by which an effect in a part must beat effects in the whole
+
     # Which of two is kept
     parameter_price: float = 0.002  # share by which one parameter more must be better
     few_parameter_price: float = 0.02  # the same where trials are few
@@ -73,6 +76,7 @@ class SelectionRules:
     pair_pool: int = 44  # candidates whose pairs are looked at
     pairs_scored: int = 60  # pairs that are cross-validated
     pairs_fitted: int = 8  # pairs that are fitted
+    locals_fitted: int = 3  # effects that are fitted in the part of the log where each is best
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave

@@ -199,12 +199,12 @@ def shuffle_p_values(
             covariance = scores.T @ scores
             sums = shuffled.signs @ scores
         else:
-            information = _information(trial_grams, shape)
-            deviation = _deviation(trial_left[:, shape], information)
+            information = trial_information(trial_grams, shape)
+            deviation = trial_deviation(trial_left[:, shape], information)
             own = (information / deviation)[:, None]
             across = trial_grams[:, shape, columns] - trial_grams[:, shape, base] @ projection
             per_trial, across = (
-                _orthogonal(numbers / deviation[:, None], own)
+                orthogonal(numbers / deviation[:, None], own)
                 for numbers in (trial_left[:, [shape]], across)
             )
             per_trial = per_trial[:, 0] / (per_trial.std() + 1e-300)
@@ -215,7 +215,7 @@ def shuffle_p_values(
         sums = sums / size
         quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
         permuted = bool(of_trials[number])
-        p_values[number] = _shuffle_p_value(
+        p_values[number] = p_of_shuffles(
             np.maximum(quadratic, 0.0), len(columns), rules, permuted=permuted
         )
     return p_values, of_trials
@@ -231,7 +231,7 @@ def _shape_within_trials(
     """
     own = grams[:, columns, columns].sum()
     for shape in (compliance, ones):
-        information = _information(grams, shape)
+        information = trial_information(grams, shape)
         products = grams[:, shape, columns]
         explained = (products**2 / information[:, None]).sum()
         if explained > rules.one_number_a_trial_share * own:
@@ -240,7 +240,7 @@ def _shape_within_trials(
     return None
 
 
-def _deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
+def trial_deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
     """Standard deviation (T,) of trials' scores: noise of the samples, and trials that differ.
 
     The first adds a variance in proportion to the information, the second to its square. What is
@@ -254,20 +254,20 @@ def _deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(variance[np.argmax(likelihood)]))
 
 
-def _orthogonal(columns: FloatArray, to: FloatArray) -> FloatArray:
+def orthogonal(columns: FloatArray, to: FloatArray) -> FloatArray:
     """``columns`` (T, M) less their share along ``to`` (T, 1); 0 where nothing else is in one."""
     across = columns - to @ (to.T @ columns) / (to.T @ to)
     is_more = np.linalg.norm(across, axis=0) > 1e-6 * np.linalg.norm(columns, axis=0)
     return np.asarray(across * is_more)
 
 
-def _information(grams: FloatArray, shape: int) -> FloatArray:
+def trial_information(grams: FloatArray, shape: int) -> FloatArray:
     """Sum of squares of a column in each trial, with a floor for those that hardly have any."""
     own = grams[:, shape, shape]
     return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
 
 
-def _shuffle_p_value(
+def p_of_shuffles(
     quadratic: FloatArray, size: int, rules: SelectionRules, *, permuted: bool
 ) -> float:
     """Return the p of the first of the ``quadratic`` forms (F + 1,) of ``size`` scores.

@@ -23,6 +23,7 @@ from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
 from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
 from tacgen.diagnose.contact.covariates import Covariate
+from tacgen.diagnose.contact.localised import best_local, local_effects, local_p_value, parts_of
 from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
 from tacgen.diagnose.contact.oscillation import find_oscillations
 from tacgen.diagnose.contact.rules import SelectionRules
@@ -47,6 +48,12 @@ class FittedSet:
     def names(self) -> frozenset[str]:
         """Names of the members."""
         return frozenset(member.name for member in self.members)
+
+    @property
+    def acting(self) -> frozenset[tuple[str, str]]:
+        """Names of the members, and where each acts."""
+        wheres = (str(m.effect.where) if m.effect else "" for m in self.members)
+        return frozenset(zip((m.name for m in self.members), wheres, strict=True))
 
     def lead_in_se(self, other: "FittedSet") -> float:
         """By how many standard errors over units it predicts better than ``other``."""
@@ -109,6 +116,7 @@ class CandidateSets:
             and e.can_act_on(data.history)
             and (session_clock or not e.needs_session_clock)
         ]
+        self._local_effects = local_effects(data, self.effects)
         self.alpha = rules.few_alpha if few else rules.alpha
         self._min_gain = rules.few_min_gain if few else rules.min_gain
         self._parameter_price = rules.few_parameter_price if few else rules.parameter_price
@@ -118,6 +126,7 @@ class CandidateSets:
         self._folds = data.folds()
         self._shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
+        self._parts = [] if few else parts_of(data)
 
     def fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
         """Fit ``members`` from ``start``, once, and cross-validate around the fit."""
@@ -179,7 +188,7 @@ class CandidateSets:
         effect does.
         """
         data, model = self.data, full.fit.model
-        (term,) = (one for one in model.terms if one.effect is effect)
+        (term,) = (one for one in model.terms if one.name == effect.name)
 
         def with_term(new: Term) -> Model:
             return replace(model, terms=tuple(new if t is term else t for t in model.terms))
@@ -193,7 +202,9 @@ class CandidateSets:
         probed = [change({**term.values, name: _PROBE}) / _PROBE for name in effect.free_amounts]
         prior_sd = self.rules.correction_share * float(size / np.linalg.norm(probed))
         form = effect.corrected(term.variant, prior_sd)
-        members = tuple(replace(m, variant=form) if m.effect is effect else m for m in full.members)
+        members = tuple(
+            replace(m, variant=form) if m.name == effect.name else m for m in full.members
+        )
         return self.fitted(members, with_term(replace(term, variant=form)))
 
     def pool(self, current: FittedSet, *, new_oscillations: bool = False) -> Pool:
@@ -281,6 +292,11 @@ class CandidateSets:
         Parts of trials count as one for as long as what the whole set leaves goes on.
         """
         rest, shuffled = self.without(full, member), self._shuffled
+        if member.effect is not None and member.is_local:
+            p_local = local_p_value(
+                self.data, rest.fit, member.effect, member.label, self._parts, shuffled
+            )
+            return min(p_local * len(self._local_effects), 1.0), True
         if self.data.few_trials:
             shuffled = shuffled.of_blocks(self.data.memory_units(full.fit.residual))
         if member.covariate is not None:
@@ -294,16 +310,28 @@ class CandidateSets:
         (p_value,), (of_trials,) = self.p_values(rest, fresh, n_names, shuffled)
         return float(p_value), bool(of_trials)
 
+    def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
+        """``rest`` with the best effects that act in one part of the log, each in its best part.
+
+        Only those that, linearised, leave less than ``most``.
+        """
+        effects = [e for e in self._local_effects if e.name not in rest.names]
+        if not self._parts or not effects:
+            return []
+        found = best_local(self.data, rest.fit, effects, self._parts, most)
+        return [self.add(rest, [one]) for one in found]
+
     def total(self, fitted: FittedSet) -> float:
         """Held-out sum of squares, the noise included."""
         noise_loss = self.data.noise_loss
         return max(noise_loss + fitted.loss, 0.5 * noise_loss)
 
     def score(self, fitted: FittedSet) -> float:
-        """Loss for comparing rivals: a covariate, and a further parameter, must pay for itself."""
-        n_covariates = sum(not member.is_effect for member in fitted.members)
-        n_parameters = sum(member.n_parameters for member in fitted.members)
-        price = self.rules.min_gain * n_covariates + self._parameter_price * n_parameters
+        """Loss for comparing rivals: a covariate, a part of the log, a parameter has its price."""
+        members, rules = fitted.members, self.rules
+        price = self._parameter_price * sum(member.n_parameters for member in members)
+        price += rules.min_gain * sum(not member.is_effect for member in members)
+        price += rules.local_price * sum(member.is_local for member in members)
         return fitted.loss + price * self.total(fitted)
 
     def is_worth(self, smaller: FittedSet, larger: FittedSet) -> bool:
@@ -355,7 +383,7 @@ class Selection:
         rough_k = linear_compliance(data.history.load(data.channel), data.target)
         base = current = self.sets.fitted((), Model(rough_k or 1e-6))
         ranking: tuple[tuple[str, float, float], ...] = ()
-        visited = {base.names}
+        visited = {base.acting}
         while len(current.members) < self.rules.max_members:
             pool = self.sets.pool(current, new_oscillations=True)
             candidates = [candidate for candidate, _ in pool]
@@ -363,12 +391,15 @@ class Selection:
             p_values, of_trials = self.sets.p_values(current, candidates, n_names)
             ranking = ranking or self._ranking(current, pool, p_values)
             extended = self._extended(current, pool, p_values, of_trials)
-            if extended is None:
-                break
-            current = self._pruned(self._swapped(extended))
-            if current.names in visited:
-                break
-            visited.add(current.names)
+            if extended is not None:
+                current = self._pruned(self._swapped(extended))
+            if extended is None or current.acting in visited:
+                if (local := self._localised(base, current)) is None:
+                    break
+                current = local
+                if current.acting in visited:
+                    break
+            visited.add(current.acting)
         named = self._without_mismatch(self._pruned(current))
         return Attribution(base, named, self._refined(named), self._described(named), ranking)
 
@@ -397,6 +428,25 @@ class Selection:
             ):
                 return pair
         return best_single
+
+    def _localised(self, base: FittedSet, current: FittedSet) -> FittedSet | None:
+        """A better set with an effect that acts in one part of the log only; None if none is.
+
+        It comes beside ``current``, in the place of one of its members, or of all.
+        """
+        sets, rules = self.sets, self.rules
+        if sets.score(current) < rules.local_price * sets.total(current):
+            return None  # the price of a part alone is more
+        rests = [current, *(sets.without(current, m) for m in current.members)]
+        if len(current.members) > 1:
+            rests.append(base)
+        found = [local for rest in rests for local in sets.local(rest, sets.score(current))]
+        for local in sorted(found, key=sets.score):
+            if sets.score(local) < sets.score(current) and sets.is_needed(local, local.members[-1]):
+                ends = (self._pruned(local), self._pruned(self._swapped(local)))
+                best = min(ends, key=sets.score)
+                return best if sets.score(best) < sets.score(current) else None
+        return None
 
     def _swapped(self, fitted: FittedSet) -> FittedSet:
         """Exchange members, and their variants, for needed ones as long as held-out trials gain."""

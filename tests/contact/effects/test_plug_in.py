@@ -53,7 +53,7 @@ def test_the_registry_finds_its_modules_itself():
     modules = {path.stem for path in EFFECTS.glob("*.py")}
     own = {effect.name for effect in all_effects()}
     assert own <= modules
-    shared = {"__init__", "base", "history", "kernels"}
+    shared = {"__init__", "base", "history", "kernels", "where"}
     assert modules - own == shared
     for name in shared - {"__init__"}:
         assert not own & set(named_in(EFFECTS / f"{name}.py"))
