@@ -5,20 +5,20 @@ import numpy as np
 from tacgen.contact.effects import base
 
 PLACE = ("x_mm", "y_mm")
-TERMS = ("x", "y", "xx", "xy", "yy", "xxx", "xxy", "xyy", "yyy")
+TERMS = ("x", "y", "xx", "xy", "yy")
 GRID = np.linspace(-1.0, 1.0, 5)
 BUMPS = base.free_amounts("bump", GRID.size**2)
 """Of Gaussians on a grid, as far from each other as they are wide: half the extent."""
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
-    """Gain 1 + a polynomial of up to third degree, and r⁴, in u = x/extent and v = y/extent.
+    """Gain 1 + a polynomial of second degree in u = x/extent and v = y/extent.
 
     Free amounts add a smooth function of any shape.
     """
     u = np.clip(history.column("x_mm") / p["extent_mm"], -1.2, 1.2)
     v = np.clip(history.column("y_mm") / p["extent_mm"], -1.2, 1.2)
-    relative = p["rrrr"] * (u**2 + v**2) ** 2 + p["rr"] * (u**2 + v**2)
+    relative = p["rr"] * (u**2 + v**2)
     for name in TERMS:
         if p[name] != 0.0:
             relative = relative + p[name] * u ** name.count("x") * v ** name.count("y")
@@ -45,10 +45,7 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
         "along y": ("y",),
         "plane": ("x", "y"),
         "from the centre out": ("rr",),
-        "from the centre out, fourth degree": ("rr", "rrrr"),
-        "second degree": TERMS[:5],
-        "third degree": TERMS,
-        "second degree and r⁴": (*TERMS[:5], "rrrr"),
+        "second degree": TERMS,
     }
     return tuple(base.variant(k, [{name: 0.05} for name in names]) for k, names in forms.items())
 
@@ -61,7 +58,7 @@ base.register(
         is_of_trials=True,
         about="the compliance depends on where the gel is touched",
         parameters=(
-            *(base.amount(name, -5.0, 5.0) for name in (*TERMS, "rr", "rrrr")),
+            *(base.amount(name, -5.0, 5.0) for name in (*TERMS, "rr")),
             *BUMPS,
             base.reference("extent_mm", "mm"),
         ),

@@ -22,7 +22,7 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
     amount, curvature = {"amount": 0.05}, {"curvature": 0.05}
     single = [
         base.variant(f"power {exponent:g}", [amount], {"exponent": exponent})
-        for exponent in (-0.2, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0)
+        for exponent in (-0.2, 0.6, 1.5, 3.0)
     ]
     curved = [
         base.variant(f"power {e:g}, curved", [amount, curvature], {"exponent": e}, fitted=())
