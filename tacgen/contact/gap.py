@@ -146,10 +146,9 @@ class GapMapper:
         over = self._faces[: faces_over(x, y, faces, sensor.shape_px, self._faces)]
         top, bottom, left, right = self._drawn
         depth_mm[top:bottom, left:right] = np.inf
-        first = rasterize(x, y, z, over, np.inf, FIRST_ROWS, depth_mm)
-        # The gel lies at or below z = 0, so a triangle's gap is at least its own height.
+        first = rasterize(x, y, z, over, gel_mm, np.inf, FIRST_ROWS, depth_mm)
         limit_mm = _smallest_gap(depth_mm, gel_mm, first, FIRST_ROWS) + reach_mm
-        rest = rasterize(x, y, z, over, limit_mm, 1, depth_mm)
+        rest = rasterize(x, y, z, over, gel_mm, limit_mm, 1, depth_mm)
         self._drawn = (
             min(first[0], rest[0]),
             max(first[1], rest[1]),

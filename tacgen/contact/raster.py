@@ -67,16 +67,18 @@ def rasterize(
     rows: Float64,
     heights_mm: Float64,
     faces: Int32,
-    z_limit_mm: float,
+    gel_mm: Float64,
+    gap_limit_mm: float,
     every: int,
     depth_mm: Float64,
 ) -> tuple[int, int, int, int]:
     """Lower ``depth_mm`` (H, W) to the nearest surface over pixels' centres in ``every`` n-th row.
 
-    Triangles that lie wholly above ``z_limit_mm``, or outside the window, are left out. An edge
-    belongs to both of its triangles, and both compute its crossing with a row from the same
-    numbers, so that no pixel falls between them. Returns the half-open rectangle (top, bottom,
-    left, right) of pixels that was touched; empty where top >= bottom.
+    Triangles that lie outside the window, or everywhere further than ``gap_limit_mm`` above the
+    gel at rest ``gel_mm`` (H, W), are left out. An edge belongs to both of its triangles, and both
+    compute its crossing with a row from the same numbers, so that no pixel falls between them.
+    Returns the half-open rectangle (top, bottom, left, right) of pixels that was touched; empty
+    where top >= bottom.
     """
     n_rows, n_columns = depth_mm.shape
     top, bottom, left, right = n_rows, 0, n_columns, 0
@@ -84,7 +86,7 @@ def rasterize(
         a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
         za, zb, zc = heights_mm[a], heights_mm[b], heights_mm[c]
         z_low, z_high = min(za, zb, zc), max(za, zb, zc)
-        if z_low > z_limit_mm:
+        if z_low > gap_limit_mm:
             continue
         ya, yb, yc = rows[a], rows[b], rows[c]
         row_start = max(0.0, math.ceil(min(ya, yb, yc)))
@@ -93,6 +95,11 @@ def rasterize(
         if row_start > row_last:
             continue
         xa, xb, xc = columns[a], columns[b], columns[c]
+        # The gel is highest at its middle, and so under a triangle where that is nearest.
+        nearest_row = int(min(max(n_rows // 2, row_start), row_last))
+        nearest_column = int(min(max(n_columns // 2, min(xa, xb, xc)), max(xa, xb, xc)))
+        if z_low - gel_mm[nearest_row, nearest_column] > gap_limit_mm:
+            continue
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
         if area == 0.0:
             continue

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 _BITS = 12  # 4096 quantiles of the normal distribution: finer than a grey level's rounding
 _LEVELS = 1 << _BITS
+_CHUNK = 1024  # values looked up at a time: the sums after it then work on whole vectors
 
 
 @njit(cache=True, nogil=True)
@@ -20,10 +21,15 @@ def _quantize(
     sigma: np.float32,
     rgb: NDArray[Any],
 ) -> None:
-    source, target = image.reshape(-1), rgb.reshape(-1)
-    for k in range(source.shape[0]):
-        grey = source[k] + sigma * quantiles[words[k] >> 4] + np.float32(0.5)
-        target[k] = np.uint8(min(max(grey, np.float32(0)), np.float32(255)))
+    drawn = np.empty(_CHUNK, np.float32)
+    for start in range(0, image.size, _CHUNK):
+        chosen = words[start : min(start + _CHUNK, image.size)]
+        source, target = image.reshape(-1)[start:], rgb.reshape(-1)[start:]
+        for k in range(chosen.shape[0]):
+            drawn[k] = quantiles[chosen[k] >> 4]
+        for k in range(chosen.shape[0]):
+            grey = source[k] + sigma * drawn[k] + np.float32(0.5)
+            target[k] = np.uint8(min(max(grey, np.float32(0)), np.float32(255)))
 
 
 class CameraNoise:

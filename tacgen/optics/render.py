@@ -108,18 +108,25 @@ class Shader:
         return bool(self._image)
 
     def light(
-        self, height_map_mm: NDArray[np.float32], window: Window, image: NDArray[np.float32]
+        self,
+        height_map_mm: NDArray[np.float32],
+        window: Window,
+        image: NDArray[np.float32],
+        spans: NDArray[np.int32] | None = None,
     ) -> None:
         """Look the grey levels of ``window`` up, into ``image`` (H, W, 3).
 
-        ``height_map_mm`` (H, W) is the whole deformed surface, C-contiguous.
+        ``height_map_mm`` (H, W) is the whole deformed surface, C-contiguous. With ``spans``, only
+        those columns [first, last) of each row of the window.
         """
+        spans = shade.whole_spans(window) if spans is None else spans
         for active in self._surface:
             height_map_mm = self._on_surface(active, height_map_mm, window)
         if self._response is not None:
             shade.shade_response(
                 height_map_mm,
                 window,
+                spans,
                 self.table.mm_per_px,
                 self._response,
                 self.table.max_slope_rad,
@@ -133,6 +140,7 @@ class Shader:
         shade.shade_window(
             height_map_mm,
             window,
+            spans,
             self.table.mm_per_px,
             self._nodes,
             self.table.max_slope_rad,
@@ -326,12 +334,13 @@ class Renderer:
         rest, height = self._rest_mm[area], self._height_mm[area]
         np.subtract(rest, deformation_mm, out=height)
         lit = grown(window, shader.slope_reach_px, shape_px)
+        spans = shade.changed_spans(deformation_mm, window, lit, shader.slope_reach_px)
         seen = lit
         if shader.finishes:
             seen = grown(lit, shader.image_reach_px(float(deformation_mm.max())), shape_px)
             area = np.s_[seen[0] : seen[1], seen[2] : seen[3]]
             self._image[area] = self._rest_lit[area]
-        shader.light(self._height_mm, lit, self._image)
+        shader.light(self._height_mm, lit, self._image, spans)
         shader.finish(self._height_mm, seen, self._image)
         height[...] = rest
         return seen

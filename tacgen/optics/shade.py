@@ -190,9 +190,47 @@ def _place_in_table(
 
 
 @njit(cache=True, nogil=True)
+def changed_spans(
+    deformation_mm: NDArray[Any], window: Window, lit: Window, reach_px: int
+) -> NDArray[np.int32]:
+    """Columns [first, last) of each row of ``lit`` that are within reach of a deformation.
+
+    ``deformation_mm`` (h, w) lies over ``window``. The deformed patch is round, say: the corners of
+    its rectangle are at rest.
+    """
+    height, width = deformation_mm.shape
+    own = np.empty((height, 2), np.int32)
+    for r in range(height):
+        first, last = 0, width
+        while first < last and deformation_mm[r, first] == 0:
+            first += 1
+        while first < last and deformation_mm[r, last - 1] == 0:
+            last -= 1
+        own[r, 0], own[r, 1] = window[2] + first, window[2] + last
+    spans = np.empty((lit[1] - lit[0], 2), np.int32)
+    for i in range(spans.shape[0]):
+        first, last = lit[3], lit[2]
+        r = lit[0] + i - window[0]
+        for near in range(max(r - reach_px, 0), min(r + reach_px + 1, height)):
+            if own[near, 0] < own[near, 1]:
+                first, last = min(first, own[near, 0]), max(last, own[near, 1])
+        if first < last:
+            first, last = max(first - reach_px, lit[2]), min(last + reach_px, lit[3])
+        spans[i, 0], spans[i, 1] = first, max(first, last)
+    return spans
+
+
+def whole_spans(window: Window) -> NDArray[np.int32]:
+    """The spans of a whole window."""
+    top, bottom, left, right = window
+    return np.tile(np.array([left, right], dtype=np.int32), (bottom - top, 1))
+
+
+@njit(cache=True, nogil=True)
 def shade_window(
     height_mm: NDArray[Any],
     window: Window,
+    spans: NDArray[Any],
     mm_per_px: float,
     nodes: NDArray[Any],
     max_slope_rad: float,
@@ -201,22 +239,28 @@ def shade_window(
     background: NDArray[Any],
     image: NDArray[Any],
 ) -> None:
-    """Write background + polynomial into ``image`` (H, W, 3) float32, within ``window``.
+    """Write background + polynomial into ``image`` (H, W, 3) float32, in the spans of ``window``.
 
     ``height_mm`` (H, W) is the deformed gel surface, gel frame; ``nodes`` are ``packed_nodes`` and
     ``along`` ``feature_factors``.
     """
-    top, bottom, left, right = window
-    n_slope, n_direction, width = nodes.shape[0], nodes.shape[1] - 1, right - left
+    top, bottom = window[:2]
+    n_slope, n_direction = nodes.shape[0], nodes.shape[1] - 1
     table, along_u, along_v = nodes.reshape(-1), along[0].reshape(-1), along[1].reshape(-1)
-    slope, direction = np.empty(width, np.float32), np.empty(width, np.float32)
-    offset = np.empty(width, np.int32)
-    change = np.empty(3 * width + 1, np.float32)
+    widest = window[3] - window[2]
+    slopes, directions = np.empty(widest, np.float32), np.empty(widest, np.float32)
+    offset = np.empty(widest, np.int32)
+    change = np.empty(3 * widest + 1, np.float32)
     to_slope = (n_direction + 1) * NODE_FLOATS if interpolate else 0
     to_direction = NODE_FLOATS if interpolate else 0
     per_slope, per_direction = (n_slope - 1) / max_slope_rad, n_direction / (2 * math.pi)
     one = np.float32(1)
     for r in range(top, bottom):
+        left, right = spans[r - top]
+        width = right - left
+        if width == 0:
+            continue
+        slope, direction = slopes[:width], directions[:width]
         _gradients(height_mm, r, left, right, mm_per_px, direction, slope)
         _to_coordinates(direction, slope, per_slope, per_direction)
         _place_in_table(slope, direction, n_slope, n_direction, interpolate, NODE_FLOATS, offset)
@@ -247,6 +291,7 @@ def shade_window(
 def shade_response(
     height_mm: NDArray[Any],
     window: Window,
+    spans: NDArray[Any],
     mm_per_px: float,
     response: NDArray[Any],
     max_slope_rad: float,
@@ -256,32 +301,38 @@ def shade_response(
     contact: NDArray[Any],
     contact_depth_mm: float,
 ) -> None:
-    """Write background + response + contact into ``image`` (H, W, 3) float32, within ``window``.
+    """Write background + response + contact into ``image`` (H, W, 3), in the spans of ``window``.
 
     ``height_mm`` (H, W) is the deformed gel surface, gel frame, and ``rest_mm`` the gel at rest;
     ``response`` is a ``packed_response`` and ``contact`` a ``packed_contact``.
     """
-    top, bottom, left, right = window
+    top, bottom = window[:2]
     n_rows, n_columns = response.shape[0], response.shape[1]
     n_slope, n_direction = response.shape[2], response.shape[3] - 1
     to_slope = (n_direction + 1) * _LANES
     to_column = n_slope * to_slope
     to_row = n_columns * to_column
-    width = right - left
+    widest = window[3] - window[2]
     table = response.reshape(-1)
-    slope, direction = np.empty(width, np.float32), np.empty(width, np.float32)
-    offset, column = np.empty(width, np.int32), np.empty(width, np.int32)
-    across = np.empty(width, np.float32)
-    change = np.empty(3 * width + 1, np.float32)
-    in_contact = np.empty(3 * width, np.float32)
+    slopes, directions = np.empty(widest, np.float32), np.empty(widest, np.float32)
+    offset, columns = np.empty(widest, np.int32), np.empty(widest, np.int32)
+    shares = np.empty(widest, np.float32)
+    change = np.empty(3 * widest + 1, np.float32)
+    in_contact = np.empty(3 * widest, np.float32)
     here_in_contact = np.empty(contact.shape[1], np.float32)
     per_slope, per_direction = (n_slope - 1) / max_slope_rad, n_direction / (2 * math.pi)
     one = np.float32(1)
-    for k in range(width):
-        at = (left + k + 0.5) / image.shape[1] * (n_columns - 1)
-        column[k] = min(int(at), n_columns - 2)
-        across[k] = at - column[k]
+    for k in range(widest):
+        at = (window[2] + k + 0.5) / image.shape[1] * (n_columns - 1)
+        columns[k] = min(int(at), n_columns - 2)
+        shares[k] = at - columns[k]
     for r in range(top, bottom):
+        left, right = spans[r - top]
+        width = right - left
+        if width == 0:
+            continue
+        slope, direction = slopes[:width], directions[:width]
+        column, across = columns[left - window[2] :], shares[left - window[2] :]
         at = (r + 0.5) / image.shape[0] * (n_rows - 1)
         row = min(int(at), n_rows - 2)
         down = np.float32(at - row)

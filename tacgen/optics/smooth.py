@@ -38,17 +38,31 @@ def aligned(window: Window, step_px: int, shape_px: tuple[int, int]) -> Window:
 
 
 @njit(cache=True, nogil=True, inline="always")
+def _taps(
+    k: int, kernel: NDArray[Any], j: int, lower: tuple[Any, ...], upper: tuple[Any, ...]
+) -> Any:
+    """The sum at pixel k of four taps on each side, j to j + 3."""
+    near = kernel[j] * (lower[0][k] + upper[0][k]) + kernel[j + 1] * (lower[1][k] + upper[1][k])
+    far = kernel[j + 2] * (lower[2][k] + upper[2][k]) + kernel[j + 3] * (lower[3][k] + upper[3][k])
+    return near + far
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _add_taps(
-    out: NDArray[Any], kernel: NDArray[Any], j: int, lower: tuple[Any, ...], upper: tuple[Any, ...]
+    row: NDArray[Any],
+    kernel: NDArray[Any],
+    j: int,
+    lower: tuple[Any, ...],
+    upper: tuple[Any, ...],
+    out: NDArray[Any],
 ) -> None:
-    """Add four taps on each side, j to j + 3, in one walk along the row."""
-    b0, b1, b2, b3 = lower
-    a0, a1, a2, a3 = upper
-    w0, w1, w2, w3 = kernel[j], kernel[j + 1], kernel[j + 2], kernel[j + 3]
-    for k in range(out.shape[0]):
-        near = w0 * (b0[k] + a0[k]) + w1 * (b1[k] + a1[k])
-        far = w2 * (b2[k] + a2[k]) + w3 * (b3[k] + a3[k])
-        out[k] += near + far
+    """Walk along the row once: the first four taps on each side start the sum, others add to it."""
+    if j == 1:
+        for k in range(out.shape[0]):
+            out[k] = kernel[0] * row[k] + _taps(k, kernel, j, lower, upper)
+    else:
+        for k in range(out.shape[0]):
+            out[k] += _taps(k, kernel, j, lower, upper)
 
 
 @njit(cache=True, nogil=True)
@@ -64,17 +78,11 @@ def _blur_rows(
         line[:radius] = row[0]
         line[radius : radius + width] = row
         line[radius + width :] = row[width - 1]
-        for k in range(width):
-            out[k] = kernel[0] * row[k]
         for j in range(1, radius, 4):
             low, high = line[radius - j - 3 :], line[radius + j :]
-            _add_taps(
-                out,
-                kernel,
-                j,
-                (low[3:], low[2:], low[1:], low),
-                (high, high[1:], high[2:], high[3:]),
-            )
+            lower = low[3:], low[2:], low[1:], low
+            upper = high, high[1:], high[2:], high[3:]
+            _add_taps(row, kernel, j, lower, upper, out)
 
 
 @njit(cache=True, nogil=True)
@@ -86,34 +94,28 @@ def _blur_columns(
     radius, last = kernel.shape[0] - 1, bottom - 1
     for r in range(top, bottom):
         row, out = source[r, left:right], target[r, left:right]
-        for k in range(right - left):
-            out[k] = kernel[0] * row[k]
         for j in range(1, radius, 4):
-            _add_taps(
-                out,
-                kernel,
-                j,
-                (
-                    source[max(r - j, top), left:right],
-                    source[max(r - j - 1, top), left:right],
-                    source[max(r - j - 2, top), left:right],
-                    source[max(r - j - 3, top), left:right],
-                ),
-                (
-                    source[min(r + j, last), left:right],
-                    source[min(r + j + 1, last), left:right],
-                    source[min(r + j + 2, last), left:right],
-                    source[min(r + j + 3, last), left:right],
-                ),
+            lower = (
+                source[max(r - j, top), left:right],
+                source[max(r - j - 1, top), left:right],
+                source[max(r - j - 2, top), left:right],
+                source[max(r - j - 3, top), left:right],
             )
+            upper = (
+                source[min(r + j, last), left:right],
+                source[min(r + j + 1, last), left:right],
+                source[min(r + j + 2, last), left:right],
+                source[min(r + j + 3, last), left:right],
+            )
+            _add_taps(row, kernel, j, lower, upper, out)
 
 
 def half_kernel(sigma_px: float) -> NDArray[np.float32]:
-    """The centre and right half of a Gaussian of unit sum; a single 1 below a tenth of a pixel.
+    """The centre and right half of a Gaussian of unit sum, not narrower than a tenth of a pixel.
 
     The half reaches three standard deviations, and to the next multiple of four.
     """
-    radius = 4 * math.ceil(_REACH_SIGMAS * sigma_px / 4) if sigma_px > 0.1 else 0
+    radius = 4 * max(1, math.ceil(_REACH_SIGMAS * sigma_px / 4))
     weights = np.exp(-0.5 * (np.arange(radius + 1) / max(sigma_px, 0.1)) ** 2)
     return np.asarray((weights / (2 * weights.sum() - weights[0])).astype(np.float32))
 
@@ -128,55 +130,61 @@ def smooth(
 
 @njit(cache=True, nogil=True)
 def _coarsen(surface: NDArray[Any], window: Window, factor: int, coarse: NDArray[Any]) -> None:
-    """Means of blocks of ``factor`` pixels a side; the last ones may be cut by the window."""
+    """Means of blocks of ``factor`` pixels a side, with one block more beyond each edge.
+
+    What lies beyond the window equals its edge.
+    """
     top, bottom, left, right = window
-    total = np.empty(right - left, np.float32)
+    width, n_columns = right - left, coarse.shape[1]
+    line = np.empty(n_columns * factor, np.float32)
+    within = line[factor : factor + width]
+    share = np.float32(1 / factor**2)
     for i in range(coarse.shape[0]):
-        start, end = top + i * factor, min(bottom, top + (i + 1) * factor)
-        total[:] = 0
-        for r in range(start, end):
-            row = surface[r, left:right]
-            for k in range(row.shape[0]):
-                total[k] += row[k]
-        for j in range(coarse.shape[1]):
-            first, last = j * factor, min(total.shape[0], (j + 1) * factor)
-            block = np.float32(0)
-            for k in range(first, last):
-                block += total[k]
-            coarse[i, j] = block / np.float32((end - start) * (last - first))
+        start = top + (i - 1) * factor
+        within[:] = surface[min(max(start, top), bottom - 1), left:right]
+        for r in range(start + 1, start + factor):
+            row = surface[min(max(r, top), bottom - 1), left:right]
+            for k in range(width):
+                within[k] += row[k]
+        line[:factor] = within[0]
+        line[factor + width :] = within[width - 1]
+        out = coarse[i]
+        out[:] = 0
+        for phase in range(factor):
+            for j in range(n_columns):
+                out[j] += line[j * factor + phase]
+        for j in range(n_columns):
+            out[j] *= share
 
 
 @njit(cache=True, nogil=True)
 def _refine(coarse: NDArray[Any], factor: int, window: Window, surface: NDArray[Any]) -> None:
-    """Interpolate between the blocks' middles; beyond the outer ones, their values."""
+    """Interpolate between the middles of the blocks that ``_coarsen`` made."""
     top, bottom, left, right = window
-    n_rows, n_columns = coarse.shape
-    between = np.empty(n_columns + 2, np.float32)
+    between = np.empty(coarse.shape[1], np.float32)
     one, half = np.float32(1), np.float32(0.5)
     for r in range(top, bottom):
-        at = (np.float32(r - top) + half) / np.float32(factor) - half
-        i = math.floor(at)
+        at = (np.float32(r - top) + half) / np.float32(factor) + half
+        i = int(at)
         share = at - np.float32(i)
-        above, below = coarse[max(i, 0)], coarse[min(i + 1, n_rows - 1)]
-        for j in range(n_columns):
-            between[j + 1] = (one - share) * above[j] + share * below[j]
-        between[0], between[n_columns + 1] = between[1], between[n_columns]
+        above, below = coarse[i], coarse[i + 1]
+        for j in range(between.shape[0]):
+            between[j] = (one - share) * above[j] + share * below[j]
         row = surface[r, left:right]
         for phase in range(factor):
-            at = (np.float32(phase) + half) / np.float32(factor) - half
-            shift = 0 if at < 0 else 1
-            share = at + one if at < 0 else at
+            at = (np.float32(phase) + half) / np.float32(factor) + half
+            shift = int(at)
+            share = at - np.float32(shift)
+            before, after = between[shift:], between[shift + 1 :]
             for j in range((row.shape[0] - phase + factor - 1) // factor):
-                row[j * factor + phase] = (one - share) * between[j + shift] + share * between[
-                    j + shift + 1
-                ]
+                row[j * factor + phase] = (one - share) * before[j] + share * after[j]
 
 
 class Gaussian:
     """One Gaussian; a wide one works on means of blocks of pixels, which it cannot tell apart."""
 
     def __init__(self, sigma_px: float) -> None:
-        self.factor = COARSEST if sigma_px >= 7.5 else 2 if sigma_px >= 3.75 else 1
+        self.factor = COARSEST if sigma_px >= 7.5 else 2 if sigma_px >= 3.0 else 1
         variance = (sigma_px / self.factor) ** 2
         if self.factor > 1:
             # What taking means of blocks, and interpolating between them, smooths already.
@@ -197,7 +205,7 @@ class Gaussian:
             smooth(surface, window, self.kernel, scratch)
             return
         top, bottom, left, right = window
-        shape = (-(-(bottom - top) // self.factor), -(-(right - left) // self.factor))
+        shape = (-(-(bottom - top) // self.factor) + 2, -(-(right - left) // self.factor) + 2)
         coarse = np.empty(shape, dtype=np.float32)
         _coarsen(surface, window, self.factor, coarse)
         smooth(coarse, (0, shape[0], 0, shape[1]), self.kernel, np.empty_like(coarse))
