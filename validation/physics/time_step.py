@@ -1,0 +1,55 @@
+"""How many labels of far grasps change when PyBullet's time step is halved.
+
+Every shipped object is grasped as by ``tacgen compare-engines`` with ``grid: {sample: 20}``; *far*
+is meant as there. Run it with ``python -m validation.physics.time_step [SEED ...]``.
+"""
+
+import sys
+
+from tacgen.collection.compare_engines import NEAR_MARGIN
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.pipeline import GraspPipeline
+from tacgen.collection.recipe import Recipe
+from tacgen.core.records import GraspTrace
+from tacgen.core.resources import object_folders
+from tacgen.physics import PhysicsSettings
+
+
+def traces(seed: int, time_step_s: float) -> list[GraspTrace]:
+    """The traces of the grasps that a seed samples, at a time step."""
+    recipe = Recipe.model_validate(
+        {
+            "name": "time_step",
+            "seed": seed,
+            "objects": list(object_folders()),
+            "grid": {"sample": 20},
+            "physics": {"time_step_s": time_step_s},
+        }
+    )
+    with GraspPipeline(recipe) as pipeline:
+        return [pipeline.simulate(planned).trace for planned in plan_recipe(recipe)]
+
+
+def is_near(trace: GraspTrace) -> bool:
+    """Whether what friction or torsion can hold is within 5 % of what is asked of it."""
+    margin = trace.margin
+    if margin is None:
+        return False
+    return abs(min(margin.friction_ratio, margin.torsion_ratio) - 1) <= NEAR_MARGIN
+
+
+def main() -> None:
+    """Print a line for each seed, at the default step and at half of it."""
+    default_s = PhysicsSettings().time_step_s
+    for seed in map(int, sys.argv[1:] or ["8"]):
+        found = [traces(seed, default_s / part) for part in (1, 2, 4)]
+        for part, whole, half in zip((1, 2), found, found[1:], strict=False):
+            far = [pair for pair in zip(whole, half, strict=True) if not is_near(pair[0])]
+            same = sum(one.label == other.label for one, other in far)
+            step = f"{1e3 * default_s / part:.2f} ms"
+            sys.stdout.write(f"seed {seed}, {step} and half: {same} of {len(far)} labels equal\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
