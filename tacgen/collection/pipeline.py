@@ -22,7 +22,7 @@ from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import GraspSimulator, run_grasp
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.gel_response import GelLoad, gel_loads, without_creep
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
 
 # Streams of one grasp's random numbers.
@@ -102,11 +102,17 @@ class GraspPipeline:
         factor = grasp.variation.k_n_factor
         loads = gel_loads(law or self._law, frames, grasp_index=index, k_n_factor=factor)
         images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
-        mesh = grasp.grasped.surface
-        return images, [
-            self._pad.render(mesh, frame.pose_gel_object, load, rng=rng, rgb=rgb)
-            for frame, load, rgb in zip(frames, loads, images, strict=True)
-        ]
+        rendered: list[TactileFrame] = []
+        before: tuple[NDArray[np.float64], GelLoad] | None = None
+        for frame, load, rgb in zip(frames, loads, images, strict=True):
+            pose, load = without_creep(frame.pose_gel_object, load)
+            if before and load == before[1] and np.array_equal(pose, before[0]):
+                imprint = rendered[-1].imprint
+            else:
+                imprint = self._pad.press(grasp.grasped.surface, pose, load)
+            rendered.append(TactileFrame(self._pad.image(imprint, rng=rng, rgb=rgb), imprint))
+            before = pose, load
+        return images, rendered
 
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""

@@ -294,37 +294,41 @@ class Renderer:
         shade.quantize(self._rest_image, self._whole, self._rest_rgb)
         self._height_mm = self._rest_mm.copy()
         self._image = self._rest_image.copy()
+        self._changed: Window = (0, 0, 0, 0)
 
-    def render(
+    def draw(
         self,
         deformation_mm: NDArray[np.float32],
         window: Window,
         *,
         markers_mm: FloatArray | None = None,
-        rng: np.random.Generator | None = None,
-        rgb: NDArray[np.uint8] | None = None,
-    ) -> NDArray[np.uint8]:
-        """The picture of the gel with a deformation (h, w), into the gel, over a window.
+    ) -> None:
+        """Draw the gel with a deformation (h, w), into the gel, over a window.
 
-        ``markers_mm`` (n, 2) is where the markers now are; ``rng`` draws the camera's noise. The
-        picture is written into ``rgb`` (H, W, 3), if given.
+        ``markers_mm`` (n, 2) is where the markers now are.
         """
-        seen = self._deformed(deformation_mm, window) if deformation_mm.size else window
-        marked = self._marker_radius_mm > 0 and markers_mm is not None
-        if marked and markers_mm is not None:
+        top, bottom, left, right = self._changed
+        self._image[top:bottom, left:right] = self._rest_image[top:bottom, left:right]
+        self._changed = self._deformed(deformation_mm, window) if deformation_mm.size else window
+        if self._marker_radius_mm > 0 and markers_mm is not None:
+            self._changed = self._whole
             draw_markers(
                 self._image, markers_mm, self._marker_radius_mm, self._shader.table.mm_per_px
             )
-        changed = self._whole if marked else seen
-        top, bottom, left, right = changed
+
+    def expose(
+        self, rng: np.random.Generator | None = None, rgb: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
+        """A picture (H, W, 3) of what was drawn last, at first the gel at rest, written into
+        ``rgb``, if given; ``rng`` draws the camera's noise.
+        """
         if rgb is None:
             rgb = np.empty(self._image.shape, dtype=np.uint8)
         if rng is not None and self._noise.sigma_grey > 0:
             self._noise.quantize(self._image, rng, rgb)
         else:
             rgb[...] = self._rest_rgb
-            shade.quantize(self._image, changed, rgb)
-        self._image[top:bottom, left:right] = self._rest_image[top:bottom, left:right]
+            shade.quantize(self._image, self._changed, rgb)
         return rgb
 
     def _deformed(self, deformation_mm: NDArray[np.float32], window: Window) -> Window:

@@ -11,6 +11,8 @@ from tacgen.contact.law import ContactLaw
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame
 
+PLACE_GRAIN_MM = 2e-4
+
 
 @dataclass(frozen=True, slots=True)
 class GelLoad:
@@ -51,6 +53,29 @@ def gel_loads(
     else:
         depths, volumes = [None] * len(frames), (volume_mm3 * k_n_factor).tolist()
     return tuple(map(GelLoad, volumes, depths, shear_sum_mm, turn_sum_mm2.tolist()))
+
+
+def without_creep(
+    pose_gel_object: FloatArray, load: GelLoad
+) -> tuple[NDArray[np.float64], GelLoad]:
+    """A pose (4, 4), mm, and a load, rounded so that frames of a steady hold are equal.
+
+    The physics lets a held object creep by some 0.01 µm from frame to frame, which no picture
+    shows. The rotation is rounded to 1e-5, the object's point at the gel's origin to 0.2 µm (a
+    pixel is 30 µm and more), loads to 1e-5 of their units.
+    """
+    rotation = np.round(pose_gel_object[:3, :3], 5)
+    point_mm = -pose_gel_object[:3, :3].T @ pose_gel_object[:3, 3]
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -rotation @ (PLACE_GRAIN_MM * np.round(point_mm / PLACE_GRAIN_MM))
+    x_mm, y_mm = load.shear_sum_mm
+    return pose, GelLoad(
+        None if load.volume_mm3 is None else round(load.volume_mm3, 5),
+        None if load.indentation_mm is None else round(load.indentation_mm, 5),
+        (round(float(x_mm), 5), round(float(y_mm), 5)),
+        round(load.turn_sum_mm2, 5),
+    )
 
 
 def load_history(

@@ -200,6 +200,7 @@ class TactilePad:
         )
         self._points_mm = marker_grid_mm(sensor)
         self._markers_drawn = draws
+        self._drawn: Imprint | None = None
 
     def press(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
         """The imprint of an object at a pose (4, 4), object to gel frame in mm.
@@ -228,11 +229,14 @@ class TactilePad:
     ) -> NDArray[np.uint8]:
         """The sensor's image (H, W, 3) of an imprint; ``rng`` draws the camera's noise.
 
-        It is written into ``rgb``, if given.
+        It is written into ``rgb``, if given. A second image of the same object differs by its noise
+        alone, and is not drawn again.
         """
-        deformation, window = self.deformation(imprint)
-        markers_mm = self.markers_mm(imprint)
-        return self._renderer.render(deformation, window, markers_mm=markers_mm, rng=rng, rgb=rgb)
+        if imprint is not self._drawn:
+            deformation, window = self.deformation(imprint)
+            self._renderer.draw(deformation, window, markers_mm=self.markers_mm(imprint))
+            self._drawn = imprint
+        return self._renderer.expose(rng, rgb)
 
     def markers_mm(self, imprint: Imprint) -> NDArray[np.float64] | None:
         """Places (n, 2) of the marker dots, gel frame, mm; None where none are drawn."""

@@ -1,13 +1,19 @@
 """Joining the stages: the law, the object and the calibration files that a recipe names."""
 
+import itertools
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from tacgen.collection.gel import contact_law
+from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import recipe_object
-from tacgen.collection.pipeline import dataset_spec, tactile_pad
+from tacgen.collection.pipeline import GraspPipeline, dataset_spec, tactile_pad
 from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
 from tacgen.core.errors import RecipeError, TableError
 from tacgen.core.resources import packaged
+from tacgen.sensor.gel_response import gel_loads
 
 
 def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
@@ -40,3 +46,35 @@ def test_a_recipe_overrides_what_the_object_says():
     assert changed.spinning_friction_mm is None
     declared = recipe_object(ObjectEntry(name="sugar_box", spinning_friction_mm=1.5))
     assert declared.spinning_friction_mm == 1.5
+
+
+@pytest.mark.slow
+def test_frames_of_a_steady_hold_share_their_picture(monkeypatch):
+    """Only its noise differs; and no picture differs from that of the exact pose and load."""
+    recipe = Recipe.model_validate(
+        {
+            "name": "hold",
+            "objects": ["rubiks_cube"],
+            "grid": {"force_n": 12.0, "x_mm": 0.0, "y_mm": 1.0, "z_mm": 30.0},
+            "frames": {"mode": "sequence", "count": 16},
+        }
+    )
+    planned = plan_recipe(recipe)[0]
+    with GraspPipeline(recipe) as pipeline:
+        grasp = pipeline.simulate(planned)
+        assert grasp.trace.label == 1
+        clean, rendered = pipeline.render(grasp, "left")
+        noisy, _ = pipeline.render(grasp, "left", rng=np.random.default_rng(1))
+    imprints = [frame.imprint for frame in rendered]
+    shared = [now is before for before, now in itertools.pairwise(imprints)]
+    assert sum(shared) >= 4
+    pad, rng = tactile_pad(recipe), np.random.default_rng(1)
+    frames = grasp.trace.frames["left"]
+    for k, (frame, load) in enumerate(zip(frames, gel_loads(pipeline._law, frames), strict=True)):
+        # Another object of the same imprint is drawn anew.
+        again = pad.image(replace(imprints[k]), rng=rng)
+        np.testing.assert_array_equal(noisy[k], again)
+        exact = pad.render(grasp.grasped.surface, frame.pose_gel_object, load).rgb
+        differs = np.abs(exact.astype(int) - clean[k])
+        assert differs.max() <= 1
+        assert differs.mean() < 0.01

@@ -222,20 +222,24 @@ def test_the_quick_path_gives_the_same_picture_to_the_last_bit(effects, shadows,
     rest = dome().astype(np.float32)
     renderer = Renderer(made, rest, shadows=shadows, leds=LEDS)
     top, bottom, left, right = window
-    # A smooth pit within the window, deepest at its middle, at rest on its border.
+    # A smooth pit within the window, deepest at its middle, at rest on its border and corners.
     rows = np.sin(np.linspace(0, np.pi, bottom - top + 2)[1:-1]) ** 2
     columns = np.sin(np.linspace(0, np.pi, right - left + 2)[1:-1]) ** 2
-    pit = (0.8 * rows[:, None] * columns).astype(np.float32)
+    pit = np.maximum(0.8 * rows[:, None] * columns - 0.1, 0).astype(np.float32)
     height = rest.copy()
     height[top:bottom, left:right] -= pit
     whole = render_rgb(height, made, shadows=shadows, leds=LEDS)
+    at_rest = render_rgb(rest, made, shadows=shadows, leds=LEDS)
+    np.testing.assert_array_equal(renderer.expose(), at_rest)
     for _ in range(2):  # The second frame finds the memory of the first.
-        np.testing.assert_array_equal(renderer.render(pit, window), whole)
-    noisy = renderer.render(pit, window, rng=np.random.default_rng(5))
+        renderer.draw(pit, window)
+        np.testing.assert_array_equal(renderer.expose(), whole)
+    noisy = renderer.expose(np.random.default_rng(5))
     same = render_rgb(height, made, shadows=shadows, leds=LEDS, rng=np.random.default_rng(5))
     np.testing.assert_array_equal(noisy, same)
-    nothing = renderer.render(np.zeros((0, 0), dtype=np.float32), (0, 0, 0, 0))
-    np.testing.assert_array_equal(nothing, render_rgb(rest, made, shadows=shadows, leds=LEDS))
+    np.testing.assert_array_equal(renderer.expose(), whole)
+    renderer.draw(np.zeros((0, 0), dtype=np.float32), (0, 0, 0, 0))
+    np.testing.assert_array_equal(renderer.expose(), at_rest)
 
 
 @settings(max_examples=25, deadline=None)
