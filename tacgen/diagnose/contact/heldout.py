@@ -90,11 +90,11 @@ def gain_interval(
 
 
 def features(data: ChannelData) -> FloatArray:
-    """Numeric covariates (N, D) and text ones as levels; NaN as the mean."""
+    """Numeric covariates (N, D), NaN where they are unknown, and text ones as levels."""
     columns = []
     for values in covariates_of(data).values():
         if np.issubdtype(values.dtype, np.number):
-            columns.append(np.nan_to_num(values, nan=float(np.nanmean(values))))
+            columns.append(values.astype(np.float64))
         else:
             levels = np.unique(values)
             columns += [(values == level).astype(float) for level in levels[1:6]]
@@ -111,15 +111,18 @@ def gp_rmse(
     """RMS that is left of the test residual after a GP learned the fit residual.
 
     The residuals (N, C) are those of the linear law; the kernel is a squared exponential of the
-    standardised covariates, its length and noise by marginal likelihood on a subsample.
+    standardised covariates, its length and noise by marginal likelihood on a subsample. An
+    unknown number is put at the fit's mean; a column that the fit has none of is left out.
     """
     x = features(fit_data)
     test = features(test_data)
     if x.shape[1] != test.shape[1]:
         return float("nan")
-    center, scale = x.mean(axis=0), x.std(axis=0) + 1e-12
+    told = np.isfinite(x).any(axis=0)
+    x, test = x[:, told], test[:, told]
+    center, scale = np.nanmean(x, axis=0), np.nanstd(x, axis=0) + 1e-12
     rows = rng.permutation(x.shape[0])[:_MAX_ROWS]
-    x, test = (x[rows] - center) / scale, (test - center) / scale
+    x, test = (np.nan_to_num((part - center) / scale) for part in (x[rows], test))
     y = fit_residual[rows]
     left = test_residual - _predict(x, y - y.mean(axis=0), test) - y.mean(axis=0)
     return float(np.sqrt((left**2).mean()))
