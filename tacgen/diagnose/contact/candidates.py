@@ -14,6 +14,8 @@ from tacgen.diagnose.contact.covariates import Covariate, numeric_covariates, te
 from tacgen.diagnose.contact.model import Fit, Model, references_of
 from tacgen.presses.press_log import CONTRACT
 
+_ROUNDING = 1e-6  # of a column's sum of squares: what rounding leaves where two are the same
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -111,6 +113,41 @@ def covariate_candidates(
         )
         for covariate in covariates
     ]
+
+
+def confounded(
+    data: ChannelData, linear: Model, effects: Sequence[Effect], covariates: Sequence[Covariate]
+) -> frozenset[tuple[str, str]]:
+    """Labels of variants and covariates of which the one can do what the other does.
+
+    A column of the variant is a sum of the covariate's and the compliance's: a zero offset of an
+    added covariate's of every level. Side by side in a model, the law could be off by any amount
+    that the covariate takes back, and of the two only the law is used.
+    """
+    response = linear.law_response(data)
+    compliance = data.reduce(response)[:, None]
+    variants = effect_candidates(data, linear, effects)
+    if not variants:
+        return frozenset()
+    labels = [one.label for one in variants for _ in range(one.columns.shape[1])]
+    every = np.concatenate([one.columns for one in variants], axis=1)
+    own = _beside(compliance, every)
+    size, own_size = ((columns**2).sum(axis=0) for columns in (every, own))
+    # Where the compliance alone can do it, that is not the covariate's doing.
+    is_own = own_size > _ROUNDING * size
+    found = set()
+    for covariate in covariates:
+        columns = np.stack([data.reduce(c) for c in covariate.columns(data, response)], axis=1)
+        left = (_beside(_beside(compliance, columns), own) ** 2).sum(axis=0)
+        same = np.flatnonzero(is_own & (left <= _ROUNDING * own_size))
+        found |= {(labels[i], covariate.label) for i in same}
+    return frozenset(found)
+
+
+def _beside(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """``values`` (R, M) less what a sum of ``columns`` (R, K) can be of them."""
+    inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True)
+    return np.asarray(values - columns @ (inverse @ (columns.T @ values)))
 
 
 def follows_load(data: ChannelData, name: str) -> bool:

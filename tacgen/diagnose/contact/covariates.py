@@ -74,7 +74,8 @@ def text_covariates(column: str, data: ChannelData) -> list[Covariate]:
     if not (2 <= names.size <= max_levels(data) and used):
         return []
     # On the compliance one level is the reference; an added one may be of any level, so that
-    # what is added to one of them alone is not taken for a zero offset beside the others.
+    # what is added to one of them alone is not taken for a zero offset beside the others; the two
+    # are never in one model (`candidates.confounded`).
     every = len(used) == names.size
     levels = {"gain": used[1:] if every else used, "added": used}
     return [Covariate(column, "levels", how, levels=levels[how]) for how in HOWS]

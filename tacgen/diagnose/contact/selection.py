@@ -121,6 +121,9 @@ class CandidateSets:
         self._min_gain = rules.few_min_gain if few else rules.min_gain
         self._parameter_price = rules.few_parameter_price if few else rules.parameter_price
         self._covariates = cand.log_covariates(data)
+        rough_k = linear_compliance(data.history.load(data.channel), data.target)
+        self.linear = Model(rough_k or 1e-6)
+        self._confounded = cand.confounded(data, self.linear, self.effects, self._covariates)
         self._session_clock = session_clock
         self._oscillations: list[Covariate] = []
         self._folds = data.folds()
@@ -219,6 +222,7 @@ class CandidateSets:
             covariates += self._oscillations
         found = cand.effect_candidates(self.data, fit.model, effects)
         found += cand.covariate_candidates(self.data, fit, covariates)
+        found = [one for one in found if all(self._fit_beside(one, m) for m in current.members)]
         grams, groups, base = self._grams(fit, found)
         sets = [[*base, *group] for group in groups]
         losses = self._cv_losses(grams, sets, current.unit_losses).sum(axis=1)
@@ -232,7 +236,7 @@ class CandidateSets:
         pairs = [
             (a, b)
             for a, b in combinations(self._pair_members(found), 2)
-            if found[a].name != found[b].name
+            if found[a].name != found[b].name and self._fit_beside(found[a], found[b])
         ]
         sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
         sums = scores.training_losses(grams.sum(axis=0), sets, rules)
@@ -247,6 +251,12 @@ class CandidateSets:
                 a, b = (found[i] for i in pairs[short[index]])
                 best.setdefault(frozenset((a.name, b.name)), (a, b))
         return list(best.values())[: rules.pairs_fitted]
+
+    def _fit_beside(self, one: Candidate, other: Candidate) -> bool:
+        """Whether both can be in a model: not an effect and a covariate that can do the same."""
+        labels = {(one.label, other.label), (other.label, one.label)}
+        # In a part of the log an effect has other columns.
+        return one.is_local or other.is_local or labels.isdisjoint(self._confounded)
 
     def _pair_members(self, candidates: Sequence[Candidate]) -> list[int]:
         """About ``pair_pool`` candidates, every name with its best few."""
@@ -379,9 +389,7 @@ class Selection:
 
     def run(self) -> Attribution:
         """Select forward by singles and pairs, then drop, swap and name the runners-up."""
-        data = self.data
-        rough_k = linear_compliance(data.history.load(data.channel), data.target)
-        base = current = self.sets.fitted((), Model(rough_k or 1e-6))
+        base = current = self.sets.fitted((), self.sets.linear)
         ranking: tuple[tuple[str, float, float], ...] = ()
         visited = {base.acting}
         while len(current.members) < self.rules.max_members:
