@@ -45,8 +45,8 @@ from tacgen.physics.settings import (
     force_problem,
 )
 
-CHUNK_STEPS = 4  # between checks of the closing fingers: 11 ms
-STEADY_CHUNKS = 5  # checks in a row, 56 ms, for which a steady force keeps to the delivered one
+CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
+STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
 STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that a pad may be off
 
 PatchOf = Callable[[ContactFrame], ContactPatch]

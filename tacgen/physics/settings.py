@@ -48,7 +48,7 @@ class PhysicsSettings:
 
     engine: EngineName = "pybullet"
     """The physics engine; ``mujoco`` simulates the ``wsg50`` alone, and runs on every Python."""
-    time_step_s: PositiveFloat = 1 / 360
+    time_step_s: PositiveFloat = 1 / 480
     """The engine's time step."""
     solver_iterations: PositiveInt = 100
     """Most iterations of PyBullet's solver; large forces on light objects may take more."""
