@@ -64,8 +64,9 @@ Written by `make trust` (`python -m validation.contact`). Simulated press logs w
 or none, were diagnosed as by `tacgen diagnose contact`. The formulas of the logs
 (`validation/contact/forms.py`) differ from those that are fitted: creep as a logarithm or
 a power of time against Prony terms, stiffening as tanh or a fraction against powers, hysteresis
-by Bouc-Wen against plays and loops, a Gaussian bump against polynomials, and so on. Loads, sizes,
-numbers of trials (30 to 80), noise in volume and in force, and schedules are drawn at random.
+by Bouc-Wen against plays and loops, one Gaussian bump against polynomials and a grid of
+Gaussians, and so on. Loads, sizes, numbers of trials (30 to 80), noise in volume and in force, and
+schedules are drawn at random.
 The strength of an effect is the RMS residual of the best linear law, in units of the noise of one
 sample. {count} channels were diagnosed. Thresholds were set on other seeds and on
 `validation/blind`'s logs, but also after inspecting wrong results of earlier runs of this study.

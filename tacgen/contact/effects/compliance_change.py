@@ -15,7 +15,7 @@ for _channel in base.CHANNELS:
             channel=_channel,
             stage="gain",
             is_local=True,
-            about="the compliance is another one in a part of the log",
+            about="the compliance differs in a part of the log",
             parameters=(base.amount("amount", -0.9, 5.0),),
             apply=_apply,
             variants=lambda history, references: (base.variant("gain", [{"amount": 0.05}]),),

@@ -58,8 +58,8 @@ class SelectionRules:
     few_min_gain: float = 0.2  # min_gain where trials are few
     max_members: int = 5  # of a channel's model
 
-    min_trials_of_part: int = 4  # in a part of the log where alone an effect acts, and outside
-    local_price: float = 0.05  # share by which an effect in a part must beat effects in the whole
+    min_trials_of_part: int = 4  # in a part of the log to which an effect is confined, and outside
+    local_price: float = 0.05  # share by which an effect in a part must beat what acts everywhere
 
     # Which of two is kept
     parameter_price: float = 0.002  # share by which one parameter more must be better

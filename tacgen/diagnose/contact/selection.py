@@ -85,9 +85,9 @@ class Attribution:
     """What a channel's residual was traced to.
 
     ``base``, ``named`` and ``final`` are fits to the trials that were given: without effects, with
-    those that were chosen, and with their free forms where these predict better; ``chosen`` is in
-    the order in which the members were added; ``ranking`` lists the single candidates at the start
-    (label, gain of the held-out RMSE, p).
+    those that were chosen, and with their corrected forms where these predict better; ``chosen`` is
+    in the order in which the members were added; ``ranking`` lists the single candidates at the
+    start (label, gain of the held-out RMSE, p).
     """
 
     base: FittedSet

@@ -158,7 +158,7 @@ def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
 
 
 @pytest.mark.parametrize("name", ["hysteresis", "creep", "stiffening"])
-def test_a_law_file_holds_the_whole_free_form(name, tmp_path):
+def test_a_law_file_holds_the_whole_corrected_form(name, tmp_path):
     """Spans and times that place its functions too: a grasp has others than the log."""
     weights = [0.2, 0.0, 0.1]
     columns = presses(prandtl_ishlinskii(weights, [0.3, 1.0, 4.0]), 0.05, 8)

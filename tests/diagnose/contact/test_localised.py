@@ -166,7 +166,8 @@ def test_a_p_of_a_part_keeps_its_level_and_sees_a_part():
     _, local, *_ = p_values
     del p_values[1]
     assert local < 0.003  # none of 399 orders
-    # Of 60 uniform p, 1 to 14 below 0.1 and 20 to 40 below a half (three standard deviations).
+    # Of 60 uniform p, 1 to 14 below 0.1 (Binomial(60, 0.1) is outside with 0.25 %), and 18 to 42
+    # below a half (three standard deviations of Binomial(60, 0.5)).
     assert 1 <= np.sum(np.array(p_values) <= 0.1) <= 14
     assert 18 <= np.sum(np.array(p_values) <= 0.5) <= 42
 
