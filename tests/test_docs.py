@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -98,18 +99,19 @@ def test_the_site_builds_without_a_warning(tmp_path):
 @pytest.mark.parametrize("kind", hooks.KINDS)
 def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
     model = hooks.KINDS[kind]
+    part = {"column": "x_mm", "above": 1.0, "up_to": 2.0}
     valid = {
         "name": "x",
         "objects": [{"name": "cup"}],
         "rows": [{"name": "a"}],
         "indenters": [{"name": "ball", "radius_mm": 2.0}],
-        "effects": [{"name": "creep", "strength": 1.0, "where": {"column": "x_mm"}}],
+        "effects": [{"name": "creep", "strength": 1.0, "where": part}],
     }
     for key in hooks.keys_of(kind):
         assert key.meaning, key.path
         if not key.example or kind in ("sensor", "object"):
             continue  # examples of these two are those of the shipped files, which load
-        data = {name: value for name, value in valid.items() if name in model.model_fields}
+        data = {k: deepcopy(value) for k, value in valid.items() if k in model.model_fields}
         if kind == "train":
             data.pop("objects")
         place = data

@@ -22,7 +22,7 @@ from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import GraspSimulator, run_grasp
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad, gel_loads, without_creep
+from tacgen.sensor.gel_response import GelLoad, gel_loads, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
 
 # Streams of one grasp's random numbers.
@@ -105,7 +105,7 @@ class GraspPipeline:
         rendered: list[TactileFrame] = []
         before: tuple[NDArray[np.float64], GelLoad] | None = None
         for frame, load, rgb in zip(frames, loads, images, strict=True):
-            pose, load = without_creep(frame.pose_gel_object, load)
+            pose, load = rounded_pose_and_load(frame.pose_gel_object, load)
             if before and load == before[1] and np.array_equal(pose, before[0]):
                 imprint = rendered[-1].imprint
             else:

@@ -234,8 +234,8 @@ def _effect_problems(where: str, fitted: FittedEffect) -> list[str]:
         effect = fitted.effect
     except ContactError as error:
         return [f"{where}: {error}"]
-    if fitted.where is not None and list(fitted.where.given) == ["column"]:
-        problems.append(f"{where}: where has no limit; give above, up_to or equals")
+    if fitted.where is None and fitted.effect.is_local:
+        problems.append(f"{where}: acts in a part of a log only; give `where`")
     for name, estimate in fitted.parameters.items():
         try:
             low, high = effect.parameter(name).low, effect.parameter(name).high

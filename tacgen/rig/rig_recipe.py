@@ -237,6 +237,12 @@ def _effect_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
                 yield source.problem(key, f"is no parameter of it: {error}")
         if given.strength is None and not given.parameters:
             yield source.problem(where, "has neither strength nor parameters; give one of them")
+        if effect.is_local and given.where is None:
+            yield source.problem(where, "acts in a part of the log only; give `where`")
+        names = [indenter.name for indenter in recipe.indenters]
+        if given.where and given.where.equals not in ("", *names):
+            message = f"= {given.where.equals!r} is no indenter; they are {', '.join(names)}"
+            yield source.problem((*where, "where", "equals"), message)
         if "temperature_c" in effect.needs and recipe.temperature is None:
             yield source.problem(where, "needs a temperature; add a `temperature:` section")
         repeated = [(e.channel, e.name) for e in recipe.effects[:i]]

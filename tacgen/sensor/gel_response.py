@@ -11,7 +11,7 @@ from tacgen.contact.law import ContactLaw
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame
 
-PLACE_GRAIN_MM = 2e-4
+PLACE_STEP_MM = 2e-4  # to which the place of an object under the gel is rounded
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def gel_loads(
     return tuple(map(GelLoad, volumes, depths, shear_sum_mm, turn_sum_mm2.tolist()))
 
 
-def without_creep(
+def rounded_pose_and_load(
     pose_gel_object: FloatArray, load: GelLoad
 ) -> tuple[NDArray[np.float64], GelLoad]:
     """A pose (4, 4), mm, and a load, rounded so that frames of a steady hold are equal.
@@ -68,7 +68,7 @@ def without_creep(
     point_mm = -pose_gel_object[:3, :3].T @ pose_gel_object[:3, 3]
     pose = np.eye(4)
     pose[:3, :3] = rotation
-    pose[:3, 3] = -rotation @ (PLACE_GRAIN_MM * np.round(point_mm / PLACE_GRAIN_MM))
+    pose[:3, 3] = -rotation @ (PLACE_STEP_MM * np.round(point_mm / PLACE_STEP_MM))
     x_mm, y_mm = load.shear_sum_mm
     return pose, GelLoad(
         None if load.volume_mm3 is None else round(load.volume_mm3, 5),

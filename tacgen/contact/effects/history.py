@@ -66,6 +66,11 @@ class LoadHistory:
             self._sorted[name].setflags(write=False)
         return self._sorted[name]
 
+    def means_of_trials(self, name: str) -> FloatArray:
+        """Mean (T,) of a numeric column over each trial."""
+        sums = np.add.reduceat(self.column(name), self.starts[:-1])
+        return np.asarray(sums / np.diff(self.starts))
+
     def text(self, name: str) -> NDArray[np.str_]:
         """A text column (N,), sorted."""
         return self._columns[name][self.order].astype(str)

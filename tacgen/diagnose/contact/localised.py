@@ -10,15 +10,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from tacgen.contact.effects import Effect, LoadHistory, Where, all_effects, find_effect
+from tacgen.contact.effects import Effect, Where, all_effects, find_effect
+from tacgen.contact.effects.where import WhereColumn
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate, effect_candidates
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.model import Fit, Model
 
-BORDERED = ("trial", "x_mm", "y_mm")
-EVERYWHERE = Where("trial")
+BORDERED: tuple[WhereColumn, ...] = ("trial", "x_mm", "y_mm")
+EVERYWHERE = Where("trial", above=-1e300)
 PARTS_OF_SIDE = 10  # in which all forms are tried
 FORMS_TRIED = 2  # of each effect, in every part of their best side, by cross-validation
 BORDERS_TRIED = 7  # trials next to a border that may lie on either side of it
@@ -34,7 +35,10 @@ class Part:
 
     @property
     def is_named(self) -> bool:
-        """Whether a change of compliance is said of it, not of the rest: later, or smaller."""
+        """Whether a change of compliance is named by it and not by the rest.
+
+        It is by the later stretch of the session, and the smaller part of the trials.
+        """
         if self.where.is_stretch:
             return not self.where.is_over
         return bool(self.trials.mean() <= 0.5)
@@ -46,8 +50,8 @@ def parts_of(data: ChannelData) -> list[Part]:
     parts = []
     for column in BORDERED:
         if history.has(column):
-            values = _of_trials(history, column)
-            for one, other in pairwise(np.unique(values)):
+            values = history.means_of_trials(column)
+            for one, other in pairwise(np.unique(values[np.isfinite(values)])):
                 middle = 0.5 * (one + other)
                 limit = float(np.floor(middle) if column == "trial" else round(middle, 4))
                 above = values > limit
@@ -55,21 +59,15 @@ def parts_of(data: ChannelData) -> list[Part]:
                 parts += [Part(Where(column, up_to=limit), ~above & np.isfinite(values))]
     if history.has("indenter"):
         names = history.text("indenter")[history.starts[:-1]]
-        parts += [Part(Where("indenter", equals=str(n)), names == n) for n in np.unique(names)]
+        parts += [Part(Where("indenter", equals=str(n)), names == n) for n in np.unique(names) if n]
     elif history.has("radius_mm"):
-        radius = _of_trials(history, "radius_mm")
+        radius = history.means_of_trials("radius_mm")
         sizes = np.unique(radius[np.isfinite(radius)])
         edges = [-np.inf, *(0.5 * (sizes[1:] + sizes[:-1])), np.inf]
-        for low, high in pairwise(edges):
+        for low, high in pairwise(edges) if sizes.size > 1 else ():
             held = (radius > low) & (radius <= high)
             parts.append(Part(Where("radius_mm", float(low), float(high)), held))
     return [p for p in parts if least <= p.trials.sum() <= p.trials.size - least]
-
-
-def _of_trials(history: LoadHistory, column: str) -> FloatArray:
-    """Mean (T,) of a column over each trial."""
-    sums = np.add.reduceat(history.column(column), history.starts[:-1])
-    return np.asarray(sums / np.diff(history.starts))
 
 
 def local_effects(data: ChannelData, effects: Sequence[Effect]) -> list[Effect]:

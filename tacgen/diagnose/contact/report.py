@@ -58,7 +58,7 @@ def _residual_figure(channel: Mapping[str, Any], found: ChannelDiagnosis) -> Fig
     }
     terms = {term.name: term.effect for term in found.final.model.terms}
     effects = [terms[effect["name"]] for effect in channel["effects"]]
-    wanted = [one.where.column for one in effects if one.where]
+    wanted: list[str] = [one.where.column for one in effects if one.where]
     wanted += [one.shown_against for one in effects]
     wanted += [one["covariate"] for one in channel["unexplained"]]
     wanted += ALWAYS_DRAWN

@@ -298,8 +298,9 @@ def _in_simulation(where: Where) -> str:
     """Whether an effect that acts in a part of the log acts on simulated grasps."""
     if not where.is_stretch:
         return (
-            f"of `tacgen collect` no grasp has the column {where.column}, so there it does not "
-            "act; press where, and with what, you will grasp"
+            f"grasps of `tacgen collect` have no column {where.column}, so simulated images are "
+            "made without it; to have it in them, calibrate with presses only at the places, and "
+            "with the shapes, that you will grasp"
         )
     how = "it acts on none of them" if where.is_over else "it acts on all of them"
     return f"simulated grasps come after the session's end: {how}"

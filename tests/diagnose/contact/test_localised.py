@@ -51,7 +51,8 @@ def test_outside_of_its_part_an_effect_changes_nothing_and_inside_it_is_itself(e
         (Where("trial", above=4), "in trials after 4", [5, 6, 7]),
         (Where("trial", up_to=1), "in trials up to 1", [0, 1]),
         (Where("x_mm", above=2.25), "at x > 2.25 mm", [3, 4, 5, 6, 7]),
-        (Where("radius_mm", 1.5, 2.5), "at radius ≤ 2.5 mm and > 1.5 mm", [0, 1]),
+        (Where("radius_mm", 1.5, 2.5), "at radius > 1.5 and ≤ 2.5 mm", [0, 1]),
+        (Where("trial", 1, 3), "in trials after 1 and up to 3", [2, 3]),
         (Where("indenter", equals="flat"), "with the indenter flat", [6, 7]),
     ],
 )
@@ -87,9 +88,36 @@ def test_a_law_file_holds_the_part(tmp_path):
         law.predict(press)
 
 
-def test_a_part_without_a_limit_is_refused():
-    with pytest.raises(ContactError, match="where has no limit; give above, up_to or equals"):
-        law_with("compliance_change", Where("x_mm"), amount=0.2)
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ({"column": "x_mm"}, "x_mm needs a limit"),
+        ({"column": "x_mm", "equals": "ball"}, "x_mm needs a limit"),
+        ({"column": "x_mm", "above": 2, "up_to": 1}, "above = 2 is not below up_to = 1"),
+        ({"column": "x_mm", "up_to": float("nan")}, "needs a limit"),
+        ({"column": "indenter", "above": 2}, "indenter needs `equals`"),
+        ({"column": "indenter", "equals": "ball", "above": 2}, "indenter needs `equals`"),
+    ],
+)
+def test_what_is_no_part_of_a_log_is_refused(where, message):
+    with pytest.raises(ValueError, match=message):
+        Where(**where)
+
+
+def test_an_effect_of_parts_alone_needs_one():
+    with pytest.raises(ContactError, match="acts in a part of a log only; give `where`"):
+        law_with("compliance_change", None, amount=0.2)
+
+
+def test_a_place_that_varies_within_a_press_counts_by_its_mean():
+    columns = {
+        "trial": [0, 0, 1, 1],
+        "time_s": [0.0, 1.0, 0.0, 1.0],
+        "force_normal_n": [1.0] * 4,
+        "x_mm": [-0.5, 0.7, -0.7, 0.5],
+    }
+    held = Where("x_mm", above=0.0).holds(LoadHistory(columns))
+    np.testing.assert_array_equal(held, [True, True, False, False])
 
 
 @pytest.mark.parametrize(
@@ -118,7 +146,7 @@ NOISE = 0.3  # mm³; the effects below are about 1.5 times as strong
             "stiffening",
             {"amount": -0.15, "exponent": 1.0, "reference_n": 5.0},
             Where("indenter", equals="flat"),
-            "has the column indenter",
+            "have no column indenter",
             marks=pytest.mark.slow,
         ),
     ],
@@ -172,13 +200,21 @@ def test_a_p_of_a_part_keeps_its_level_and_sees_a_part():
     assert 18 <= np.sum(np.array(p_values) <= 0.5) <= 42
 
 
-def test_parts_are_bounded_between_trials_and_have_enough_on_both_sides():
-    data = ChannelSamples(log(n_trials=14), "normal").thinned()
+@pytest.mark.parametrize("spoiled", [False, True])
+def test_parts_are_bounded_between_trials_and_have_enough_on_both_sides(spoiled):
+    """Also where places vary within a press, and some presses have no place or no indenter."""
+    columns, n_trials = log(n_trials=24), 24
+    if spoiled:
+        rng = np.random.default_rng(3)
+        columns["x_mm"] = columns["x_mm"] + rng.normal(0, 0.3, len(columns["x_mm"]))
+        columns["x_mm"][columns["trial"] < 6] = np.nan
+        columns["indenter"] = np.where(columns["trial"] % 3 == 0, "", columns["indenter"])
+    data = ChannelSamples(columns, "normal").thinned()
     parts = localised.parts_of(data)
     least = data.rules.min_trials_of_part
-    assert {part.where.column for part in parts} >= {"trial", "x_mm", "y_mm"}
+    assert {part.where.column for part in parts} >= {"trial", "x_mm", "y_mm", "indenter"}
     for part in parts:
-        assert least <= part.trials.sum() <= 14 - least
+        assert least <= part.trials.sum() <= n_trials - least
         rows = part.where.holds(data.history)
         np.testing.assert_array_equal(rows, part.trials[data.history.trial_index])
 
