@@ -195,8 +195,8 @@ def changed_spans(
 ) -> NDArray[np.int32]:
     """Columns [first, last) of each row of ``lit`` that are within reach of a deformation.
 
-    ``deformation_mm`` (h, w) lies over ``window``. The deformed patch is round, say: the corners of
-    its rectangle are at rest.
+    ``deformation_mm`` (h, w) lies over ``window``. The deformed patch is seldom a rectangle: the
+    corners of its window are at rest.
     """
     height, width = deformation_mm.shape
     own = np.empty((height, 2), np.int32)

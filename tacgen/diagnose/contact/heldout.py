@@ -89,16 +89,20 @@ def gain_interval(
     return float(low), float(high)
 
 
-def features(data: ChannelData) -> FloatArray:
-    """Numeric covariates (N, D), NaN where they are unknown, and text ones as levels."""
-    columns = []
-    for values in covariates_of(data).values():
-        if np.issubdtype(values.dtype, np.number):
-            columns.append(values.astype(np.float64))
+def features(fit_data: ChannelData, test_data: ChannelData) -> tuple[FloatArray, FloatArray]:
+    """Covariates (N, D) and (M, D) of both: numbers, NaN if unknown, and the fit's levels."""
+    both = covariates_of(fit_data), covariates_of(test_data)
+    columns: list[list[FloatArray]] = [[], []]
+    for name in (name for name in both[0] if name in both[1]):
+        fitted = both[0][name]
+        if np.issubdtype(fitted.dtype, np.number):
+            for part, covariates in zip(columns, both, strict=True):
+                part.append(covariates[name].astype(np.float64))
         else:
-            levels = np.unique(values)
-            columns += [(values == level).astype(float) for level in levels[1:6]]
-    return np.stack(columns, axis=1)
+            levels = np.unique(fitted)[1:6]
+            for part, covariates in zip(columns, both, strict=True):
+                part += [(covariates[name] == level).astype(np.float64) for level in levels]
+    return np.stack(columns[0], axis=1), np.stack(columns[1], axis=1)
 
 
 def gp_rmse(
@@ -114,12 +118,9 @@ def gp_rmse(
     standardised covariates, its length and noise by marginal likelihood on a subsample. An
     unknown number is put at the fit's mean; a column that the fit has none of is left out.
     """
-    x = features(fit_data)
-    test = features(test_data)
-    if x.shape[1] != test.shape[1]:
-        return float("nan")
-    told = np.isfinite(x).any(axis=0)
-    x, test = x[:, told], test[:, told]
+    x, test = features(fit_data, test_data)
+    known = np.isfinite(x).any(axis=0)
+    x, test = x[:, known], test[:, known]
     center, scale = np.nanmean(x, axis=0), np.nanstd(x, axis=0) + 1e-12
     rows = rng.permutation(x.shape[0])[:_MAX_ROWS]
     x, test = (np.nan_to_num((part - center) / scale) for part in (x[rows], test))
