@@ -28,14 +28,13 @@ NEGLIGIBLE_MM = 1e-5
 
 @njit(cache=True, nogil=True)
 def _keep_contact(
-    depth: NDArray[Any], window: Window, loose_mm: float, firm_mm: float, surface: NDArray[Any]
+    depth_mm: NDArray[Any], loose_mm: float, firm_mm: float, surface: NDArray[Any]
 ) -> None:
-    """Hold the surface to the object: not at all up to loose, wholly from firm on."""
-    top, bottom, left, right = window
+    """Hold the surface under a contact to the object: not at all up to loose, wholly from firm."""
     loose, per_mm = np.float32(loose_mm), np.float32(1 / (firm_mm - loose_mm))
-    for r in range(top, bottom):
-        row, out = depth[r, left:right], surface[r, left:right]
-        for k in range(right - left):
+    for r in range(depth_mm.shape[0]):
+        row, out = depth_mm[r], surface[r]
+        for k in range(row.shape[0]):
             hold = min(max((row[k] - loose) * per_mm, np.float32(0)), np.float32(1))
             out[k] += hold * (row[k] - out[k])
 
@@ -68,16 +67,16 @@ class Deformer:
     def __init__(self, mm_per_px: float) -> None:
         self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in PYRAMID_SIGMA_MM]
         self._final = Gaussian(FINAL_SIGMA_MM / mm_per_px)
-        self._memory = np.empty((3, 0), dtype=np.float32)
+        # Kept: new pages would cost as much as a blur.
+        self._memory = np.empty(0, dtype=np.float32)
 
-    def _maps(self, height: int, width: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Three maps of a size, in memory that is kept: new pages would cost as much as a blur."""
-        if self._memory.shape[1] < height * width:
-            self._memory = np.empty((3, height * width), dtype=np.float32)
-        depth, surface, scratch = (
-            plane[: height * width].reshape(height, width) for plane in self._memory
-        )
-        return depth, surface, scratch
+    def _zeros(self, height: int, width: int) -> NDArray[np.float32]:
+        """A map of zeros in the deformer's own memory."""
+        if self._memory.size < height * width:
+            self._memory = np.empty(height * width, dtype=np.float32)
+        surface = self._memory[: height * width].reshape(height, width)
+        surface.fill(0)
+        return surface
 
     @property
     def reach_px(self) -> int:
@@ -100,22 +99,21 @@ class Deformer:
         Source: Si & Yuan 2022, Taxim, §III-C.
         """
         frame = aligned(grown(contact, self.reach_px + 1, shape_px), COARSEST, shape_px)
-        depth, surface, scratch = self._maps(frame[1] - frame[0], frame[3] - frame[2])
-        depth.fill(0)
+        surface = self._zeros(frame[1] - frame[0], frame[3] - frame[2])
         top, left = frame[0], frame[2]
         patch = (contact[0] - top, contact[1] - top, contact[2] - left, contact[3] - left)
-        depth[patch[0] : patch[1], patch[2] : patch[3]] = depth_mm
-        surface[...] = depth
+        under = surface[patch[0] : patch[1], patch[2] : patch[3]]
+        under[...] = depth_mm
         deepest_mm = max(float(depth_mm.max(initial=0.0)), NEGLIGIBLE_MM)
         loose_mm, firm_mm = (share * deepest_mm for share in FIRM_CONTACT)
         reach = 1
         for blur in (*self._pyramid, self._final):
             # One pixel beyond what is deformed, so that the edge is at rest.
             reach += blur.reach_px
-            changed = aligned(grown(patch, reach, depth.shape), blur.factor, depth.shape)
-            blur.apply(surface, changed, scratch)
+            changed = aligned(grown(patch, reach, surface.shape), blur.factor, surface.shape)
+            blur.apply(surface, changed)
             if blur is not self._final:
-                _keep_contact(depth, changed, loose_mm, firm_mm, surface)
+                _keep_contact(depth_mm, loose_mm, firm_mm, under)
         top, bottom, left, right = _clear_negligible(surface, NEGLIGIBLE_MM)
         if top >= bottom:
             return np.zeros((0, 0), dtype=np.float32), (0, 0, 0, 0)

@@ -154,14 +154,10 @@ class Shader:
         self, height_map_mm: NDArray[np.float32], window: Window, image: NDArray[np.float32]
     ) -> None:
         """Apply the effects that come after the look-up to ``window`` of a lit ``image``."""
-        if not self._image:
-            return
         top, bottom, left, right = window
         patch = self._patch(height_map_mm, window)
-        part: NDArray[Any] = image[top:bottom, left:right]
         for active in self._image:
-            part = active.effect.apply(part, patch, **active.values)
-        image[top:bottom, left:right] = part
+            active.effect.change(image[top:bottom, left:right], patch, **active.values)
 
     def _patch(self, height_map_mm: NDArray[np.float32], window: Window) -> Patch:
         top, bottom, left, right = window
@@ -293,8 +289,11 @@ class Renderer:
         self._rest_rgb = np.empty(self._rest_image.shape, dtype=np.uint8)
         shade.quantize(self._rest_image, self._whole, self._rest_rgb)
         self._height_mm = self._rest_mm.copy()
+        self._deformed: Window = (0, 0, 0, 0)  # where the height map may not be at rest
         self._image = self._rest_image.copy()
+        # Where the image may not be that of the gel at rest, and in which columns of each row.
         self._changed: Window = (0, 0, 0, 0)
+        self._changed_spans = shade.whole_spans(self._changed)
 
     def draw(
         self,
@@ -307,11 +306,23 @@ class Renderer:
 
         ``markers_mm`` (n, 2) is where the markers now are.
         """
-        top, bottom, left, right = self._changed
-        self._image[top:bottom, left:right] = self._rest_image[top:bottom, left:right]
-        self._changed = self._deformed(deformation_mm, window) if deformation_mm.size else window
+        self._deform(deformation_mm, window)
+        shader = self._shader
+        lit = grown(window, shader.slope_reach_px, self._rest_mm.shape)
+        spans = shade.changed_spans(deformation_mm, window, lit, shader.slope_reach_px)
+        seen, drawn = lit, spans
+        if shader.finishes:
+            reach_px = shader.image_reach_px(float(deformation_mm.max(initial=0.0)))
+            seen = grown(lit, reach_px, self._rest_mm.shape)
+            drawn = shade.whole_spans(seen)
+            shade.restore(self._image, self._rest_lit, seen, drawn, lit, spans)
+        before = self._changed, self._changed_spans
+        shade.restore(self._image, self._rest_image, *before, seen, drawn)
+        shader.light(self._height_mm, lit, self._image, spans)
+        shader.finish(self._height_mm, seen, self._image)
+        self._changed, self._changed_spans = seen, drawn
         if self._marker_radius_mm > 0 and markers_mm is not None:
-            self._changed = self._whole
+            self._changed, self._changed_spans = self._whole, shade.whole_spans(self._whole)
             draw_markers(
                 self._image, markers_mm, self._marker_radius_mm, self._shader.table.mm_per_px
             )
@@ -331,20 +342,11 @@ class Renderer:
             shade.quantize(self._image, self._changed, rgb)
         return rgb
 
-    def _deformed(self, deformation_mm: NDArray[np.float32], window: Window) -> Window:
-        """Put the deformed gel's grey levels into the image; returns the window they fill."""
-        shader, shape_px = self._shader, self._rest_mm.shape
+    def _deform(self, deformation_mm: NDArray[np.float32], window: Window) -> None:
+        """Bring the height map from the deformation before to this one."""
+        before, spans = self._deformed, shade.whole_spans(self._deformed)
+        now = shade.whole_spans(window)
+        shade.restore(self._height_mm, self._rest_mm, before, spans, window, now)
         area = np.s_[window[0] : window[1], window[2] : window[3]]
-        rest, height = self._rest_mm[area], self._height_mm[area]
-        np.subtract(rest, deformation_mm, out=height)
-        lit = grown(window, shader.slope_reach_px, shape_px)
-        spans = shade.changed_spans(deformation_mm, window, lit, shader.slope_reach_px)
-        seen = lit
-        if shader.finishes:
-            seen = grown(lit, shader.image_reach_px(float(deformation_mm.max())), shape_px)
-            area = np.s_[seen[0] : seen[1], seen[2] : seen[3]]
-            self._image[area] = self._rest_lit[area]
-        shader.light(self._height_mm, lit, self._image, spans)
-        shader.finish(self._height_mm, seen, self._image)
-        height[...] = rest
-        return seen
+        np.subtract(self._rest_mm[area], deformation_mm, out=self._height_mm[area])
+        self._deformed = window

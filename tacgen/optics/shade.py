@@ -12,6 +12,7 @@ from tacgen.optics.table import N_FEATURES, LookupTable
 from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 
 _LANES = NODE_FLOATS // N_FEATURES
+CACHE_LINE_FLOATS = 16
 
 
 def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
@@ -23,7 +24,16 @@ def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
     nodes = np.zeros((n_slope, n_direction + 1, N_FEATURES, _LANES), dtype=np.float32)
     nodes[:, :-1, :, :3] = table.coefficients.transpose(0, 1, 3, 2)
     nodes[:, -1] = nodes[:, 0]
-    return nodes.reshape(n_slope, n_direction + 1, NODE_FLOATS)
+    return _on_cache_lines(nodes.reshape(n_slope, n_direction + 1, NODE_FLOATS))
+
+
+def _on_cache_lines(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The same values from the first byte of a cache line on: no vector of 8 lies on two lines."""
+    memory = np.empty(values.size + CACHE_LINE_FLOATS, dtype=np.float32)
+    start = -(memory.ctypes.data // memory.itemsize) % CACHE_LINE_FLOATS
+    aligned = memory[start : start + values.size].reshape(values.shape)
+    aligned[...] = values
+    return aligned
 
 
 def packed_response(response: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -55,8 +65,8 @@ def feature_factors(shape_px: tuple[int, int]) -> tuple[NDArray[np.float32], NDA
     along_u = np.stack([u * u, one_u, u, u, one_u, one_u], axis=1)
     along_v = np.stack([one_v, v * v, v, one_v, v, one_v], axis=1)
     return (
-        np.repeat(along_u, _LANES, axis=1).astype(np.float32),
-        np.repeat(along_v, _LANES, axis=1).astype(np.float32),
+        _on_cache_lines(np.repeat(along_u, _LANES, axis=1).astype(np.float32)),
+        _on_cache_lines(np.repeat(along_v, _LANES, axis=1).astype(np.float32)),
     )
 
 
@@ -223,7 +233,35 @@ def changed_spans(
 def whole_spans(window: Window) -> NDArray[np.int32]:
     """The spans of a whole window."""
     top, bottom, left, right = window
-    return np.tile(np.array([left, right], dtype=np.int32), (bottom - top, 1))
+    spans = np.empty((bottom - top, 2), dtype=np.int32)
+    spans[:, 0], spans[:, 1] = left, right
+    return spans
+
+
+@njit(cache=True, nogil=True)
+def restore(
+    image: NDArray[Any],
+    source: NDArray[Any],
+    window: Window,
+    spans: NDArray[Any],
+    kept: Window,
+    kept_spans: NDArray[Any],
+) -> None:
+    """Copy the spans of ``window`` from ``source`` to ``image``, but for the spans of ``kept``.
+
+    Both are (H, W) or (H, W, 3).
+    """
+    each = image.size // (image.shape[0] * image.shape[1])
+    for r in range(window[0], window[1]):
+        left, right = each * spans[r - window[0], 0], each * spans[r - window[0], 1]
+        first, last = right, right
+        if kept[0] <= r < kept[1]:
+            first, last = each * kept_spans[r - kept[0], 0], each * kept_spans[r - kept[0], 1]
+            first = min(max(first, left), right)
+            last = min(max(last, first), right)
+        out, row = image[r].reshape(-1), source[r].reshape(-1)
+        out[left:first] = row[left:first]
+        out[last:right] = row[last:right]
 
 
 @njit(cache=True, nogil=True)

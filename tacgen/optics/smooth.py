@@ -1,7 +1,7 @@
 """Gaussian smoothing within a window, in numba: the same bits on every machine."""
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -37,95 +37,92 @@ def aligned(window: Window, step_px: int, shape_px: tuple[int, int]) -> Window:
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _taps(
-    k: int, kernel: NDArray[Any], j: int, lower: tuple[Any, ...], upper: tuple[Any, ...]
-) -> Any:
-    """The sum at pixel k of four taps on each side, j to j + 3."""
-    near = kernel[j] * (lower[0][k] + upper[0][k]) + kernel[j + 1] * (lower[1][k] + upper[1][k])
-    far = kernel[j + 2] * (lower[2][k] + upper[2][k]) + kernel[j + 3] * (lower[3][k] + upper[3][k])
-    return near + far
+Rows: TypeAlias = tuple[NDArray[Any], ...]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _add_taps(
-    row: NDArray[Any],
-    kernel: NDArray[Any],
-    j: int,
-    lower: tuple[Any, ...],
-    upper: tuple[Any, ...],
-    out: NDArray[Any],
+def _first_taps(
+    row: NDArray[Any], kernel: NDArray[Any], lower: Rows, upper: Rows, out: NDArray[Any]
 ) -> None:
-    """Walk along the row once: the first four taps on each side start the sum, others add to it."""
-    if j == 1:
-        for k in range(out.shape[0]):
-            out[k] = kernel[0] * row[k] + _taps(k, kernel, j, lower, upper)
-    else:
-        for k in range(out.shape[0]):
-            out[k] += _taps(k, kernel, j, lower, upper)
+    """Start a row's sum with the centre and four taps on each side of it."""
+    for k in range(out.shape[0]):
+        near = kernel[1] * (lower[0][k] + upper[0][k]) + kernel[2] * (lower[1][k] + upper[1][k])
+        far = kernel[3] * (lower[2][k] + upper[2][k]) + kernel[4] * (lower[3][k] + upper[3][k])
+        out[k] = kernel[0] * row[k] + (near + far)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _add_taps(kernel: NDArray[Any], j: int, lower: Rows, upper: Rows, out: NDArray[Any]) -> None:
+    """Add taps j and j + 1 on each side."""
+    near, far = kernel[j], kernel[j + 1]
+    for k in range(out.shape[0]):
+        out[k] += near * (lower[0][k] + upper[0][k]) + far * (lower[1][k] + upper[1][k])
 
 
 @njit(cache=True, nogil=True)
-def _blur_rows(
-    source: NDArray[Any], window: Window, kernel: NDArray[Any], target: NDArray[Any]
+def _blur_row(
+    row: NDArray[Any], kernel: NDArray[Any], line: NDArray[Any], out: NDArray[Any]
 ) -> None:
-    """Convolve along rows within the window; what lies beyond its edge equals the edge."""
-    top, bottom, left, right = window
-    radius, width = kernel.shape[0] - 1, right - left
-    line = np.empty(width + 2 * radius, np.float32)
-    for r in range(top, bottom):
-        row, out = source[r, left:right], target[r, left:right]
-        line[:radius] = row[0]
-        line[radius : radius + width] = row
-        line[radius + width :] = row[width - 1]
-        for j in range(1, radius, 4):
-            low, high = line[radius - j - 3 :], line[radius + j :]
-            lower = low[3:], low[2:], low[1:], low
-            upper = high, high[1:], high[2:], high[3:]
-            _add_taps(row, kernel, j, lower, upper, out)
+    """Convolve a row, by way of ``line``; what lies beyond its ends equals them."""
+    radius, width = kernel.shape[0] - 1, row.shape[0]
+    line[:radius] = row[0]
+    line[radius : radius + width] = row
+    line[radius + width :] = row[width - 1]
+    low, high = line[radius - 4 :], line[radius + 1 :]
+    lower, upper = (low[3:], low[2:], low[1:], low), (high, high[1:], high[2:], high[3:])
+    _first_taps(row, kernel, lower, upper, out)
+    for j in range(5, radius, 2):
+        low, high = line[radius - j - 1 :], line[radius + j :]
+        _add_taps(kernel, j, (low[1:], low), (high, high[1:]), out)
 
 
 @njit(cache=True, nogil=True)
-def _blur_columns(
-    source: NDArray[Any], window: Window, kernel: NDArray[Any], target: NDArray[Any]
-) -> None:
-    """Convolve along columns within the window; what lies beyond its edge equals the edge."""
+def smooth(surface: NDArray[Any], window: Window, kernel: NDArray[Any]) -> None:
+    """Blur ``surface`` in place within the window; beyond it the edge's values go on."""
     top, bottom, left, right = window
     radius, last = kernel.shape[0] - 1, bottom - 1
+    # Only the rows that a column's sum needs are kept, each blurred along itself.
+    n_kept = 2 * radius + 1
+    kept = np.empty((n_kept, right - left), np.float32)
+    line = np.empty(right - left + 2 * radius, np.float32)
+    n_blurred = 0
     for r in range(top, bottom):
-        row, out = source[r, left:right], target[r, left:right]
-        for j in range(1, radius, 4):
-            lower = (
-                source[max(r - j, top), left:right],
-                source[max(r - j - 1, top), left:right],
-                source[max(r - j - 2, top), left:right],
-                source[max(r - j - 3, top), left:right],
-            )
-            upper = (
-                source[min(r + j, last), left:right],
-                source[min(r + j + 1, last), left:right],
-                source[min(r + j + 2, last), left:right],
-                source[min(r + j + 3, last), left:right],
-            )
-            _add_taps(row, kernel, j, lower, upper, out)
+        while top + n_blurred <= min(r + radius, last):
+            _blur_row(surface[top + n_blurred, left:right], kernel, line, kept[n_blurred % n_kept])
+            n_blurred += 1
+        row, out = kept[(r - top) % n_kept], surface[r, left:right]
+        i, i_last = r - top, last - top
+        _first_taps(
+            row,
+            kernel,
+            (
+                kept[max(i - 1, 0) % n_kept],
+                kept[max(i - 2, 0) % n_kept],
+                kept[max(i - 3, 0) % n_kept],
+                kept[max(i - 4, 0) % n_kept],
+            ),
+            (
+                kept[min(i + 1, i_last) % n_kept],
+                kept[min(i + 2, i_last) % n_kept],
+                kept[min(i + 3, i_last) % n_kept],
+                kept[min(i + 4, i_last) % n_kept],
+            ),
+            out,
+        )
+        for j in range(5, radius, 2):
+            lower = kept[max(i - j, 0) % n_kept], kept[max(i - j - 1, 0) % n_kept]
+            upper = kept[min(i + j, i_last) % n_kept], kept[min(i + j + 1, i_last) % n_kept]
+            _add_taps(kernel, j, lower, upper, out)
 
 
 def half_kernel(sigma_px: float) -> NDArray[np.float32]:
     """The centre and right half of a Gaussian of unit sum, not narrower than a tenth of a pixel.
 
-    The half reaches three standard deviations, and to the next multiple of four.
+    The half reaches three standard deviations, an even number of pixels and at least four.
     """
-    radius = 4 * max(1, math.ceil(_REACH_SIGMAS * sigma_px / 4))
+    radius = 2 * max(2, math.ceil(_REACH_SIGMAS * sigma_px / 2))
     weights = np.exp(-0.5 * (np.arange(radius + 1) / max(sigma_px, 0.1)) ** 2)
     return np.asarray((weights / (2 * weights.sum() - weights[0])).astype(np.float32))
-
-
-def smooth(
-    surface: NDArray[np.float32], window: Window, kernel: NDArray[np.float32], scratch: NDArray[Any]
-) -> None:
-    """Blur ``surface`` in place within the window; beyond it the edge's values go on."""
-    _blur_rows(surface, window, kernel, scratch)
-    _blur_columns(scratch, window, kernel, surface)
 
 
 @njit(cache=True, nogil=True)
@@ -197,16 +194,14 @@ class Gaussian:
         blocks = len(self.kernel) - 1
         return blocks if self.factor == 1 else (blocks + 2) * self.factor
 
-    def apply(
-        self, surface: NDArray[np.float32], window: Window, scratch: NDArray[np.float32]
-    ) -> None:
+    def apply(self, surface: NDArray[np.float32], window: Window) -> None:
         """Blur in place within a window that is aligned to ``factor`` from the image's corner."""
         if self.factor == 1:
-            smooth(surface, window, self.kernel, scratch)
+            smooth(surface, window, self.kernel)
             return
         top, bottom, left, right = window
         shape = (-(-(bottom - top) // self.factor) + 2, -(-(right - left) // self.factor) + 2)
         coarse = np.empty(shape, dtype=np.float32)
         _coarsen(surface, window, self.factor, coarse)
-        smooth(coarse, (0, shape[0], 0, shape[1]), self.kernel, np.empty_like(coarse))
+        smooth(coarse, (0, shape[0], 0, shape[1]), self.kernel)
         _refine(coarse, self.factor, window, surface)

@@ -21,7 +21,7 @@ def test_smoothing_is_a_convolution_with_a_gaussian():
     image = np.random.default_rng(0).normal(size=(40, 50)).astype(np.float32)
     kernel = half_kernel(1.7)
     smoothed = image.copy()
-    smooth(smoothed, (0, 40, 0, 50), kernel, np.empty_like(image))
+    smooth(smoothed, (0, 40, 0, 50), kernel)
     full = np.concatenate([kernel[:0:-1], kernel]).astype(float)
     padded = np.pad(image.astype(float), len(kernel) - 1, mode="edge")
     rows = np.apply_along_axis(np.convolve, 1, padded, full, "valid")
@@ -36,7 +36,7 @@ def test_a_gaussian_is_a_gaussian_also_where_it_works_on_blocks(sigma_px, shape)
     """The spread of a step is the error function; its mass stays."""
     step = np.zeros(shape, dtype=np.float32)
     step[:, 100:] = 1
-    Gaussian(sigma_px).apply(step, (0, shape[0], 0, shape[1]), np.empty_like(step))
+    Gaussian(sigma_px).apply(step, (0, shape[0], 0, shape[1]))
     away = (np.arange(shape[1]) + 0.5 - 100) / sigma_px
     expected = np.array([0.5 * (1 + math.erf(a / math.sqrt(2))) for a in away])
     # Sampled, cut at three standard deviations or linear between blocks: a percent of the step.
@@ -50,7 +50,7 @@ def test_beyond_an_edge_the_surface_goes_on_as_at_the_edge(sigma_px, shape):
     slope = np.tile(np.arange(shape[1], dtype=np.float32), (shape[0], 1))
     for surface in (slope.copy(), slope.T.copy()):
         whole = (0, surface.shape[0], 0, surface.shape[1])
-        Gaussian(sigma_px).apply(surface, whole, np.empty_like(surface))
+        Gaussian(sigma_px).apply(surface, whole)
         line = (surface if surface.shape == shape else surface.T)[shape[0] // 2]
         x = np.arange(shape[1])
         below = np.array([0.5 * (1 + math.erf(a / sigma_px / math.sqrt(2))) for a in x])

@@ -231,7 +231,12 @@ def test_the_quick_path_gives_the_same_picture_to_the_last_bit(effects, shadows,
     whole = render_rgb(height, made, shadows=shadows, leds=LEDS)
     at_rest = render_rgb(rest, made, shadows=shadows, leds=LEDS)
     np.testing.assert_array_equal(renderer.expose(), at_rest)
-    for _ in range(2):  # The second frame finds the memory of the first.
+    elsewhere = rest.copy()
+    elsewhere[:40, 50:90] -= np.float32(0.2)
+    for _ in range(2):  # The second time they find what the first has left.
+        renderer.draw(np.full((40, 40), 0.2, dtype=np.float32), (0, 40, 50, 90))
+        other = render_rgb(elsewhere, made, shadows=shadows, leds=LEDS)
+        np.testing.assert_array_equal(renderer.expose(), other)
         renderer.draw(pit, window)
         np.testing.assert_array_equal(renderer.expose(), whole)
     noisy = renderer.expose(np.random.default_rng(5))

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen.contact import contact_depth, gap_map, gel_map_mm, solve_indentation
+from tacgen.core.errors import ContactError
 from tacgen.core.records import Markers, Mesh, Sensor
 from tacgen.optics import deform, load_table, render_rgb
 from tacgen.optics.virtual_sensor import VirtualSensor
@@ -167,6 +168,22 @@ def test_frames_do_not_depend_on_the_frames_before(table):
     first = frame()
     pad.render(BOX, pose_at(-3, 1), GelLoad(20.0), rng=np.random.default_rng(8))
     np.testing.assert_array_equal(frame(), first)
+
+
+def test_a_mesh_is_checked_again_unless_it_is_read_only(table):
+    pad, mesh, load = TactilePad(SENSOR, table), ball(4.0, 3), GelLoad(5.0)
+    mesh.vertices_mm.flags.writeable = mesh.faces.flags.writeable = False
+    for _ in range(2):
+        assert pad.press(mesh, pose_at(), load).indentation_mm > 0
+    with pytest.raises(ContactError, match="pose_gel_object"):
+        pad.press(mesh, np.full((4, 4), np.nan), load)
+    with pytest.raises(ContactError, match="faces name corners"):
+        pad.press(replace(mesh, faces=mesh.faces + 1), pose_at(), load)
+    loose = ball(4.0, 3)
+    pad.press(loose, pose_at(), load)
+    loose.vertices_mm[0] = np.nan
+    with pytest.raises(ContactError, match="finite"):
+        pad.press(loose, pose_at(), load)
 
 
 def test_both_cameras_press_the_same(table, monkeypatch):

@@ -31,7 +31,7 @@ def _blurred(array: FloatArray, sigma_px: float) -> FloatArray:
         return array.copy()
     padded = np.pad(array, reach, mode="reflect", reflect_type="odd").astype(np.float32)
     whole = (0, padded.shape[0], 0, padded.shape[1])
-    smooth(padded, whole, kernel, np.empty_like(padded))
+    smooth(padded, whole, kernel)
     return np.ascontiguousarray(padded[reach:-reach, reach:-reach])
 
 

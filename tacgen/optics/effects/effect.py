@@ -181,6 +181,10 @@ class OpticalEffect:
         """
         return array.copy()
 
+    def change(self, image: FloatArray, patch: Patch, **values: Any) -> None:
+        """``apply`` to an image in place: for effects that leave most pixels as they are."""
+        image[...] = self.apply(image, patch, **values)
+
     def prepare(self, table: LookupTable, leds: Leds, **values: float) -> dict[str, Any]:
         """What ``apply`` needs beside its parameters, computed once for a table."""
         return {}

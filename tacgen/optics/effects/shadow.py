@@ -188,18 +188,23 @@ class Shadow(base.OpticalEffect):
         """The longest shadow."""
         return shadow_reach_mm(depth_mm, leds)
 
-    def apply(
+    def apply(self, array: FloatArray, patch: base.Patch, **values: Any) -> FloatArray:
+        """Darken what the relief of the patch hides."""
+        image = array.copy()
+        self.change(image, patch, **values)
+        return image
+
+    def change(
         self,
-        array: FloatArray,
+        image: FloatArray,
         patch: base.Patch,
         *,
         strength: float = DEFAULT_STRENGTH,
         leds: Leds = (),
         unlit: FloatArray | None = None,
         **_: Any,
-    ) -> FloatArray:
+    ) -> None:
         """Darken what the relief of the patch hides."""
-        image = array.copy()
         if patch.height_mm is not None and unlit is not None:
             top, bottom, left, right = patch.window
             cast_shadows(
@@ -210,7 +215,6 @@ class Shadow(base.OpticalEffect):
                 unlit[top:bottom, left:right],
                 image,
             )
-        return image
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
         """One strength, and one of a few lengths."""
