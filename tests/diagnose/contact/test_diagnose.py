@@ -67,6 +67,16 @@ def test_one_effect_is_named_and_brings_the_error_down_to_the_noise(effect, colu
 
 
 @pytest.mark.slow
+def test_an_effect_beside_one_five_times_as_strong_is_named():
+    made, noise = case([("normal", "creep", 0)], strength=2.0)
+    temperature = np.asarray(made["temperature_c"])
+    change = made["volume_mm3"] * (temperature - temperature.mean())
+    made["volume_mm3"] += 0.4 * noise["normal"] * change / change.std()
+    found = diagnosis_record(diagnose(few_columns(made, "temperature_c")))["channels"]["normal"]
+    assert names(found) == ["creep", "temperature"]
+
+
+@pytest.mark.slow
 def test_a_slipping_contact_is_found_in_the_shear_channel_alone():
     made, _ = case([("shear", "slip", 0)], strength=3.0)
     channels = diagnosis_record(diagnose(made))["channels"]
