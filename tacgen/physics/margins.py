@@ -1,9 +1,11 @@
 """How far a grasp is from slipping: closed forms on the forces at the moment of grasp."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactPatch, SlipMargin, frozen_array
@@ -78,11 +80,19 @@ def torsion_arm_mm(patch: ContactPatch, friction_share: float = 0.0) -> float:
     if len(patch.share) == 0 or friction_share >= 1:
         return 0.0
     arms_mm = patch.points_mm - patch.share @ patch.points_mm
-    x, y = arms_mm.T
-    mean_mm = float(patch.share @ np.hypot(x, y))
+    mean_mm = _mean_distance(arms_mm, patch.share, 0.0)
     levers = mean_mm * np.concatenate([-ROTATION_CENTERS, ROTATION_CENTERS])
-    bounds = np.hypot(x - levers[:, None], y) @ patch.share - friction_share * np.abs(levers)
-    return max(0.0, float(bounds.min()))
+    distances = [_mean_distance(arms_mm, patch.share, lever) for lever in levers]
+    return max(0.0, float(np.min(distances - friction_share * np.abs(levers))))
+
+
+@njit(cache=True, nogil=True)
+def _mean_distance(points: FloatArray, share: FloatArray, x: float) -> float:
+    """Mean of ``points`` (n, 2) from (x, 0), each counted by its ``share`` (n,)."""
+    total = 0.0
+    for k in range(share.shape[0]):
+        total += share[k] * math.sqrt((points[k, 0] - x) ** 2 + points[k, 1] ** 2)
+    return total
 
 
 def grasp_capacity(
