@@ -27,28 +27,31 @@ class Collected:
     """What a run of ``collect`` did: shards it made, found done, and left to other processes.
 
     ``labels`` are those of the grasps that were simulated, ``crashed`` the reasons of the others,
-    both by the grasp's index.
+    both by the grasp's index; ``n_of_label`` how many grasps have each label.
     """
 
     found: tuple[int, ...]
-    made: tuple[int, ...] = ()
-    left_to_others: tuple[int, ...] = ()
+    made: list[int] = field(default_factory=list)
+    left_to_others: list[int] = field(default_factory=list)
     labels: dict[int, int] = field(default_factory=dict)
     crashed: dict[int, str] = field(default_factory=dict)
+    n_of_label: Counter[int] = field(default_factory=Counter)
 
     def add(self, event: Event) -> None:
         """Count what happened."""
         if event.kind == "item":
+            if event.item in self.labels:  # its shard was begun before
+                self.n_of_label[self.labels[event.item]] -= 1
             self.labels[event.item] = event.value
+            self.n_of_label[event.value] += 1
         elif event.kind == "crashed":
             self.crashed[event.item] = event.value
         elif event.kind == "done":
-            name = "made" if event.value else "left_to_others"
-            setattr(self, name, tuple(sorted((*getattr(self, name), event.task))))
+            (self.made if event.value else self.left_to_others).append(event.task)
 
     def summary(self) -> dict[str, int]:
         """Counts to show."""
-        labels = Counter(self.labels.values())
+        labels = self.n_of_label
         return {
             "shards_made": len(self.made),
             "shards_found": len(self.found),

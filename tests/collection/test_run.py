@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from tacgen.collection.recipe import load_recipe
-from tacgen.collection.run import collect, describe
+from tacgen.collection.run import Collected, collect, describe
 from tacgen.core.errors import DatasetError
+from tacgen.core.workers import Event
 from tacgen.dataset import Dataset
 from tests.small_world import write_world
 
@@ -49,11 +50,23 @@ def reference(tmp_path_factory):
     return folder / "out", result
 
 
+def test_a_grasp_that_is_made_again_counts_once():
+    result = Collected(found=())
+    for item, label in ((0, 1), (1, 0), (0, 1), (2, -1)):
+        result.add(Event("item", 0, item, label))
+    result.add(Event("crashed", 0, 3, "the simulator died"))
+    result.add(Event("done", 0, -1, True))
+    counted = result.summary()
+    assert counted["grasps_made"] == 4
+    assert [counted[of] for of in ("successes", "failures", "not_executed", "crashed")] == [1] * 4
+    assert result.made == [0]
+
+
 def test_a_dataset_holds_every_grasp_of_the_plan_and_both_labels(reference):
     out, result = reference
     dataset = Dataset(out)
     assert len(dataset) == 6
-    assert result.made == (0, 1, 2)
+    assert sorted(result.made) == [0, 1, 2]
     assert set(result.labels.values()) == {0, 1}
     assert (out / "index.html").is_file()
     assert (out / "README.md").is_file()
@@ -109,7 +122,7 @@ def test_parts_collected_in_any_order_make_the_same_dataset(reference, world, tm
 def test_a_second_run_finds_everything_done(reference, world):
     out, _ = reference
     again = collect(load_recipe(world), out, progress=False)
-    assert again.made == ()
+    assert again.made == []
     assert again.found == (0, 1, 2)
 
 
@@ -123,7 +136,7 @@ def test_a_bad_shard_alone_is_remade(reference, world, tmp_path):
     shard.write_bytes(content)
     untouched = (out / "shards" / "shard-00000.h5").stat().st_mtime_ns
     result = collect(recipe, out, redo=[1], progress=False)
-    assert result.made == (1,)
+    assert result.made == [1]
     assert hashes(out) == hashes(reference[0])
     assert (out / "shards" / "shard-00000.h5").stat().st_mtime_ns == untouched
 
