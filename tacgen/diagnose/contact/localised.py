@@ -60,13 +60,15 @@ def parts_of(data: ChannelData) -> list[Part]:
     if history.has("indenter"):
         names = history.text("indenter")[history.starts[:-1]]
         parts += [Part(Where("indenter", equals=str(n)), names == n) for n in np.unique(names) if n]
-    elif history.has("radius_mm"):
+    if history.has("radius_mm"):
         radius = history.means_of_trials("radius_mm")
-        sizes = np.unique(radius[np.isfinite(radius)])
+        sizes = np.unique(radius[np.isfinite(radius)].round(4))
         edges = [-np.inf, *(0.5 * (sizes[1:] + sizes[:-1])), np.inf]
         for low, high in pairwise(edges) if sizes.size > 1 else ():
             held = (radius > low) & (radius <= high)
-            parts.append(Part(Where("radius_mm", float(low), float(high)), held))
+            # An indenter's name says it already, unless it has none or shares its radius.
+            if not any(np.array_equal(held, p.trials) for p in parts if p.where.equals):
+                parts.append(Part(Where("radius_mm", float(low), float(high)), held))
     return [p for p in parts if least <= p.trials.sum() <= p.trials.size - least]
 
 

@@ -31,11 +31,13 @@ class ChannelDiagnosis:
 
     ``base`` and ``final`` are fits to all trials, whose parameters the law gets; ``before`` and
     ``after`` are errors on trials that had no part in fitting or choosing. ``how`` says how the
-    trials were held out; ``floor`` is the standard deviation of one sample's noise.
+    trials were held out; ``floor`` is the standard deviation of one sample's noise. ``rejected``
+    are effects that were found, but with which the error on held-out trials is larger.
     """
 
     data: ChannelData
     attribution: Attribution
+    rejected: tuple[str, ...]
     base: Fit
     final: Fit
     base_errors: StandardErrors
@@ -63,7 +65,7 @@ class ChannelDiagnosis:
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Effects of the list, in the order in which they were added."""
-        return tuple(c.candidate.name for c in self.attribution.chosen if c.candidate.is_effect)
+        return self.attribution.effect_names
 
     def p_value(self, p_value: float) -> float | None:
         """``p_value``, but no less than the trials allow, however many samples they have.
@@ -250,6 +252,13 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
         if term.effect.where and term.effect.in_simulation:
             what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
             notes.append(f"{what} {_in_simulation(term.effect.where)}")
+    if found.rejected:
+        effects = " and ".join(found.rejected).replace("_", " ")
+        notes.append(
+            f"{name} channel: {effects} would explain the trials that were fitted, but makes the "
+            "error on held-out trials larger: the law is without it. Press more often to see "
+            "what it is"
+        )
     if found.n_test == 0:
         notes.append(
             f"{name} channel: one trial only; the errors are those on the trial that was fitted. "

@@ -10,8 +10,11 @@ from typer.testing import CliRunner
 from tacgen.cli import app
 from tacgen.contact.law import load_law
 from tacgen.core.errors import PressError
-from tacgen.diagnose.contact.command import diagnose
+from tacgen.diagnose.contact.command import SEED, diagnose
+from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
 from tacgen.diagnose.contact.result import diagnosis_record
+from tacgen.diagnose.contact.rules import DEFAULT_RULES
+from tests.contact.effects.test_registry import press_columns
 from validation.contact.cases import blank_log, make_case
 
 
@@ -126,6 +129,21 @@ def test_parameters_of_a_linear_law_are_covered_by_their_errors():
         found = diagnose(few_columns(columns)).channels["normal"]
         inside += abs(found.final.model.compliance - k_n) < 2.2 * found.final_errors.compliance
     assert inside >= 10
+
+
+def test_an_effect_with_which_held_out_trials_are_predicted_worse_is_not_in_the_law():
+    """The gel stiffens in the presses that are fitted, and softens as much in those held out."""
+    columns = few_columns(press_columns(32, 24, 0) | {"volume_mm3": np.zeros(768)})
+    held_out = trials_to_hold_out(columns, np.random.default_rng(SEED), DEFAULT_RULES)
+    bend = np.where(np.isin(columns["trial"], held_out), 0.02, -0.02) * columns["force_normal_n"]
+    noise = 0.05 * np.random.default_rng(0).normal(size=bend.size)
+    columns["volume_mm3"] = 4.0 * columns["force_normal_n"] * (1 + bend) + noise
+    diagnosis = diagnose(columns)
+    found = diagnosis.channels["normal"]
+    assert found.rejected == ("stiffening",)
+    assert not diagnosis.law.effects
+    assert found.after == found.before
+    assert any("stiffening would explain the trials that were fitted" in n for n in diagnosis.notes)
 
 
 def test_two_trials_are_left_out_in_turn_and_said_to_be_few():

@@ -219,6 +219,18 @@ def test_parts_are_bounded_between_trials_and_have_enough_on_both_sides(spoiled)
         np.testing.assert_array_equal(rows, part.trials[data.history.trial_index])
 
 
+def test_presses_without_an_indenter_s_name_are_bounded_by_their_radius():
+    columns = log(n_trials=24)
+    names = np.array(["", "ball_4mm", "ball_6mm"])[columns["trial"].astype(int) % 3]
+    radius = np.select([names == "", names == "ball_4mm"], [1.0, 2.0], 3.0)
+    radius += np.where(columns["trial"] % 2 == 0, 0.0, 1e-12)  # as means of a column round
+    data = ChannelSamples(columns | {"indenter": names, "radius_mm": radius}, "normal").thinned()
+    wheres = [part.where for part in localised.parts_of(data)]
+    said = {str(one) for one in wheres if one.column in ("indenter", "radius_mm")}
+    balls = {"with the indenter ball_4mm", "with the indenter ball_6mm"}
+    assert said == {*balls, "at radius ≤ 1.5 mm"}
+
+
 def test_light_loads_are_the_reference_of_one_form_in_a_part():
     effect = find_effect("normal", "stiffening").only(Where("x_mm", above=1.0))
     history = LoadHistory(press_columns())
