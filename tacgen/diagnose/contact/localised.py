@@ -225,5 +225,6 @@ def local_p_value(
     score = scores.orthogonal((score / deviation)[:, None], own)[:, 0]
     score /= score.std() + 1e-300
     highest = ((score[shuffled.orders] @ across) ** 2).max(axis=1)
-    p_value = scores.p_of_shuffles(highest, 1, data.rules, permuted=True)
+    surprises = scores.surprise(highest, 1, data.rules)
+    p_value = scores.p_of_shuffles(surprises, data.rules, permuted=True)
     return min(len(weights) * p_value, 1.0)

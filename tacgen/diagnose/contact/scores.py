@@ -168,10 +168,12 @@ def shuffle_p_values(
     shuffled: Shuffles,
     ones: int,
     rules: SelectionRules,
+    names: Sequence[str] | None = None,
 ) -> tuple[FloatArray, BoolArray]:
     """Return the p of the score of every group of columns by its own shuffles: (groups,).
 
-    And which groups are of trials: they have one value a trial, and trials were permuted.
+    And which groups are of trials: they have one value a trial, and trials were permuted. Of
+    groups with the same of ``names``, each p is the chance that any of them scores as high.
 
     The score of a unit is the product of the group's columns, made orthogonal to the base, and the
     residual. Two kinds of null are used. Where the columns are, within each trial, a constant times
@@ -181,11 +183,12 @@ def shuffle_p_values(
     """
     total = grams.sum(axis=0)
     base = list(base)
-    weights = coefficients(total, base, rules)
-    left = grams[:, :, -1] - grams[:, :, base] @ weights
+    left = grams[:, :, -1] - grams[:, :, base] @ coefficients(total, base, rules)
+    hidden = _hidden(grams, left, base)
     bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
     trial_grams, trial_left = (np.add.reduceat(sums, bounds, axis=0) for sums in (grams, left))
-    p_values, of_trials = np.empty(len(groups)), np.zeros(len(groups), dtype=bool)
+    surprises = np.empty((len(groups), shuffled.signs.shape[0]))
+    of_trials = np.zeros(len(groups), dtype=bool)
     for number, group in enumerate(groups):
         columns = list(group)
         projection = np.linalg.lstsq(
@@ -194,10 +197,15 @@ def shuffle_p_values(
         shape = _shape_within_trials(trial_grams, base[0], ones, columns, rules)
         of_trials[number] = shape is not None
         if shape is None:
-            scores = left[:, columns] - left[:, base] @ projection
-            scores = scores / (np.sqrt((scores**2).sum(axis=0)) + 1e-300)
+            scores, more = (
+                part[:, columns] - part[:, base] @ projection for part in (left, hidden)
+            )
+            scale = np.sqrt((scores**2).sum(axis=0)) + 1e-300
+            scores, more = scores / scale, more / scale
+            growth = max(1.0, float(((scores + 0.5 * more) ** 2).sum(axis=0).mean()))
             covariance = scores.T @ scores
             sums = shuffled.signs @ scores
+            sums[0] /= np.sqrt(growth)
         else:
             information = trial_information(trial_grams, shape)
             deviation = trial_deviation(trial_left[:, shape], information)
@@ -214,11 +222,33 @@ def shuffle_p_values(
         scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
         sums = sums / size
         quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
-        permuted = bool(of_trials[number])
-        p_values[number] = p_of_shuffles(
-            np.maximum(quadratic, 0.0), len(columns), rules, permuted=permuted
-        )
+        surprises[number] = surprise(np.maximum(quadratic, 0.0), len(columns), rules)
+    same: dict[tuple[str, bool], list[int]] = {}
+    for number, whole in enumerate(of_trials):
+        name = names[number] if names is not None else str(number)
+        same.setdefault((name, bool(whole)), []).append(number)
+    p_values = np.empty(len(groups))
+    for (_, whole), numbers in same.items():
+        highest = surprises[numbers].max(axis=0)
+        for number in numbers:
+            highest[0] = surprises[number, 0]
+            p_values[number] = p_of_shuffles(highest, rules, permuted=whole)
     return p_values, of_trials
+
+
+def _hidden(grams: FloatArray, left: FloatArray, base: Sequence[int]) -> FloatArray:
+    """Products (U, P) of the columns with what the fit of ``base`` hides of each unit's residual.
+
+    The residual r of a unit with a share H of all that says something of the base has a variance
+    lower by 1 − H; r + H r / 2 has the full one, to first order in H. Here the products are with
+    H r, without directions of the base that hardly differ but for noise.
+    Source: Bell & McCaffrey 2002, Survey Methodology 28: (1 − H)^(−1/2) r.
+    """
+    total = grams.sum(axis=0)[np.ix_(base, base)]
+    size = np.sqrt(np.abs(np.diag(total))) + 1e-150
+    inverse = np.linalg.pinv(total / np.outer(size, size), rcond=1e-3, hermitian=True)
+    share = left[:, base] @ (inverse / np.outer(size, size))
+    return np.asarray((grams[:, :, base] @ share[:, :, None])[:, :, 0])
 
 
 def _shape_within_trials(
@@ -267,23 +297,36 @@ def trial_information(grams: FloatArray, shape: int) -> FloatArray:
     return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
 
 
-def p_of_shuffles(
-    quadratic: FloatArray, size: int, rules: SelectionRules, *, permuted: bool
-) -> float:
-    """Return the p of the first of the ``quadratic`` forms (F + 1,) of ``size`` scores.
+def surprise(quadratic: FloatArray, size: int, rules: SelectionRules) -> FloatArray:
+    """−log p (F + 1,) of each of the ``quadratic`` forms of ``size`` scores among the shuffles.
 
-    Beyond the largest twentieth of the shuffles an exponential tail, fitted to that twentieth,
-    goes on where ranks end: −log p of a χ² law is a scale where that is the tail. Of ``permuted``
-    trials, which have many orders, it goes on only from what no shuffle reaches.
+    By rank up to the largest twentieth of the shuffles, beyond by an exponential tail that is
+    fitted to that twentieth: −log p of a χ² law is a scale where that is the tail.
     """
-    null = quadratic[1:]
+    count, null = quadratic.size - 1, quadratic[1:]
+    top = max(5, int(rules.shuffle_tail_share * count))
+    ranked = np.sort(null)
+    result = np.log(count / np.maximum(count - np.searchsorted(ranked, quadratic, "right"), 1))
+    far = quadratic > ranked[-top - 1]
+    tail = -np.log(np.maximum(gammaincc(0.5 * size, 0.5 * quadratic[far]), 1e-300))
+    threshold = -np.log(max(gammaincc(0.5 * size, 0.5 * ranked[-top - 1]), 1e-300))
+    excess = float(np.mean(tail[int(far[0]) :])) - threshold + 1e-12 if far[1:].any() else 1.0
+    result[far] = np.log(count / top) + (tail - threshold) / excess
+    return np.asarray(result)
+
+
+def p_of_shuffles(surprises: FloatArray, rules: SelectionRules, *, permuted: bool) -> float:
+    """Return the p of the first of the ``surprises`` (F + 1,), of which the others are shuffles.
+
+    Where ranks end, the exponential tail of the largest twentieth goes on. Of ``permuted`` trials,
+    which have many orders, it goes on only from what no shuffle reaches.
+    """
+    observed, null = surprises[0], surprises[1:]
     top = max(5, int(rules.shuffle_tail_share * null.size))
-    highest = np.sort(np.partition(null, -top - 1)[-top - 1 :])
-    by_chi2 = gammaincc(0.5 * size, 0.5 * np.append(highest, quadratic[0]))
-    threshold, *tail, observed = -np.log(np.maximum(by_chi2, 1e-300))
-    reached = int((null >= quadratic[0] * (1.0 - 1e-9)).sum())
+    threshold, *tail = np.sort(np.partition(null, -top - 1)[-top - 1 :])
+    reached = int((null >= observed - 1e-9).sum())
     by_rank = (1.0 + reached) / (1.0 + null.size)
     if observed <= threshold or (permuted and reached):
         return float(by_rank)
-    excess = float(np.mean(tail)) - threshold + 1e-12
+    excess = float(np.mean(tail)) - float(threshold) + 1e-12
     return float(min(by_rank, top / null.size * np.exp(-(observed - threshold) / excess)))

@@ -298,8 +298,9 @@ class CandidateSets:
         """
         ones = Candidate("", self.data.reduce(np.ones_like(self.data.target))[:, None])
         grams, groups, base = self._grams(current.fit, [*candidates, ones])
+        names = [candidate.name for candidate in candidates]
         by_shuffle, of_trials = scores.shuffle_p_values(
-            grams, base, groups[:-1], shuffled or self._shuffled, groups[-1][0], self.rules
+            grams, base, groups[:-1], shuffled or self._shuffled, groups[-1][0], self.rules, names
         )
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
         looked_at = np.where(of_trials | (not self.data.few_trials), n_names, 1)
