@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import validation.blind.blind_effects as forms
+from validation.blind.blind_forms import hysteresis_bouc_wen
 from validation.blind.generator import draw_case
 
 
@@ -74,3 +77,16 @@ def test_a_local_effect_acts_in_its_trials_only(kind):
     changed = np.abs(case.volume_mm3 - still.volume_mm3) > 1e-9
     np.testing.assert_array_equal(changed, inside)
     assert case.reached["normal", "zero_offset"] == pytest.approx(2.0, rel=0.01)
+
+
+@pytest.mark.parametrize("n_samples", [2, 400])
+def test_a_bouc_wen_loop_closes_alike_however_quickly_the_load_is_let_go(n_samples):
+    """z' = s (1 - z sign F') F': with all load let go, z = exp(-s F) (2 - exp(-s F)) - 1."""
+    peak_n, width = 4.0, 0.9
+    up = np.linspace(0.0, peak_n, n_samples)
+    load = np.concatenate([up, up[-2::-1]])[:, None]
+    trial = SimpleNamespace(peak_n=peak_n)
+    result = hysteresis_bouc_wen(load, trial, 0.2, {"width": width})
+    decay = np.exp(-6.0 / width)
+    expected = -0.2 * peak_n * (decay * (2.0 - decay) - 1.0)
+    assert result[-1, 0] == pytest.approx(expected, rel=1e-9)

@@ -45,7 +45,8 @@ def hysteresis_bouc_wen(load: Floats, trial: Trial, amplitude: float, p: Constan
     sharp = 6.0 / (p["width"] * trial.peak_n)
     for index in range(1, len(load)):
         step = load[index] - load[index - 1]
-        state = state + sharp * (step - np.abs(step) * state)
+        # Exact for a load that moves evenly: a step of Euler's overshoots where the load is let go.
+        state = np.sign(step) + (state - np.sign(step)) * np.exp(-sharp * np.abs(step))
         result[index] -= amplitude * trial.peak_n * state
     return result
 
