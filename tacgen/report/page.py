@@ -76,7 +76,7 @@ def facts_section(title: str, facts: Iterable[tuple[str, object]], note: str = "
 def figure_section(title: str, figure: Figure, note: str = "") -> Section:
     """A matplotlib figure as an embedded PNG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=FIGURE_DPI, bbox_inches="tight")
+    figure.savefig(buffer, format="png", dpi=FIGURE_DPI)
     width_px = round(figure.get_figwidth() * 96)
     return _section(title, "image", png_uri(buffer.getvalue()), title, width_px, typeset(note))
 
