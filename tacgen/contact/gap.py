@@ -211,26 +211,14 @@ def checked_mesh(
     vertices_mm: NDArray[np.floating],
     faces: NDArray[np.integer],
     pose_gel_object: NDArray[np.floating],
-    *,
-    known: bool = False,
 ) -> tuple[Float64, Int32, Float64]:
     """The mesh and pose in the types that the rasteriser reads.
-
-    Of a ``known`` mesh, which was found right before and cannot change, only the pose is checked.
 
     Raises ``ContactError`` that lists whatever is wrong with their shapes, values or indices.
     """
     vertices = np.ascontiguousarray(vertices_mm, dtype=np.float64)
     corners = np.ascontiguousarray(faces, dtype=np.int32)
     pose = np.ascontiguousarray(pose_gel_object, dtype=np.float64)
-    problems = [] if known else _mesh_problems(vertices, corners)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        problems.append(f"pose_gel_object of shape {pose.shape} is not (4, 4) finite numbers")
-    ContactError.raise_if(problems)
-    return vertices, corners, pose
-
-
-def _mesh_problems(vertices: Float64, corners: Int32) -> list[str]:
     problems = []
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
         problems.append(f"vertices_mm of shape {vertices.shape} are not (n, 3) finite numbers")
@@ -241,4 +229,7 @@ def _mesh_problems(vertices: Float64, corners: Int32) -> list[str]:
             f"faces name corners {corners.min()} to {corners.max()}, "
             f"but there are {len(vertices)} vertices"
         )
-    return problems
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        problems.append(f"pose_gel_object of shape {pose.shape} is not (4, 4) finite numbers")
+    ContactError.raise_if(problems)
+    return vertices, corners, pose

@@ -103,27 +103,16 @@ class Indenter:
         self._mapper = GapMapper(sensor, camera)
         self._x_mm, self._y_mm = pixel_centers_mm(sensor)
         self._reach_mm = sensor.gel_depth_mm
-        self._known: Mesh | None = None  # the last mesh, if it is read-only
 
     def patch(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> ContactPatch:
         """Where the gel presses on an object at a pose: its pressure is the indentation over k_n.
 
         The law V = k_n F makes the gel an elastic foundation, F = ∫ depth/k_n dA.
         """
-        imprint = self.indent(*self.checked(mesh, pose_gel_object), load)
+        imprint = self.indent(*checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object), load)
         points_mm, depth_mm, _ = self.sampled(imprint)
         share = depth_mm.astype(np.float64)
         return ContactPatch(points_mm, share / max(share.sum(), 1e-12))
-
-    def checked(
-        self, mesh: Mesh, pose_gel_object: FloatArray
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-        """``checked_mesh``, once in a row for a mesh that is read-only."""
-        arrays = mesh.vertices_mm, mesh.faces
-        checked = checked_mesh(*arrays, pose_gel_object, known=mesh is self._known)
-        read_only = not any(array.flags.writeable for array in arrays)
-        self._known = mesh if read_only else None
-        return checked
 
     def sampled(self, imprint: Imprint) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
         """Points (n, 2) of the contact patch, their depth (n,) and the area that each stands for.
@@ -219,7 +208,7 @@ class TactilePad:
         Where along z the object stands does not matter: it is taken to first touch, and from
         there pressed in until the gel has lost the load's volume, or to the load's depth.
         """
-        vertices_mm, faces, pose = self.indenter.checked(mesh, pose_gel_object)
+        vertices_mm, faces, pose = checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object)
         imprint = self.indenter.indent(vertices_mm, faces, pose, load)
         shear = np.asarray(load.shear_sum_mm, dtype=np.float64)
         moves = bool(np.any(shear)) or load.turn_sum_mm2 != 0.0

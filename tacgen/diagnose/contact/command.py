@@ -115,10 +115,6 @@ class _Channel:
             attribution = self._attribution(every)
             before, after = self._test_errors(every, every, attribution)
             n_fit, n_test, how = n_trials, 0, "none could be: there is one trial"
-        rejected: tuple[str, ...] = ()
-        if n_test and after.rmse > before.rmse and attribution.effect_names:
-            # Chance, or a condition that differs otherwise among the held-out trials.
-            rejected, attribution, after = attribution.effect_names, attribution.linear(), before
         data = every.thinned(rules.refit_rows_per_trial)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
         final = _refitted(data, with_exact_borders(data, attribution.final.fit.model))
@@ -130,7 +126,6 @@ class _Channel:
         return result.ChannelDiagnosis(
             data=data,
             attribution=attribution,
-            rejected=rejected,
             base=base,
             final=final,
             base_errors=standard_errors(data, base),

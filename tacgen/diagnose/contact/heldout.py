@@ -119,8 +119,8 @@ def gp_rmse(
     unknown number is put at the fit's mean; a column that the fit has none of is left out.
     """
     x, test = features(fit_data, test_data)
-    known = np.isfinite(x).any(axis=0)
-    x, test = x[:, known], test[:, known]
+    measured = np.isfinite(x).any(axis=0)
+    x, test = x[:, measured], test[:, measured]
     center, scale = np.nanmean(x, axis=0), np.nanstd(x, axis=0) + 1e-12
     rows = rng.permutation(x.shape[0])[:_MAX_ROWS]
     x, test = (np.nan_to_num((part - center) / scale) for part in (x[rows], test))

@@ -66,7 +66,7 @@ def parts_of(data: ChannelData) -> list[Part]:
         edges = [-np.inf, *(0.5 * (sizes[1:] + sizes[:-1])), np.inf]
         for low, high in pairwise(edges) if sizes.size > 1 else ():
             held = (radius > low) & (radius <= high)
-            # An indenter's name says it already, unless it has none or shares its radius.
+            # An indenter's name already identifies them, unless it has none or shares its radius.
             if not any(np.array_equal(held, p.trials) for p in parts if p.where.equals):
                 parts.append(Part(Where("radius_mm", float(low), float(high)), held))
     return [p for p in parts if least <= p.trials.sum() <= p.trials.size - least]
@@ -225,6 +225,6 @@ def local_p_value(
     score = scores.orthogonal((score / deviation)[:, None], own)[:, 0]
     score /= score.std() + 1e-300
     highest = ((score[shuffled.orders] @ across) ** 2).max(axis=1)
-    surprises = scores.surprise(highest, 1, data.rules)
-    p_value = scores.p_of_shuffles(surprises, data.rules, permuted=True)
+    neg_log_p = scores.neg_log_p_of(highest, 1, data.rules)
+    p_value = scores.p_of_shuffles(neg_log_p, data.rules, permuted=True)
     return min(len(weights) * p_value, 1.0)

@@ -31,13 +31,11 @@ class ChannelDiagnosis:
 
     ``base`` and ``final`` are fits to all trials, whose parameters the law gets; ``before`` and
     ``after`` are errors on trials that had no part in fitting or choosing. ``how`` says how the
-    trials were held out; ``floor`` is the standard deviation of one sample's noise. ``rejected``
-    are effects that were found, but with which the error on held-out trials is larger.
+    trials were held out; ``floor`` is the standard deviation of one sample's noise.
     """
 
     data: ChannelData
     attribution: Attribution
-    rejected: tuple[str, ...]
     base: Fit
     final: Fit
     base_errors: StandardErrors
@@ -65,7 +63,7 @@ class ChannelDiagnosis:
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Effects of the list, in the order in which they were added."""
-        return self.attribution.effect_names
+        return tuple(c.candidate.name for c in self.attribution.chosen if c.candidate.is_effect)
 
     def p_value(self, p_value: float) -> float | None:
         """``p_value``, but no less than the trials allow, however many samples they have.
@@ -252,12 +250,12 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
         if term.effect.where and term.effect.in_simulation:
             what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
             notes.append(f"{what} {_in_simulation(term.effect.where)}")
-    if found.rejected:
-        effects = " and ".join(found.rejected).replace("_", " ")
+    if found.effect_names and found.n_test > 1 and found.after.rmse > found.before.rmse:
+        effects = " and ".join(found.effect_names).replace("_", " ")
         notes.append(
-            f"{name} channel: {effects} would explain the trials that were fitted, but makes the "
-            "error on held-out trials larger: the law is without it. Press more often to see "
-            "what it is"
+            f"{name} channel: the held-out trials do not confirm {effects}: their error grows from "
+            f"{found.before.rmse:.3g} to {found.after.rmse:.3g}. Press more often before you use "
+            "the extended law"
         )
     if found.n_test == 0:
         notes.append(

@@ -184,10 +184,10 @@ def shuffle_p_values(
     total = grams.sum(axis=0)
     base = list(base)
     left = grams[:, :, -1] - grams[:, :, base] @ coefficients(total, base, rules)
-    hidden = _hidden(grams, left, base)
+    absorbed = _leverage_products(grams, left, base)
     bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
     trial_grams, trial_left = (np.add.reduceat(sums, bounds, axis=0) for sums in (grams, left))
-    surprises = np.empty((len(groups), shuffled.signs.shape[0]))
+    neg_log_p = np.empty((len(groups), shuffled.signs.shape[0]))
     of_trials = np.zeros(len(groups), dtype=bool)
     for number, group in enumerate(groups):
         columns = list(group)
@@ -198,7 +198,7 @@ def shuffle_p_values(
         of_trials[number] = shape is not None
         if shape is None:
             scores, more = (
-                part[:, columns] - part[:, base] @ projection for part in (left, hidden)
+                part[:, columns] - part[:, base] @ projection for part in (left, absorbed)
             )
             scale = np.sqrt((scores**2).sum(axis=0)) + 1e-300
             scores, more = scores / scale, more / scale
@@ -222,22 +222,22 @@ def shuffle_p_values(
         scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
         sums = sums / size
         quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
-        surprises[number] = surprise(np.maximum(quadratic, 0.0), len(columns), rules)
+        neg_log_p[number] = neg_log_p_of(np.maximum(quadratic, 0.0), len(columns), rules)
     same: dict[tuple[str, bool], list[int]] = {}
     for number, whole in enumerate(of_trials):
         name = names[number] if names is not None else str(number)
         same.setdefault((name, bool(whole)), []).append(number)
     p_values = np.empty(len(groups))
     for (_, whole), numbers in same.items():
-        highest = surprises[numbers].max(axis=0)
+        highest = neg_log_p[numbers].max(axis=0)
         for number in numbers:
-            highest[0] = surprises[number, 0]
+            highest[0] = neg_log_p[number, 0]
             p_values[number] = p_of_shuffles(highest, rules, permuted=whole)
     return p_values, of_trials
 
 
-def _hidden(grams: FloatArray, left: FloatArray, base: Sequence[int]) -> FloatArray:
-    """Products (U, P) of the columns with what the fit of ``base`` hides of each unit's residual.
+def _leverage_products(grams: FloatArray, left: FloatArray, base: Sequence[int]) -> FloatArray:
+    """Products (U, P) of the columns with what the fit of ``base`` absorbs of each unit's residual.
 
     The residual r of a unit with a share H of all that says something of the base has a variance
     lower by 1 − H; r + H r / 2 has the full one, to first order in H. Here the products are with
@@ -297,7 +297,7 @@ def trial_information(grams: FloatArray, shape: int) -> FloatArray:
     return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
 
 
-def surprise(quadratic: FloatArray, size: int, rules: SelectionRules) -> FloatArray:
+def neg_log_p_of(quadratic: FloatArray, size: int, rules: SelectionRules) -> FloatArray:
     """−log p (F + 1,) of each of the ``quadratic`` forms of ``size`` scores among the shuffles.
 
     By rank up to the largest twentieth of the shuffles, beyond by an exponential tail that is
@@ -306,7 +306,8 @@ def surprise(quadratic: FloatArray, size: int, rules: SelectionRules) -> FloatAr
     count, null = quadratic.size - 1, quadratic[1:]
     top = max(5, int(rules.shuffle_tail_share * count))
     ranked = np.sort(null)
-    result = np.log(count / np.maximum(count - np.searchsorted(ranked, quadratic, "right"), 1))
+    below = np.searchsorted(ranked, quadratic * (1.0 - 1e-9), "left")  # equal ones count as reached
+    result = np.log(count / np.maximum(count - below, 1))
     far = quadratic > ranked[-top - 1]
     tail = -np.log(np.maximum(gammaincc(0.5 * size, 0.5 * quadratic[far]), 1e-300))
     threshold = -np.log(max(gammaincc(0.5 * size, 0.5 * ranked[-top - 1]), 1e-300))
@@ -315,13 +316,13 @@ def surprise(quadratic: FloatArray, size: int, rules: SelectionRules) -> FloatAr
     return np.asarray(result)
 
 
-def p_of_shuffles(surprises: FloatArray, rules: SelectionRules, *, permuted: bool) -> float:
-    """Return the p of the first of the ``surprises`` (F + 1,), of which the others are shuffles.
+def p_of_shuffles(neg_log_p: FloatArray, rules: SelectionRules, *, permuted: bool) -> float:
+    """Return the p of the first of the ``neg_log_p`` (F + 1,), of which the others are shuffles.
 
     Where ranks end, the exponential tail of the largest twentieth goes on. Of ``permuted`` trials,
     which have many orders, it goes on only from what no shuffle reaches.
     """
-    observed, null = surprises[0], surprises[1:]
+    observed, null = neg_log_p[0], neg_log_p[1:]
     top = max(5, int(rules.shuffle_tail_share * null.size))
     threshold, *tail = np.sort(np.partition(null, -top - 1)[-top - 1 :])
     reached = int((null >= observed - 1e-9).sum())

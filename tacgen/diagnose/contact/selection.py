@@ -96,15 +96,6 @@ class Attribution:
     chosen: tuple[Chosen, ...]
     ranking: tuple[tuple[str, float, float], ...] = ()
 
-    @property
-    def effect_names(self) -> tuple[str, ...]:
-        """Effects of the list, in the order in which they were added."""
-        return tuple(c.candidate.name for c in self.chosen if c.candidate.is_effect)
-
-    def linear(self) -> "Attribution":
-        """The same with nothing chosen."""
-        return replace(self, named=self.base, final=self.base, chosen=())
-
 
 class CandidateSets:
     """Fits and cross-validates sets of candidates on one channel, and tests their members.
