@@ -306,9 +306,9 @@ def neg_log_p_of(quadratic: FloatArray, size: int, rules: SelectionRules) -> Flo
     count, null = quadratic.size - 1, quadratic[1:]
     top = max(5, int(rules.shuffle_tail_share * count))
     ranked = np.sort(null)
-    below = np.searchsorted(ranked, quadratic * (1.0 - 1e-9), "left")  # equal ones count as reached
-    result = np.log(count / np.maximum(count - below, 1))
-    far = quadratic > ranked[-top - 1]
+    least = quadratic * (1.0 - 1e-9)  # equal ones count as reached
+    result = np.log(count / np.maximum(count - np.searchsorted(ranked, least), 1))
+    far = least > ranked[-top - 1]
     tail = -np.log(np.maximum(gammaincc(0.5 * size, 0.5 * quadratic[far]), 1e-300))
     threshold = -np.log(max(gammaincc(0.5 * size, 0.5 * ranked[-top - 1]), 1e-300))
     excess = float(np.mean(tail[int(far[0]) :])) - threshold + 1e-12 if far[1:].any() else 1.0
@@ -327,7 +327,7 @@ def p_of_shuffles(neg_log_p: FloatArray, rules: SelectionRules, *, permuted: boo
     threshold, *tail = np.sort(np.partition(null, -top - 1)[-top - 1 :])
     reached = int((null >= observed - 1e-9).sum())
     by_rank = (1.0 + reached) / (1.0 + null.size)
-    if observed <= threshold or (permuted and reached):
+    excess = float(np.mean(tail)) - float(threshold)
+    if observed <= threshold or excess < 1e-9 or (permuted and reached):
         return float(by_rank)
-    excess = float(np.mean(tail)) - float(threshold) + 1e-12
     return float(min(by_rank, top / null.size * np.exp(-(observed - threshold) / excess)))

@@ -213,3 +213,13 @@ def test_the_noise_floor_sees_noise_that_goes_on_and_not_what_a_law_leaves(memor
     assert noise_floor(noise, starts) == pytest.approx(1.0, rel=0.06)
     left = noise + 6.0 * np.sin(2 * np.pi * np.arange(4800) / 60)[:, None]
     assert noise_floor(left, starts) < 1.25
+
+
+@pytest.mark.parametrize(
+    ("observed", "p"), [(3.0, 1.0), (3.0 * (1 + 1e-12), 1.0), (2.0, 1.0), (5.0, 1 / 400)]
+)
+def test_shuffles_that_equal_the_observed_score_but_for_rounding_count_as_reaching_it(observed, p):
+    quadratic = np.full(400, 3.0)
+    quadratic[0] = observed
+    neg_log_p = scores.neg_log_p_of(quadratic, 1, RULES)
+    assert scores.p_of_shuffles(neg_log_p, RULES, permuted=False) == pytest.approx(p)
