@@ -44,7 +44,10 @@ class Collected:
                 self.n_of_label[self.labels[event.item]] -= 1
             self.labels[event.item] = event.value
             self.n_of_label[event.value] += 1
+            self.crashed.pop(event.item, None)
         elif event.kind == "crashed":
+            if event.item in self.labels:
+                self.n_of_label[self.labels.pop(event.item)] -= 1
             self.crashed[event.item] = event.value
         elif event.kind == "done":
             (self.made if event.value else self.left_to_others).append(event.task)
@@ -105,7 +108,8 @@ def collect(
     folder.prepare(spec)
     share = range(spec.n_shards) if shards is None else shards
     found = tuple(shard for shard in share if shard not in redo and folder.is_done(shard))
-    pending = [shard for shard in share if shard not in found]
+    done = set(found)
+    pending = [shard for shard in share if shard not in done]
     n_items = sum(len(spec.shard_range(shard)) for shard in pending)
     make_job = partial(_shard_job, recipe, tuple(planned), folder.root, spec, frozenset(redo))
     result = Collected(found)
@@ -117,6 +121,8 @@ def collect(
             if progress and event.kind in ("crashed", "retried"):
                 what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
                 print_status(f"{what} {event.kind}: {event.value}")
+    result.made.sort()
+    result.left_to_others.sort()
     is_whole = len(folder.merge()) == spec.n_shards
     if is_whole and (result.made or not folder.gallery_path.is_file()):
         with disk_errors(folder.root):

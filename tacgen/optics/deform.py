@@ -30,7 +30,7 @@ NEGLIGIBLE_MM = 1e-5
 def _keep_contact(
     depth_mm: NDArray[Any], loose_mm: float, firm_mm: float, surface: NDArray[Any]
 ) -> None:
-    """Hold the surface under a contact to the object: not at all up to loose, wholly from firm."""
+    """Hold the surface to the object: weight 0 up to ``loose_mm``, 1 from ``firm_mm`` on."""
     loose, per_mm = np.float32(loose_mm), np.float32(1 / (firm_mm - loose_mm))
     for r in range(depth_mm.shape[0]):
         row, out = depth_mm[r], surface[r]

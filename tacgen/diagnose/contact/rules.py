@@ -66,7 +66,7 @@ class SelectionRules:
     few_parameter_price: float = 0.02  # the same where trials are few
     min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
     correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
-    least_share_of_rival: float = 0.02  # of another's worth: less is that one's inexact formula
+    least_share_of_rival: float = 0.02  # of what another explains: less is that one's model error
     confusable_in_se: float = 2.0  # lead below which a rival is reported as confusable
 
     # How much is looked at

@@ -49,7 +49,7 @@ class Blur(base.OpticalEffect):
         return _blurred(array, sigma_mm / patch.mm_per_px)
 
     def reach_mm(self, depth_mm: float, *, sigma_mm: float = 0.0, **_: Any) -> float:
-        """Three standard deviations, up to the kernel's next multiple of four pixels."""
+        """Three standard deviations, and what the kernel's even number of pixels adds."""
         return 4 * sigma_mm
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:

@@ -145,7 +145,7 @@ def test_a_note_states_that_held_out_trials_do_not_confirm_an_effect():
     assert any("held-out trials do not confirm stiffening" in note for note in diagnosis.notes)
 
 
-def test_two_trials_are_left_out_in_turn_and_said_to_be_few():
+def test_two_trials_are_held_out_in_turn_and_reported_as_few():
     columns, _ = case([], n_trials=40)
     two = {name: values[columns["trial"] < 2] for name, values in few_columns(columns).items()}
     diagnosis = diagnose(two)

@@ -8,7 +8,7 @@ from tacgen.diagnose.contact.heldout import gp_rmse, select
 from tests.contact.effects.test_registry import press_columns
 
 
-def left_by_a_process(radius_mm=None, **others):
+def gp_residual_rmse(radius_mm=None, **others):
     """RMS left on the last trials where the residual follows x, and the log has these columns."""
     columns = press_columns(n_trials=16, n_samples=20)
     columns["volume_mm3"] = columns["force_normal_n"] * 2.0
@@ -26,18 +26,18 @@ def left_by_a_process(radius_mm=None, **others):
 
 
 def test_a_column_without_a_number_changes_nothing():
-    without = left_by_a_process()
-    assert left_by_a_process(lambda trial: np.full(trial.size, np.nan)) == without
+    without = gp_residual_rmse()
+    assert gp_residual_rmse(lambda trial: np.full(trial.size, np.nan)) == without
     # Flat indenters in all that is fitted, balls in the test: the process cannot have learned them.
-    assert left_by_a_process(lambda trial: np.where(trial < 12, np.nan, 3.0)) == without
+    assert gp_residual_rmse(lambda trial: np.where(trial < 12, np.nan, 3.0)) == without
 
 
 def test_an_unknown_number_is_at_the_mean_of_the_fit():
     def radius(trial):
         return np.where(trial % 2, 2.0, 4.0)
 
-    gaps = left_by_a_process(lambda trial: np.where(trial < 12, radius(trial), np.nan))
-    filled = left_by_a_process(lambda trial: np.where(trial < 12, radius(trial), 3.0))
+    gaps = gp_residual_rmse(lambda trial: np.where(trial < 12, radius(trial), np.nan))
+    filled = gp_residual_rmse(lambda trial: np.where(trial < 12, radius(trial), 3.0))
     assert gaps == pytest.approx(filled, rel=1e-9)
 
 
@@ -45,6 +45,6 @@ def test_levels_of_text_are_those_of_the_fit():
     def is_b(trial):
         return (trial >= 12) | (trial % 2 == 0)
 
-    as_text = left_by_a_process(operator=lambda trial: np.where(is_b(trial), "b", "a"))
-    as_number = left_by_a_process(is_b=lambda trial: is_b(trial).astype(float))
+    as_text = gp_residual_rmse(operator=lambda trial: np.where(is_b(trial), "b", "a"))
+    as_number = gp_residual_rmse(is_b=lambda trial: is_b(trial).astype(float))
     assert as_text == pytest.approx(as_number, rel=1e-9)  # the test holds "b" alone
