@@ -27,7 +27,7 @@ class Collected:
     """What a run of ``collect`` did: shards it made, found done, and left to other processes.
 
     ``labels`` are those of the grasps that were simulated, ``crashed`` the reasons of the others,
-    both by the grasp's index; ``n_of_label`` how many grasps have each label.
+    both by the grasp's index; ``n_succeeded`` counts the successes among them.
     """
 
     found: tuple[int, ...]
@@ -35,26 +35,24 @@ class Collected:
     left_to_others: list[int] = field(default_factory=list)
     labels: dict[int, int] = field(default_factory=dict)
     crashed: dict[int, str] = field(default_factory=dict)
-    n_of_label: Counter[int] = field(default_factory=Counter)
+    n_succeeded: int = 0
 
     def add(self, event: Event) -> None:
         """Count what happened."""
-        if event.kind == "item":
-            if event.item in self.labels:  # its shard was begun before
-                self.n_of_label[self.labels[event.item]] -= 1
-            self.labels[event.item] = event.value
-            self.n_of_label[event.value] += 1
+        if event.kind in ("item", "crashed"):  # again, if its shard was begun before
+            self.n_succeeded -= self.labels.pop(event.item, 0) == 1
             self.crashed.pop(event.item, None)
+        if event.kind == "item":
+            self.labels[event.item] = event.value
+            self.n_succeeded += event.value == 1
         elif event.kind == "crashed":
-            if event.item in self.labels:
-                self.n_of_label[self.labels.pop(event.item)] -= 1
             self.crashed[event.item] = event.value
         elif event.kind == "done":
             (self.made if event.value else self.left_to_others).append(event.task)
 
     def summary(self) -> dict[str, int]:
         """Counts to show."""
-        labels = self.n_of_label
+        labels = Counter(self.labels.values())
         return {
             "shards_made": len(self.made),
             "shards_found": len(self.found),
@@ -116,8 +114,8 @@ def collect(
     with progress_counter("grasp", enabled=progress and n_items > 0) as show:
         for event in run_tasks(pending, make_job, workers=workers, item_limit_s=item_limit_s):
             result.add(event)
-            counts = result.summary()
-            show(min(counts["grasps_made"], n_items), n_items, f"{counts['successes']} succeeded")
+            n_made = len(result.labels) + len(result.crashed)
+            show(n_made, n_items, f"{result.n_succeeded} succeeded")
             if progress and event.kind in ("crashed", "retried"):
                 what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
                 print_status(f"{what} {event.kind}: {event.value}")
