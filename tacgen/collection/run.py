@@ -16,10 +16,8 @@ from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.core.workers import Event, Report, run_tasks
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.disk import disk_errors
-from tacgen.dataset.gallery import Card, CardMaker, write_gallery
+from tacgen.dataset.gallery import Thumbnails, shown_grasps, thumbnails, write_gallery
 from tacgen.dataset.summary import write_card
-
-CARD_LIMIT_S = 60.0  # far beyond the time of a picture: the worker hangs
 
 
 @dataclass(slots=True)
@@ -27,7 +25,8 @@ class Collected:
     """What a run of ``collect`` did: shards it made, found done, and left to other processes.
 
     ``labels`` are those of the grasps that were simulated, ``crashed`` the reasons of the others,
-    both by the grasp's index; ``n_succeeded`` counts the successes among them.
+    both by the grasp's index; ``n_succeeded`` counts the successes among them. ``thumbnails`` are
+    for the gallery, of the grasps that it shows.
     """
 
     found: tuple[int, ...]
@@ -36,6 +35,7 @@ class Collected:
     labels: dict[int, int] = field(default_factory=dict)
     crashed: dict[int, str] = field(default_factory=dict)
     n_succeeded: int = 0
+    thumbnails: dict[int, Thumbnails] = field(default_factory=dict)
 
     def add(self, event: Event) -> None:
         """Count what happened."""
@@ -43,8 +43,11 @@ class Collected:
             self.n_succeeded -= self.labels.pop(event.item, 0) == 1
             self.crashed.pop(event.item, None)
         if event.kind == "item":
-            self.labels[event.item] = event.value
-            self.n_succeeded += event.value == 1
+            label, small = event.value
+            self.labels[event.item] = label
+            self.n_succeeded += label == 1
+            if small:
+                self.thumbnails[event.item] = small
         elif event.kind == "crashed":
             self.crashed[event.item] = event.value
         elif event.kind == "done":
@@ -125,7 +128,7 @@ def collect(
     if is_whole and (result.made or not folder.gallery_path.is_file()):
         with disk_errors(folder.root):
             write_card(folder.root)
-            write_gallery(folder.root, partial(_make_cards, folder.root, workers))
+            write_gallery(folder.root, result.thumbnails)
     return result
 
 
@@ -157,7 +160,7 @@ def _shard_job(
 
     The job returns False where another process has the shard.
     """
-    folder = DatasetFolder(root)
+    folder, shown, noise_grey = DatasetFolder(root), shown_grasps(spec), spec.noise_at_load_grey
     with GraspPipeline(recipe) as pipeline:
 
         def job(shard: int, crashed: Mapping[int, str], report: Report) -> bool:
@@ -172,7 +175,8 @@ def _shard_job(
                     report("start", index, None)
                     sample = pipeline.sample(planned[index])
                     yield sample
-                    report("item", index, sample.label)
+                    small = thumbnails(sample, noise_grey) if index in shown else None
+                    report("item", index, (sample.label, small))
 
             with folder.claim(shard, redo=shard in redo) as mine:
                 if mine:
@@ -180,16 +184,3 @@ def _shard_job(
                 return mine
 
         yield job
-
-
-def _make_cards(root: Path, workers: int, rows: Sequence[int]) -> list[Card]:
-    make_job = partial(_card_job, root)
-    events = run_tasks(rows, make_job, workers=workers, item_limit_s=CARD_LIMIT_S)
-    made = {event.task: event.value for event in events if event.kind == "done"}
-    return [made[row] for row in rows]
-
-
-@contextlib.contextmanager
-def _card_job(root: Path) -> Iterator[Callable[[int, Mapping[int, str], Report], Card]]:
-    maker = CardMaker(root)
-    yield lambda row, _crashed, _report: maker.card(row)

@@ -4,7 +4,8 @@ It needs no network and stays below ``MAX_PAGE_BYTES``: a large dataset is repre
 taken evenly, and the page says so.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from tacgen.core.files import write_text
 from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
+from tacgen.dataset.samples import DatasetSpec, GraspSample, rgb_at_load
+from tacgen.dataset.schema import PADS
 from tacgen.dataset.summary import summarize
 from tacgen.report.page import templates
 
@@ -31,70 +34,59 @@ OUTCOMES = {
     "not_executed": "not executed",
 }
 
-Card = dict[str, Any]
-"""What the page shows of one grasp, by the names that its template uses; images are data URIs."""
 
-
-class CardMaker:
-    """The cards of a dataset's gallery, made one at a time, by any process that opens it.
-
-    ``points`` holds what the plots need of each grasp, ``rows`` the places in it of the grasps that
-    get a card. Raises ``DatasetError`` if there is no finished shard, or one is damaged.
+@dataclass(frozen=True, slots=True)
+class Thumbnails:
+    """What the page shows of a grasp's images, as data URIs: the scene, and of each pad the image
+    of the moment of grasp and a strip of images over time.
     """
 
-    def __init__(self, root: Path | str) -> None:
-        self.dataset = Dataset(root, partial=True)
-        shards = evenly(len(self.dataset.lines), MAX_SHARDS)
-        self._columns = self.dataset.columns(shards, contact=True)
-        self._shear_n = np.linalg.norm(self._columns["force_shear_n"], axis=2)
-        self.points = [self._point(row) for row in range(len(self._columns["index"]))]
-        self.rows = evenly(len(self.points), MAX_CARDS)
-
-    def _point(self, row: int) -> dict[str, Any]:
-        keys = ("label", "failure_mode", "grasp_frame", "force_n", "index", "object", "split")
-        label, mode, frame, force_n, *same = (self._columns[key][row].item() for key in keys)
-        return dict(zip(keys[4:], same, strict=True)) | {
-            "force": round(force_n, 3),
-            "outcome": "not_executed" if label < 0 else "success" if label else mode or "failure",
-            "normal": round(float(self._columns["force_normal_n"][row, frame]), 3),
-            "shear": round(float(self._shear_n[row].max()), 3),
-        }
-
-    def card(self, row: int) -> Card:
-        """The card of one grasp: this is where images are decoded and made small."""
-        data, values = self.dataset, {name: column[row] for name, column in self._columns.items()}
-        index, moment = int(values["index"]), int(values["grasp_frame"])
-        executed = self.points[row]["outcome"] != "not_executed"
-        shown = evenly(data.n_frames, MAX_STRIP) if data.n_frames > 1 else []
-        pads = data.pads if executed else ()
-        picture = data.picture(index)
-        strips = [[data.rgb(index, pad, k) for k in shown] for pad in pads] if shown else []
-        forces_n = {"normal": values["force_normal_n"], "shear": self._shear_n[row]}
-        top_n = max(float(force_n.max()) for force_n in forces_n.values())
-        return self.points[row] | {
-            "executed": executed,
-            "values": values,
-            "moment": moment,
-            "picture": "" if picture is None or not picture.any() else _jpeg(picture),
-            "images": [_jpeg(data.rgb(index, pad, moment)) for pad in pads],
-            "strips": [jpeg_uri(side_by_side(strip, STRIP_WIDTH_PX)) for strip in strips],
-            "curves": _curves(forces_n, data.time_s, top_n) if executed and shown else {},
-            "curve_top_n": top_n,
-        }
+    picture: str
+    images: list[str]
+    strips: list[str]
 
 
-def write_gallery(
-    root: Path | str, make_cards: Callable[[Sequence[int]], list[Card]] | None = None
-) -> Path:
+def thumbnails(sample: GraspSample, noise_at_load_grey: float = 0.0) -> Thumbnails:
+    """Make the images of one grasp small; ``noise_at_load_grey`` is what a reader would add."""
+
+    def seen(pad: str, frame: int) -> NDArray[np.uint8]:
+        rgb = sample.pads[pad].rgb[frame]
+        return rgb_at_load(rgb, noise_at_load_grey, sample.seed, pad, frame)
+
+    pads = [pad for pad in PADS if pad in sample.pads]
+    n_frames = len(sample.pads[pads[0]].rgb) if pads else 0
+    shown = evenly(n_frames, MAX_STRIP) if n_frames > 1 else []
+    strips = [[seen(pad, k) for k in shown] for pad in pads] if shown else []
+    picture = sample.picture
+    return Thumbnails(
+        "" if picture is None or not picture.any() else _jpeg(picture),
+        [_jpeg(seen(pad, sample.grasp_frame)) for pad in pads],
+        [jpeg_uri(side_by_side(strip, STRIP_WIDTH_PX)) for strip in strips],
+    )
+
+
+def shown_grasps(spec: DatasetSpec) -> frozenset[int]:
+    """The indices of the grasps that get a card once the dataset is whole."""
+    shards = map(spec.shard_range, evenly(spec.n_shards, MAX_SHARDS))
+    indices = [index for shard in shards for index in shard]
+    return frozenset(indices[k] for k in evenly(len(indices), MAX_CARDS))
+
+
+def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None) -> Path:
     """Write ``index.html`` of the dataset in ``root``, finished or not.
 
-    ``make_cards`` makes the cards of the given rows, in their order, if several processes are to
-    share the work. Raises ``DatasetError`` if there is no finished shard, or one is damaged.
+    ``made`` are thumbnails of grasps by their index; others are made of what the shards hold. No
+    shard is hashed: the page shows what is there, and ``verify`` checks it. Raises
+    ``DatasetError`` if there is no finished shard, or one cannot be read.
     """
     folder = DatasetFolder(root)
-    maker = CardMaker(folder.root)
-    points, dataset = maker.points, maker.dataset
-    cards = make_cards(maker.rows) if make_cards else [maker.card(row) for row in maker.rows]
+    dataset = Dataset(folder.root, partial=True, check_hashes=False)
+    columns = dataset.columns(evenly(len(dataset.lines), MAX_SHARDS), contact=True)
+    points = [_point(columns, row) for row in range(len(columns["index"]))]
+    cards = [
+        _card(dataset, columns, row, points[row], made or {})
+        for row in evenly(len(points), MAX_CARDS)
+    ]
     try:
         description = str(folder.recipe().get("description", ""))
     except RecipeError:  # `verify` reports it; the page has no description then
@@ -112,8 +104,50 @@ def write_gallery(
         reference=_jpeg(dataset.reference()),
         time_s=[float(t) for t in dataset.time_s],
     )
+    dataset.close()
     write_text(folder.gallery_path, text)
     return folder.gallery_path
+
+
+def _point(columns: Mapping[str, NDArray[Any]], row: int) -> dict[str, Any]:
+    """What the plots need of one grasp."""
+    keys = ("label", "failure_mode", "grasp_frame", "force_n", "index", "object", "split")
+    label, mode, frame, force_n, *same = (columns[key][row].item() for key in keys)
+    return dict(zip(keys[4:], same, strict=True)) | {
+        "force": round(force_n, 3),
+        "outcome": "not_executed" if label < 0 else "success" if label else mode or "failure",
+        "normal": round(float(columns["force_normal_n"][row, frame]), 3),
+        "shear": round(float(np.linalg.norm(columns["force_shear_n"][row], axis=1).max()), 3),
+    }
+
+
+def _card(
+    dataset: Dataset,
+    columns: Mapping[str, NDArray[Any]],
+    row: int,
+    point: Mapping[str, Any],
+    made: Mapping[int, Thumbnails],
+) -> dict[str, Any]:
+    """What the page shows of one grasp, by the names that its template uses."""
+    values = {name: column[row] for name, column in columns.items()}
+    executed = point["outcome"] != "not_executed"
+    shear_n = np.linalg.norm(values["force_shear_n"], axis=1)
+    forces_n = {"normal": values["force_normal_n"], "shear": shear_n}
+    top_n = max(float(force_n.max()) for force_n in forces_n.values())
+    is_sequence = dataset.n_frames > 1
+    index = point["index"]
+    small = made[index] if index in made else thumbnails(dataset.read(index))
+    return {
+        **point,
+        "executed": executed,
+        "values": values,
+        "moment": int(values["grasp_frame"]),
+        "picture": small.picture,
+        "images": small.images,
+        "strips": small.strips,
+        "curves": _curves(forces_n, dataset.time_s, top_n) if executed and is_sequence else {},
+        "curve_top_n": top_n,
+    }
 
 
 def _curves(
@@ -132,7 +166,7 @@ def _jpeg(rgb: NDArray[np.uint8]) -> str:
     return jpeg_uri(no_wider(rgb, IMAGE_WIDTH_PX))
 
 
-def _fit(cards: Sequence[Card]) -> Sequence[Card]:
+def _fit(cards: Sequence[dict[str, Any]]) -> Sequence[dict[str, Any]]:
     """As many cards, taken evenly, as the page has room for."""
     room = MAX_PAGE_BYTES * 0.9
     images = sum(len(one) for c in cards for one in (c["picture"], *c["images"], *c["strips"]))

@@ -17,8 +17,8 @@ from tacgen.core.files import sha256_of
 from tacgen.core.records import GraspConfig, SlipMargin
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
-from tacgen.dataset.samples import GraspSample, PadSample
-from tacgen.dataset.schema import CONTACT_NAMES, GRASP_NAMES, PADS, Layout
+from tacgen.dataset.samples import GraspSample, PadSample, rgb_at_load
+from tacgen.dataset.schema import CONTACT_NAMES, GRASP_NAMES, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ class Dataset:
     ``lines`` is the manifest, in the order of the shards, ``pads`` the tactile pads, ``sensor`` the
     sensor's name, ``n_frames`` the tactile frames of a grasp.
     Grasps are named by their index in the recipe's grid: ``indices`` lists those there are. Each
-    shard is hashed once before it is first opened, so damage is reported rather than trained on.
+    shard is hashed once before it is first opened, so damage is reported rather than trained on;
+    not with ``check_hashes=False``.
     The object can be pickled and used after a fork; every process opens files of its own.
 
     Raises ``DatasetError`` if there is no dataset, it is not complete (unless ``partial``), or
@@ -49,8 +50,11 @@ class Dataset:
     [5.0, 30.0]
     """
 
-    def __init__(self, root: Path | str, *, partial: bool = False) -> None:
+    def __init__(
+        self, root: Path | str, *, partial: bool = False, check_hashes: bool = True
+    ) -> None:
         self.root = Path(root)
+        self._check_hashes = check_hashes
         self.lines: tuple[ShardLine, ...] = tuple(read_manifest(self.root).values())
         folder = DatasetFolder(self.root)
         is_planned = not partial and folder.plan_path.is_file()
@@ -168,12 +172,8 @@ class Dataset:
             return np.stack([self.rgb(index, pad, frame) for frame in range(self.n_frames)])
         shard = self._shard(self._place(index))
         rgb = self._image(index, shard.layout.tactile(pad, "rgb"), frame)
-        if not shard.noise_at_load_grey or not rgb.any():  # of a grasp that was not executed
-            return rgb
-        from tacgen.core.noise import with_camera_noise
-
-        seed, which = int(self._read(index, "/grasp/seed")), PADS.index(pad)
-        return with_camera_noise(rgb, shard.noise_at_load_grey, seed, which, frame)
+        seed = int(self._read(index, "/grasp/seed"))
+        return rgb_at_load(rgb, shard.noise_at_load_grey, seed, pad, frame)
 
     def reference(self, pad: str | None = None) -> NDArray[np.uint8]:
         """The image of the undeformed gel, (H, W, 3)."""
@@ -259,7 +259,7 @@ class Dataset:
             return self._open[place]
         line = self.lines[place]
         path = self.root / line.file
-        if place not in self._checked and path.is_file():
+        if self._check_hashes and place not in self._checked and path.is_file():
             if sha256_of(path) != line.sha256:
                 msg = f"{path}: is not what was written; `tacgen collect --repair` remakes it"
                 raise DatasetError(msg)

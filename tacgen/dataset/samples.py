@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import FailureMode, GraspConfig, Sensor, SlipMargin, Status
+from tacgen.dataset.schema import PADS
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,21 @@ class GraspSample:
     grasp_frame: int = 0
     picture: NDArray[np.uint8] | None = None
     reason: str = ""
+
+
+def rgb_at_load(
+    rgb: NDArray[np.uint8], noise_grey: float, seed: int, pad: str, frame: int
+) -> NDArray[np.uint8]:
+    """A stored image as a reader gives it: with the camera's noise, where it was left out.
+
+    It is the same whenever it is read: drawn for the grasp's ``seed``, the pad and the frame. The
+    image of a grasp that was not executed stays black.
+    """
+    if not noise_grey or not rgb.any():
+        return rgb
+    from tacgen.core.noise import with_camera_noise
+
+    return with_camera_noise(rgb, noise_grey, seed, PADS.index(pad), frame)
 
 
 @dataclass(frozen=True, slots=True)

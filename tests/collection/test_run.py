@@ -53,13 +53,13 @@ def reference(tmp_path_factory):
 def test_a_grasp_that_is_made_again_counts_once():
     result = Collected(found=())
     for item, label in ((0, 1), (1, 0), (0, 1), (2, -1)):
-        result.add(Event("item", 0, item, label))
+        result.add(Event("item", 0, item, (label, None)))
     result.add(Event("crashed", 0, 3, "the simulator died"))
     result.add(Event("done", 0, -1, True))
     # A shard that runs again may crash where it did not before, and the other way round.
     for _ in range(2):
         result.add(Event("crashed", 0, 0, "the simulator died"))
-        result.add(Event("item", 0, 0, 1))
+        result.add(Event("item", 0, 0, (1, None)))
     counted = result.summary()
     assert counted["grasps_made"] == 4
     assert [counted[of] for of in ("successes", "failures", "not_executed", "crashed")] == [1] * 4
@@ -95,6 +95,7 @@ def test_a_disk_that_is_full_once_the_shards_are_done_is_named(
     reference, world, tmp_path, monkeypatch
 ):
     out = shutil.copytree(reference[0], tmp_path / "out")
+    page = (out / "index.html").read_bytes()
     (out / "index.html").unlink()
 
     def full(*_):
@@ -106,7 +107,7 @@ def test_a_disk_that_is_full_once_the_shards_are_done_is_named(
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
     collect(load_recipe(world), out, progress=False)
-    assert (out / "index.html").is_file()
+    assert (out / "index.html").read_bytes() == page
 
 
 @pytest.mark.parametrize("workers", [2, 4])

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from tacgen.dataset import gallery
-from tacgen.dataset.gallery import write_gallery
+from tacgen.dataset.gallery import shown_grasps, thumbnails, write_gallery
 from tacgen.dataset.summary import write_card
 
-from .conftest import collect_toy, make_spec
+from .conftest import collect_toy, make_sample, make_spec
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -46,12 +46,23 @@ def test_gallery_of_an_unfinished_dataset_says_so(tmp_path, spec):
 
 def test_gallery_of_a_large_dataset_is_bounded_and_says_so(toy, monkeypatch):
     monkeypatch.setattr(gallery, "MAX_CARDS", 4)
+    assert shown_grasps(make_spec()) == {0, 3, 6, 9}
     page = write_gallery(toy.root).read_text()
     assert re.findall(r'id="grasp-(\d+)"', page) == ["0", "3", "6", "9"]
     assert "4 of the 10 grasps are shown below, taken evenly" in page
     monkeypatch.setattr(gallery, "MAX_PAGE_BYTES", 9_000)
     page = write_gallery(toy.root).read_text()
     assert 0 < page.count("<article") < 4
+
+
+def test_thumbnails_made_as_grasps_are_made_are_those_of_the_shards(tmp_path):
+    spec = make_spec(noise_at_load_grey=3.0, pads=("left", "right"))
+    root = collect_toy(tmp_path, spec).root
+    made = {k: thumbnails(make_sample(k, spec), spec.noise_at_load_grey) for k in range(10)}
+    assert [len(one.strips) for one in made.values()] == [2, 2, 2, 2, 0] * 2
+    page = write_gallery(root).read_text()
+    assert write_gallery(root, made).read_text() == page
+    assert made[0].images[1] in page
 
 
 def test_names_in_a_gallery_are_shown_not_run(tmp_path):
