@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import h5py
 import hdf5plugin
 import numpy as np
@@ -69,9 +70,11 @@ def write_images(dataset: h5py.Dataset, row: int, frames: NDArray[np.uint8]) -> 
 def encode_image(rgb: NDArray[np.uint8]) -> bytes:
     """One image (H, W, 3) as the chunk of an HDF5 array that has the Blosc2 filter."""
     height, width, _ = rgb.shape
-    planes = np.ascontiguousarray(rgb.reshape(-1, 3).T)
-    differences = planes.copy()
-    differences[:, 1:] -= planes[:, :-1]
+    planes = np.empty((3, height * width), dtype=np.uint8)
+    cv2.split(np.ascontiguousarray(rgb), list(planes.reshape(3, height, width)))
+    differences = np.empty_like(planes)
+    differences[:, 0] = planes[:, 0]
+    np.subtract(planes[:, 1:], planes[:, :-1], out=differences[:, 1:])
     block = zstandard.ZstdCompressor(compression_params=_NO_MATCHES).compress(differences.data)
     if len(block) >= differences.nbytes:
         block = differences.tobytes()  # Blosc2 reads a block of full length as not compressed
