@@ -28,13 +28,17 @@ NEGLIGIBLE_MM = 1e-5
 
 @njit(cache=True, nogil=True)
 def _keep_contact(
-    depth_mm: NDArray[Any], loose_mm: float, firm_mm: float, surface: NDArray[Any]
+    depth_mm: NDArray[Any], loose_mm: float, firm_mm: float, patch: Window, surface: NDArray[Any]
 ) -> None:
-    """Hold the surface to the object: weight 0 up to ``loose_mm``, 1 from ``firm_mm`` on."""
+    """Hold ``patch`` of the surface to the object: weight 0 up to ``loose_mm``, 1 from ``firm_mm``
+    on.
+    """
+    top, _, left, right = patch
     loose, per_mm = np.float32(loose_mm), np.float32(1 / (firm_mm - loose_mm))
     for r in range(depth_mm.shape[0]):
-        row, out = depth_mm[r], surface[r]
-        for k in range(row.shape[0]):
+        # Rows of whole arrays are known to be contiguous, and worked on as vectors.
+        row, out = depth_mm[r], surface[top + r, left:right]
+        for k in range(out.shape[0]):
             hold = min(max((row[k] - loose) * per_mm, np.float32(0)), np.float32(1))
             out[k] += hold * (row[k] - out[k])
 
@@ -102,8 +106,7 @@ class Deformer:
         surface = self._zeros(frame[1] - frame[0], frame[3] - frame[2])
         top, left = frame[0], frame[2]
         patch = (contact[0] - top, contact[1] - top, contact[2] - left, contact[3] - left)
-        under = surface[patch[0] : patch[1], patch[2] : patch[3]]
-        under[...] = depth_mm
+        surface[patch[0] : patch[1], patch[2] : patch[3]] = depth_mm
         deepest_mm = max(float(depth_mm.max(initial=0.0)), NEGLIGIBLE_MM)
         loose_mm, firm_mm = (share * deepest_mm for share in FIRM_CONTACT)
         reach = 1
@@ -113,7 +116,7 @@ class Deformer:
             changed = aligned(grown(patch, reach, surface.shape), blur.factor, surface.shape)
             blur.apply(surface, changed)
             if blur is not self._final:
-                _keep_contact(depth_mm, loose_mm, firm_mm, under)
+                _keep_contact(depth_mm, loose_mm, firm_mm, patch, surface)
         top, bottom, left, right = _clear_negligible(surface, NEGLIGIBLE_MM)
         if top >= bottom:
             return np.zeros((0, 0), dtype=np.float32), (0, 0, 0, 0)

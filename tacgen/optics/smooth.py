@@ -155,26 +155,35 @@ def _coarsen(surface: NDArray[Any], window: Window, factor: int, coarse: NDArray
 
 
 @njit(cache=True, nogil=True)
+def _widen(blocks: NDArray[Any], factor: int, row: NDArray[Any]) -> None:
+    """Interpolate along a row of blocks, from one block before the first pixel on."""
+    one, half = np.float32(1), np.float32(0.5)
+    for phase in range(factor):
+        at = (np.float32(phase) + half) / np.float32(factor) + half
+        shift = int(at)
+        share = at - np.float32(shift)
+        before, after = blocks[shift:], blocks[shift + 1 :]
+        for j in range((row.shape[0] - phase + factor - 1) // factor):
+            row[j * factor + phase] = (one - share) * before[j] + share * after[j]
+
+
+@njit(cache=True, nogil=True)
 def _refine(coarse: NDArray[Any], factor: int, window: Window, surface: NDArray[Any]) -> None:
     """Interpolate between the middles of the blocks that ``_coarsen`` made."""
     top, bottom, left, right = window
-    between = np.empty(coarse.shape[1], np.float32)
+    wide = np.empty((2, right - left), np.float32)  # two rows of blocks, as wide as the window
     one, half = np.float32(1), np.float32(0.5)
+    n_wide = 0
     for r in range(top, bottom):
         at = (np.float32(r - top) + half) / np.float32(factor) + half
         i = int(at)
         share = at - np.float32(i)
-        above, below = coarse[i], coarse[i + 1]
-        for j in range(between.shape[0]):
-            between[j] = (one - share) * above[j] + share * below[j]
-        row = surface[r, left:right]
-        for phase in range(factor):
-            at = (np.float32(phase) + half) / np.float32(factor) + half
-            shift = int(at)
-            share = at - np.float32(shift)
-            before, after = between[shift:], between[shift + 1 :]
-            for j in range((row.shape[0] - phase + factor - 1) // factor):
-                row[j * factor + phase] = (one - share) * before[j] + share * after[j]
+        while n_wide < i + 2:
+            _widen(coarse[n_wide], factor, wide[n_wide % 2])
+            n_wide += 1
+        above, below, row = wide[i % 2], wide[(i + 1) % 2], surface[r, left:right]
+        for k in range(row.shape[0]):
+            row[k] = (one - share) * above[k] + share * below[k]
 
 
 class Gaussian:

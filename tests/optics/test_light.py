@@ -68,7 +68,7 @@ def test_a_pits_shadow_points_away_from_the_light_whatever_the_direction(azimuth
 
 def test_flat_gel_has_no_shadow_and_rays_agree_with_the_sweep():
     """The virtual sensor steps rays to a light at a finite place; the sweep takes a direction."""
-    assert not cast_shadow(np.zeros((30, 40), dtype=np.float32), 0.1, (0.6, 0.6, -0.5)).any()
+    assert cast_shadow(np.zeros((30, 40), dtype=np.float32), 0.1, (0.6, 0.6, -0.5)) is None
     far = Led((600.0, 300.0, -300.0), (1.0, 1.0, 1.0))
     virtual = VirtualSensor(80, 100, MM_PER_PX, (far,), shadow=1.0)
     rows, columns = np.indices((80, 100))

@@ -35,8 +35,10 @@ def _sweep(
     downwards: bool,
     per_mm: float,
     shade: NDArray[Any],
-) -> None:
+) -> bool:
     """Shade of a light met by going to the row before (downwards) or after, ``across_px`` aside.
+
+    Returns whether there is any.
 
     The lowest relief met on the way, lifted by the ray's rise, is carried along from row to row,
     so that each pixel costs one step however long its shadow is.
@@ -48,6 +50,7 @@ def _sweep(
     rise = np.float32(rise_mm)
     met = np.full(width + 2, _NOTHING_MM, np.float32)
     level = np.full(width, _NOTHING_MM, np.float32)
+    darkest = np.zeros(width, np.float32)
     for i in range(n_rows):
         r = i if downwards else n_rows - 1 - i
         row, out = height_mm[r], shade[r]
@@ -58,14 +61,18 @@ def _sweep(
         for k in range(width):
             hidden = (row[k] - level[k]) * np.float32(per_mm)
             out[k] = min(max(hidden, np.float32(0)), np.float32(1))
+            darkest[k] = max(darkest[k], out[k])
         for k in range(width):
             centre[k] = min(row[k], level[k])
+    return bool(darkest.any())
 
 
 def cast_shadow(
     height_mm: NDArray[np.float32], mm_per_px: float, direction: tuple[float, float, float]
-) -> NDArray[np.float32]:
+) -> NDArray[np.float32] | None:
     """How much of a light is hidden from each pixel: 0 in the open, 1 in full shadow.
+
+    None where there is no shadow at all.
 
     Parameters
     ----------
@@ -82,14 +89,15 @@ def cast_shadow(
     x, y, z = direction
     flat = math.hypot(x, y)
     if flat < 1e-6:
-        return np.zeros(height_mm.shape, dtype=np.float32)
+        return None
     x, y, rise = x / flat, y / flat, abs(z) / flat
     along_rows = abs(y) >= abs(x)
     relief = height_mm if along_rows else np.ascontiguousarray(height_mm.T)
     main, across = (y, x) if along_rows else (x, y)
     shade = np.empty(relief.shape, dtype=np.float32)
     step_mm = mm_per_px / abs(main)
-    _sweep(relief, across / abs(main), rise * step_mm, main < 0, 1 / PENUMBRA_MM, shade)
+    if not _sweep(relief, across / abs(main), rise * step_mm, main < 0, 1 / PENUMBRA_MM, shade):
+        return None
     return shade if along_rows else np.ascontiguousarray(shade.T)
 
 
@@ -147,7 +155,9 @@ def cast_shadows(
     total = np.maximum(np.sum([rgb for _, rgb in leds], axis=0), 1e-9)
     for direction, rgb in leds:
         share = (strength * np.asarray(rgb) / total).astype(np.float32)
-        _darken(cast_shadow(height_mm, mm_per_px, direction), share, unlit, image)
+        shade = cast_shadow(height_mm, mm_per_px, direction)
+        if shade is not None:
+            _darken(shade, share, unlit, image)
 
 
 def _lowered(leds: Leds, length_mm: float) -> Leds:
