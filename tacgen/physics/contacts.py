@@ -17,20 +17,28 @@ from tacgen.physics.frames import GEL_AXES_IN_GRIPPER, PAD_SIDE, Pose, inverse, 
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
-    """The simulation at one step, as PyBullet gave it: nothing is computed while it runs.
+class Placement:
+    """Where the object and the gripper are at one step, as PyBullet gave it.
 
-    ``contacts`` are the tuples of ``getContactPoints``; ``object_position_m`` is the centre of
-    mass, ``object_quaternion`` the principal axes.
+    ``object_position_m`` is the centre of mass, ``object_quaternion`` the principal axes.
     """
 
     step: int
-    contacts: tuple[tuple[Any, ...], ...]
     object_position_m: tuple[float, ...]
     object_quaternion: tuple[float, ...]
-    object_angular_velocity: tuple[float, ...]
     gripper_position_m: tuple[float, ...]
     gripper_quaternion: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot(Placement):
+    """All that is kept of one step: nothing is computed while the simulation runs.
+
+    ``contacts`` are the tuples of ``getContactPoints``.
+    """
+
+    contacts: tuple[tuple[Any, ...], ...]
+    object_angular_velocity: tuple[float, ...]
     pad_distance_m: tuple[float, float]
 
 
@@ -119,12 +127,12 @@ class Bodies:
     time_step_s: float
 
 
-def gripper_pose(snapshot: Snapshot) -> Pose:
+def gripper_pose(snapshot: Placement) -> Pose:
     """The gripper frame in the world."""
     return pose(rotation_of(snapshot.gripper_quaternion), snapshot.gripper_position_m)
 
 
-def object_pose(snapshot: Snapshot, bodies: Bodies) -> Pose:
+def object_pose(snapshot: Placement, bodies: Bodies) -> Pose:
     """The object's own frame in the world."""
     inertial = pose(rotation_of(snapshot.object_quaternion), snapshot.object_position_m)
     return inertial @ inverse(bodies.inertial)

@@ -25,7 +25,13 @@ from tacgen.core.units import M_PER_MM, PUBLISHED_K_N_MM3_PER_N
 from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.bullet import Engine
-from tacgen.physics.contacts import Bodies, Snapshot, contact_frames, object_contacts
+from tacgen.physics.contacts import (
+    Bodies,
+    Placement,
+    Snapshot,
+    contact_frames,
+    object_contacts,
+)
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.margins import (
     Capacity,
@@ -163,9 +169,10 @@ class _Grasp:
         capacity = self._load_pads(grasped)
         self.recorder.advance(self._steps(settings.hold_s))
         self.robot.fingers.couple()
-        motion = self._lift()
+        start, lifted = self._lift()
         if self.frame_ends:
             self.recorder.advance(self.frame_ends[-1] - self.recorder.step)
+        motion = outcome.motion_of(start, lifted, self.bodies, settings.sensing_pads[0])
         return self._executed(grasped, capacity, motion)
 
     def _steps(self, seconds: float) -> int:
@@ -235,8 +242,8 @@ class _Grasp:
             k_n_mm3_per_n=PUBLISHED_K_N_MM3_PER_N,
         )
 
-    def _lift(self) -> list[Snapshot]:
-        """Lift by the profile, sampling the object's pose."""
+    def _lift(self) -> tuple[Snapshot, list[Placement]]:
+        """Lift by the profile: a snapshot at its start, and placements from there on."""
         settings, recorder = self.settings, self.recorder
         sampled = max(1, self._steps(settings.slip_sample_s))
         heights_m, speeds_m_s = trapezoid(
@@ -245,22 +252,22 @@ class _Grasp:
             settings.lift_acceleration_mm_s2 * M_PER_MM,
             settings.time_step_s,
         )
-        samples = [recorder.snapshot()]
+        start = recorder.snapshot()
+        samples: list[Placement] = [start]
         motion = zip(heights_m.tolist(), speeds_m_s.tolist(), strict=True)
         for k, (height_m, speed_m_s) in enumerate(motion):
             self.robot.command_lift(height_m, speed_m_s)
             recorder.advance(1)
             if k % sampled == 0:
-                samples.append(recorder.snapshot())
+                samples.append(recorder.placement())
         self.robot.command_lift(settings.lift_mm * M_PER_MM, 0.0)
-        samples.append(recorder.snapshot())
-        return samples
+        samples.append(recorder.placement())
+        return start, samples
 
     def _executed(
-        self, grasped: Sequence[Snapshot], capacity: Capacity, lifted: Sequence[Snapshot]
+        self, grasped: Sequence[Snapshot], capacity: Capacity, motion: outcome.Motion
     ) -> GraspTrace:
         settings = self.settings
-        motion = outcome.motion_of(lifted, self.bodies, settings.sensing_pads[0])
         rise_mm, turn_rad = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
         if not (math.isfinite(rise_mm) and math.isfinite(turn_rad)):
             return self._not_executed("crashed", "the simulation became unstable; shorten its step")

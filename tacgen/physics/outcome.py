@@ -18,6 +18,7 @@ from tacgen.core.records import (
 from tacgen.core.units import MM_PER_M
 from tacgen.physics.contacts import (
     Bodies,
+    Placement,
     Snapshot,
     contact_frames,
     gel_pose,
@@ -109,8 +110,10 @@ def capacity_of(
     )
 
 
-def motion_of(lifted: Sequence[Snapshot], bodies: Bodies, pad: str) -> Motion:
-    """How the object moved from the first of ``lifted`` on; slides in the gel axes of ``pad``."""
+def motion_of(start: Snapshot, lifted: Sequence[Placement], bodies: Bodies, pad: str) -> Motion:
+    """How the object moved from ``start``, the first of ``lifted``, on; slides in the gel axes of
+    ``pad``.
+    """
     grippers = pose(
         rotation_of(np.array([snapshot.gripper_quaternion for snapshot in lifted])),
         np.array([snapshot.gripper_position_m for snapshot in lifted]),
@@ -120,9 +123,9 @@ def motion_of(lifted: Sequence[Snapshot], bodies: Bodies, pad: str) -> Motion:
         np.array([snapshot.object_position_m for snapshot in lifted]),
     )
     in_gripper = np.linalg.inv(grippers) @ inertial @ inverse(bodies.inertial)
-    left_m, right_m = lifted[0].pad_distance_m
+    left_m, right_m = start.pad_distance_m
     between_pads = np.array([(right_m - left_m) / 2, 0.0, 0.0, 1.0])
-    gel_axes = gripper_pose(lifted[0])[:3, :3].T @ gel_pose(lifted[0], pad)[:3, :2]
+    gel_axes = gripper_pose(start)[:3, :3].T @ gel_pose(start, pad)[:3, :2]
     return Motion(
         time_s=np.array([snapshot.step for snapshot in lifted]) * bodies.time_step_s,
         rise_mm=(inertial[:, 2, 3] - inertial[0, 2, 3]) * MM_PER_M,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.bodies import ObjectBody
-from tacgen.physics.contacts import Snapshot
+from tacgen.physics.contacts import Placement, Snapshot
 from tacgen.physics.gripper import STROKE_MM
 from tacgen.physics.robots import Robot
 from tacgen.physics.settings import FrameRequest, PhysicsSettings
@@ -56,22 +56,23 @@ class Recorder:
             if target == planned:
                 self.snapshot()
 
+    def placement(self) -> Placement:
+        """Where the object and the gripper are now."""
+        return Placement(
+            self.step, *self._body.inertial_position(), *self._robot.gripper_position()
+        )
+
     def snapshot(self) -> Snapshot:
         """The world now."""
         if self.step not in self.snapshots:
-            object_position, object_quaternion = self._body.inertial_position()
-            _, angular_velocity = self._body.velocity()
-            gripper_position, gripper_quaternion = self._robot.gripper_position()
             left_m, right_m = self._robot.fingers.travel_m()
             half_m = STROKE_MM / 2 * M_PER_MM
             self.snapshots[self.step] = Snapshot(
-                step=self.step,
+                self.step,
+                *self._body.inertial_position(),
+                *self._robot.gripper_position(),
                 contacts=self._world.contacts(),
-                object_position_m=object_position,
-                object_quaternion=object_quaternion,
-                object_angular_velocity=angular_velocity,
-                gripper_position_m=gripper_position,
-                gripper_quaternion=gripper_quaternion,
+                object_angular_velocity=self._body.velocity()[1],
                 pad_distance_m=(half_m - left_m, half_m - right_m),
             )
         return self.snapshots[self.step]
