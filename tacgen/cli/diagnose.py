@@ -45,11 +45,13 @@ def diagnose_contact(
     """Extend the linear contact law by the effects that a press log supports."""
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.diagnose.contact.result import diagnosis_record
-    from tacgen.rig import load_rig_recipe
 
-    proposals = out / "next_presses.csv"
+    proposals, loaded_rig = out / "next_presses.csv", None
     common.refuse_existing(force, out / "diagnosis.json", proposals)
-    loaded_rig = None if rig is None else load_rig_recipe(rig)
+    if rig is not None:
+        from tacgen.rig import load_rig_recipe
+
+        loaded_rig = load_rig_recipe(rig)
     pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
     diagnosis = diagnose_log(log, out, marker_pitch_mm=pitch_mm)
     common.note(diagnosis.notes)

@@ -75,8 +75,12 @@ def facts_section(title: str, facts: Iterable[tuple[str, object]], note: str = "
 
 def figure_section(title: str, figure: Figure, note: str = "") -> Section:
     """A matplotlib figure as an embedded PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=FIGURE_DPI)
+    figure.set_dpi(FIGURE_DPI)
+    # `savefig` would draw twice.
+    FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]
     width_px = round(figure.get_figwidth() * 96)
     return _section(title, "image", png_uri(buffer.getvalue()), title, width_px, typeset(note))
 
