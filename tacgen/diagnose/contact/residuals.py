@@ -1,7 +1,7 @@
 """What the residual of a model still depends on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -82,7 +82,9 @@ def dependences(
     if not blocks:
         return ()
     ones = data.reduce(np.ones_like(data.target))[:, None]
-    grams, groups, base = scores.fit_grams(data, fit, [*blocks.values(), ones])
+    # Corrections stay as fitted: between the halves, their similar columns are nearly singular.
+    own = replace(fit, jacobian=fit.jacobian[:, ~fit.prior[:, :-1].any(axis=0)])
+    grams, groups, base = scores.fit_grams(data, own, [*blocks.values(), ones])
     *groups, (constant,) = groups
     shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
     p_values, _ = scores.shuffle_p_values(grams, base, groups, shuffled, constant, rules)

@@ -11,6 +11,7 @@ from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import Model, fit_model, start_term
+from tacgen.diagnose.contact.residuals import dependences
 from tacgen.diagnose.contact.result import shown_parameters
 from tacgen.diagnose.contact.rules import DEFAULT_RULES as RULES
 from tacgen.diagnose.contact.selection import Selection
@@ -132,6 +133,18 @@ def test_a_form_is_corrected_only_where_held_out_trials_gain(weights, corrected,
     assert term.variant.label.endswith("corrected") == corrected
     assert found.final.loss <= share * found.named.loss
     assert found.final.loss < 0.15 * data.noise_loss, "the rest is noise"
+
+
+def test_a_corrected_law_leaves_nothing_that_a_covariate_explains():
+    """A tanh of x is a sum of the map's Gaussians; noise is what is left."""
+    rng = np.random.default_rng(0)
+    columns = presses(lambda f, *_: f, 0.1, 10)
+    x, y = rng.uniform(-6, 6, (2, N_TRIALS)).repeat(N_SAMPLES, axis=1)
+    columns |= {"x_mm": x, "y_mm": y}
+    columns["volume_mm3"] += K_N * columns["force_normal_n"] * 0.1 * np.tanh(x / 2)
+    found = dependences(*free_fit(columns, "position"), rng)
+    assert min(one.p_value for one in found) > RULES.alpha
+    assert max(abs(one.share) for one in found) < RULES.min_gain
 
 
 def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
