@@ -21,7 +21,6 @@ from tacgen.core.version import versions
 from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
-from tacgen.diagnose.contact.localised import with_exact_borders
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.residuals import Dependence, dependences
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
@@ -98,26 +97,26 @@ class _Channel:
         rules, rng = self._rules, self._rng
         n_trials = np.unique(self._columns["trial"]).size
         every, gp = self._samples(self._columns), float("nan")
+        attribution = self._selection(every).run()
+        scored = attribution.named
         if n_trials >= rules.min_trials_to_split:
             chosen = heldout.test_trials(self._columns, rng, rules)
             fitted, test = self._split(np.isin(self._columns["trial"], chosen))
-            attribution = self._attribution(fitted)
-            before, after = self._test_errors(fitted, test, attribution)
-            gp = self._gp_rmse(fitted, test, attribution.base.fit.model)
-            n_fit, n_test = fitted.history.n_trials, before.squares.size
-            how = "a quarter of the trials, spread over the session"
+            without = self._selection(fitted).choose()
+            before, after = self._test_errors(fitted, test, without)
+            gp = self._gp_rmse(fitted, test, without.base.fit.model)
+            scored, n_fit, n_test = without.named, fitted.history.n_trials, before.squares.size
+            how = "a quarter of the trials, spread over the session, all of the choice repeated"
         elif n_trials >= 2:
-            attribution = self._attribution(every)
             before, after = self._leave_one_out()
             n_fit, n_test = n_trials - 1, 1
             how = "each trial in turn, all of the choice repeated"
         else:
-            attribution = self._attribution(every)
             before, after = self._test_errors(every, every, attribution)
             n_fit, n_test, how = n_trials, 0, "none could be: there is one trial"
         data = every.thinned(rules.refit_rows_per_trial)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
-        final = _refitted(data, with_exact_borders(data, attribution.final.fit.model))
+        final = _refitted(data, attribution.final.fit.model)
         samples = every.every_sample()
         left = samples.target - final.model.response(samples)
         skip = () if self._session_clock else ("time_s",)
@@ -126,6 +125,7 @@ class _Channel:
         return result.ChannelDiagnosis(
             data=data,
             attribution=attribution,
+            scored_effects=scored.effect_names,
             base=base,
             final=final,
             base_errors=standard_errors(data, base),
@@ -152,9 +152,9 @@ class _Channel:
         kept, held = (self._samples(heldout.select(self._columns, rows)) for rows in (~out, out))
         return kept, held
 
-    def _attribution(self, samples: ChannelSamples) -> Attribution:
+    def _selection(self, samples: ChannelSamples) -> Selection:
         rng = np.random.default_rng(SEED)
-        return Selection(samples.thinned(), rng, session_clock=self._session_clock).run()
+        return Selection(samples.thinned(), rng, session_clock=self._session_clock)
 
     def _test_errors(
         self, fitted: ChannelSamples, test: ChannelSamples, attribution: Attribution
@@ -173,7 +173,7 @@ class _Channel:
         before, after = [], []
         for trial in np.unique(self._columns["trial"]):
             fitted, test = self._split(np.asarray(self._columns["trial"]) == trial)
-            one, other = self._test_errors(fitted, test, self._attribution(fitted))
+            one, other = self._test_errors(fitted, test, self._selection(fitted).choose())
             before.append(one)
             after.append(other)
         return heldout.pooled(before), heldout.pooled(after)
@@ -203,7 +203,8 @@ def _unexplained(
         if not c.candidate.is_effect
     ]
     explained = max(base.loss - final.loss, 0.0) / max(base.loss, 1e-300)
-    least = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)
+    of_form = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)
+    least = max(rules.min_gain, of_form)
     left = [d for d in structure if d.p_value <= rules.alpha and d.share > least]
     if not found and left:
         found.append(max(left, key=lambda d: d.share))
@@ -229,7 +230,7 @@ def _law_of(channels: dict[str, result.ChannelDiagnosis]) -> ContactLaw:
         "versions": versions("numpy"),
         "trials": {n: {"fit": f.n_fit, "test": f.n_test} for n, f in channels.items()},
         "heldout_rmse": {n: f.after.rmse for n, f in channels.items()},
-        "refitted_to": "all trials, after the choice was made and scored on held-out ones",
+        "heldout_law": "chosen and fitted without the test trials; this one is of all trials",
     }
     return ContactLaw(
         "volume_linear",

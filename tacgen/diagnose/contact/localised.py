@@ -5,7 +5,7 @@ any part of them explains, and no sample is touched again.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -16,13 +16,12 @@ from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate, effect_candidates
 from tacgen.diagnose.contact.channel import ChannelData
-from tacgen.diagnose.contact.model import Fit, Model
+from tacgen.diagnose.contact.model import Fit
 
 BORDERED: tuple[WhereColumn, ...] = ("trial", "x_mm", "y_mm")
 EVERYWHERE = Where("trial", above=-1e300)
 PARTS_OF_SIDE = 10  # in which all forms are tried
 FORMS_TRIED = 2  # of each effect, in every part of their best side, by cross-validation
-BORDERS_TRIED = 7  # trials next to a border that may lie on either side of it
 MOST_COLUMNS = 3  # of a form that is looked at in every part
 
 
@@ -160,30 +159,6 @@ def best_local(
             local = effect_candidates(data, fit.model, [effect.only(where)])
             same += [one for one in local if one.label == label]
     return [one for same in list(best.values())[: data.rules.locals_fitted] for one in same]
-
-
-def with_exact_borders(data: ChannelData, model: Model) -> Model:
-    """``model`` with every border moved to where it fits ``data`` best.
-
-    Borders were chosen without the test trials, so that some trials may lie on either side.
-    """
-    for number, term in enumerate(model.terms):
-        own = term.effect.where
-        if own is None or own.column not in BORDERED:
-            continue
-        side = "up_to" if np.isfinite(own.up_to) else "above"
-        limits = {part.where: getattr(part.where, side) for part in parts_of(data)}
-        same = [w for w, limit in limits.items() if w.column == own.column and np.isfinite(limit)]
-        same.sort(key=lambda where: abs(limits[where] - getattr(own, side)))
-        plain, moved = find_effect(term.effect.channel, term.name), []
-        for where in same[:BORDERS_TRIED]:
-            label = term.variant.label.replace(str(own), str(where))
-            form, terms = replace(term.variant, label=label), list(model.terms)
-            terms[number] = replace(term, effect=plain.only(where), variant=form)
-            moved.append(replace(model, terms=tuple(terms)))
-        left = [data.reduce(data.target - one.response(data)) for one in moved]
-        model = moved[int(np.argmin([one @ one for one in left]))] if moved else model
-    return model
 
 
 def local_p_value(

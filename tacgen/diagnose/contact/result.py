@@ -29,13 +29,15 @@ Verdict = Literal["sufficient", "effect_found", "unexplained"]
 class ChannelDiagnosis:
     """What one channel's residual was traced to.
 
-    ``base`` and ``final`` are fits to all trials, whose parameters the law gets; ``before`` and
-    ``after`` are errors on trials that had no part in fitting or choosing. ``how`` says how the
-    trials were held out; ``floor`` is the standard deviation of one sample's noise.
+    ``base`` and ``final`` are fits to all trials, of which the effects are chosen. ``before`` and
+    ``after`` are errors on held-out trials: of laws that were chosen and fitted without them, with
+    the ``scored_effects``. ``how`` says how the trials were held out; ``floor`` is the standard
+    deviation of one sample's noise.
     """
 
     data: ChannelData
     attribution: Attribution
+    scored_effects: tuple[str, ...]
     base: Fit
     final: Fit
     base_errors: StandardErrors
@@ -63,15 +65,19 @@ class ChannelDiagnosis:
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Effects of the list, in the order in which they were added."""
-        return tuple(c.candidate.name for c in self.attribution.chosen if c.candidate.is_effect)
+        return self.attribution.named.effect_names
+
+    @property
+    def is_scored_otherwise(self) -> bool:
+        """Whether the choice without the held-out trials, whose errors are given, is another."""
+        return set(self.scored_effects) != set(self.effect_names)
 
     def p_value(self, p_value: float) -> float | None:
         """``p_value``, but no less than the trials allow, however many samples they have.
 
         Under the null each trial's sign is a coin's; n trials have 2^(n − 1) different outcomes.
         """
-        n_seen = self.n_fit if self.n_test > 1 else self.data.history.n_trials
-        return finite(max(p_value, 0.5 ** (n_seen - 1)))
+        return finite(max(p_value, 0.5 ** (self.data.history.n_trials - 1)))
 
     @property
     def sentence(self) -> str:
@@ -85,12 +91,16 @@ class ChannelDiagnosis:
             for name in self.effect_names
         )
         error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
+        if self.is_scored_otherwise:
+            others = " and ".join(self.scored_effects).replace("_", " ") or "nothing"
+            error = f"without the held-out trials it lacks {others}, and {error}"
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
             return f"{what} is sufficient: {before:.3g} {unit} on {held}, {floor_words}."
         left = ", ".join(d.covariate for d in self.unexplained)
         if self.verdict == "effect_found":
-            return f"{what} lacks {names}: with it, {error} ({floor_words})."
+            with_it = "" if self.is_scored_otherwise else "with it, "
+            return f"{what} lacks {names}: {with_it}{error} ({floor_words})."
         if names:
             return f"{what} lacks {names} ({error}), and something that follows {left} is left."
         return (
@@ -154,6 +164,7 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "gp_baseline": {"rmse": finite(found.gp_rmse), "unit": unit},
         "trials": {"fit": found.n_fit, "test": found.n_test},
         "held_out": found.how,
+        "scored_effects": list(found.scored_effects),
         "compliance": {
             when: _estimate(fit.model.compliance, errors.compliance, per_newton)
             for when, fit, errors in (
@@ -250,8 +261,8 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
         if term.effect.where and term.effect.in_simulation:
             what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
             notes.append(f"{what} {_in_simulation(term.effect.where)}")
-    if found.effect_names and found.n_test > 1 and found.after.rmse > found.before.rmse:
-        effects = " and ".join(found.effect_names).replace("_", " ")
+    if found.scored_effects and found.n_test > 1 and found.after.rmse > found.before.rmse:
+        effects = " and ".join(found.scored_effects).replace("_", " ")
         notes.append(
             f"{name} channel: the held-out trials do not confirm {effects}: their error grows from "
             f"{found.before.rmse:.3g} to {found.after.rmse:.3g}. Press more often before you use "

@@ -21,7 +21,7 @@ class SelectionRules:
     min_rows: int = 1200  # in all where trials are few
     refit_rows_per_trial: int = 250  # in the last fit, whose parameters the law gets
     gp_rows_per_trial: int = 30  # that the Gaussian process sees
-    min_trials_as_units: int = 12  # with fewer, parts of trials are what tests resample
+    min_trials_as_units: int = 16  # with fewer, parts of trials are what tests resample
     min_units: int = 36  # about so many parts of trials then
     min_trials_as_folds: int = 4  # with fewer trials, folds are parts of trials too
     outlier_sigmas: float = 7.0  # so far from its neighbours a sample has no weight
@@ -32,7 +32,7 @@ class SelectionRules:
     min_trials_to_split: int = 8  # with fewer, each trial is held out in turn
     n_bootstrap: int = 1000  # resamplings of held-out trials for the gain's interval
     n_folds: int = 10  # of whole trials in cross-validation
-    n_shuffles: int = 1999  # sign flips or permutations of trials in each test
+    n_shuffles: int = 999  # sign flips or permutations of trials in each test
     shuffle_tail_share: float = 0.05  # of the shuffles: an exponential tail is fitted to it
 
     # Which columns compete

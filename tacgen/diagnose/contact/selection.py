@@ -55,6 +55,11 @@ class FittedSet:
         wheres = (str(m.effect.where) if m.effect else "" for m in self.members)
         return frozenset(zip((m.name for m in self.members), wheres, strict=True))
 
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Effects of the list among them, in the order in which they were added."""
+        return tuple(member.name for member in self.members if member.is_effect)
+
     def lead_in_se(self, other: "FittedSet") -> float:
         """By how many standard errors over units it predicts better than ``other``."""
         difference = other.unit_losses - self.unit_losses
@@ -93,7 +98,7 @@ class Attribution:
     base: FittedSet
     named: FittedSet
     final: FittedSet
-    chosen: tuple[Chosen, ...]
+    chosen: tuple[Chosen, ...] = ()
     ranking: tuple[tuple[str, float, float], ...] = ()
 
 
@@ -376,6 +381,8 @@ class CandidateSets:
         if p_value > self.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
+        # Of what hardly determines its parameters, cross-validation may give any loss.
+        most = min(most, self.fitted((), self.linear).loss - full.loss)
         return worth >= self.rules.least_share_of_rival * most
 
 
@@ -389,7 +396,12 @@ class Selection:
         self.sets = CandidateSets(data, rng, session_clock=session_clock)
 
     def run(self) -> Attribution:
-        """Select forward by singles and pairs, then drop, swap and name the runners-up."""
+        """Choose, and describe each member and its runners-up."""
+        found = self.choose()
+        return replace(found, chosen=self._described(found.named))
+
+    def choose(self) -> Attribution:
+        """Select forward by singles and pairs, then drop and swap; nothing is described."""
         base = current = self.sets.fitted((), self.sets.linear)
         ranking: tuple[tuple[str, float, float], ...] = ()
         visited = {base.acting}
@@ -410,7 +422,7 @@ class Selection:
                     break
             visited.add(current.acting)
         named = self._without_mismatch(self._pruned(current))
-        return Attribution(base, named, self._refined(named), self._described(named), ranking)
+        return Attribution(base, named, self._refined(named), ranking=ranking)
 
     def _extended(
         self, current: FittedSet, pool: Pool, p_values: FloatArray, of_trials: BoolArray
@@ -418,12 +430,12 @@ class Selection:
         """The best set with one or two members more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
         n_names = len({candidate.name for candidate, _ in pool})
-        significant = [
-            (candidate, gain)
+        significant = {
+            candidate.name
             for (candidate, gain), p, whole in zip(pool, p_values, of_trials, strict=True)
             if p <= sets.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
-        ]
-        best = _best_of_each(significant, rules, 2)
+        }
+        best = _best_of_each([one for one in pool if one[0].name in significant], rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [single for single in singles if sets.is_worth(current, single)]
         best_single = min(singles, key=sets.score, default=None)

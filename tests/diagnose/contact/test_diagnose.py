@@ -1,6 +1,7 @@
 """The loop on logs whose truth is known, by formulas other than those that are fitted."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -131,7 +132,7 @@ def test_parameters_of_a_linear_law_are_covered_by_their_errors():
     assert inside >= 10
 
 
-def test_a_note_states_that_held_out_trials_do_not_confirm_an_effect():
+def test_errors_are_of_a_law_that_is_chosen_without_the_held_out_trials():
     """The gel stiffens in the presses that are fitted, and softens as much in those held out."""
     columns = few_columns(press_columns(32, 24, 0) | {"volume_mm3": np.zeros(768)})
     held_out = trials_to_hold_out(columns, np.random.default_rng(SEED), DEFAULT_RULES)
@@ -140,9 +141,17 @@ def test_a_note_states_that_held_out_trials_do_not_confirm_an_effect():
     columns["volume_mm3"] = 4.0 * columns["force_normal_n"] * (1 + bend) + noise
     diagnosis = diagnose(columns)
     found = diagnosis.channels["normal"]
-    assert found.effect_names == ("stiffening",)
+    assert (found.effect_names, found.scored_effects) == ((), ("stiffening",))
     assert found.after.rmse > found.before.rmse
     assert any("held-out trials do not confirm stiffening" in note for note in diagnosis.notes)
+    assert found.sentence.startswith("V = k_n F_n is sufficient")
+    other = diagnose(few_columns(case([("normal", "creep", 0)], strength=2.0)[0])).channels[
+        "normal"
+    ]
+    assert "lacks creep: with it, the error" in other.sentence
+    assert "lacks creep: without the held-out trials it lacks nothing, and the error" in (
+        replace(other, scored_effects=()).sentence
+    )
 
 
 def test_two_trials_are_held_out_in_turn_and_reported_as_few():

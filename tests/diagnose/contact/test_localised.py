@@ -13,7 +13,7 @@ from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import localised, scores
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.command import diagnose, diagnose_log
-from tacgen.diagnose.contact.model import Model, Term, fit_model
+from tacgen.diagnose.contact.model import Model, fit_model
 from tacgen.rig import load_rig_recipe, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
 from tests.contact.effects.test_registry import K, first_variant, press_columns, switched_on
@@ -256,18 +256,3 @@ def test_a_rig_s_local_effect_is_found_written_and_shown(tmp_path):
     assert record["effects"][0]["where"] == effect.where.given
     assert f", only {effect.where}" in record["effects"][0]["form"]
     assert f"only {effect.where}" in html.unescape((tmp_path / "report.html").read_text())
-
-
-def test_a_border_is_set_again_where_trials_that_were_held_out_lie():
-    columns = log()
-    truth = law_with("compliance_change", Where("trial", above=20), amount=0.1)
-    columns["volume_mm3"] = truth.predict(columns)[0]
-    data, effect = ChannelSamples(columns, "normal").thinned(), truth.effects[0].effect
-    rough = find_effect("normal", effect.name).only(Where("trial", above=22))
-    (form,) = rough.variants(data.history, {})
-    model = Model(K, (Term(rough, form, {"amount": 0.1}),))
-    (term,) = localised.with_exact_borders(data, model).terms
-    assert (term.effect.where, term.variant.label) == (
-        effect.where,
-        "gain, only in trials after 20",
-    )
