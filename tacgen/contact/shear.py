@@ -55,13 +55,14 @@ def marker_grid_mm(sensor: Sensor) -> Float64:
 @njit(cache=True, nogil=True)
 def _stick(points_mm: Float64, patch_mm: Float64, area_mm2: float, stick: Float64) -> None:
     """The share (n,) of the object's motion that each point of the gel follows."""
-    for i in range(points_mm.shape[0]):
-        nearest = np.inf
-        for j in range(patch_mm.shape[0]):
-            dx = points_mm[i, 0] - patch_mm[j, 0]
-            dy = points_mm[i, 1] - patch_mm[j, 1]
-            nearest = min(nearest, dx * dx + dy * dy)
-        stick[i] = np.exp(-SHEAR_DECAY_PER_MM2 * max(0.0, nearest - area_mm2))
+    x_mm, y_mm = points_mm[:, 0].copy(), points_mm[:, 1].copy()
+    nearest = np.full(len(x_mm), np.inf)
+    for j in range(patch_mm.shape[0]):
+        for i in range(nearest.shape[0]):
+            dx, dy = x_mm[i] - patch_mm[j, 0], y_mm[i] - patch_mm[j, 1]
+            nearest[i] = min(nearest[i], dx * dx + dy * dy)
+    for i in range(nearest.shape[0]):
+        stick[i] = np.exp(-SHEAR_DECAY_PER_MM2 * max(0.0, nearest[i] - area_mm2))
 
 
 @njit(cache=True, nogil=True)

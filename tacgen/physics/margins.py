@@ -80,18 +80,19 @@ def torsion_arm_mm(patch: ContactPatch, friction_share: float = 0.0) -> float:
     if len(patch.share) == 0 or friction_share >= 1:
         return 0.0
     arms_mm = patch.points_mm - patch.share @ patch.points_mm
-    mean_mm = _mean_distance(arms_mm, patch.share, 0.0)
+    mean_mm = _mean_distances(arms_mm, patch.share, np.zeros(1))
     levers = mean_mm * np.concatenate([-ROTATION_CENTERS, ROTATION_CENTERS])
-    distances = [_mean_distance(arms_mm, patch.share, lever) for lever in levers]
+    distances = _mean_distances(arms_mm, patch.share, levers)
     return max(0.0, float(np.min(distances - friction_share * np.abs(levers))))
 
 
 @njit(cache=True, nogil=True)
-def _mean_distance(points: FloatArray, share: FloatArray, x: float) -> float:
-    """Mean of ``points`` (n, 2) from (x, 0), each counted by its ``share`` (n,)."""
-    total = 0.0
+def _mean_distances(points: FloatArray, share: FloatArray, x: FloatArray) -> FloatArray:
+    """Mean distances of ``points`` (n, 2) from each (x, 0), each counted by its ``share`` (n,)."""
+    total = np.zeros(x.shape)
     for k in range(share.shape[0]):
-        total += share[k] * math.sqrt((points[k, 0] - x) ** 2 + points[k, 1] ** 2)
+        for i in range(x.shape[0]):
+            total[i] += share[k] * math.sqrt((points[k, 0] - x[i]) ** 2 + points[k, 1] ** 2)
     return total
 
 
