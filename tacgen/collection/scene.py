@@ -26,7 +26,7 @@ PAD_MM = (PAD_DEPTH_MM, PAD_WIDTH_MM, PAD_HEIGHT_MM)
 FINGER_MM = (FINGER_THICKNESS_MM, PAD_WIDTH_MM, 75.0)
 _TABLE_RADIUS_MM = 78.0
 
-Part = tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int, int]]
+Part = tuple[NDArray[np.float64], NDArray[np.int32], tuple[int, int, int]]
 
 
 def grasp_picture(
@@ -39,7 +39,7 @@ def grasp_picture(
         pose = pose_matrix(trace.object_pose[frame])
         openings_mm = _openings_mm(config, trace, pose, frame)
     vertices = grasped.surface.vertices_mm @ pose[:3, :3].T + pose[:3, 3]
-    parts: list[Part] = [(vertices, grasped.surface.faces.astype(np.int64), grasped.color_rgb)]
+    parts: list[Part] = [(vertices, grasped.surface.faces, grasped.color_rgb)]
     parts += [_table(), *_gripper(config, openings_mm)]
     return _shade(parts)
 
@@ -70,7 +70,7 @@ def _openings_mm(
 def _table() -> Part:
     disc = Manifold.cylinder(3.0, _TABLE_RADIUS_MM, circular_segments=48, center=True)
     mesh = from_manifold(disc.translate((0.0, 0.0, -1.6)))
-    return mesh.vertices_mm, mesh.faces.astype(np.int64), _TABLE_COLOR
+    return mesh.vertices_mm, mesh.faces, _TABLE_COLOR
 
 
 def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part]:
@@ -91,17 +91,20 @@ def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part
 
 
 @lru_cache(maxsize=1)
-def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     box = from_manifold(Manifold.cube((1.0, 1.0, 1.0), center=True))
-    return box.vertices_mm, box.faces.astype(np.int64)
+    return box.vertices_mm, box.faces
 
 
 def _shade(parts: list[Part]) -> NDArray[np.uint8]:
-    starts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in parts)], dtype=np.int32)
     vertices = np.concatenate([vertices for vertices, _, _ in parts])
     faces = np.concatenate(
         [faces + start for (_, faces, _), start in zip(parts, starts, strict=False)]
     )
-    colors = np.concatenate([np.tile(color, (len(faces), 1)) for _, faces, color in parts])
-    whole = Mesh(vertices, faces.astype(np.int32))
-    return shaded_view(whole, colors, size_px=PICTURE_PX, **VIEW)
+    colors = np.repeat(
+        np.array([color for _, _, color in parts], dtype=np.uint8),
+        [len(faces) for _, faces, _ in parts],
+        axis=0,
+    )
+    return shaded_view(Mesh(vertices, faces), colors, size_px=PICTURE_PX, **VIEW)

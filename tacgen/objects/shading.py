@@ -1,5 +1,7 @@
 """A small shaded orthographic view of a mesh, on the processor alone."""
 
+from typing import Any
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +19,19 @@ def _nearest_face(
     depth = np.full((height, width), -np.inf)
     face = np.full((height, width), -1, np.int64)
     for f in range(faces.shape[0]):
-        ax, ay, az = points[faces[f, 0]]
-        bx, by, bz = points[faces[f, 1]]
-        cx, cy, cz = points[faces[f, 2]]
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0.0:
-            continue
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ay, by, cy = points[a, 1], points[b, 1], points[c, 1]
         first_row = max(0, int(np.ceil(min(ay, by, cy))))
         last_row = min(height - 1, int(np.floor(max(ay, by, cy))))
+        if first_row > last_row:
+            continue
+        ax, bx, cx = points[a, 0], points[b, 0], points[c, 0]
         first_column = max(0, int(np.ceil(min(ax, bx, cx))))
         last_column = min(width - 1, int(np.floor(max(ax, bx, cx))))
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if first_column > last_column or area == 0.0:
+            continue
+        az, bz, cz = points[a, 2], points[b, 2], points[c, 2]
         for row in range(first_row, last_row + 1):
             for column in range(first_column, last_column + 1):
                 u = ((bx - column) * (cy - row) - (cx - column) * (by - row)) / area
@@ -39,6 +44,19 @@ def _nearest_face(
                     depth[row, column] = z
                     face[row, column] = f
     return depth, face
+
+
+@numba.njit(cache=True)
+def _mean_of_samples(colors: np.ndarray, sample: np.ndarray, picture: np.ndarray) -> None:
+    """Fill ``picture`` (H, W, 3) with the means of the ``colors`` (n, 3) of 2 × 2 samples each."""
+    for row in range(picture.shape[0]):
+        for column in range(picture.shape[1]):
+            upper, lower = sample[2 * row], sample[2 * row + 1]
+            left, right = 2 * column, 2 * column + 1
+            for k in range(3):
+                above = colors[upper[left], k] + colors[upper[right], k]
+                below = colors[lower[left], k] + colors[lower[right], k]
+                picture[row, column, k] = np.uint8(min(max((above + below) / 4, 0.0), 255.0))
 
 
 def view_axes(azimuth_deg: float, elevation_deg: float) -> NDArray[np.float64]:
@@ -68,7 +86,7 @@ def depth_view(
 
 def shaded_view(
     mesh: Mesh,
-    color_rgb: tuple[int, int, int] | NDArray[np.floating],
+    color_rgb: tuple[int, int, int] | NDArray[Any],
     *,
     azimuth_deg: float,
     elevation_deg: float,
@@ -80,8 +98,8 @@ def shaded_view(
     ``color_rgb`` is one colour, or one a face, (m, 3).
     """
     axes = view_axes(azimuth_deg, elevation_deg)
-    flat = mesh.vertices_mm @ axes.T
-    low, high = flat.min(axis=0), flat.max(axis=0)
+    flat = np.ascontiguousarray((mesh.vertices_mm @ axes.T).T)
+    low, high = flat.min(axis=1), flat.max(axis=1)
     samples = (2 * size_px[0], 2 * size_px[1])
     extent = (high - low)[:2]
     mm_per_px = float(max(extent[0] / samples[1], extent[1] / samples[0]) / fill)
@@ -106,6 +124,6 @@ def shaded_view(
         gloss += 0.25 * strength * np.clip(normals @ (half / np.linalg.norm(half)), 0, None) ** 30
     colors = np.broadcast_to(color_rgb, (len(mesh.faces), 3))[shown]
     shade = colors * light[:, None] + 255 * gloss[:, None]
-    picture = np.vstack([shade, [255.0, 255.0, 255.0]])[place[face]]
-    picture = picture.reshape(size_px[0], 2, size_px[1], 2, 3).mean(axis=(1, 3))
-    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+    picture = np.empty((*size_px, 3), dtype=np.uint8)
+    _mean_of_samples(np.vstack([shade, [255.0, 255.0, 255.0]]), place[face], picture)
+    return picture
