@@ -93,7 +93,7 @@ class ChannelDiagnosis:
         error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
         if self.is_scored_otherwise:
             others = " and ".join(self.scored_effects).replace("_", " ") or "nothing"
-            error = f"without the held-out trials it lacks {others}, and {error}"
+            error = f"without the held-out trials one finds {others}, and {error}"
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
             return f"{what} is sufficient: {before:.3g} {unit} on {held}, {floor_words}."
