@@ -11,6 +11,8 @@ import traceback
 
 import typer
 
+import tacgen.core.rare_collections  # noqa: F401
+
 # Importing a module of commands registers them.
 from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects, recipes  # noqa: F401
 from tacgen.cli.common import app

@@ -394,7 +394,7 @@ def start_early(*modules: str) -> None:
     if len(os.fsencode(folder)) > LONGEST_FOLDER:
         msg = f"{folder}: too long a path for a socket; set TMPDIR to a shorter one, such as /tmp"
         raise TacgenError(msg)
-    preload = [*modules, "tacgen.core.compiler_start"]
+    preload = ["tacgen.core.rare_collections", *modules, "tacgen.core.compiler_start"]
     multiprocessing.get_context("forkserver").set_forkserver_preload(preload)
     _remover(folder)
     with _for_workers():

@@ -83,8 +83,9 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     dataset = Dataset(folder.root, partial=True, check_hashes=False)
     columns = dataset.columns(evenly(len(dataset.lines), MAX_SHARDS), contact=True)
     points = [_point(columns, row) for row in range(len(columns["index"]))]
+    time_s = dataset.time_s
     cards = [
-        _card(dataset, columns, row, points[row], made or {})
+        _card(dataset, columns, row, points[row], time_s, made or {})
         for row in evenly(len(points), MAX_CARDS)
     ]
     try:
@@ -102,7 +103,7 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
         objects=sorted({p["object"] for p in points}),
         forces=sorted({p["force"] for p in points}),
         reference=_jpeg(dataset.reference()),
-        time_s=[float(t) for t in dataset.time_s],
+        time_s=time_s.tolist(),
     )
     dataset.close()
     write_text(folder.gallery_path, text)
@@ -126,6 +127,7 @@ def _card(
     columns: Mapping[str, NDArray[Any]],
     row: int,
     point: Mapping[str, Any],
+    time_s: NDArray[np.float64],
     made: Mapping[int, Thumbnails],
 ) -> dict[str, Any]:
     """What the page shows of one grasp, by the names that its template uses."""
@@ -134,7 +136,6 @@ def _card(
     shear_n = np.linalg.norm(values["force_shear_n"], axis=1)
     forces_n = {"normal": values["force_normal_n"], "shear": shear_n}
     top_n = max(float(force_n.max()) for force_n in forces_n.values())
-    is_sequence = dataset.n_frames > 1
     index = point["index"]
     small = made[index] if index in made else thumbnails(dataset.read(index))
     return {
@@ -145,7 +146,7 @@ def _card(
         "picture": small.picture,
         "images": small.images,
         "strips": small.strips,
-        "curves": _curves(forces_n, dataset.time_s, top_n) if executed and is_sequence else {},
+        "curves": _curves(forces_n, time_s, top_n) if executed and len(time_s) > 1 else {},
         "curve_top_n": top_n,
     }
 
