@@ -184,7 +184,8 @@ def judged(found: Posterior, truth: dict[str, float], objects: Sequence[str]) ->
     def is_true(cause: Cause) -> bool:
         own = cause.candidate
         of_gripper = own.hypothesis.of_gripper
-        return own.name in truth and (of_gripper or own.objects == tuple(objects[:1]))
+        is_axis = own.name != "center_of_mass" or own.parameter.key == WRONG[own.name][0]
+        return own.name in truth and is_axis and (of_gripper or own.objects == tuple(objects[:1]))
 
     groups = [(cause, *(one.other for one in found.shared(cause))) for cause in found.found]
     mentioned = {one.name for group in groups for one in group if is_true(one)}

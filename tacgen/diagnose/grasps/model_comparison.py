@@ -171,8 +171,8 @@ def joint_model(
 
     A margin is a sum of logarithms of what each changes, so the changes add, to the margin as
     declared by what is changed most. A torsion adds by the part that turning has where others are
-    changed. What ``known`` outcomes of some or all of them differ by is
-    added in proportion to the product of those changes, in that order.
+    changed. What ``known`` outcomes of some or all of them differ by is added, in that order: in
+    proportion to each change as far as it was simulated, and inversely beyond.
     """
     if not parts:
         return declared
@@ -208,7 +208,8 @@ def joint_model(
             place = outcome.coordinate.get(part.candidate, center)
             at.append(int(np.argmin(np.abs(part.coordinate - place))))
             if place != center:
-                share = share * spread(np.clip(part.change / (place - center), 0, 2), k)
+                ratio = np.maximum(part.change / (place - center), 1e-9)
+                share = share * spread(np.minimum(ratio, 1 / ratio), k)
         apart = np.nan_to_num(outcome.margin - margin[tuple(at)])
         margin = margin + share[..., None] * apart
     n = margin.shape[-1]
@@ -483,7 +484,8 @@ class Posterior:
     def shared(self, cause: Cause) -> tuple[Shared, ...]:
         """What a found ``cause`` is confounded with, the likeliest first.
 
-        Those by other names beside which it is much less certain. In the precision matrix of both,
+        Those by other names that the labels do not exclude, and beside which the cause may be
+        much farther from its estimate than this one's error. In the precision matrix of both,
         less the prior's, the labels determine one combination only.
         """
         found: dict[str, Shared] = {}
@@ -493,6 +495,9 @@ class Posterior:
             added = [own for own in one.causes if own.candidate not in self.best.candidates]
             if len(added) != 1 or not self.best.candidates < one.candidates:
                 continue
+            weight = RULES.cause_odds * added[0].candidate.weight
+            if one.gain - np.log(weight) < self.best.gain - RULES.excluding_gain:
+                continue
             order = [own.candidate for own in one.causes]
             pair = [order.index(cause.candidate), order.index(added[0].candidate)]
             covariance = one.covariance[np.ix_(pair, pair)]
@@ -501,11 +506,12 @@ class Posterior:
             least = RULES.ridge_widening * alone
             if added[0].candidate.objects != cause.candidate.objects:
                 least *= np.sqrt(2)  # as where each follows from the grasps of one of two objects
-            is_wider = np.sqrt(covariance[0, 0]) > least
-            if is_wider and by_labels > 0 and added[0].name != cause.name:
+            moved = one.causes[pair[0]].coordinate - cause.coordinate
+            is_farther = np.hypot(np.sqrt(covariance[0, 0]), moved) > least
+            if is_farther and by_labels > 0 and added[0].name != cause.name:
                 exponent = float(precision[0, 1] / by_labels)
                 both = Shared(one.causes[pair[0]], added[0], exponent)
-                found.setdefault(added[0].name, both)
+                found.setdefault(added[0].candidate.title, both)
         return tuple(found.values())
 
 

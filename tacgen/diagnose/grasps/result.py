@@ -294,7 +294,7 @@ def _effect(
         "p_value": posterior.p_value,
         "or_value": cause.second_mode,
         "ridge": diagnosis.ridge(cause),
-        "confusable_with": [one.other.name for one in shared],
+        "confusable_with": list(dict.fromkeys(one.other.name for one in shared)),
         "shared_with": [
             {
                 "name": one.other.name,
@@ -305,7 +305,9 @@ def _effect(
             }
             for one in shared
         ],
-        "what_would_tell": [advice(cause.name, one.other.name) for one in shared],
+        "what_would_tell": list(
+            dict.fromkeys(advice(cause.name, one.other.name) for one in shared)
+        ),
     }
 
 

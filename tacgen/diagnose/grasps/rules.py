@@ -39,8 +39,10 @@ class GraspRules:
     # one, two and three causes; unequal, so that sums of two causes' changes lie densely; numerical
     second_mode_share: float = 0.2  # of the posterior: less is not reported; chosen
     mode_edge: float = 0.02  # of the peak, where a mode of the posterior ends; chosen
-    ridge_widening: float = 1.3  # of an estimate beside another cause, with which it then shares
-    # what is known; trust study
+    ridge_widening: float = 1.3  # of an estimate's error beside another cause, with which it then
+    # shares what is known; trust study
+    excluding_gain: float = math.log(10)  # strong evidence against another cause beside what was
+    # found, prior weights aside (Jeffreys 1961, Theory of probability, appendix B)
     least_variance: float = 1e-8  # of a coordinate; numerical
     confusable_gain: float = math.log(100)  # further behind in evidence is no rival; chosen
 

@@ -14,10 +14,13 @@ from tacgen.diagnose.grasps.model_comparison import (
     FAILED,
     NO_READING,
     SUCCESS,
+    Cause,
+    Explanation,
     ForceReading,
     JointOutcome,
     Labels,
     ModelComparison,
+    Posterior,
     declared_model,
     interpolated,
     joint_model,
@@ -159,6 +162,27 @@ def test_what_one_object_cannot_tell_is_a_ridge():
         assert min(one.cause.deviation, one.other.deviation) > 2 * cause.deviation
 
 
+@pytest.mark.parametrize(
+    ("moved_mm", "behind", "expected"),
+    [(0.0, 4.0, []), (-4.0, 4.0, ["mass"]), (-4.0, 5.0, [])],
+)
+def test_what_moves_an_estimate_by_many_errors_is_confounded_with_it(moved_mm, behind, expected):
+    """Of the same error with and without a mass; prior odds of 0.1 and a factor of 10 are 4.6."""
+    comparison = Grasps(1).comparison(("center_of_mass_y_mm", "mass_factor"))
+    by_name = {model.candidate.name: model for model in comparison.models}
+    shift, mass = by_name["center_of_mass"], by_name["mass"]
+    both = (Cause(shift, -14.0 + moved_mm, 1.0), Cause(mass, 0.3, 0.1))
+    found = Posterior(
+        (
+            Explanation((Cause(shift, -14.0, 1.0),), 30.0, 40.0, np.eye(1)),
+            Explanation(both, 30.0 - behind, 41.0, np.diag([1.0, 0.01])),
+        ),
+        0.002,
+        2.0,
+    )
+    assert [one.other.name for one in found.shared(found.found[0])] == expected
+
+
 @pytest.mark.parametrize("flips", [0, 3])
 def test_a_weaker_grip_beside_a_stronger_torsion_are_no_mass(flips):
     """One after the other, the compromise between both was corrected by a mass."""
@@ -244,7 +268,9 @@ def test_a_joint_outcome_corrects_the_sum_in_proportion_to_both_changes():
     assert after[..., ~known] == pytest.approx(before[..., ~known])
     # Where one of the two is as declared, single causes know better.
     assert after[60] == pytest.approx(before[60])
-    assert (after - before)[45, 90][known] == pytest.approx((after - before)[30, 90][known] / 2)
+    # Half-way, and twice as far, half of it is added.
+    for k in (45, 0):
+        assert (after - before)[k, 90][known] == pytest.approx((after - before)[30, 90][known] / 2)
 
 
 def test_a_torsion_counts_as_much_as_the_shifted_object_turns():
