@@ -171,8 +171,8 @@ def joint_model(
 
     A margin is a sum of logarithms of what each changes, so the changes add, to the margin as
     declared by what is changed most. A torsion adds by the part that turning has where others are
-    changed. What ``known`` outcomes of some or all of them differ by is added, in that order: in
-    proportion to each change as far as it was simulated, and inversely beyond.
+    changed. What ``known`` outcomes of some or all of them differ by is
+    added in proportion to the product of those changes, in that order.
     """
     if not parts:
         return declared
@@ -208,8 +208,7 @@ def joint_model(
             place = outcome.coordinate.get(part.candidate, center)
             at.append(int(np.argmin(np.abs(part.coordinate - place))))
             if place != center:
-                ratio = np.maximum(part.change / (place - center), 1e-9)
-                share = share * spread(np.minimum(ratio, 1 / ratio), k)
+                share = share * spread(np.clip(part.change / (place - center), 0, 2), k)
         apart = np.nan_to_num(outcome.margin - margin[tuple(at)])
         margin = margin + share[..., None] * apart
     n = margin.shape[-1]
