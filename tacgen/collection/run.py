@@ -42,6 +42,7 @@ class Collected:
         if event.kind in ("item", "crashed"):  # again, if its shard was begun before
             self.n_succeeded -= self.labels.pop(event.item, 0) == 1
             self.crashed.pop(event.item, None)
+            self.thumbnails.pop(event.item, None)
         if event.kind == "item":
             label, small = event.value
             self.labels[event.item] = label

@@ -265,7 +265,7 @@ def _read_messages(worker: _Worker, progress: _Progress) -> Iterator[Event]:
             if kind == "done":
                 worker.task = -1
             yield Event(kind, task, item, value)
-    except (EOFError, ConnectionResetError):
+    except (EOFError, OSError):  # it was killed, maybe within a message
         return
 
 

@@ -4,8 +4,9 @@ It needs no network and stays below ``MAX_PAGE_BYTES``: a large dataset is repre
 taken evenly, and the page says so.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,12 +56,22 @@ def thumbnails(sample: GraspSample, noise_at_load_grey: float = 0.0) -> Thumbnai
 
     pads = [pad for pad in PADS if pad in sample.pads]
     n_frames = len(sample.pads[pads[0]].rgb) if pads else 0
+    return _thumbnails(sample.picture, pads, n_frames, sample.grasp_frame, seen)
+
+
+def _thumbnails(
+    picture: NDArray[np.uint8] | None,
+    pads: Sequence[str],
+    n_frames: int,
+    moment: int,
+    seen: Callable[[str, int], NDArray[np.uint8]],
+) -> Thumbnails:
+    """Of the scene, and of what each pad has ``seen`` in the frames that are shown."""
     shown = evenly(n_frames, MAX_STRIP) if n_frames > 1 else []
     strips = [[seen(pad, k) for k in shown] for pad in pads] if shown else []
-    picture = sample.picture
     return Thumbnails(
         "" if picture is None or not picture.any() else _jpeg(picture),
-        [_jpeg(seen(pad, sample.grasp_frame)) for pad in pads],
+        [_jpeg(seen(pad, moment)) for pad in pads],
         [jpeg_uri(side_by_side(strip, STRIP_WIDTH_PX)) for strip in strips],
     )
 
@@ -136,13 +147,16 @@ def _card(
     shear_n = np.linalg.norm(values["force_shear_n"], axis=1)
     forces_n = {"normal": values["force_normal_n"], "shear": shear_n}
     top_n = max(float(force_n.max()) for force_n in forces_n.values())
-    index = point["index"]
-    small = made[index] if index in made else thumbnails(dataset.read(index))
+    index, moment = point["index"], int(values["grasp_frame"])
+    small = made.get(index)
+    if small is None:
+        pads, seen = dataset.pads if executed else (), partial(dataset.rgb, index)
+        small = _thumbnails(dataset.picture(index), pads, dataset.n_frames, moment, seen)
     return {
         **point,
         "executed": executed,
         "values": values,
-        "moment": int(values["grasp_frame"]),
+        "moment": moment,
         "picture": small.picture,
         "images": small.images,
         "strips": small.strips,

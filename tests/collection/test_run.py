@@ -18,6 +18,7 @@ from tacgen.collection.run import Collected, collect, describe
 from tacgen.core.errors import DatasetError
 from tacgen.core.workers import Event
 from tacgen.dataset import Dataset
+from tacgen.dataset.gallery import Thumbnails
 from tests.small_world import write_world
 
 pytestmark = pytest.mark.slow
@@ -52,14 +53,17 @@ def reference(tmp_path_factory):
 
 def test_a_grasp_that_is_made_again_counts_once():
     result = Collected(found=())
+    small = Thumbnails("", [], [])
     for item, label in ((0, 1), (1, 0), (0, 1), (2, -1)):
-        result.add(Event("item", 0, item, (label, None)))
+        result.add(Event("item", 0, item, (label, small if item == 0 else None)))
     result.add(Event("crashed", 0, 3, "the simulator died"))
     result.add(Event("done", 0, -1, True))
     # A shard that runs again may crash where it did not before, and the other way round.
     for _ in range(2):
         result.add(Event("crashed", 0, 0, "the simulator died"))
-        result.add(Event("item", 0, 0, (1, None)))
+        assert not result.thumbnails
+        result.add(Event("item", 0, 0, (1, small)))
+    assert result.thumbnails == {0: small}
     counted = result.summary()
     assert counted["grasps_made"] == 4
     assert [counted[of] for of in ("successes", "failures", "not_executed", "crashed")] == [1] * 4

@@ -2,8 +2,12 @@
 
 import contextlib
 import os
+import pickle
 import signal
+import struct
 import time
+from collections import deque
+from multiprocessing import Pipe, Process
 from pathlib import Path
 
 import cv2
@@ -220,3 +224,12 @@ def test_a_temporary_folder_too_long_for_a_socket_is_named(tmp_path, monkeypatch
     monkeypatch.setattr(workers, "get_temp_dir", lambda: folder)
     with pytest.raises(TacgenError, match=r"long: too long a path .* set TMPDIR to a shorter one"):
         results(tmp_path, {})
+
+
+def test_a_worker_that_is_killed_within_a_message_is_only_dead():
+    ours, theirs = Pipe()
+    worker = workers._Worker(Process(), ours, task=0)
+    message = pickle.dumps(("item", 3, b"x" * 50_000))
+    os.write(theirs.fileno(), struct.pack("!i", len(message)) + message[:1000])
+    theirs.close()
+    assert list(workers._read_messages(worker, workers._Progress(deque()))) == []

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,8 @@ def test_thumbnails_made_as_grasps_are_made_are_those_of_the_shards(tmp_path):
     page = write_gallery(root).read_text()
     assert write_gallery(root, made).read_text() == page
     assert made[0].images[1] in page
+    made[0] = replace(made[0], picture="data:,made")
+    assert write_gallery(root, made).read_text() != page
 
 
 def test_names_in_a_gallery_are_shown_not_run(tmp_path):

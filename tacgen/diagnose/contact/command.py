@@ -98,17 +98,19 @@ class _Channel:
         n_trials = np.unique(self._columns["trial"]).size
         every, gp = self._samples(self._columns), float("nan")
         attribution = self._selection(every).run()
-        scored = attribution.named
+        scored = attribution.named.effect_names
         if n_trials >= rules.min_trials_to_split:
             chosen = heldout.test_trials(self._columns, rng, rules)
             fitted, test = self._split(np.isin(self._columns["trial"], chosen))
             without = self._selection(fitted).choose()
             before, after = self._test_errors(fitted, test, without)
             gp = self._gp_rmse(fitted, test, without.base.fit.model)
-            scored, n_fit, n_test = without.named, fitted.history.n_trials, before.squares.size
+            scored = without.named.effect_names
+            n_fit, n_test = fitted.history.n_trials, before.squares.size
             how = "a quarter of the trials, spread over the session, all of the choice repeated"
         elif n_trials >= 2:
-            before, after = self._leave_one_out()
+            before, after, by_all = self._leave_one_out()
+            scored = tuple(name for name in scored if name in by_all)
             n_fit, n_test = n_trials - 1, 1
             how = "each trial in turn, all of the choice repeated"
         else:
@@ -125,7 +127,7 @@ class _Channel:
         return result.ChannelDiagnosis(
             data=data,
             attribution=attribution,
-            scored_effects=scored.effect_names,
+            scored_effects=scored,
             base=base,
             final=final,
             base_errors=standard_errors(data, base),
@@ -169,14 +171,17 @@ class _Channel:
             found.append(heldout.errors(residual[kept], rows.history.trial[kept], self._rms))
         return found[0], found[1]
 
-    def _leave_one_out(self) -> tuple[Errors, Errors]:
-        before, after = [], []
+    def _leave_one_out(self) -> tuple[Errors, Errors, frozenset[str]]:
+        """Errors before and after, and the effects that every choice without one trial has."""
+        before, after, names = [], [], []
         for trial in np.unique(self._columns["trial"]):
             fitted, test = self._split(np.asarray(self._columns["trial"]) == trial)
-            one, other = self._test_errors(fitted, test, self._selection(fitted).choose())
+            without = self._selection(fitted).choose()
+            one, other = self._test_errors(fitted, test, without)
             before.append(one)
             after.append(other)
-        return heldout.pooled(before), heldout.pooled(after)
+            names.append(frozenset(without.named.effect_names))
+        return heldout.pooled(before), heldout.pooled(after), frozenset.intersection(*names)
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
         data, rows = fitted.thinned(self._rules.gp_rows_per_trial), test.every_sample()
@@ -230,7 +235,7 @@ def _law_of(channels: dict[str, result.ChannelDiagnosis]) -> ContactLaw:
         "versions": versions("numpy"),
         "trials": {n: {"fit": f.n_fit, "test": f.n_test} for n, f in channels.items()},
         "heldout_rmse": {n: f.after.rmse for n, f in channels.items()},
-        "heldout_law": "chosen and fitted without the test trials; this one is of all trials",
+        "held_out": {n: f.how for n, f in channels.items()},
     }
     return ContactLaw(
         "volume_linear",

@@ -31,8 +31,8 @@ class ChannelDiagnosis:
 
     ``base`` and ``final`` are fits to all trials, of which the effects are chosen. ``before`` and
     ``after`` are errors on held-out trials: of laws that were chosen and fitted without them, with
-    the ``scored_effects``. ``how`` says how the trials were held out; ``floor`` is the standard
-    deviation of one sample's noise.
+    the ``scored_effects`` (those of every such law, where each trial is held out in turn). ``how``
+    says how the trials were held out; ``floor`` is the standard deviation of one sample's noise.
     """
 
     data: ChannelData
@@ -69,7 +69,7 @@ class ChannelDiagnosis:
 
     @property
     def is_scored_otherwise(self) -> bool:
-        """Whether the choice without the held-out trials, whose errors are given, is another."""
+        """Whether choices without held-out trials, whose errors are given, name other effects."""
         return set(self.scored_effects) != set(self.effect_names)
 
     def p_value(self, p_value: float) -> float | None:
@@ -93,7 +93,10 @@ class ChannelDiagnosis:
         error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
         if self.is_scored_otherwise:
             others = " and ".join(self.scored_effects).replace("_", " ") or "nothing"
-            error = f"without the held-out trials one finds {others}, and {error}"
+            finder = "without the held-out trials one finds"
+            if self.n_test == 1:
+                finder = "the choices without one trial have in common"
+            error = f"{finder} {others}, and {error}"
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
             return f"{what} is sufficient: {before:.3g} {unit} on {held}, {floor_words}."
@@ -261,8 +264,8 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
         if term.effect.where and term.effect.in_simulation:
             what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
             notes.append(f"{what} {_in_simulation(term.effect.where)}")
-    if found.scored_effects and found.n_test > 1 and found.after.rmse > found.before.rmse:
-        effects = " and ".join(found.scored_effects).replace("_", " ")
+    if found.effect_names and found.n_test > 0 and found.after.rmse > found.before.rmse:
+        effects = " and ".join(found.scored_effects or found.effect_names).replace("_", " ")
         notes.append(
             f"{name} channel: the held-out trials do not confirm {effects}: their error grows from "
             f"{found.before.rmse:.3g} to {found.after.rmse:.3g}. Press more often before you use "
@@ -271,13 +274,13 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
     if found.n_test == 0:
         notes.append(
             f"{name} channel: one trial only; the errors are those on the trial that was fitted. "
-            "Press at least twice, better twelve times"
+            f"Press at least twice, better {data.rules.min_trials_as_units} times"
         )
     elif found.n_test == 1:
         notes.append(
             f"{name} channel: {found.n_fit + 1} trials are too few to set some aside; each was "
             "held out in turn, and the tests use parts of trials in place of trials, so that "
-            "their p-values mean little. Press at least twelve times"
+            f"their p-values mean little. Press at least {data.rules.min_trials_as_units} times"
         )
     if found.n_spikes:
         notes.append(

@@ -429,7 +429,7 @@ class Shared:
     """A found ``cause`` as it is where an ``other`` one may be wrong as well.
 
     The labels determine cause + ``exponent`` × other (coordinates, so that of factors it is a
-    product of powers) much better than either.
+    product of powers) better than either; with an exponent of 0, the cause is another beside it.
     """
 
     cause: Cause
@@ -483,9 +483,9 @@ class Posterior:
     def shared(self, cause: Cause) -> tuple[Shared, ...]:
         """What a found ``cause`` is confounded with, the likeliest first.
 
-        Those by other names that the labels do not exclude, and beside which the cause may be
-        much farther from its estimate than this one's error. In the precision matrix of both,
-        less the prior's, the labels determine one combination only.
+        Those by other names that the labels do not exclude, and beside which the cause lies 1.3
+        times its error from its estimate or farther, root mean square. Where both are correlated,
+        the precision matrix less the prior's gives the one combination that the labels determine.
         """
         found: dict[str, Shared] = {}
         k = self.best.causes.index(cause)

@@ -17,6 +17,7 @@ from tacgen.diagnose.grasps.model_comparison import (
     Labels,
     ModelComparison,
     Posterior,
+    Shared,
 )
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.report.formatting import decimals_for
@@ -113,10 +114,13 @@ class GraspDiagnosis:
 
         Empty where the cause is no factor, or shares what is known with none.
         """
-        text = ""
+        text, likeliest = "", dict[str, Shared]()
         for one in self.posterior.shared(cause):
-            if cause.candidate.parameter.is_factor and one.other.candidate.parameter.is_factor:
-                power = f"{abs(one.exponent):.1f}"
+            likeliest.setdefault(one.other.name, one)  # on one object, or on all
+        for one in likeliest.values():
+            power = f"{abs(one.exponent):.1f}"
+            factors = cause.candidate.parameter, one.other.candidate.parameter
+            if power != "0.0" and all(parameter.is_factor for parameter in factors):
                 power = "" if power == "1.0" else f"^{power}"
                 sign = "×" if one.exponent > 0 else "÷"
                 text += f" {sign} {one.other.candidate.title}{power}"

@@ -209,6 +209,19 @@ def test_a_p_value_is_no_less_than_so_few_trials_allow():
     assert min(values) >= 0.5**3
 
 
+@pytest.mark.slow
+def test_errors_of_choices_that_differ_are_not_those_of_what_was_found():
+    """Two trials: without either, another effect is found than on both."""
+    columns, _ = case([("normal", "hysteresis", 0)], strength=0.45, n_trials=2, seed=5)
+    diagnosis = diagnose(few_columns(columns))
+    found = diagnosis_record(diagnosis)["channels"]["normal"]
+    assert names(found)
+    assert found["scored_effects"] == []
+    assert "the choices without one trial have in common nothing" in found["sentence"]
+    assert found["error_after"]["rmse"] > found["error_before"]["rmse"]
+    assert any("do not confirm" in note for note in diagnosis.notes)
+
+
 def test_samples_that_stick_out_spoil_neither_the_fit_nor_the_errors():
     columns, noise = case([])
     log = few_columns(columns)

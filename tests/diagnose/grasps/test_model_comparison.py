@@ -26,7 +26,7 @@ from tacgen.diagnose.grasps.model_comparison import (
     joint_model,
     posterior,
 )
-from tacgen.diagnose.grasps.result import diagnose_labels, diagnosis_record
+from tacgen.diagnose.grasps.result import GraspDiagnosis, diagnose_labels, diagnosis_record
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import (
     closed_form_margin,
@@ -374,6 +374,43 @@ def test_a_ridge_is_written_in_words_and_numbers():
     mass = shared["beside"]["mass_factor"]["value"]
     alone = effect["parameters"]["mass_factor"]
     assert mass / force == pytest.approx(alone["value"], abs=alone["stderr"])
+
+
+def sentence_of(best, *others):
+    """The sentence of a posterior made by hand: each of ``others`` is beside the best cause."""
+    explanations = [Explanation((best,), 30.0, 40.0, np.diag([0.05**2]))]
+    for both, covariance in others:
+        explanations.append(Explanation(both, 29.0, 41.0, np.asarray(covariance)))
+    found = Posterior(tuple(explanations), 0.002, 2.0)
+    labels = np.ones(4, int)
+    return GraspDiagnosis(found, labels, 1 - labels, labels, labels, {}, ()).sentence
+
+
+def test_a_product_holds_each_figure_once_and_only_what_is_correlated():
+    candidates = candidates_for(("a", "b"))
+
+    def of(key, objects, coordinate, deviation):
+        (own,) = (c for c in candidates if c.parameter.key == key and c.objects == objects)
+        nodes = np.array(own.parameter.nodes)
+        table = np.zeros((len(nodes), 1))
+        return Cause(interpolated(own, nodes, table, table + 0.5), coordinate, deviation)
+
+    force = of("force_scale", ("a", "b"), 0.4, 0.05)
+    ridge = np.array([[1.0, 0.97], [0.97, 1.0]]) * 0.2**2
+    beside = of("force_scale", ("a", "b"), 0.2, 0.2)
+    masses = [
+        ((beside, of("mass_factor", objects, -0.2, 0.2)), ridge)
+        for objects in (("a",), ("b",), ("a", "b"))
+    ]
+    sentence = sentence_of(force, *masses)
+    assert "wrongly: grip_force ÷ mass of a" in sentence
+    assert sentence.count("÷") == 1
+    assert all(f"beside mass of {whose} at" in sentence for whose in ("a", "b", "a, b"))
+    # Farther by eight errors beside a friction, but not along with it.
+    apart = (of("force_scale", ("a", "b"), 0.8, 0.05), of("friction_factor", ("a",), 0.3, 0.05))
+    sentence = sentence_of(force, (apart, np.diag([0.05**2, 0.05**2])))
+    assert "wrongly: grip_force at 1.49" in sentence
+    assert "grip_force may not be wrong alone" in sentence
 
 
 def test_the_record_has_the_contracts_keys():
