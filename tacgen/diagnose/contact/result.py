@@ -264,8 +264,9 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
         if term.effect.where and term.effect.in_simulation:
             what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
             notes.append(f"{what} {_in_simulation(term.effect.where)}")
-    if found.effect_names and found.n_test > 0 and found.after.rmse > found.before.rmse:
-        effects = " and ".join(found.scored_effects or found.effect_names).replace("_", " ")
+    tried = found.scored_effects or found.effect_names
+    if tried and found.n_test > 0 and found.after.rmse > found.before.rmse:
+        effects = " and ".join(tried).replace("_", " ")
         notes.append(
             f"{name} channel: the held-out trials do not confirm {effects}: their error grows from "
             f"{found.before.rmse:.3g} to {found.after.rmse:.3g}. Press more often before you use "
