@@ -40,9 +40,8 @@ def no_wider(rgb: Image, width_px: int) -> Image:
         return rgb
     size = (width_px, max(1, round(height * width_px / width)))
     whole = width // width_px
-    if (
-        whole > 1 and height % whole == 0 and width % whole == 0
-    ):  # means of whole blocks first: 4 times as fast
+    if whole > 1 and height % whole == 0 and width % whole == 0:
+        # Means of whole blocks first: 4 times as fast.
         blocks = (width // whole, height // whole)
         rgb = np.asarray(cv2.resize(rgb, blocks, interpolation=cv2.INTER_AREA), np.uint8)
     return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)

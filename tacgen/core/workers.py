@@ -138,7 +138,8 @@ def map_in_processes(
         return [task(item) for item in items]
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context(method)
-    with ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,)) as pool:
+    pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
+    with _without_opencv_threads(), pool:
         try:
             return list(pool.map(_run_task, items))
         except BaseException as error:
@@ -150,6 +151,21 @@ def map_in_processes(
             fix = "run the same command again with fewer --workers, it resumes where it can"
             msg = f"a worker process was killed, perhaps because memory ran out; {fix}"
             raise TacgenError(msg) from error
+
+
+@contextlib.contextmanager
+def _without_opencv_threads() -> Iterator[None]:
+    """A process that is copied while such a thread holds a lock would wait for it for ever."""
+    opencv = sys.modules.get("cv2")
+    if opencv is None:
+        yield
+        return
+    before = opencv.getNumThreads()
+    opencv.setNumThreads(1)  # ends them
+    try:
+        yield
+    finally:
+        opencv.setNumThreads(before)
 
 
 def _set_task(task: Callable[[Any], Any]) -> None:

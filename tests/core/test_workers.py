@@ -233,3 +233,13 @@ def test_a_worker_that_is_killed_within_a_message_is_only_dead():
     os.write(theirs.fileno(), struct.pack("!i", len(message)) + message[:1000])
     theirs.close()
     assert list(workers._read_messages(worker, workers._Progress(deque()))) == []
+
+
+def test_copies_of_this_process_wait_for_no_thread_of_opencv():
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        assert map_in_processes(lambda _: cv2.getNumThreads(), [0, 1], 2) == [1, 1]
+        assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)
