@@ -483,9 +483,10 @@ class Posterior:
     def shared(self, cause: Cause) -> tuple[Shared, ...]:
         """What a found ``cause`` is confounded with, the likeliest first.
 
-        Those by other names that the labels do not exclude, and beside which the cause lies 1.3
-        times its error from its estimate or farther, root mean square. Where both are correlated,
-        the precision matrix less the prior's gives the one combination that the labels determine.
+        Those by other names that the labels do not exclude, and beside which the cause lies
+        ``RULES.ridge_widening`` times its error from its estimate or farther, root mean square.
+        Where both are correlated, the precision matrix less the prior's gives the one combination
+        that the labels determine.
         """
         found: dict[str, Shared] = {}
         k = self.best.causes.index(cause)
