@@ -1,6 +1,5 @@
 """Advances the simulation and records snapshots at the wanted steps."""
 
-from bisect import bisect_right
 from collections.abc import Sequence
 
 from tacgen.core.units import M_PER_MM
@@ -36,25 +35,23 @@ class Recorder:
         self._body = body
         self._average = settings.contact_average_steps
         self.frame_ends = frame_ends
-        self._planned = sorted(
-            {step for end in frame_ends for step in range(max(0, end - self._average), end + 1)}
-        )
+        steps = {step for end in frame_ends for step in range(max(0, end - self._average), end + 1)}
+        self._planned = sorted(steps, reverse=True)  # the next one is last
         self.step = 0
         self.snapshots: dict[int, Snapshot] = {}
-        if self._planned and self._planned[0] == 0:
-            self.snapshot()
+        self.advance(0)
 
     def advance(self, count: int) -> None:
         """Advance by ``count`` steps, taking the planned snapshots on the way."""
         end = self.step + count
-        while self.step < end:
-            following = bisect_right(self._planned, self.step)
-            planned = self._planned[following] if following < len(self._planned) else end + 1
-            target = min(end, planned)
-            self._world.step(target - self.step)
-            self.step = target
-            if target == planned:
-                self.snapshot()
+        while self._planned and self._planned[-1] <= end:
+            self._advance_to(self._planned.pop())
+            self.snapshot()
+        self._advance_to(end)
+
+    def _advance_to(self, step: int) -> None:
+        self._world.step(step - self.step)
+        self.step = step
 
     def placement(self) -> Placement:
         """Where the object and the gripper are now."""
