@@ -1,14 +1,24 @@
 """The gap map: how far each point of the gel's surface is from the object."""
 
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_map_mm
-from tacgen.contact.raster import Float64, Int32, faces_over, rasterize, to_window
+from tacgen.contact.raster import (
+    Float64,
+    Int32,
+    cut_mesh,
+    faces_over,
+    rasterize,
+    whole_mesh,
+)
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
 
@@ -24,6 +34,9 @@ NO_OBJECT = 2**30
 FIRST_ROWS = 16
 """Every 16th row is rasterised first: its smallest gap shows which triangles are too far away to
 touch anywhere, whatever the shape of the mesh."""
+
+CUT_AFTER = 8
+"""Uses of a mesh before it is cut into cells: that takes as long as some 30 uses save."""
 
 DepthCamera = Callable[[Float64, Int32, Float64, Sensor], Float64]
 
@@ -97,6 +110,10 @@ class GapMapper:
         self._depth_mm = np.full(sensor.shape_px, np.inf)
         self._drawn = (0, 0, 0, 0)  # the window of the depth map that is not +inf
         self._grains = np.empty(sensor.height_px * sensor.width_px, dtype=np.int32)
+        # Of the last mesh, if they cannot change: it has been checked.
+        self._arrays: tuple[NDArray[Any], ...] = ()
+        self._uses = 0
+        self._mesh = whole_mesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
         self._posed = np.empty((3, 0))
         self._faces = np.empty((0, 3), dtype=np.int32)
         self._camera: DepthCamera | None = None
@@ -107,9 +124,9 @@ class GapMapper:
 
     def measure(
         self,
-        vertices_mm: Float64,
-        faces: Int32,
-        pose_gel_object: Float64,
+        vertices_mm: FloatArray,
+        faces: NDArray[np.integer],
+        pose_gel_object: FloatArray,
         *,
         reach_mm: float = np.inf,
     ) -> ObjectGap:
@@ -118,11 +135,15 @@ class GapMapper:
         ``vertices_mm`` (n, 3) are in the object's frame; ``pose_gel_object`` (4, 4) leads to the
         gel's. Gaps further than ``reach_mm`` beyond first touch may be left at +inf: the depth of
         the gel, say, since nothing further can touch.
+
+        Raises ``ContactError`` if the mesh or pose is no mesh or pose.
         """
+        pose = self._take(vertices_mm, faces, pose_gel_object)
         if self._camera is None:
-            window, zero_mm = self._rasterize(vertices_mm, faces, pose_gel_object, reach_mm)
+            window, zero_mm = self._rasterize(pose, reach_mm)
         else:
-            self._depth_mm[...] = self._camera(vertices_mm, faces, pose_gel_object, self.sensor)
+            mesh = self._mesh
+            self._depth_mm[...] = self._camera(mesh.vertices_mm, mesh.faces, pose, self.sensor)
             window = (0, self.sensor.height_px, 0, self.sensor.width_px)
             zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
         top, bottom, left, right = window
@@ -131,19 +152,35 @@ class GapMapper:
         shape = (bottom - top, right - left)
         grains = self._grains[: shape[0] * shape[1]].reshape(shape)
         _fill_grains(self._depth_mm, self._gel_mm, window, zero_mm, grains)
-        return ObjectGap(window, grains, zero_mm + float(pose_gel_object[2, 3]))
+        return ObjectGap(window, grains, zero_mm + float(pose[2, 3]))
+
+    def _take(
+        self, vertices_mm: FloatArray, faces: NDArray[np.integer], pose_gel_object: FloatArray
+    ) -> Float64:
+        """Make the mesh and its memory ready; returns the pose, checked like the mesh."""
+        arrays = (vertices_mm, faces)
+        if self._arrays and all(map(operator.is_, arrays, self._arrays)):
+            self._uses += 1
+            if self._uses == CUT_AFTER and self._mesh.faces.size:
+                self._mesh = cut_mesh(self._mesh.vertices_mm, self._mesh.faces)
+                self._posed = np.empty((3, len(self._mesh.vertices_mm)))
+            return checked_pose(pose_gel_object)
+        vertices, corners, pose = checked_mesh(*arrays, pose_gel_object)
+        fixed = not any(array.flags.writeable for array in arrays)
+        self._arrays, self._uses = arrays if fixed else (), 1
+        self._mesh = whole_mesh(vertices, corners)
+        self._posed, self._faces = np.empty((3, len(vertices))), np.empty_like(corners)
+        return pose
 
     def _rasterize(
-        self, vertices_mm: Float64, faces: Int32, pose_gel_object: Float64, reach_mm: float
+        self, pose_gel_object: Float64, reach_mm: float
     ) -> tuple[tuple[int, int, int, int], float]:
         sensor, gel_mm, depth_mm = self.sensor, self._gel_mm, self._depth_mm
-        if self._posed.shape[1] != len(vertices_mm):
-            self._posed = np.empty((3, len(vertices_mm)))
-        if len(self._faces) < len(faces):
-            self._faces = np.empty((len(faces), 3), dtype=np.int32)
-        x, y, z = self._posed
-        to_window(vertices_mm, pose_gel_object, sensor.mm_per_px, sensor.shape_px, x, y, z)
-        over = self._faces[: faces_over(x, y, faces, sensor.shape_px, self._faces)]
+        mesh, posed, found = self._mesh, self._posed, self._faces
+        arrays = (mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm)
+        view = (pose_gel_object, sensor.mm_per_px, sensor.shape_px)
+        over = found[: faces_over(*arrays, *view, posed, found)]
+        x, y, z = posed
         top, bottom, left, right = self._drawn
         depth_mm[top:bottom, left:right] = np.inf
         first = rasterize(x, y, z, over, gel_mm, np.inf, FIRST_ROWS, depth_mm)
@@ -195,7 +232,6 @@ def gap_map(
     ------
     Si et al. 2022, §III-B: the depth camera at the gel's surface.
     """
-    vertices_mm, faces, pose_gel_object = checked_mesh(vertices_mm, faces, pose_gel_object)
     gap = GapMapper(sensor, camera).measure(vertices_mm, faces, pose_gel_object)
     gap_mm = np.full(sensor.shape_px, np.inf, dtype=np.float32)
     if gap.touches:
@@ -205,6 +241,15 @@ def gap_map(
             gap.grains == NO_OBJECT, np.inf, (gap.grains + np.int64(touch)) * GAP_GRAIN_MM
         )
     return gap_mm
+
+
+def checked_pose(pose_gel_object: FloatArray) -> Float64:
+    """The pose as the rasteriser reads it; raises ``ContactError`` if it is none."""
+    pose = np.ascontiguousarray(pose_gel_object, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        msg = f"pose_gel_object of shape {pose.shape} is not (4, 4) finite numbers"
+        raise ContactError(msg)
+    return pose
 
 
 def checked_mesh(

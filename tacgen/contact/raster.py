@@ -4,6 +4,7 @@ One thread, float64, no fast-math and no fused operations: the same bits on ever
 """
 
 import math
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -13,18 +14,83 @@ from numpy.typing import NDArray
 Float64: TypeAlias = NDArray[np.float64]
 Int32: TypeAlias = NDArray[np.int32]
 
+CELL_MM = 4.0  # of a cut mesh: a fifth of a sensor's window, and some 50 faces
+
+
+@dataclass(frozen=True, slots=True)
+class CellMesh:
+    """A mesh cut into cells with vertices of their own: a cell beside the window costs one look.
+
+    ``vertices_mm`` (n, 3) and ``faces`` (m, 3) lie cell by cell; ``first`` (c + 1, 2) is the first
+    vertex and face of each, ``spheres_mm`` (c, 4) the centre and radius of one around it.
+    """
+
+    vertices_mm: Float64
+    faces: Int32
+    first: Int32
+    spheres_mm: Float64
+
+
+def cut_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
+    """The mesh in cells of ``CELL_MM``; a face belongs to that of its first corner."""
+    cells = ((vertices_mm - vertices_mm.min(axis=0)) / CELL_MM).astype(np.int64)
+    cell = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    key = cell.astype(np.min_scalar_type(cell.max()))[faces[:, 0]]  # short: sorted sooner
+    order = np.argsort(key, kind="stable")
+    starts = np.concatenate([[0], 1 + np.flatnonzero(np.diff(key[order])), [len(faces)]])
+    return CellMesh(*_by_cell(vertices_mm, faces[order], starts))
+
+
+def whole_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
+    """The mesh as one cell: cutting it pays only where it comes again."""
+    first = np.array([[0, 0], [len(vertices_mm), len(faces)]], dtype=np.int32)
+    return CellMesh(vertices_mm, faces, first, np.array([[0.0, 0.0, 0.0, np.inf]]))
+
 
 @njit(cache=True, nogil=True)
-def to_window(
+def _by_cell(
+    vertices_mm: Float64, faces: Int32, starts: NDArray[np.int64]
+) -> tuple[Float64, Int32, Int32, Float64]:
+    """The fields of a ``CellMesh`` whose cells begin at the faces ``starts`` (the last ends)."""
+    n_cells = starts.shape[0] - 1
+    cell_of, place_of = np.full(len(vertices_mm), -1), np.empty(len(vertices_mm), np.int32)
+    vertices, own = np.empty((3 * len(faces), 3)), np.empty(faces.shape, np.int32)
+    first, spheres = np.zeros((n_cells + 1, 2), np.int32), np.empty((n_cells, 4))
+    count = 0
+    for cell in range(n_cells):
+        for i in range(starts[cell], starts[cell + 1]):
+            for j in range(3):
+                corner = faces[i, j]
+                if cell_of[corner] != cell:
+                    cell_of[corner], place_of[corner] = cell, count
+                    vertices[count] = vertices_mm[corner]
+                    count += 1
+                own[i, j] = place_of[corner]
+        first[cell + 1, 0], first[cell + 1, 1] = count, starts[cell + 1]
+        part = vertices[first[cell, 0] : count]
+        for axis in range(3):
+            spheres[cell, axis] = (part[:, axis].min() + part[:, axis].max()) / 2
+        offsets = part - spheres[cell, :3]
+        spheres[cell, 3] = math.sqrt((offsets * offsets).sum(axis=1).max())
+    return vertices[:count].copy(), own, first, spheres
+
+
+@njit(cache=True, nogil=True)
+def faces_over(
     vertices_mm: Float64,
+    faces: Int32,
+    first: Int32,
+    spheres_mm: Float64,
     pose_gel_object: Float64,
     mm_per_px: float,
     shape_px: tuple[int, int],
-    columns: Float64,
-    rows: Float64,
-    heights_mm: Float64,
-) -> None:
-    """Pose the vertices: fractional column and row (0 at the first pixel's centre), z in mm.
+    posed: Float64,
+    found: Int32,
+) -> int:
+    """Pose a ``CellMesh``; write the faces whose bounding rectangle holds a pixel's centre.
+
+    ``posed`` (3, n) are the fractional column and row (0 at the first pixel's centre) and z in mm
+    of the vertices, but for those of cells beside the window; returns the number of faces found.
 
     The translation along z is left out: the indentation does not depend on it, and without it not
     even the last bit does.
@@ -33,31 +99,36 @@ def to_window(
     per_px = 1.0 / mm_per_px
     half_row = 0.5 * shape_px[0] - 0.5
     half_column = 0.5 * shape_px[1] - 0.5
-    for i in range(vertices_mm.shape[0]):
-        x, y, z = vertices_mm[i, 0], vertices_mm[i, 1], vertices_mm[i, 2]
-        columns[i] = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) * per_px + half_column
-        rows[i] = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) * per_px + half_row
-        heights_mm[i] = t[2, 0] * x + t[2, 1] * y + t[2, 2] * z
-
-
-@njit(cache=True, nogil=True)
-def faces_over(
-    columns: Float64, rows: Float64, faces: Int32, shape_px: tuple[int, int], found: Int32
-) -> int:
-    """Write the faces whose bounding rectangle holds a pixel's centre; returns their number."""
+    columns, rows, heights_mm = posed[0], posed[1], posed[2]
+    across = math.sqrt(t[0, 0] ** 2 + t[0, 1] ** 2 + t[0, 2] ** 2) * per_px
+    down = math.sqrt(t[1, 0] ** 2 + t[1, 1] ** 2 + t[1, 2] ** 2) * per_px
     count = 0
-    for i in range(faces.shape[0]):
-        a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
-        ya, yb, yc = rows[a], rows[b], rows[c]
-        low, high = max(0.0, min(ya, yb, yc)), min(shape_px[0] - 1.0, max(ya, yb, yc))
-        if low > high or math.ceil(low) > high:
+    for cell in range(spheres_mm.shape[0]):
+        x, y, z, radius = spheres_mm[cell]
+        column = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) * per_px
+        row = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) * per_px
+        # Half a pixel more than the pixels' centres reach, for rounding.
+        if abs(column) > half_column + 0.5 + across * radius:
             continue
-        xa, xb, xc = columns[a], columns[b], columns[c]
-        low, high = max(0.0, min(xa, xb, xc)), min(shape_px[1] - 1.0, max(xa, xb, xc))
-        if low > high or math.ceil(low) > high:
+        if abs(row) > half_row + 0.5 + down * radius:
             continue
-        found[count, 0], found[count, 1], found[count, 2] = a, b, c
-        count += 1
+        for i in range(first[cell, 0], first[cell + 1, 0]):
+            x, y, z = vertices_mm[i, 0], vertices_mm[i, 1], vertices_mm[i, 2]
+            columns[i] = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) * per_px + half_column
+            rows[i] = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) * per_px + half_row
+            heights_mm[i] = t[2, 0] * x + t[2, 1] * y + t[2, 2] * z
+        for i in range(first[cell, 1], first[cell + 1, 1]):
+            a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
+            ya, yb, yc = rows[a], rows[b], rows[c]
+            low, high = max(0.0, min(ya, yb, yc)), min(shape_px[0] - 1.0, max(ya, yb, yc))
+            if low > high or math.ceil(low) > high:
+                continue
+            xa, xb, xc = columns[a], columns[b], columns[c]
+            low, high = max(0.0, min(xa, xb, xc)), min(shape_px[1] - 1.0, max(xa, xb, xc))
+            if low > high or math.ceil(low) > high:
+                continue
+            found[count, 0], found[count, 1], found[count, 2] = a, b, c
+            count += 1
     return count
 
 

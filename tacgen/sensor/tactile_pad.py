@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap, checked_mesh
+from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
@@ -109,7 +109,7 @@ class Indenter:
 
         The law V = k_n F makes the gel an elastic foundation, F = ∫ depth/k_n dA.
         """
-        imprint = self.indent(*checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object), load)
+        imprint = self.indent(mesh, pose_gel_object, load)
         points_mm, depth_mm, _ = self.sampled(imprint)
         share = depth_mm.astype(np.float64)
         return ContactPatch(points_mm, share / max(share.sum(), 1e-12))
@@ -131,20 +131,16 @@ class Indenter:
         area_mm2 = self.sensor.pixel_area_mm2 * every**2
         return np.stack([x_mm, y_mm], axis=1), depth_mm[rows, columns], area_mm2
 
-    def indent(
-        self,
-        vertices_mm: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        pose: NDArray[np.float64],
-        load: GelLoad,
-    ) -> Imprint:
-        """The imprint of a checked mesh at a pose, without its motion by shear."""
+    def indent(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
+        """The imprint of an object at a pose, without its motion by shear."""
         sensor = self.sensor
         deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
         grain_mm3 = GAP_GRAIN_MM * sensor.pixel_area_mm2
         reach_mm = self._reach_mm
         while True:
-            gap = self._mapper.measure(vertices_mm, faces, pose, reach_mm=reach_mm)
+            gap = self._mapper.measure(
+                mesh.vertices_mm, mesh.faces, pose_gel_object, reach_mm=reach_mm
+            )
             delta = 0.0
             if gap.touches and load.volume_mm3 is not None:
                 delta = solve_grains(gap.grains, load.volume_mm3 / grain_mm3, deepest)
@@ -208,15 +204,15 @@ class TactilePad:
         Where along z the object stands does not matter: it is taken to first touch, and from
         there pressed in until the gel has lost the load's volume, or to the load's depth.
         """
-        vertices_mm, faces, pose = checked_mesh(mesh.vertices_mm, mesh.faces, pose_gel_object)
-        imprint = self.indenter.indent(vertices_mm, faces, pose, load)
+        imprint = self.indenter.indent(mesh, pose_gel_object, load)
         shear = np.asarray(load.shear_sum_mm, dtype=np.float64)
         moves = bool(np.any(shear)) or load.turn_sum_mm2 != 0.0
         if imprint.indentation_mm <= 0 or not (moves or self._markers_drawn):
             return imprint
         motion = self._field(imprint).motion(shear, load.turn_sum_mm2)
         if moves:
-            imprint = self.indenter.indent(vertices_mm, faces, motion.moved(pose), load)
+            pose = np.asarray(pose_gel_object, dtype=np.float64)
+            imprint = self.indenter.indent(mesh, motion.moved(pose), load)
         markers = self._field(imprint) if self._markers_drawn and imprint.depth_mm.size else None
         return replace(imprint, motion=motion, markers=markers)
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen.contact import gap_map, gel_map_mm
-from tacgen.contact.gap import GapMapper
+from tacgen.contact.gap import CUT_AFTER, GapMapper
 from tacgen.contact.gel import pixel_centers_mm
 from tacgen.core.errors import ContactError
-from tacgen.core.records import Sensor
+from tacgen.core.records import Sensor, frozen_array
 
 FLAT = Sensor("flat", 120, 160, 0.1, 4.0)
 DOMED = Sensor("domed", 120, 160, 0.1, 4.0, dome_radius_mm=30.0)
@@ -142,6 +142,27 @@ def test_leaving_out_what_is_out_of_reach_changes_nothing_within_it(seed, reach_
     assert (limited >= everything).all()
 
 
+def test_a_mesh_that_comes_again_is_cut_into_cells_and_has_the_same_gap():
+    """Also where most of it, or all, is beside the window, and some triangles are as long as it."""
+    spread = trimesh.creation.icosphere(subdivisions=4, radius=12.0)
+    slab = trimesh.creation.box((40.0, 3.0, 3.0))
+    mesh = mesh_of(trimesh.util.concatenate([spread, slab]))
+    vertices, faces = frozen_array(mesh[0]), frozen_array(mesh[1], np.int32)
+    mapper = GapMapper(DOMED)
+    for _ in range(CUT_AFTER):
+        mapper.measure(vertices, faces, np.eye(4))
+    rng = np.random.default_rng(4)
+    for distance_mm in (0.0, 5.0, 15.0, 19.0, 26.0, 90.0):
+        rotation = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+        pose = pose_at(distance_mm, -0.6 * distance_mm, 9.0, rotation)
+        again = mapper.measure(vertices, faces, pose, reach_mm=2.0)
+        first = GapMapper(DOMED).measure(vertices, faces, pose, reach_mm=2.0)
+        assert again.window == first.window
+        assert again.first_touch_mm == first.first_touch_mm
+        np.testing.assert_array_equal(again.grains, first.grains)
+    assert not again.touches
+
+
 def test_bad_meshes_are_refused_with_everything_that_is_wrong():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]])
     with pytest.raises(ContactError, match=r"(?s)finite.*corners 0 to 7.*pose"):
@@ -156,7 +177,7 @@ PYRENDER = """
 import sys, numpy as np, trimesh
 from tacgen.contact import gap_map
 from tacgen.core.errors import ContactError
-from tacgen.core.records import Sensor
+from tacgen.core.records import Sensor, frozen_array
 shape = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
 pose = np.eye(4); pose[:3, 3] = 0.31, -0.47, 7.5
 try:
