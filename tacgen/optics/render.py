@@ -347,6 +347,5 @@ class Renderer:
         before, spans = self._deformed, shade.whole_spans(self._deformed)
         now = shade.whole_spans(window)
         shade.restore(self._height_mm, self._rest_mm, before, spans, window, now)
-        area = np.s_[window[0] : window[1], window[2] : window[3]]
-        np.subtract(self._rest_mm[area], deformation_mm, out=self._height_mm[area])
+        shade.lower(self._rest_mm, deformation_mm, window, self._height_mm)
         self._deformed = window

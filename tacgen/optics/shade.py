@@ -265,6 +265,22 @@ def restore(
 
 
 @njit(cache=True, nogil=True)
+def lower(
+    rest_mm: NDArray[Any], deformation_mm: NDArray[Any], window: Window, height_mm: NDArray[Any]
+) -> None:
+    """Set ``window`` of ``height_mm`` (H, W) a ``deformation_mm`` (h, w) below the gel at rest."""
+    top, bottom, left, right = window
+    for r in range(top, bottom):
+        rest, deeper, out = (
+            rest_mm[r, left:right],
+            deformation_mm[r - top],
+            height_mm[r, left:right],
+        )
+        for k in range(out.shape[0]):
+            out[k] = rest[k] - deeper[k]
+
+
+@njit(cache=True, nogil=True)
 def shade_window(
     height_mm: NDArray[Any],
     window: Window,

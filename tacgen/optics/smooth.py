@@ -190,7 +190,7 @@ class Gaussian:
     """One Gaussian; a wide one is computed on means of blocks of pixels smaller than σ."""
 
     def __init__(self, sigma_px: float) -> None:
-        self.factor = COARSEST if sigma_px >= 7.5 else 2 if sigma_px >= 3.0 else 1
+        self.factor = COARSEST if sigma_px >= 7.5 else 2 if sigma_px >= 1.9 else 1
         variance = (sigma_px / self.factor) ** 2
         if self.factor > 1:
             # What taking means of blocks, and interpolating between them, smooths already.
