@@ -209,8 +209,9 @@ class _Grasp:
     def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
         axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
         contacts = object_contacts(snapshot.contacts, self.body.body)
+        along_n, own = contacts.force_n @ axis, contacts.body == self.robot.body
         return {
-            pad: abs(float((contacts.of(self.robot.body, link).force_n @ axis).sum()))
+            pad: abs(float(along_n[own & (contacts.link == link)].sum()))
             for pad, link in self.robot.fingers.links.items()
         }
 
