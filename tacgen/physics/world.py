@@ -148,6 +148,7 @@ class World:
             msg = "PyBullet accepts no further client in this process; close other simulators first"
             raise PhysicsError(msg)
         self._folder = tempfile.TemporaryDirectory(prefix="tacgen-physics-")
+        self._shapes: dict[str, dict[str, Any]] = {}
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -198,21 +199,27 @@ class World:
         """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.
 
         A ball is a sphere: on its facets the pads would press past each other and turn it.
-        It goes through a file, written once, because ``createCollisionShape(vertices=…)`` takes one
+        A hull goes through a file because ``createCollisionShape(vertices=…)`` takes one
         hull only. The margin around such hulls can be taken off a body's base, not off its links.
         """
-        create = self.bullet.createCollisionShape
-        if len(parts) == 1 and (ball := ball_of(parts[0])):
-            center_m, radius_m = (ball[0] * M_PER_MM).tolist(), ball[1] * M_PER_MM
-            return int(create(self.bullet.GEOM_SPHERE, radius_m, collisionFramePosition=center_m))
         digest = hashlib.sha256(bytes([enclosing]))
         for part in parts:
             digest.update(part.vertices_mm.tobytes() + part.faces.tobytes())
-        path = Path(self._folder.name) / f"{digest.hexdigest()[:32]}.obj"
-        if not path.exists():
-            text = _wavefront([_hull_around(parts)] if enclosing else parts)
-            path.write_text(text, encoding="ascii")
-        return int(create(self.bullet.GEOM_MESH, fileName=str(path)))
+        key = digest.hexdigest()[:32]
+        if key not in self._shapes:
+            self._shapes[key] = self._shape(parts, Path(self._folder.name) / key, enclosing)
+        return int(self.bullet.createCollisionShape(**self._shapes[key]))
+
+    def _shape(self, parts: Sequence[Mesh], path: Path, enclosing: bool) -> dict[str, Any]:
+        """Arguments of ``createCollisionShape``."""
+        if len(parts) == 1 and (ball := ball_of(parts[0])):
+            center_m, radius_m = (ball[0] * M_PER_MM).tolist(), ball[1] * M_PER_MM
+            sphere = self.bullet.GEOM_SPHERE
+            return {"shapeType": sphere, "radius": radius_m, "collisionFramePosition": center_m}
+        path = path.with_suffix(".obj")
+        text = _wavefront([_hull_around(parts)] if enclosing else parts)
+        path.write_text(text, encoding="ascii")
+        return {"shapeType": self.bullet.GEOM_MESH, "fileName": str(path)}
 
     def collide(self, body: int, link: int, what: Collides) -> None:
         """Let a link touch only what shares a flag with it."""
