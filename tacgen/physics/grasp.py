@@ -38,8 +38,8 @@ from tacgen.physics.margins import (
     TorsionLimit,
     dome_patch,
     slip_margin,
-    torsion_arm_mm,
     torsion_factor,
+    torsion_limit,
 )
 from tacgen.physics.recorder import Recorder, frame_end_steps
 from tacgen.physics.settings import (
@@ -208,10 +208,11 @@ class _Grasp:
 
     def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
         axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
-        contacts = object_contacts(snapshot.contacts, self.body.body)
-        along_n, own = contacts.force_n @ axis, contacts.body == self.robot.body
+        own = [contact for contact in snapshot.contacts if self.robot.body in contact[1:3]]
+        contacts = object_contacts(own, self.body.body)
+        along_n = contacts.force_n @ axis
         return {
-            pad: abs(float(along_n[own & (contacts.link == link)].sum()))
+            pad: abs(float(along_n[contacts.link == link].sum()))
             for pad, link in self.robot.fingers.links.items()
         }
 
@@ -233,8 +234,8 @@ class _Grasp:
         if declared_mm is not None:
             return lambda share: declared_mm * factor * torsion_factor(share)
         patch = self._flat_face(load) if self.patch_of is None else self.patch_of(load)
-        friction = self.obj.friction * factor
-        return lambda share: friction * torsion_arm_mm(patch, share)
+        friction, arm_mm = self.obj.friction * factor, torsion_limit(patch)
+        return lambda share: friction * arm_mm(share)
 
     def _flat_face(self, load: ContactFrame) -> ContactPatch:
         return dome_patch(

@@ -68,22 +68,33 @@ def dome_patch(force_n: float, *, dome_radius_mm: float, k_n_mm3_per_n: float) -
 
 
 def torsion_arm_mm(patch: ContactPatch, friction_share: float = 0.0) -> float:
+    """``torsion_limit`` of a patch at one share of its friction, mm."""
+    return torsion_limit(patch)(friction_share)
+
+
+def torsion_limit(patch: ContactPatch) -> TorsionLimit:
     """Largest moment of a sliding patch about its normal, over friction times normal force, mm.
 
-    ``friction_share`` of its friction holds a force along the gel's y. Of all centres of rotation c
-    on the x axis through the centre of pressure the least bound is the limit: E|r − c| − share |c|
-    by the pressure's mean E. Without a force it is the mean distance of the pressure from its
-    centre: 8/15 a of ``dome_patch``, 2/3 a of a uniform pressure.
+    A share of its friction holds a force along the gel's y. Of all centres of rotation c on the x
+    axis through the centre of pressure the least bound is the limit: E|r − c| − share |c| by the
+    pressure's mean E. Without a force it is the mean distance of the pressure from its centre:
+    8/15 a of ``dome_patch``, 2/3 a of a uniform pressure.
 
     Source: Goyal, Ruina & Papadopoulos 1991, Planar sliding with dry friction 1.
     """
-    if len(patch.share) == 0 or friction_share >= 1:
-        return 0.0
+    if len(patch.share) == 0:
+        return lambda _: 0.0
     arms_mm = patch.points_mm - patch.share @ patch.points_mm
     mean_mm = _mean_distances(arms_mm, patch.share, np.zeros(1))
     levers = mean_mm * np.concatenate([-ROTATION_CENTERS, ROTATION_CENTERS])
     distances = _mean_distances(arms_mm, patch.share, levers)
-    return max(0.0, float(np.min(distances - friction_share * np.abs(levers))))
+
+    def limit_mm(friction_share: float) -> float:
+        if friction_share >= 1:
+            return 0.0
+        return max(0.0, float(np.min(distances - friction_share * np.abs(levers))))
+
+    return limit_mm
 
 
 @njit(cache=True, nogil=True)
