@@ -49,6 +49,14 @@ def _tau_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, f
     return max(4.0 * history.sample_period_s, 0.02 * duration_s), 5.0 * duration_s
 
 
+def _amount_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+    """A passive gel yields further under a load, at every τ; terms of both signs are a delay.
+
+    Source: Ferry 1980, ch. 3: no retardation spectrum is negative.
+    """
+    return 0.0, 10.0
+
+
 def _references(history: base.LoadHistory) -> dict[str, float]:
     return {"shortest_s": history.sample_period_s, "longest_s": 5.0 * history.trial_duration_s}
 
@@ -86,8 +94,8 @@ for _channel in base.CHANNELS:
             stage="memory",
             about="the gel goes on yielding under a held load",
             parameters=(
-                base.amount("amount", -0.9, 10.0),
-                base.amount("amount_2", -0.9, 10.0),
+                base.amount("amount", -0.9, 10.0, bounds=_amount_bounds),
+                base.amount("amount_2", -0.9, 10.0, bounds=_amount_bounds),
                 base.shape("tau_s", 1e-3, 1e5, 1.0, "s", _tau_bounds),
                 base.shape("tau_2_s", 1e-3, 1e5, 10.0, "s", _tau_bounds),
                 base.shape("recovery", 0.0, 1.0, 1.0),

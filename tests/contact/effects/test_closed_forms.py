@@ -55,6 +55,21 @@ def test_creep_under_a_ramp_is_the_convolution_integral():
     np.testing.assert_allclose(creeping, 2.0 * (2.0 * time + 0.3 * integral), rtol=1e-12)
 
 
+@pytest.mark.parametrize("channel", ["normal", "shear"])
+def test_creep_as_it_is_fitted_never_goes_back_under_a_held_load(channel):
+    """Terms of both signs and nearly one τ would be a delay instead."""
+    history = history_of(np.ones(60), np.linspace(0.0, 12.0, 60))
+    effect, rng = find_effect(channel, "creep"), np.random.default_rng(0)
+    values = effect.complete(effect.references(history))
+    free = {name for form in effect.variants(history, values) for name in form.free}
+    assert {"amount", "amount_2"} <= free
+    for _ in range(20):
+        ends = {name: effect.parameter(name).bounds_on(history, values) for name in free}
+        drawn = {name: rng.uniform(low, high) for name, (low, high) in ends.items()}
+        crept = effect.apply(np.ones((60, 1)), history, values | drawn)
+        assert np.all(np.diff(crept[:, 0]) >= -1e-12)
+
+
 def test_creep_is_superposed_and_recovers_after_unloading():
     time = np.linspace(0.0, 40.0, 4001)
     pulse = ((time >= 5.0) & (time < 15.0)).astype(float)
