@@ -81,13 +81,11 @@ def dependences(
             blocks[name] = np.stack([data.reduce(f) for f in functions], axis=1)
     if not blocks:
         return ()
-    ones = data.reduce(np.ones_like(data.target))[:, None]
     # Corrections stay as fitted: between the halves, their similar columns are nearly singular.
     own = replace(fit, jacobian=fit.jacobian[:, ~fit.prior[:, :-1].any(axis=0)])
-    grams, groups, base = scores.fit_grams(data, own, [*blocks.values(), ones])
-    *groups, (constant,) = groups
+    grams, (*groups, ones), base = scores.fit_grams(data, own, [*blocks.values(), data.ones])
     shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
-    p_values, _ = scores.shuffle_p_values(grams, base, groups, shuffled, constant, rules)
+    p_values, _ = scores.shuffle_p_values(grams, base, groups, shuffled, ones, rules)
     p_values = np.minimum(p_values * len(groups), 1.0)
     sets = [base, *([*base, *group] for group in groups)]
     without, *losses = scores.cv_losses(grams, data.folds(), sets, rules).sum(axis=1)

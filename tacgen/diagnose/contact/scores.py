@@ -31,6 +31,11 @@ def unit_grams(
     size = columns.shape[1]
     shaped = columns.reshape(-1, data.n_outputs, size)
     bounds = np.searchsorted(data.pair_unit, np.arange(data.n_units + 1))
+    if between_halves and 2 * data.n_units > data.pair_unit.size:
+        # Units of a row or two: one by one they would take most of the time.
+        products = np.einsum("mcp,mcq->mpq", *(shaped[rows] for rows in data.pairs))
+        sums = np.add.reduceat(products, bounds[:-1], axis=0)
+        return np.asarray(0.5 * (sums + sums.transpose(0, 2, 1)))
     grams = np.empty((data.n_units, size, size))
     for gram, (i, j) in zip(grams, pairwise(bounds), strict=True):
         a, b = (shaped[rows[i:j]].reshape(-1, size) for rows in data.pairs)
@@ -166,7 +171,7 @@ def shuffle_p_values(
     base: Sequence[int],
     groups: Sequence[Sequence[int]],
     shuffled: Shuffles,
-    ones: int,
+    ones: Sequence[int],
     rules: SelectionRules,
     names: Sequence[str] | None = None,
 ) -> tuple[FloatArray, BoolArray]:
@@ -179,7 +184,8 @@ def shuffle_p_values(
     residual. Two kinds of null are used. Where the columns are, within each trial, a constant times
     the response (or a constant), what counts is one number a trial, and those numbers are permuted.
     Otherwise each unit's score is given a random sign, which holds whatever the correlations within
-    the unit. ``base[0]`` is the column of the compliance, ``ones`` that of a constant.
+    the unit. ``base[0]`` is the column of the compliance, ``ones`` those of a constant along each
+    axis.
     """
     total = grams.sum(axis=0)
     base = list(base)
@@ -189,14 +195,13 @@ def shuffle_p_values(
     trial_grams, trial_left = (np.add.reduceat(sums, bounds, axis=0) for sums in (grams, left))
     neg_log_p = np.empty((len(groups), shuffled.signs.shape[0]))
     of_trials = np.zeros(len(groups), dtype=bool)
+    onto_base = np.linalg.lstsq(total[np.ix_(base, base)], total[base], rcond=1e-10)[0]
     for number, group in enumerate(groups):
         columns = list(group)
-        projection = np.linalg.lstsq(
-            total[np.ix_(base, base)], total[np.ix_(base, columns)], rcond=1e-10
-        )[0]
-        shape = _shape_within_trials(trial_grams, base[0], ones, columns, rules)
-        of_trials[number] = shape is not None
-        if shape is None:
+        projection = onto_base[:, columns]
+        shapes = _shapes_within_trials(trial_grams, ([base[0]], ones), columns, rules)
+        of_trials[number] = bool(shapes)
+        if not shapes:
             scores, more = (
                 part[:, columns] - part[:, base] @ projection for part in (left, absorbed)
             )
@@ -207,17 +212,21 @@ def shuffle_p_values(
             sums = shuffled.signs @ scores
             sums[0] /= np.sqrt(growth)
         else:
-            information = trial_information(trial_grams, shape)
-            deviation = trial_deviation(trial_left[:, shape], information)
-            own = (information / deviation)[:, None]
-            across = trial_grams[:, shape, columns] - trial_grams[:, shape, base] @ projection
-            per_trial, across = (
-                orthogonal(numbers / deviation[:, None], own)
-                for numbers in (trial_left[:, [shape]], across)
-            )
-            per_trial = per_trial[:, 0] / (per_trial.std() + 1e-300)
-            covariance = across.T @ across
-            sums = per_trial[shuffled.orders] @ across
+            covariance, sums = np.zeros((len(columns), len(columns))), np.zeros(1)
+            for shape in shapes:
+                information = trial_information(trial_grams, shape)
+                deviation = trial_deviation(trial_left[:, shape], information)[:, None]
+                beside = trial_grams[:, shape] - trial_grams[:, shape, base] @ onto_base
+                # What is the same in all trials has no order: nor has a constant beside the base.
+                alike = information[:, None]
+                if shape not in base:
+                    alike = np.column_stack([alike, beside[:, list(shapes)]])
+                alike = alike / deviation
+                per_trial = orthogonal(trial_left[:, [shape]] / deviation, alike)[:, 0]
+                per_trial = per_trial / (per_trial.std() + 1e-300)
+                across = orthogonal(beside[:, columns] / deviation, alike)
+                covariance = covariance + across.T @ across
+                sums = sums + per_trial[shuffled.orders] @ across
         size = np.sqrt(np.diag(covariance)) + 1e-150
         scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
         sums = sums / size
@@ -251,23 +260,26 @@ def _leverage_products(grams: FloatArray, left: FloatArray, base: Sequence[int])
     return np.asarray((grams[:, :, base] @ share[:, :, None])[:, :, 0])
 
 
-def _shape_within_trials(
-    grams: FloatArray, compliance: int, ones: int, columns: Sequence[int], rules: SelectionRules
-) -> int | None:
-    """The column that all of ``columns`` are proportional to within each trial, if any is.
+def _shapes_within_trials(
+    grams: FloatArray,
+    shapes: Sequence[Sequence[int]],
+    columns: Sequence[int],
+    rules: SelectionRules,
+) -> Sequence[int]:
+    """Which of the ``shapes`` (sums of columns) all of ``columns`` are within each trial, if any.
 
     None also where the factor is the same in all trials, as a constant offset's: it has no order
     that could be permuted.
     """
     own = grams[:, columns, columns].sum()
-    for shape in (compliance, ones):
-        information = trial_information(grams, shape)
-        products = grams[:, shape, columns]
-        explained = (products**2 / information[:, None]).sum()
+    for shape in shapes:
+        information = np.stack([trial_information(grams, one) for one in shape], axis=1)
+        products = grams[:, shape][:, :, columns]
+        explained = (products**2 / information[:, :, None]).sum()
         if explained > rules.one_number_a_trial_share * own:
-            common = (products.sum(axis=0) ** 2 / information.sum()).sum()
-            return shape if common < rules.one_number_a_trial_share * explained else None
-    return None
+            common = (products.sum(axis=0) ** 2 / information.sum(axis=0)[:, None]).sum()
+            return shape if common < rules.one_number_a_trial_share * explained else ()
+    return ()
 
 
 def trial_deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
@@ -285,8 +297,8 @@ def trial_deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
 
 
 def orthogonal(columns: FloatArray, to: FloatArray) -> FloatArray:
-    """``columns`` (T, M) less their share along ``to`` (T, 1); 0 where nothing else is in one."""
-    across = columns - to @ (to.T @ columns) / (to.T @ to)
+    """``columns`` (T, M) less their share along ``to`` (T, K); 0 where nothing else is in one."""
+    across = columns - to @ np.linalg.lstsq(to, columns, rcond=1e-10)[0]
     is_more = np.linalg.norm(across, axis=0) > 1e-6 * np.linalg.norm(columns, axis=0)
     return np.asarray(across * is_more)
 

@@ -65,7 +65,7 @@ def test_shuffles_keep_their_level_and_see_a_bend():
 
     def p_value(bend):
         _, grams, _ = grams_of(log(rng, bend=bend))
-        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, 2, RULES)[0][0]
+        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES)[0][0]
 
     null = np.array([p_value(0.0) for _ in range(150)])
     assert 0.0 <= np.mean(null < 0.1) < 0.2
@@ -81,7 +81,7 @@ def test_a_constant_that_is_added_in_every_trial_has_the_p_of_sign_flips():
         columns["volume_mm3"] += offset
         _, grams, _ = grams_of(columns)
         shuffled = scores.shuffles(np.arange(N_TRIALS), 499, rng)
-        (p_value,), (of_trials,) = scores.shuffle_p_values(grams, [0], [[2]], shuffled, 2, RULES)
+        (p_value,), (of_trials,) = scores.shuffle_p_values(grams, [0], [[2]], shuffled, [2], RULES)
         assert not of_trials
         p_values.append(p_value)
     # Of 40 uniform values 2 are below 0.05 in the mean; more than 7 have a chance of 0.1 %.
@@ -101,9 +101,36 @@ def test_permutations_keep_their_level_where_trials_differ():
         left = 0.05 * rng.normal(size=n_trials) * load + 0.01 * rng.normal(size=n_trials)
         columns = np.stack([load, condition * load, np.ones(n_trials), left], axis=1)
         grams = columns[:, :, None] * columns[:, None, :]
-        p_values.append(scores.shuffle_p_values(grams, [0], [[1]], shuffled, 2, RULES)[0][0])
+        p_values.append(scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES)[0][0])
     # Two standard deviations of 400 draws at 0.1 are 0.03.
     assert np.mean(np.array(p_values) < 0.1) == pytest.approx(0.1, abs=0.03)
+
+
+def test_an_offset_of_both_axes_is_no_difference_between_the_levels_of_a_column():
+    """Constants for each level hold an offset; what differs from level to level has an order."""
+    rng = np.random.default_rng(15)
+    n_trials, n_rows = 32, 20
+    shuffled = scores.shuffles(np.arange(n_trials), 199, rng)
+
+    def p_value(difference):
+        level = rng.permutation(np.arange(n_trials) % 2)[:, None, None]
+        angle = rng.uniform(0.0, 2.0 * np.pi, (n_trials, 1))
+        size = rng.uniform(2.0, 8.0, (n_trials, 1)) * np.linspace(0.0, 1.0, n_rows)
+        force = np.stack([size * np.cos(angle), size * np.sin(angle)], axis=2)
+        axes = np.broadcast_to(np.eye(2), (n_trials, n_rows, 2, 2))
+        left = 0.4 + difference * level + 0.3 * rng.normal(size=force.shape)
+        columns = [force[..., None], axes * level[..., None], axes * (1 - level)[..., None], axes]
+        design = np.concatenate([*columns, left[..., None]], axis=3).reshape(n_trials, -1, 8)
+        grams = np.einsum("urp,urq->upq", design, design)
+        groups = [[1, 2, 3, 4]]
+        (p,), (of_trials,) = scores.shuffle_p_values(grams, [0], groups, shuffled, [5, 6], RULES)
+        assert of_trials
+        return p
+
+    null = np.array([p_value(0.0) for _ in range(150)])
+    # Three standard deviations of 150 draws at 0.1 are 0.07.
+    assert np.mean(null < 0.1) <= 0.17
+    assert p_value(0.4) < 0.01
 
 
 def p_values_of_forms(rng, shuffled, n_forms, names):
@@ -115,7 +142,7 @@ def p_values_of_forms(rng, shuffled, n_forms, names):
     design = np.concatenate([shape, forms, np.ones_like(shape), left], axis=2)
     grams = np.einsum("urp,urq->upq", design, design)
     groups = [[1 + form] for form in range(n_forms)]
-    ones = n_forms + 1
+    ones = [n_forms + 1]
     return scores.shuffle_p_values(grams, [0], groups, shuffled, ones, RULES, names)[0]
 
 
@@ -143,7 +170,7 @@ def test_a_trial_of_one_row_changes_no_p():
         parts = [force, number * force, np.ones_like(force), data.target - 4.0 * force]
         grams = scores.unit_grams(data, np.column_stack([data.reduce(part) for part in parts]))
         shuffled = scores.shuffles(data.unit_trial, 99, np.random.default_rng(0))
-        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, 2, RULES)[0]
+        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES)[0]
 
     np.testing.assert_allclose(p_values(with_short), p_values(columns))
 
