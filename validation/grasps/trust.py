@@ -34,12 +34,12 @@ from tacgen.diagnose.grasps.result import diagnose_labels
 from tacgen.objects import load_object
 
 SETS: tuple[tuple[tuple[str, ...], int], ...] = (
-    (("sugar_box",), 31),
-    (("tomato_soup_can",), 32),
-    (("rubiks_cube",), 34),
-    (("sugar_box", "mustard_bottle"), 36),
-    (("mustard_bottle",), 33),
-    (("flat_screwdriver",), 35),
+    (("sugar_box",), 51),
+    (("tomato_soup_can",), 52),
+    (("rubiks_cube",), 54),
+    (("sugar_box", "mustard_bottle"), 56),
+    (("mustard_bottle",), 53),
+    (("flat_screwdriver",), 55),
 )
 """Objects and seed of each set of configurations; what is an object's is wrong in the first."""
 N_GRASPS = 60

@@ -93,10 +93,10 @@ class ChannelDiagnosis:
         error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
         if self.is_scored_otherwise:
             others = " and ".join(self.scored_effects).replace("_", " ") or "nothing"
-            finder = "without the held-out trials one finds"
+            finder = "the same search without the held-out trials finds"
             if self.n_test == 1:
-                finder = "the choices without one trial have in common"
-            error = f"{finder} {others}, and {error}"
+                finder = "the searches without one trial have in common"
+            error = f"{finder} {others}; there {error}"
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
             return f"{what} is sufficient: {before:.3g} {unit} on {held}, {floor_words}."

@@ -149,7 +149,7 @@ def test_errors_are_of_a_law_that_is_chosen_without_the_held_out_trials():
         "normal"
     ]
     assert "lacks creep: with it, the error" in other.sentence
-    assert "lacks creep: without the held-out trials one finds nothing, and the error" in (
+    assert "lacks creep: the same search without the held-out trials finds nothing; there" in (
         replace(other, scored_effects=()).sentence
     )
 
