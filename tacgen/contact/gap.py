@@ -35,8 +35,8 @@ FIRST_ROWS = 16
 """Every 16th row is rasterised first: its smallest gap shows which triangles are too far away to
 touch anywhere, whatever the shape of the mesh."""
 
-CUT_AFTER = 8
-"""Uses of a mesh before it is cut into cells: that takes as long as some 30 uses save."""
+CUT_AFTER = 30
+"""Uses of a mesh before it is cut into cells: that takes as long as about so many uses save."""
 
 DepthCamera = Callable[[Float64, Int32, Float64, Sensor], Float64]
 
@@ -166,8 +166,7 @@ class GapMapper:
                 self._posed = np.empty((3, len(self._mesh.vertices_mm)))
             return checked_pose(pose_gel_object)
         vertices, corners, pose = checked_mesh(*arrays, pose_gel_object)
-        fixed = not any(array.flags.writeable for array in arrays)
-        self._arrays, self._uses = arrays if fixed else (), 1
+        self._arrays, self._uses = arrays if all(map(_is_fixed, arrays)) else (), 1
         self._mesh = whole_mesh(vertices, corners)
         self._posed, self._faces = np.empty((3, len(vertices))), np.empty_like(corners)
         return pose
@@ -193,6 +192,12 @@ class GapMapper:
             max(first[3], rest[3]),
         )
         return rest, _smallest_gap(depth_mm, gel_mm, rest)
+
+
+def _is_fixed(array: object) -> bool:
+    """Whether nothing else can write to the array's memory, as ``frozen_array`` makes it."""
+    flags = array.flags if isinstance(array, np.ndarray) else None
+    return flags is not None and flags.owndata and not flags.writeable
 
 
 def gap_map(

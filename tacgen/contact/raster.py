@@ -15,11 +15,12 @@ Float64: TypeAlias = NDArray[np.float64]
 Int32: TypeAlias = NDArray[np.int32]
 
 CELL_MM = 4.0  # of a cut mesh: a fifth of a sensor's window, and some 50 faces
+MOST_CELLS = 1024  # along an axis: what lies over 4 m from the first vertex is in the last cell
 
 
 @dataclass(frozen=True, slots=True)
 class CellMesh:
-    """A mesh cut into cells with vertices of their own: a cell beside the window costs one look.
+    """A mesh cut into cells with vertices of their own: one beside the window is not looked into.
 
     ``vertices_mm`` (n, 3) and ``faces`` (m, 3) lie cell by cell; ``first`` (c + 1, 2) is the first
     vertex and face of each, ``spheres_mm`` (c, 4) the centre and radius of one around it.
@@ -33,7 +34,8 @@ class CellMesh:
 
 def cut_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
     """The mesh in cells of ``CELL_MM``; a face belongs to that of its first corner."""
-    cells = ((vertices_mm - vertices_mm.min(axis=0)) / CELL_MM).astype(np.int64)
+    cells = ((vertices_mm - vertices_mm.min(axis=0)) / CELL_MM).clip(max=MOST_CELLS - 1)
+    cells = cells.astype(np.int64)
     cell = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     key = cell.astype(np.min_scalar_type(cell.max()))[faces[:, 0]]  # short: sorted sooner
     order = np.argsort(key, kind="stable")
@@ -42,7 +44,7 @@ def cut_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
 
 
 def whole_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
-    """The mesh as one cell: cutting it pays only where it comes again."""
+    """The mesh as one cell: cutting it pays only where it is used often."""
     first = np.array([[0, 0], [len(vertices_mm), len(faces)]], dtype=np.int32)
     return CellMesh(vertices_mm, faces, first, np.array([[0.0, 0.0, 0.0, np.inf]]))
 

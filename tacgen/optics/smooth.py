@@ -187,7 +187,7 @@ def _refine(coarse: NDArray[Any], factor: int, window: Window, surface: NDArray[
 
 
 class Gaussian:
-    """One Gaussian; a wide one is computed on means of blocks of pixels smaller than σ."""
+    """One Gaussian; a wide one is computed on means of blocks of pixels, about σ wide."""
 
     def __init__(self, sigma_px: float) -> None:
         self.factor = COARSEST if sigma_px >= 7.5 else 2 if sigma_px >= 1.9 else 1

@@ -43,7 +43,7 @@ class Recorder:
 
     def advance(self, count: int) -> None:
         """Advance by ``count`` steps, taking the planned snapshots on the way."""
-        end = self.step + count
+        end = self.step + max(0, count)
         while self._planned and self._planned[-1] <= end:
             self._advance_to(self._planned.pop())
             self.snapshot()

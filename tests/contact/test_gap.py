@@ -142,7 +142,7 @@ def test_leaving_out_what_is_out_of_reach_changes_nothing_within_it(seed, reach_
     assert (limited >= everything).all()
 
 
-def test_a_mesh_that_comes_again_is_cut_into_cells_and_has_the_same_gap():
+def test_a_mesh_that_is_used_often_is_cut_into_cells_and_has_the_same_gap():
     """Also where most of it, or all, is beside the window, and some triangles are as long as it."""
     spread = trimesh.creation.icosphere(subdivisions=4, radius=12.0)
     slab = trimesh.creation.box((40.0, 3.0, 3.0))
@@ -151,6 +151,7 @@ def test_a_mesh_that_comes_again_is_cut_into_cells_and_has_the_same_gap():
     mapper = GapMapper(DOMED)
     for _ in range(CUT_AFTER):
         mapper.measure(vertices, faces, np.eye(4))
+    assert len(mapper._mesh.spheres_mm) > 100
     rng = np.random.default_rng(4)
     for distance_mm in (0.0, 5.0, 15.0, 19.0, 26.0, 90.0):
         rotation = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
@@ -161,6 +162,30 @@ def test_a_mesh_that_comes_again_is_cut_into_cells_and_has_the_same_gap():
         assert again.first_touch_mm == first.first_touch_mm
         np.testing.assert_array_equal(again.grains, first.grains)
     assert not again.touches
+
+
+def test_a_mesh_whose_memory_another_array_can_change_is_read_at_every_use():
+    vertices, faces = mesh_of(trimesh.creation.icosphere(subdivisions=1, radius=3.0))
+    view = vertices.view()
+    view.flags.writeable = False
+    faces = frozen_array(faces, np.int32)
+    mapper = GapMapper(FLAT)
+    for scale in (1.0, *[0.9] * (CUT_AFTER + 1)):
+        vertices *= scale
+        found = mapper.measure(view, faces, np.eye(4)).first_touch_mm
+        assert found == GapMapper(FLAT).measure(vertices.copy(), faces, np.eye(4)).first_touch_mm
+
+
+def test_a_corner_far_away_does_not_stop_a_mesh_from_being_cut():
+    vertices, faces = mesh_of(trimesh.creation.icosphere(subdivisions=3, radius=3.0))
+    vertices = frozen_array(np.vstack([vertices, [[1e7, 0.0, 0.0]]]))
+    faces = frozen_array(faces, np.int32)
+    mapper = GapMapper(FLAT)
+    touch_mm = {
+        mapper.measure(vertices, faces, np.eye(4)).first_touch_mm for _ in range(CUT_AFTER + 1)
+    }
+    assert len(touch_mm) == 1
+    assert len(mapper._mesh.spheres_mm) > 1
 
 
 def test_bad_meshes_are_refused_with_everything_that_is_wrong():
@@ -177,7 +202,7 @@ PYRENDER = """
 import sys, numpy as np, trimesh
 from tacgen.contact import gap_map
 from tacgen.core.errors import ContactError
-from tacgen.core.records import Sensor, frozen_array
+from tacgen.core.records import Sensor
 shape = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
 pose = np.eye(4); pose[:3, 3] = 0.31, -0.47, 7.5
 try:

@@ -36,6 +36,10 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
         template="contact_diagnosis.html",
         record=record,
         errors=plots.before_after(bars, "RMSE on held-out trials, % of the RMS signal"),
+        correcting={
+            name: {term.name: term.effect.free_amounts for term in found.final.model.terms}
+            for name, found in diagnosis.channels.items()
+        },
         residuals={
             name: _residual_figure(channels[name], found)
             for name, found in diagnosis.channels.items()

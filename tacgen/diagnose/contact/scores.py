@@ -31,11 +31,6 @@ def unit_grams(
     size = columns.shape[1]
     shaped = columns.reshape(-1, data.n_outputs, size)
     bounds = np.searchsorted(data.pair_unit, np.arange(data.n_units + 1))
-    if between_halves and 2 * data.n_units > data.pair_unit.size:
-        # Units of a row or two: one by one they would take most of the time.
-        products = np.einsum("mcp,mcq->mpq", *(shaped[rows] for rows in data.pairs))
-        sums = np.add.reduceat(products, bounds[:-1], axis=0)
-        return np.asarray(0.5 * (sums + sums.transpose(0, 2, 1)))
     grams = np.empty((data.n_units, size, size))
     for gram, (i, j) in zip(grams, pairwise(bounds), strict=True):
         a, b = (shaped[rows[i:j]].reshape(-1, size) for rows in data.pairs)

@@ -11,11 +11,9 @@ compete on the same terms, so that they are not taken for an effect.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, all_effects
 from tacgen.contact.effects.base import Parameters
@@ -133,7 +131,7 @@ class CandidateSets:
         self._confounded = cand.confounded(data, self.linear, self.effects, self._covariates)
         self._session_clock = session_clock
         self._oscillations: list[Covariate] = []
-        self._folds, self._rng = data.folds(), rng
+        self._folds = data.folds()
         self._shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._parts = [] if few else parts_of(data)
@@ -143,52 +141,28 @@ class CandidateSets:
         key = tuple(sorted(member.label for member in members))
         if key not in self._fits:
             fit = fit_model(self.data, start)
-            losses = self._heldout_losses(self.data, fit, self._folds)
-            if of_few := sorted(m.label for m in members if self._acts_in_few(m)):
-                # No other trial may predict it: as much is gained as within the trials.
-                (one,) = (m for m in members if m.label == of_few[0])
-                rest = self.without(FittedSet(members, fit, losses), one)
-                gain = self._part_losses(rest.fit) - self._part_losses(fit)
-                losses = min(losses, rest.unit_losses - gain, key=np.sum)
+            design = np.column_stack([fit.jacobian, fit.residual])
+            grams = scores.unit_grams(self.data, design)
+            plain, training = grams[:, -1, -1], None
+            if fit.prior.any():
+                # Many similar columns: between the halves they are nearly singular.
+                training = scores.unit_grams(self.data, design, between_halves=False)
+                prior = 0.5 * fit.prior.T @ fit.prior
+                training = np.concatenate([training, prior[None]])
+            columns = range(fit.jacobian.shape[1])
+            losses = self._cv_losses(grams, [columns], plain, training)[0]
             self._fits[key] = FittedSet(members, fit, losses)
         return replace(self._fits[key], members=members)
-
-    def _acts_in_few(self, one: Candidate) -> bool:
-        """Whether it is an effect that acts within trials, and in few of many."""
-        if self.data.few_trials or one.effect is None or one.is_local or one.effect.is_of_trials:
-            return False
-        return self.data.acts_in_few(one.columns)
-
-    def _heldout_losses(self, data: ChannelData, fit: Fit, folds: NDArray[np.int64]) -> FloatArray:
-        """Cross-validated losses (U,) around a fit; ``folds`` (U,) are of the units of ``data``."""
-        design = np.column_stack([fit.jacobian, fit.residual])
-        grams, training = scores.unit_grams(data, design), None
-        if fit.prior.any():
-            # Many similar columns: between the halves they are nearly singular.
-            training = scores.unit_grams(data, design, between_halves=False)
-            prior = 0.5 * fit.prior.T @ fit.prior
-            training = np.concatenate([training, prior[None]])
-        columns = range(fit.jacobian.shape[1])
-        (losses,) = self._cv_losses(grams, folds, [columns], grams[:, -1, -1], training)
-        return np.asarray(losses)
-
-    def _part_losses(self, fit: Fit) -> FloatArray:
-        """Losses (T,) of trials whose parts were held out in turn."""
-        data = self.data.by_parts
-        trial = np.unique(data.unit_trial, return_inverse=True)[1]
-        losses = self._heldout_losses(data, fit, data.alternate_folds())
-        return np.asarray(np.bincount(trial, losses), np.float64)
 
     def _cv_losses(
         self,
         grams: FloatArray,
-        folds: NDArray[np.int64],
         sets: Sequence[Sequence[int]],
         without: FloatArray,
         training: FloatArray | None = None,
     ) -> FloatArray:
         """Held-out losses (S, U) of sets of columns; of those that cannot be, ``without`` (U,)."""
-        losses = scores.cv_losses(grams, folds, sets, self.rules, training)
+        losses = scores.cv_losses(grams, self._folds, sets, self.rules, training)
         return scores.believable(losses, without, self.data.noise_loss, self.rules)
 
     def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
@@ -256,24 +230,9 @@ class CandidateSets:
         found = [one for one in found if all(self._fit_beside(one, m) for m in current.members)]
         grams, groups, base = self._grams(fit, found)
         sets = [[*base, *group] for group in groups]
-        losses = self._cv_losses(grams, self._folds, sets, current.unit_losses).sum(axis=1)
-        losses = np.minimum(losses, self._losses_by_parts(current, found))
+        losses = self._cv_losses(grams, sets, current.unit_losses).sum(axis=1)
         order = np.argsort(losses)
         return [(found[i], current.loss - float(losses[i])) for i in order]
-
-    def _losses_by_parts(self, current: FittedSet, found: Sequence[Candidate]) -> FloatArray:
-        """Losses beside ``current`` of those that act in few trials, parts held out; else inf."""
-        losses = np.full(len(found), np.inf)
-        few = [i for i, one in enumerate(found) if self._acts_in_few(one)]
-        if few:
-            data = self.data.by_parts
-            blocks = [found[i].columns for i in few]
-            grams, groups, base = scores.fit_grams(data, current.fit, blocks)
-            folds, sets = data.alternate_folds(), [[*base, *group] for group in groups]
-            (without,) = self._cv_losses(grams, folds, [base], grams[:, -1, -1])
-            beside = self._cv_losses(grams, folds, sets, without)
-            losses[few] = current.loss + (beside - without).sum(axis=1)
-        return losses
 
     def pairs(self, current: FittedSet, pool: Pool) -> list[tuple[Candidate, Candidate]]:
         """The pairs of candidates beside ``current`` that are worth a fit, best first."""
@@ -289,7 +248,7 @@ class CandidateSets:
         least = min(current.loss, 0.0) - rules.negative_loss_tolerance * self.data.noise_loss
         short = [k for k in np.argsort(sums, kind="stable") if sums[k] >= least]
         short = short[: rules.pairs_scored]
-        losses = self._cv_losses(grams, self._folds, [sets[k] for k in short], current.unit_losses)
+        losses = self._cv_losses(grams, [sets[k] for k in short], current.unit_losses)
         gains = current.loss - losses.sum(axis=1)
         best: dict[frozenset[str], tuple[Candidate, Candidate]] = {}
         for index in np.argsort(-gains):
@@ -326,64 +285,36 @@ class CandidateSets:
         current: FittedSet,
         candidates: Sequence[Candidate],
         n_names: int,
-        left: FloatArray | None = None,
+        shuffled: scores.Shuffles | None = None,
     ) -> tuple[FloatArray, BoolArray]:
         """The p of each candidate, chosen from ``n_names`` names, and which are of trials.
 
         Of trials are those with one value a trial, whose test permutes trials. Only these are
-        corrected for the choice where trials are few. Parts of trials count as one for as long as
-        what is ``left`` (R,) goes on. What acts in few of many trials is tested within them too.
+        corrected for the choice where trials are few.
         """
-        data, fit = self.data, current.fit
-        by_shuffle, of_trials = self._shuffled_p(data, fit, candidates, left)
-        of_few = [
-            i for i, one in enumerate(candidates) if self._acts_in_few(one) and not of_trials[i]
-        ]
-        if of_few:
-            compliance = fit.jacobian[:, 0]
-
-            def within(columns: FloatArray) -> FloatArray:
-                return data.beside(compliance, columns)
-
-            own = replace(fit, jacobian=within(fit.jacobian), residual=within(fit.residual))
-            few = [replace(candidates[i], columns=within(candidates[i].columns)) for i in of_few]
-            left = None if left is None else within(left)
-            by_parts, _ = self._shuffled_p(data.by_parts, own, few, left)
-            by_shuffle[of_few] = np.minimum(by_shuffle[of_few], by_parts)
+        ones = Candidate("", self.data.ones)
+        grams, groups, base = self._grams(current.fit, [*candidates, ones])
+        names = [candidate.name for candidate in candidates]
+        by_shuffle, of_trials = scores.shuffle_p_values(
+            grams, base, groups[:-1], shuffled or self._shuffled, groups[-1], self.rules, names
+        )
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
-        looked_at = np.where(of_trials | (not data.few_trials), n_names, 1)
+        looked_at = np.where(of_trials | (not self.data.few_trials), n_names, 1)
         return np.minimum(np.maximum(by_shuffle, search) * looked_at, 1.0), of_trials
 
-    def _shuffled_p(
-        self,
-        data: ChannelData,
-        fit: Fit,
-        candidates: Sequence[Candidate],
-        left: FloatArray | None,
-    ) -> tuple[FloatArray, BoolArray]:
-        """The p of each candidate by shuffles of the units of ``data``, and which are of trials."""
-        shuffled = self._shuffled if data is self.data else self._shuffled_parts
-        if left is not None and data.n_units > data.history.n_trials:
-            shuffled = shuffled.of_blocks(data.memory_units(left))
-        blocks = [*(candidate.columns for candidate in candidates), data.ones]
-        grams, (*groups, ones), base = scores.fit_grams(data, fit, blocks)
-        names = [candidate.name for candidate in candidates]
-        return scores.shuffle_p_values(grams, base, groups, shuffled, ones, self.rules, names)
-
-    @cached_property
-    def _shuffled_parts(self) -> scores.Shuffles:
-        """Sign flips of parts of trials."""
-        trial = self.data.by_parts.unit_trial
-        return scores.shuffles(trial, self.rules.n_shuffles, self._rng)
-
     def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
-        """The p of the member's columns beside the others, and whether it is of trials."""
-        rest = self.without(full, member)
+        """The p of the member's columns beside the others, and whether it is of trials.
+
+        Parts of trials count as one for as long as what the whole set leaves goes on.
+        """
+        rest, shuffled = self.without(full, member), self._shuffled
         if member.effect is not None and member.is_local:
             p_local = local_p_value(
-                self.data, rest.fit, member.effect, member.label, self._parts, self._shuffled
+                self.data, rest.fit, member.effect, member.label, self._parts, shuffled
             )
             return min(p_local * len(self._local_effects), 1.0), True
+        if self.data.few_trials:
+            shuffled = shuffled.of_blocks(self.data.memory_units(full.fit.residual))
         if member.covariate is not None:
             fresh = cand.covariate_candidates(self.data, rest.fit, [member.covariate])
         else:
@@ -392,7 +323,7 @@ class CandidateSets:
             fresh = [one for one in same if one.label == member.label]
         if not fresh:
             return 1.0, False
-        (p_value,), (of_trials,) = self.p_values(rest, fresh, n_names, full.fit.residual)
+        (p_value,), (of_trials,) = self.p_values(rest, fresh, n_names, shuffled)
         return float(p_value), bool(of_trials)
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
@@ -43,33 +42,3 @@ def test_an_effect_is_needed_beside_one_without_which_cross_validation_goes_astr
     without["creep"] = replace(without["creep"], unit_losses=astray)
     monkeypatch.setattr(sets, "without", lambda _, member: without[member.name])
     assert sets.is_needed(full, offset)
-
-
-@pytest.mark.parametrize("limit_mm3", [34.0, 42.0])
-def test_a_limit_that_one_press_of_many_reaches_is_named(limit_mm3):
-    """The press's sign alone says nothing and no other press predicts it: its course does both."""
-    rng = np.random.default_rng(4)
-    peaks = rng.uniform(3.0, 6.0, 24)
-    peaks[11] = 10.0
-    force = peaks[:, None] * (1.0 - np.abs(np.linspace(-1.0, 1.0, 60)))
-    volume = np.minimum(5.0 * force, limit_mm3)
-    columns = {
-        "trial": np.repeat(np.arange(24), 60),
-        "time_s": 0.1 * np.arange(24 * 60),
-        "force_normal_n": force.ravel(),
-        "volume_mm3": volume.ravel() + 0.5 * rng.standard_normal(volume.size),
-    }
-    data = ChannelSamples(columns, "normal").thinned()
-    named = Selection(data, np.random.default_rng(0)).choose().named
-    assert named.effect_names == ("saturation",)
-
-
-def test_gains_of_single_trials_are_taken_out_of_what_is_tested_within_them():
-    data = ChannelSamples(presses(lambda *press: 0.0, 0.05, 9), "normal").thinned()
-    rng = np.random.default_rng(1)
-    response = data.reduce(data.target)
-    gains = rng.normal(size=data.history.n_trials)[data.history.trial_index]
-    np.testing.assert_allclose(data.beside(response, gains * response), 0.0, atol=1e-9)
-    left = data.beside(response, rng.normal(size=(response.size, 2)))
-    sums = np.add.reduceat(left * response[:, None], data.history.starts[:-1], axis=0)
-    np.testing.assert_allclose(sums, 0.0, atol=1e-9)
