@@ -39,7 +39,7 @@ class GraspRules:
     # one, two and three causes; unequal, so that sums of two causes' changes lie densely; numerical
     second_mode_share: float = 0.2  # of the posterior: less is not reported; chosen
     mode_edge: float = 0.02  # of the peak, where a mode of the posterior ends; chosen
-    ridge_widening: float = 1.2  # of an estimate's error beside another cause, with which it then
+    ridge_widening: float = 1.3  # of an estimate's error beside another cause, with which it then
     # shares what is known; trust study
     excluding_gain: float = math.log(10)  # strong evidence against another cause beside what was
     # found, prior weights aside (Jeffreys 1961, Theory of probability, appendix B)

@@ -217,7 +217,7 @@ def test_errors_of_choices_that_differ_are_not_those_of_what_was_found():
     found = diagnosis_record(diagnosis)["channels"]["normal"]
     assert names(found)
     assert found["scored_effects"] == []
-    assert "the choices without one trial have in common nothing" in found["sentence"]
+    assert "the searches without one trial have in common nothing" in found["sentence"]
     assert found["error_after"]["rmse"] > found["error_before"]["rmse"]
     assert any("do not confirm" in note for note in diagnosis.notes)
 
