@@ -1,5 +1,6 @@
 """How the gel's surface bends around a contact: a pyramid of Gaussians."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,10 @@ where real presses have none; the same switch is drawn out here."""
 
 NEGLIGIBLE_MM = 1e-5
 """Deformation below this is none: it changes no slope by more than 2e-4 at 0.03 mm/px."""
+
+REACH_SIGMAS = 4.6
+"""Of all Gaussians together: beyond it the straight edge of a contact as deep as a gel of 4 mm has
+left less than ``NEGLIGIBLE_MM``."""
 
 
 @njit(cache=True, nogil=True)
@@ -71,6 +76,9 @@ class Deformer:
     def __init__(self, mm_per_px: float) -> None:
         self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in PYRAMID_SIGMA_MM]
         self._final = Gaussian(FINAL_SIGMA_MM / mm_per_px)
+        self._most_px = math.ceil(
+            REACH_SIGMAS * math.hypot(*PYRAMID_SIGMA_MM, FINAL_SIGMA_MM) / mm_per_px
+        )
         # Kept: new pages would cost as much as a blur.
         self._memory = np.empty(0, dtype=np.float32)
 
@@ -84,8 +92,8 @@ class Deformer:
 
     @property
     def reach_px(self) -> int:
-        """Pixels around a contact that it can deform."""
-        return sum(blur.reach_px for blur in (*self._pyramid, self._final))
+        """Pixels around a contact that it can deform by more than ``NEGLIGIBLE_MM``."""
+        return min(sum(blur.reach_px for blur in (*self._pyramid, self._final)), self._most_px)
 
     def deform(
         self, depth_mm: NDArray[np.float32], contact: Window, shape_px: tuple[int, int]
@@ -113,7 +121,8 @@ class Deformer:
         for blur in (*self._pyramid, self._final):
             # One pixel beyond what is deformed, so that the edge is at rest.
             reach += blur.reach_px
-            changed = aligned(grown(patch, reach, surface.shape), blur.factor, surface.shape)
+            around = grown(patch, min(reach, self.reach_px + 1), surface.shape)
+            changed = aligned(around, blur.factor, surface.shape)
             blur.apply(surface, changed)
             if blur is not self._final:
                 _keep_contact(depth_mm, loose_mm, firm_mm, patch, surface)

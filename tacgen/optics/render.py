@@ -52,7 +52,6 @@ class Shader:
     def __init__(self, table: LookupTable, *, shadows: bool = False, leds: Leds = ()) -> None:
         self.table = table
         self._nodes = shade.packed_nodes(table)
-        self._along = shade.feature_factors(table.shape_px)
         self._response = None if table.response is None else shade.packed_response(table.response)
         contact = table.contact or _no_contact(table)
         self._contact = shade.packed_contact(contact.change)
@@ -145,7 +144,8 @@ class Shader:
             self._nodes,
             self.table.max_slope_rad,
             self._interpolate,
-            self._along,
+            self._u,
+            self._v,
             self._background,
             image,
         )
@@ -238,7 +238,7 @@ def render_rgb(
     if rng is not None and table.noise_grey > 0:
         CameraNoise(table.noise_grey).quantize(image, rng, rgb)
     else:
-        shade.quantize(image, whole, rgb)
+        shade.quantize(image, whole, shade.whole_spans(whole), rgb)
     return rgb
 
 
@@ -287,7 +287,9 @@ class Renderer:
         self._rest_image = self._rest_lit.copy()
         self._shader.finish(self._rest_mm, self._whole, self._rest_image)
         self._rest_rgb = np.empty(self._rest_image.shape, dtype=np.uint8)
-        shade.quantize(self._rest_image, self._whole, self._rest_rgb)
+        shade.quantize(
+            self._rest_image, self._whole, shade.whole_spans(self._whole), self._rest_rgb
+        )
         self._height_mm = self._rest_mm.copy()
         self._deformed: Window = (0, 0, 0, 0)  # where the height map may not be at rest
         self._image = self._rest_image.copy()
@@ -339,7 +341,7 @@ class Renderer:
             self._noise.quantize(self._image, rng, rgb)
         else:
             rgb[...] = self._rest_rgb
-            shade.quantize(self._image, self._changed, rgb)
+            shade.quantize(self._image, self._changed, self._changed_spans, rgb)
         return rgb
 
     def _deform(self, deformation_mm: NDArray[np.float32], window: Window) -> None:

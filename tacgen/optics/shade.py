@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tacgen.optics.smooth import Window
+from tacgen.optics.smooth import Window, copy_row
 from tacgen.optics.table import N_FEATURES, LookupTable
 from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 
@@ -56,20 +56,6 @@ def packed_contact(change: NDArray[np.float32]) -> NDArray[np.float32]:
     return packed.reshape(len(change), -1)
 
 
-def feature_factors(shape_px: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What depends on u (W, 24) and on v (H, 24) in each feature of a node: u², v², uv, u, v, 1."""
-    n_rows, n_columns = shape_px
-    u = (np.arange(n_columns) + 0.5) / n_columns - 0.5
-    v = (np.arange(n_rows) + 0.5) / n_rows - 0.5
-    one_u, one_v = np.ones_like(u), np.ones_like(v)
-    along_u = np.stack([u * u, one_u, u, u, one_u, one_u], axis=1)
-    along_v = np.stack([one_v, v * v, v, one_v, v, one_v], axis=1)
-    return (
-        _on_cache_lines(np.repeat(along_u, _LANES, axis=1).astype(np.float32)),
-        _on_cache_lines(np.repeat(along_v, _LANES, axis=1).astype(np.float32)),
-    )
-
-
 @njit(cache=True, nogil=True, inline="always")
 def _atan_of_quotient(numerator, denominator):  # type: ignore[no-untyped-def]
     """Arc tangent of numerator / denominator, both at least 0, to 1e-7 rad.
@@ -109,8 +95,9 @@ def _gradients(
     per_column = np.float32(0.5 / mm_per_px)
     up, here, down = height_mm[above], height_mm[r], height_mm[below]
     width = right - left
+    up, down = up[left:right], down[left:right]
     for k in range(width):
-        gy[k] = (down[left + k] - up[left + k]) * per_row
+        gy[k] = (down[k] - up[k]) * per_row
     first, last = max(left, 1), min(right, n_columns - 1)
     before, after, across = here[first - 1 :], here[first + 1 :], gx[first - left :]
     for k in range(last - first):
@@ -260,8 +247,8 @@ def restore(
             first = min(max(first, left), right)
             last = min(max(last, first), right)
         out, row = image[r].reshape(-1), source[r].reshape(-1)
-        out[left:first] = row[left:first]
-        out[last:right] = row[last:right]
+        copy_row(row[left:first], out[left:first])
+        copy_row(row[last:right], out[last:right])
 
 
 @njit(cache=True, nogil=True)
@@ -289,18 +276,19 @@ def shade_window(
     nodes: NDArray[Any],
     max_slope_rad: float,
     interpolate: bool,
-    along: tuple[NDArray[Any], NDArray[Any]],
+    u: NDArray[Any],
+    v: NDArray[Any],
     background: NDArray[Any],
     image: NDArray[Any],
 ) -> None:
     """Write background + polynomial into ``image`` (H, W, 3) float32, in the spans of ``window``.
 
-    ``height_mm`` (H, W) is the deformed gel surface, gel frame; ``nodes`` are ``packed_nodes`` and
-    ``along`` ``feature_factors``.
+    ``height_mm`` (H, W) is the deformed gel surface, gel frame; ``nodes`` are ``packed_nodes``;
+    ``u`` (W,) and ``v`` (H,) float32 are the places of columns and rows in the image.
     """
     top, bottom = window[:2]
     n_slope, n_direction = nodes.shape[0], nodes.shape[1] - 1
-    table, along_u, along_v = nodes.reshape(-1), along[0].reshape(-1), along[1].reshape(-1)
+    table = nodes.reshape(-1)
     widest = window[3] - window[2]
     slopes, directions = np.empty(widest, np.float32), np.empty(widest, np.float32)
     offset = np.empty(widest, np.int32)
@@ -318,6 +306,7 @@ def shade_window(
         _gradients(height_mm, r, left, right, mm_per_px, direction, slope)
         _to_coordinates(direction, slope, per_slope, per_direction)
         _place_in_table(slope, direction, n_slope, n_direction, interpolate, NODE_FLOATS, offset)
+        across, down = u[left:right], v[r]
         for k in range(width):
             p, q, here = slope[k], direction[k], np.int64(offset[k])
             w11 = p * q
@@ -328,10 +317,8 @@ def shade_window(
                 table,
                 (here, beside, here + to_slope, beside + to_slope),
                 (w00, w01, w10, w11),
-                along_u,
-                (left + k) * NODE_FLOATS,
-                along_v,
-                r * NODE_FLOATS,
+                across[k],
+                down,
                 change,
                 3 * k,
             )
@@ -440,10 +427,10 @@ def shade_response(
 
 
 @njit(cache=True, nogil=True)
-def quantize(image: NDArray[Any], window: Window, rgb: NDArray[Any]) -> None:
-    """Round ``image`` to 8 bits within ``window``."""
-    top, bottom, left, right = window
-    for r in range(top, bottom):
+def quantize(image: NDArray[Any], window: Window, spans: NDArray[Any], rgb: NDArray[Any]) -> None:
+    """Round ``image`` to 8 bits in the spans of ``window``."""
+    for r in range(window[0], window[1]):
+        left, right = spans[r - window[0]]
         source = image[r, left:right].reshape(-1)
         target = rgb[r, left:right].reshape(-1)
         for k in range(source.shape[0]):

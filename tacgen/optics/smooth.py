@@ -41,6 +41,13 @@ Rows: TypeAlias = tuple[NDArray[Any], ...]
 
 
 @njit(cache=True, nogil=True, inline="always")
+def copy_row(source: NDArray[Any], target: NDArray[Any]) -> None:
+    """Copy a row to memory of its own: as vectors, which numba's copies of slices are not."""
+    for k in range(target.shape[0]):
+        target[k] = source[k]
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _first_taps(
     row: NDArray[Any], kernel: NDArray[Any], lower: Rows, upper: Rows, out: NDArray[Any]
 ) -> None:
@@ -60,35 +67,27 @@ def _add_taps(kernel: NDArray[Any], j: int, lower: Rows, upper: Rows, out: NDArr
 
 
 @njit(cache=True, nogil=True)
-def _blur_row(
-    row: NDArray[Any], kernel: NDArray[Any], line: NDArray[Any], out: NDArray[Any]
-) -> None:
-    """Convolve a row, by way of ``line``; what lies beyond its ends equals them."""
-    radius, width = kernel.shape[0] - 1, row.shape[0]
-    line[:radius] = row[0]
-    line[radius : radius + width] = row
-    line[radius + width :] = row[width - 1]
-    low, high = line[radius - 4 :], line[radius + 1 :]
-    lower, upper = (low[3:], low[2:], low[1:], low), (high, high[1:], high[2:], high[3:])
-    _first_taps(row, kernel, lower, upper, out)
-    for j in range(5, radius, 2):
-        low, high = line[radius - j - 1 :], line[radius + j :]
-        _add_taps(kernel, j, (low[1:], low), (high, high[1:]), out)
-
-
-@njit(cache=True, nogil=True)
 def smooth(surface: NDArray[Any], window: Window, kernel: NDArray[Any]) -> None:
     """Blur ``surface`` in place within the window; beyond it the edge's values go on."""
     top, bottom, left, right = window
-    radius, last = kernel.shape[0] - 1, bottom - 1
+    radius, width, last = kernel.shape[0] - 1, right - left, bottom - 1
     # Only the rows that a column's sum needs are kept, each blurred along itself.
     n_kept = 2 * radius + 1
-    kept = np.empty((n_kept, right - left), np.float32)
-    line = np.empty(right - left + 2 * radius, np.float32)
+    kept = np.empty((n_kept, width), np.float32)
+    line = np.empty(width + 2 * radius, np.float32)
+    low, middle, high = line[radius - 4 :], line[radius : radius + width], line[radius + 1 :]
+    before, after = (low[3:], low[2:], low[1:], low), (high, high[1:], high[2:], high[3:])
     n_blurred = 0
     for r in range(top, bottom):
         while top + n_blurred <= min(r + radius, last):
-            _blur_row(surface[top + n_blurred, left:right], kernel, line, kept[n_blurred % n_kept])
+            row, out = surface[top + n_blurred, left:right], kept[n_blurred % n_kept]
+            copy_row(row, middle)
+            line[:radius] = row[0]
+            line[radius + width :] = row[width - 1]
+            _first_taps(middle, kernel, before, after, out)
+            for j in range(5, radius, 2):
+                low, high = line[radius - j - 1 :], line[radius + j :]
+                _add_taps(kernel, j, (low[1:], low), (high, high[1:]), out)
             n_blurred += 1
         row, out = kept[(r - top) % n_kept], surface[r, left:right]
         i, i_last = r - top, last - top
@@ -126,91 +125,91 @@ def half_kernel(sigma_px: float) -> NDArray[np.float32]:
 
 
 @njit(cache=True, nogil=True)
-def _coarsen(surface: NDArray[Any], window: Window, factor: int, coarse: NDArray[Any]) -> None:
-    """Means of blocks of ``factor`` pixels a side, with one block more beyond each edge.
+def _halve(surface: NDArray[Any], window: Window, coarse: NDArray[Any]) -> None:
+    """Means of blocks of 2×2 pixels, with one block more beyond each edge.
 
     What lies beyond the window equals its edge.
     """
     top, bottom, left, right = window
-    width, n_columns = right - left, coarse.shape[1]
-    line = np.empty(n_columns * factor, np.float32)
-    within = line[factor : factor + width]
-    share = np.float32(1 / factor**2)
+    width, last = right - left, bottom - 1
+    line = np.empty(2 * coarse.shape[1], np.float32)
+    within = line[2 : 2 + width]
     for i in range(coarse.shape[0]):
-        start = top + (i - 1) * factor
-        within[:] = surface[min(max(start, top), bottom - 1), left:right]
-        for r in range(start + 1, start + factor):
-            row = surface[min(max(r, top), bottom - 1), left:right]
-            for k in range(width):
-                within[k] += row[k]
-        line[:factor] = within[0]
-        line[factor + width :] = within[width - 1]
+        r = top + 2 * i - 2
+        upper = surface[min(max(r, top), last), left:right]
+        lower = surface[min(max(r + 1, top), last), left:right]
+        for k in range(width):
+            within[k] = upper[k] + lower[k]
+        line[:2] = within[0]
+        line[2 + width :] = within[width - 1]
         out = coarse[i]
-        out[:] = 0
-        for phase in range(factor):
-            for j in range(n_columns):
-                out[j] += line[j * factor + phase]
-        for j in range(n_columns):
-            out[j] *= share
+        for j in range(out.shape[0]):
+            even = np.uint64(2 * j)  # an index with a sign would keep numba from vectors
+            out[j] = np.float32(0.25) * (line[even] + line[even + np.uint64(1)])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _blend(near: NDArray[Any], far: NDArray[Any], out: NDArray[Any]) -> None:
+    """A quarter of the way from one row to another."""
+    for k in range(out.shape[0]):
+        out[k] = np.float32(0.75) * near[k] + np.float32(0.25) * far[k]
 
 
 @njit(cache=True, nogil=True)
-def _widen(blocks: NDArray[Any], factor: int, row: NDArray[Any]) -> None:
-    """Interpolate along a row of blocks, from one block before the first pixel on."""
-    one, half = np.float32(1), np.float32(0.5)
-    for phase in range(factor):
-        at = (np.float32(phase) + half) / np.float32(factor) + half
-        shift = int(at)
-        share = at - np.float32(shift)
-        before, after = blocks[shift:], blocks[shift + 1 :]
-        for j in range((row.shape[0] - phase + factor - 1) // factor):
-            row[j * factor + phase] = (one - share) * before[j] + share * after[j]
-
-
-@njit(cache=True, nogil=True)
-def _refine(coarse: NDArray[Any], factor: int, window: Window, surface: NDArray[Any]) -> None:
-    """Interpolate between the middles of the blocks that ``_coarsen`` made."""
+def _double(coarse: NDArray[Any], window: Window, surface: NDArray[Any]) -> None:
+    """Interpolate between the middles of the blocks that ``_halve`` made."""
     top, bottom, left, right = window
-    wide = np.empty((2, right - left), np.float32)  # two rows of blocks, as wide as the window
-    one, half = np.float32(1), np.float32(0.5)
-    n_wide = 0
-    for r in range(top, bottom):
-        at = (np.float32(r - top) + half) / np.float32(factor) + half
-        i = int(at)
-        share = at - np.float32(i)
-        while n_wide < i + 2:
-            _widen(coarse[n_wide], factor, wide[n_wide % 2])
-            n_wide += 1
-        above, below, row = wide[i % 2], wide[(i + 1) % 2], surface[r, left:right]
-        for k in range(row.shape[0]):
-            row[k] = (one - share) * above[k] + share * below[k]
+    n_blocks = coarse.shape[1] - 2
+    wide = np.empty((2, 2 * n_blocks), np.float32)  # two rows of blocks, as wide as the window
+    for i in range(coarse.shape[0]):
+        before, here, after = coarse[i], coarse[i, 1:], coarse[i, 2:]
+        above, below = wide[1 - i % 2], wide[i % 2]
+        for j in range(n_blocks):
+            even = np.uint64(2 * j)
+            below[even] = np.float32(0.75) * here[j] + np.float32(0.25) * before[j]
+            below[even + np.uint64(1)] = np.float32(0.75) * here[j] + np.float32(0.25) * after[j]
+        r = top + 2 * i - 3  # the lower row of the block before
+        if top <= r < bottom:
+            _blend(above, below, surface[r, left:right])
+        if top <= r + 1 < bottom:
+            _blend(below, above, surface[r + 1, left:right])
 
 
 class Gaussian:
     """One Gaussian; a wide one is computed on means of blocks of pixels, about σ wide."""
 
     def __init__(self, sigma_px: float) -> None:
-        self.factor = COARSEST if sigma_px >= 7.5 else 2 if sigma_px >= 1.9 else 1
-        variance = (sigma_px / self.factor) ** 2
-        if self.factor > 1:
-            # What taking means of blocks, and interpolating between them, smooths already.
-            variance -= (1 - self.factor**-2) / 12 + 1 / 6
+        self._n_halvings = 2 if sigma_px >= 7.5 else 1 if sigma_px >= 1.9 else 0
+        variance = sigma_px**2
+        for _ in range(self._n_halvings):
+            # Taking means and interpolating between them has a variance of 1/4 + 3/4 pixels².
+            variance = (variance - 1) / 4
         self.kernel = half_kernel(math.sqrt(variance))
+
+    @property
+    def factor(self) -> int:
+        """Pixels along a side of the blocks."""
+        return int(2**self._n_halvings)
 
     @property
     def reach_px(self) -> int:
         """How far anything spreads."""
-        blocks = len(self.kernel) - 1
-        return blocks if self.factor == 1 else (blocks + 2) * self.factor
+        reach = len(self.kernel) - 1
+        for _ in range(self._n_halvings):
+            reach = 2 * (reach + 2)
+        return reach
 
     def apply(self, surface: NDArray[np.float32], window: Window) -> None:
         """Blur in place within a window that is aligned to ``factor`` from the image's corner."""
-        if self.factor == 1:
+        self._apply(surface, window, self._n_halvings)
+
+    def _apply(self, surface: NDArray[np.float32], window: Window, n_halvings: int) -> None:
+        if n_halvings == 0:
             smooth(surface, window, self.kernel)
             return
         top, bottom, left, right = window
-        shape = (-(-(bottom - top) // self.factor) + 2, -(-(right - left) // self.factor) + 2)
+        shape = ((bottom - top + 1) // 2 + 2, (right - left + 1) // 2 + 2)
         coarse = np.empty(shape, dtype=np.float32)
-        _coarsen(surface, window, self.factor, coarse)
-        smooth(coarse, (0, shape[0], 0, shape[1]), self.kernel)
-        _refine(coarse, self.factor, window, surface)
+        _halve(surface, window, coarse)
+        self._apply(coarse, (0, shape[0], 0, shape[1]), n_halvings - 1)
+        _double(coarse, window, surface)

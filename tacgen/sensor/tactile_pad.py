@@ -29,19 +29,24 @@ FIELD_POINTS = 1500  # points of a contact patch for the markers' motion and the
 class Imprint:
     """The mechanics of one contact; the default is a gel that nothing touches.
 
-    ``indentation_mm`` is δ beyond first touch, ``volume_mm3`` what the gel has really lost: less
-    than asked for where it is ``saturated``, pressed through to its backing. ``window`` (top,
-    bottom, left, right) holds the contact patch, ``depth_mm`` (h, w) float32 the indentation over
-    it. ``motion`` is how far shear has moved the object along the gel.
+    ``indentation_mm`` is δ beyond first touch; ``saturated`` where the gel is pressed through to
+    its backing. ``window`` (top, bottom, left, right) holds the contact patch, ``depth_mm`` (h, w)
+    float32 the indentation over it, in pixels of ``pixel_area_mm2``. ``motion`` is how far shear
+    has moved the object along the gel.
     """
 
     indentation_mm: float = 0.0
-    volume_mm3: float = 0.0
     saturated: bool = False
     window: Window = (0, 0, 0, 0)
     depth_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    pixel_area_mm2: float = 0.0
     motion: Motion | None = None
     markers: MarkerField | None = None
+
+    @property
+    def volume_mm3(self) -> float:
+        """What the gel has really lost: less than asked for where it is saturated."""
+        return float(self.depth_mm.sum(dtype=np.float64)) * self.pixel_area_mm2
 
     def depth_map_mm(self, sensor: Sensor) -> NDArray[np.float32]:
         """Indentation over the whole pad, (H, W)."""
@@ -161,8 +166,8 @@ class Indenter:
         _fill_depth(gap.grains, delta, bounds, GAP_GRAIN_MM, depth_mm)
         row, column = gap.window[0], gap.window[2]
         window = (row + top, row + bottom, column + left, column + right)
-        volume_mm3 = float(depth_mm.sum(dtype=np.float64)) * self.sensor.pixel_area_mm2
-        return Imprint(delta * GAP_GRAIN_MM, volume_mm3, saturated, window, depth_mm)
+        area_mm2 = self.sensor.pixel_area_mm2
+        return Imprint(delta * GAP_GRAIN_MM, saturated, window, depth_mm, area_mm2)
 
 
 class TactilePad:

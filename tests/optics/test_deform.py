@@ -45,6 +45,23 @@ def test_a_gaussian_is_a_gaussian_also_where_it_works_on_blocks(sigma_px, shape)
     np.testing.assert_allclose(step, np.tile(expected, (shape[0], 1)), atol=atol)
 
 
+@pytest.mark.parametrize("sigma_px", [1.1, 2.0, 3.5, 8.0])
+def test_means_of_blocks_and_interpolation_add_their_own_variance(sigma_px):
+    """The variances of the kernel, in blocks, and of each halving, a pixel² there, are a sum."""
+    blur = Gaussian(sigma_px)
+    k = np.arange(1, len(blur.kernel))
+    in_blocks = 2 * np.sum(k**2 * blur.kernel[1:].astype(float))
+    expected = blur.factor**2 * in_blocks + (blur.factor**2 - 1) / 3
+    spreads = []
+    for x in range(100, 100 + blur.factor):
+        impulse = np.zeros((8, 200), dtype=np.float32)
+        impulse[:, x] = 1
+        blur.apply(impulse, (0, 8, 0, 200))
+        spreads.append(np.sum((np.arange(200) - x) ** 2 * impulse[4].astype(float)))
+    assert np.mean(spreads) == pytest.approx(expected, rel=1e-4)
+    assert expected == pytest.approx(sigma_px**2, rel=0.03)  # cut at three standard deviations
+
+
 @pytest.mark.parametrize("sigma_px", [2.0, 3.0, 3.5, 4.0, 8.0])
 @pytest.mark.parametrize("shape", [(60, 120), (63, 121)])
 def test_beyond_an_edge_the_surface_goes_on_as_at_the_edge(sigma_px, shape):
