@@ -196,11 +196,11 @@ def rasterize(
             end = int(min(n_columns - 1.0, math.floor(max(x_long, x_short)))) + 1
             if start >= end:
                 continue
-            z_row = z_origin + r * slope_y
-            for k in range(start, end):
+            z_row, span_mm = z_origin + r * slope_y, depth_mm[r, start:end]
+            for k in range(end - start):
                 # A sliver's plane is steep: its own corners bound what rounding may do.
-                z = min(max(z_row + k * slope_x, z_low), z_high)
-                depth_mm[r, k] = min(depth_mm[r, k], z)
+                z = min(max(z_row + (start + k) * slope_x, z_low), z_high)
+                span_mm[k] = min(span_mm[k], z)
             top, bottom = min(top, r), max(bottom, r + 1)
             left, right = min(left, start), max(right, end)
     return top, bottom, left, right

@@ -208,7 +208,10 @@ class _Grasp:
 
     def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
         axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
-        own = [contact for contact in snapshot.contacts if self.robot.body in contact[1:3]]
+        body = self.robot.body
+        own = [c for c in snapshot.contacts if (c[1] == body or c[2] == body) and c[9] > 0]
+        if not own:  # as most of the time
+            return dict.fromkeys(PAD_NAMES, 0.0)
         contacts = object_contacts(own, self.body.body)
         along_n = contacts.force_n @ axis
         return {

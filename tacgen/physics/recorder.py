@@ -45,13 +45,12 @@ class Recorder:
         """Advance by ``count`` steps, taking the planned snapshots on the way."""
         end = self.step + max(0, count)
         while self._planned and self._planned[-1] <= end:
-            self._advance_to(self._planned.pop())
+            stop = self._planned.pop()
+            self._world.step(stop - self.step)
+            self.step = stop
             self.snapshot()
-        self._advance_to(end)
-
-    def _advance_to(self, step: int) -> None:
-        self._world.step(step - self.step)
-        self.step = step
+        self._world.step(end - self.step)
+        self.step = end
 
     def placement(self) -> Placement:
         """Where the object and the gripper are now."""

@@ -119,8 +119,9 @@ class _Client:
         self._module, self._number = module, module.connect(module.DIRECT)
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(self._module, name)
-        bound = partial(found, physicsClientId=self._number) if callable(found) else found
+        bound = getattr(self._module, name)
+        if callable(bound) and self._number != 0:  # which is PyBullet's default
+            bound = partial(bound, physicsClientId=self._number)
         setattr(self, name, bound)
         return bound
 
