@@ -34,6 +34,18 @@ def test_lasting_noise_lasts():
     assert error.std() == pytest.approx(1.0, abs=0.2)
 
 
+def test_trials_that_bend_have_a_curvature_each():
+    case = draw_case(3, n_trials=40, with_shear=True)
+    bent = clean_logs.KINDS["trials that bend by 3 %"][0]
+    frame = bent(case.frame, case, np.random.default_rng(3))
+    volume = case.frame["volume_mm3"]
+    share = volume.abs() / volume.abs().max()
+    bends = ((frame["volume_mm3"] / volume - 1) / share).groupby(frame["trial"])
+    assert bends.std().max() < 1e-9
+    # The standard deviation of 40 normal numbers is known to 11 %.
+    assert bends.mean().std() == pytest.approx(0.03, rel=0.4)
+
+
 def test_outliers_stick_out_and_the_rest_does_not():
     _, error = spoiled("outliers")
     assert 0.003 < np.mean(np.abs(error) > 4.5) < 0.07

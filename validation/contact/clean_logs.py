@@ -108,6 +108,17 @@ def _trials_differ(frame: pd.DataFrame, case: Case, rng: np.random.Generator) ->
     return frame
 
 
+def _trials_bend(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.DataFrame:
+    """Every trial has its own curvature, which follows nothing: 3 % at the log's full response."""
+    bend = 0.03 * rng.standard_normal(int(frame["trial"].max()) + 1)[frame["trial"]]
+    frame = frame.copy()
+    for names in RESPONSES:
+        if present := [name for name in names if name in frame]:
+            size = np.linalg.norm(frame[present], axis=1)
+            frame[present] = frame[present].mul(1 + bend * size / size.max(), axis=0)
+    return frame
+
+
 def _coarse(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.DataFrame:
     """Readings in steps of two to four times the noise."""
     step = rng.uniform(2.0, 4.0)
@@ -141,6 +152,7 @@ KINDS: dict[str, tuple[Spoil, tuple[int, int]]] = {
     "outliers": (_outliers, (12, 80)),
     "noise that grows with the load": (_growing, (12, 80)),
     "trials that differ by 2 %": (_trials_differ, (12, 80)),
+    "trials that bend by 3 %": (_trials_bend, (12, 80)),
     "coarse readings": (_coarse, (12, 80)),
     "required columns only": (_required_only, (12, 80)),
     "gaps": (_gaps, (12, 80)),
