@@ -263,8 +263,8 @@ def _shapes_within_trials(
 ) -> Sequence[int]:
     """Which of the ``shapes`` (sums of columns) all of ``columns`` are within each trial, if any.
 
-    None also where the factor is the same in all trials, as a constant offset's: it has no order
-    that could be permuted.
+    None where the factor is the same in all trials, as a constant offset's: it has no order that
+    could be permuted.
     """
     own = grams[:, columns, columns].sum()
     for shape in shapes:

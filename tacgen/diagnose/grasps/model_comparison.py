@@ -83,8 +83,8 @@ class CandidateModel(LabelModel):
 
     @property
     def acts(self) -> BoolArray:
-        """Whether any value changes the margin of each grasp (N,)."""
-        return np.asarray(np.ptp(self.margin, axis=0) > 0)
+        """Whether any value changes the margin of each grasp (N,), by more than rounding."""
+        return np.asarray(np.abs(self.margin - self.as_declared).max(axis=0) > 1e-9)
 
     @property
     def change(self) -> FloatArray:

@@ -296,6 +296,9 @@ def test_a_torsion_counts_as_much_as_the_shifted_object_turns():
     )
     found = joint_model(declared, [shift, torsion]).margin.reshape(121, 121)
     assert found == pytest.approx(margin(lever_mm, factors), abs=1e-9)
+    # At one value of each alone, as well as over all.
+    at_once = joint_model(declared, [shift.only(np.s_[90:91]), torsion.only(np.s_[100:101])])
+    assert at_once.margin[0] == pytest.approx(found[90, 100])
 
 
 @pytest.mark.slow
