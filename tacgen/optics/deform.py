@@ -101,7 +101,7 @@ class Deformer:
         """The deformation of the gel around one contact patch.
 
         The gel takes the object's shape where they are in firm contact and falls off smoothly
-        around it. Only what the contact can reach is computed, which changes nothing.
+        around it. Only what the contact can reach is computed, to ``NEGLIGIBLE_MM``.
 
         ``depth_mm`` (h, w) float32 is the indentation over the window ``contact``; beyond the edges
         of an image of ``shape_px`` the deformation goes on as at the edge. Returns the deformation

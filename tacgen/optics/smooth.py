@@ -176,7 +176,10 @@ def _double(coarse: NDArray[Any], window: Window, surface: NDArray[Any]) -> None
 
 
 class Gaussian:
-    """One Gaussian; a wide one is computed on means of blocks of pixels, about σ wide."""
+    """One Gaussian; from 1.9 px on it is computed on means of 2×2 pixels, from 7.5 px of 4×4.
+
+    What it leaves of a wave is off by 2 or 3 % of the wave's height before.
+    """
 
     def __init__(self, sigma_px: float) -> None:
         self._n_halvings = 2 if sigma_px >= 7.5 else 1 if sigma_px >= 1.9 else 0
