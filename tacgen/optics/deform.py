@@ -73,12 +73,15 @@ def _clear_negligible(surface: NDArray[Any], least_mm: float) -> tuple[int, int,
 class Deformer:
     """Turns the indentation under an object into the deformation of the whole gel."""
 
+    reach_px: int
+    """Pixels around a contact that it can deform by more than ``NEGLIGIBLE_MM``."""
+
     def __init__(self, mm_per_px: float) -> None:
         self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in PYRAMID_SIGMA_MM]
         self._final = Gaussian(FINAL_SIGMA_MM / mm_per_px)
-        self._most_px = math.ceil(
-            REACH_SIGMAS * math.hypot(*PYRAMID_SIGMA_MM, FINAL_SIGMA_MM) / mm_per_px
-        )
+        reaches_px = [blur.reach_px for blur in (*self._pyramid, self._final)]
+        sigma_px = math.hypot(*PYRAMID_SIGMA_MM, FINAL_SIGMA_MM) / mm_per_px
+        self.reach_px = min(sum(reaches_px), math.ceil(REACH_SIGMAS * sigma_px))
         # Kept: new pages would cost as much as a blur.
         self._memory = np.empty(0, dtype=np.float32)
 
@@ -89,11 +92,6 @@ class Deformer:
         surface = self._memory[: height * width].reshape(height, width)
         surface.fill(0)
         return surface
-
-    @property
-    def reach_px(self) -> int:
-        """Pixels around a contact that it can deform by more than ``NEGLIGIBLE_MM``."""
-        return min(sum(blur.reach_px for blur in (*self._pyramid, self._final)), self._most_px)
 
     def deform(
         self, depth_mm: NDArray[np.float32], contact: Window, shape_px: tuple[int, int]

@@ -181,6 +181,11 @@ class Gaussian:
     What it leaves of a wave is off by 2 or 3 % of the wave's height before.
     """
 
+    factor: int
+    """Pixels along a side of the blocks."""
+    reach_px: int
+    """How far anything spreads."""
+
     def __init__(self, sigma_px: float) -> None:
         self._n_halvings = 2 if sigma_px >= 7.5 else 1 if sigma_px >= 1.9 else 0
         variance = sigma_px**2
@@ -188,19 +193,9 @@ class Gaussian:
             # Taking means and interpolating between them has a variance of 1/4 + 3/4 pixels².
             variance = (variance - 1) / 4
         self.kernel = half_kernel(math.sqrt(variance))
-
-    @property
-    def factor(self) -> int:
-        """Pixels along a side of the blocks."""
-        return int(2**self._n_halvings)
-
-    @property
-    def reach_px(self) -> int:
-        """How far anything spreads."""
-        reach = len(self.kernel) - 1
+        self.factor, self.reach_px = 1, len(self.kernel) - 1
         for _ in range(self._n_halvings):
-            reach = 2 * (reach + 2)
-        return reach
+            self.factor, self.reach_px = 2 * self.factor, 2 * (self.reach_px + 2)
 
     def apply(self, surface: NDArray[np.float32], window: Window) -> None:
         """Blur in place within a window that is aligned to ``factor`` from the image's corner."""

@@ -192,10 +192,9 @@ class _Grasp:
         touched = dict.fromkeys(PAD_NAMES, 0.0)
         for _ in range(self._steps(limit_s) // CHUNK_STEPS):
             recorder.advance(CHUNK_STEPS)
-            now = recorder.snapshot()
-            if sum(now.pad_distance_m) <= 0:
+            if sum(recorder.pad_distance_m()) <= 0:
                 return "the pads met with nothing between them"
-            touched = self._pad_forces_n(now)
+            touched = self._pad_forces_n()
             off_n = max(abs(force - force_n) for force in touched.values())
             steady = steady + 1 if off_n <= STEADY_TOLERANCE * force_n else 0
             if steady == STEADY_CHUNKS:
@@ -206,12 +205,12 @@ class _Grasp:
         self.note = f"the pads' force was not steady {limit_s:.1f} s after closing on"
         return ""
 
-    def _pad_forces_n(self, snapshot: Snapshot) -> dict[str, float]:
-        axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
+    def _pad_forces_n(self) -> dict[str, float]:
         body = self.robot.body
-        own = [c for c in snapshot.contacts if (c[1] == body or c[2] == body) and c[9] > 0]
+        own = [c for c in self.world.contacts() if (c[1] == body or c[2] == body) and c[9] > 0]
         if not own:  # as most of the time
             return dict.fromkeys(PAD_NAMES, 0.0)
+        axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
         contacts = object_contacts(own, self.body.body)
         along_n = contacts.force_n @ axis
         return {

@@ -58,18 +58,22 @@ class Recorder:
             self.step, *self._body.inertial_position(), *self._robot.gripper_position()
         )
 
+    def pad_distance_m(self) -> tuple[float, float]:
+        """How far the left and the right pad now are from the gripper's middle."""
+        left_m, right_m = self._robot.fingers.travel_m()
+        half_m = STROKE_MM / 2 * M_PER_MM
+        return half_m - left_m, half_m - right_m
+
     def snapshot(self) -> Snapshot:
         """The world now."""
         if self.step not in self.snapshots:
-            left_m, right_m = self._robot.fingers.travel_m()
-            half_m = STROKE_MM / 2 * M_PER_MM
             self.snapshots[self.step] = Snapshot(
                 self.step,
                 *self._body.inertial_position(),
                 *self._robot.gripper_position(),
                 contacts=self._world.contacts(),
                 object_angular_velocity=self._body.velocity()[1],
-                pad_distance_m=(half_m - left_m, half_m - right_m),
+                pad_distance_m=self.pad_distance_m(),
             )
         return self.snapshots[self.step]
 
