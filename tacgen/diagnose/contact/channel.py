@@ -7,7 +7,7 @@ in B has no share of the noise, be it of the volume or of the force. Sums of suc
 the place of every sum of squares that is judged.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -78,22 +78,6 @@ class ChannelData:
         trial = np.zeros(self.n_units, dtype=np.int64)
         trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
         return trial
-
-    @cached_property
-    def by_parts(self) -> "ChannelData":
-        """The same with parts of trials as units, up to ``min_units`` in each."""
-        pairs, unit = _pairs(self.history.starts, self.rules.min_units)
-        return replace(self, pairs=pairs, pair_unit=unit)
-
-    def acts_in_few(self, reduced: FloatArray) -> bool:
-        """Whether columns (R, M) act in so few trials that signs of trials could not tell them.
-
-        The number of trials is (Σ e)² / Σ e² of the columns' sums of squares e in each.
-        """
-        starts = self.history.starts[:-1] * self.n_outputs
-        size = np.add.reduceat(reduced**2, starts, axis=0)
-        number = size.sum(axis=0) ** 2 / ((size**2).sum(axis=0) + 1e-300)
-        return bool((number < self.rules.few_acting).all())
 
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
@@ -211,7 +195,7 @@ class ChannelSamples:
             self.noise,
             history.n_samples,
             weight,
-            *_pairs(thinned.starts, _parts_of_trial(thinned.n_trials, self.rules)),
+            *_pairs(thinned.starts, self.rules),
         )
 
     def every_sample(self) -> ChannelData:
@@ -224,14 +208,13 @@ def linear_compliance(load: FloatArray, target: FloatArray) -> float:
     return float((load * target).sum() / max(float((load**2).sum()), 1e-12))
 
 
-def _parts_of_trial(n_trials: int, rules: SelectionRules) -> int:
-    """How many units a trial is: one, unless trials are few."""
-    few = n_trials < rules.min_trials_as_units
-    return int(np.ceil(rules.min_units / max(n_trials, 1))) if few else 1
-
-
-def _pairs(starts: NDArray[np.int64], parts: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pairs(
+    starts: NDArray[np.int64], rules: SelectionRules
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Neighbouring rows of each trial, which of the two is A in turn, and the unit of each."""
+    n_trials = starts.size - 1
+    few = n_trials < rules.min_trials_as_units
+    parts = int(np.ceil(rules.min_units / max(n_trials, 1))) if few else 1
     lefts, units = [], []
     for trial, (first, stop) in enumerate(pairwise(starts)):
         lefts.append(np.arange(first, stop - 1, 2, dtype=np.int64))

@@ -23,7 +23,6 @@ class SelectionRules:
     gp_rows_per_trial: int = 30  # that the Gaussian process sees
     min_trials_as_units: int = 16  # with fewer, parts of trials are what tests resample
     min_units: int = 36  # about so many parts of trials then
-    few_acting: float = 8.0  # trials in which an effect acts: signs of fewer seldom reach alpha
     min_trials_as_folds: int = 4  # with fewer trials, folds are parts of trials too
     outlier_sigmas: float = 7.0  # so far from its neighbours a sample has no weight
     max_variance_ratio: float = 25.0  # of the weights that noise growing with the load gives

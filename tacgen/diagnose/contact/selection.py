@@ -11,7 +11,6 @@ compete on the same terms, so that they are not taken for an effect.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -132,7 +131,7 @@ class CandidateSets:
         self._confounded = cand.confounded(data, self.linear, self.effects, self._covariates)
         self._session_clock = session_clock
         self._oscillations: list[Covariate] = []
-        self._folds, self._rng = data.folds(), rng
+        self._folds = data.folds()
         self._shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._parts = [] if few else parts_of(data)
@@ -152,20 +151,8 @@ class CandidateSets:
                 training = np.concatenate([training, prior[None]])
             columns = range(fit.jacobian.shape[1])
             losses = self._cv_losses(grams, [columns], plain, training)[0]
-            if one := next((m for m in members if self._acts_in_few(m)), None):
-                # Other trials may not predict it: what it explains of its own counts.
-                rest = self.without(FittedSet(members, fit, losses), one)
-                left = scores.unit_grams(self.data, rest.fit.residual[:, None])[:, 0, 0]
-                losses = min(losses, rest.unit_losses + plain - left, key=np.sum)
             self._fits[key] = FittedSet(members, fit, losses)
         return replace(self._fits[key], members=members)
-
-    def _acts_in_few(self, one: Candidate) -> bool:
-        """Whether it is an effect in one of its forms that acts in few of many trials."""
-        if self.data.few_trials or one.effect is None or one.is_local or one.effect.is_of_trials:
-            return False
-        is_corrected = one.variant is not None and np.isfinite(one.variant.prior_sd)
-        return not is_corrected and self.data.acts_in_few(one.columns)
 
     def _cv_losses(
         self,
@@ -244,10 +231,6 @@ class CandidateSets:
         grams, groups, base = self._grams(fit, found)
         sets = [[*base, *group] for group in groups]
         losses = self._cv_losses(grams, sets, current.unit_losses).sum(axis=1)
-        if few := [i for i, one in enumerate(found) if self._acts_in_few(one)]:
-            every = [base, *(sets[i] for i in few)]
-            without, *left = scores.training_losses(grams.sum(axis=0), every, self.rules)
-            losses[few] = np.minimum(losses[few], current.loss + np.array(left) - without)
         order = np.argsort(losses)
         return [(found[i], current.loss - float(losses[i])) for i in order]
 
@@ -307,33 +290,17 @@ class CandidateSets:
         """The p of each candidate, chosen from ``n_names`` names, and which are of trials.
 
         Of trials are those with one value a trial, whose test permutes trials. Only these are
-        corrected for the choice where trials are few. What acts in few of many trials is tested
-        by signs of parts of them too, which count as one for as long as what is left goes on.
+        corrected for the choice where trials are few.
         """
-        data, fit = self.data, current.fit
-        ones = Candidate("", data.ones)
-        grams, groups, base = self._grams(fit, [*candidates, ones])
+        ones = Candidate("", self.data.ones)
+        grams, groups, base = self._grams(current.fit, [*candidates, ones])
         names = [candidate.name for candidate in candidates]
         by_shuffle, of_trials = scores.shuffle_p_values(
             grams, base, groups[:-1], shuffled or self._shuffled, groups[-1], self.rules, names
         )
-        few = [i for i, whole in enumerate(of_trials) if not whole]
-        if few := [i for i in few if self._acts_in_few(candidates[i])]:
-            parts = data.by_parts
-            blocks = [ones.columns, *(candidates[i].columns for i in few)]
-            grams, (constant, *groups), base = scores.fit_grams(parts, fit, blocks)
-            signs = self._signs_of_parts.of_blocks(parts.memory_units(fit.residual))
-            within, _ = scores.shuffle_p_values(
-                grams, base, groups, signs, constant, self.rules, [names[i] for i in few]
-            )
-            by_shuffle[few] = np.minimum(by_shuffle[few], within)
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
-        looked_at = np.where(of_trials | (not data.few_trials), n_names, 1)
+        looked_at = np.where(of_trials | (not self.data.few_trials), n_names, 1)
         return np.minimum(np.maximum(by_shuffle, search) * looked_at, 1.0), of_trials
-
-    @cached_property
-    def _signs_of_parts(self) -> scores.Shuffles:
-        return scores.shuffles(self.data.by_parts.unit_trial, self.rules.n_shuffles, self._rng)
 
     def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
         """The p of the member's columns beside the others, and whether it is of trials.

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
@@ -43,42 +42,3 @@ def test_an_effect_is_needed_beside_one_without_which_cross_validation_goes_astr
     without["creep"] = replace(without["creep"], unit_losses=astray)
     monkeypatch.setattr(sets, "without", lambda _, member: without[member.name])
     assert sets.is_needed(full, offset)
-
-
-def one_larger_press(limit_mm3=np.inf, bend=0.0):
-    """24 presses, one of which is larger by far; each bends by ± ``bend`` at 10 N, in turn."""
-    rng = np.random.default_rng(4)
-    peaks = rng.uniform(3.0, 6.0, 24)
-    peaks[11] = 10.0
-    force = peaks[:, None] * (1.0 - np.abs(np.linspace(-1.0, 1.0, 60)))
-    gain = 1.0 + bend * np.resize([1.0, -1.0], 24)[:, None] * force / 10.0
-    volume = np.minimum(5.0 * gain * force, limit_mm3)
-    columns = {
-        "trial": np.repeat(np.arange(24), 60),
-        "time_s": 0.1 * np.arange(24 * 60),
-        "force_normal_n": force.ravel(),
-        "volume_mm3": volume.ravel() + 0.5 * rng.standard_normal(volume.size),
-    }
-    return ChannelSamples(columns, "normal").thinned()
-
-
-@pytest.mark.parametrize("limit_mm3", [34.0, 42.0])
-def test_a_limit_that_one_press_of_many_reaches_is_named(limit_mm3):
-    """The press's sign alone says nothing and no other press predicts it: its course does both."""
-    selection = Selection(one_larger_press(limit_mm3), np.random.default_rng(0))
-    assert selection.choose().named.effect_names == ("saturation",)
-
-
-def test_where_presses_bend_the_largest_is_no_limit(monkeypatch):
-    """What a law leaves of them goes on for so long that their parts are not many."""
-
-    def p_of_saturation():
-        sets = Selection(data, np.random.default_rng(0)).sets
-        base = sets.fitted((), sets.linear)
-        limits = [one for one, _ in sets.pool(base) if one.name == "saturation"]
-        return sets.p_values(base, limits, 1)[0].min()
-
-    data = one_larger_press(bend=0.1)
-    assert p_of_saturation() > 0.1
-    monkeypatch.setattr(type(data), "memory_units", lambda self, reduced: 1)
-    assert p_of_saturation() < 0.001
