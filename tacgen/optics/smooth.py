@@ -12,6 +12,8 @@ Window = tuple[int, int, int, int]
 
 COARSEST = 4  # the largest number of pixels, along a side, that a wide Gaussian averages into one
 
+BEYOND = 2  # blocks beyond each edge: two, so that blocks of blocks begin at the edge too
+
 _REACH_SIGMAS = 3.0  # beyond it a Gaussian has 0.3 % of its sum
 
 
@@ -126,22 +128,22 @@ def half_kernel(sigma_px: float) -> NDArray[np.float32]:
 
 @njit(cache=True, nogil=True)
 def _halve(surface: NDArray[Any], window: Window, coarse: NDArray[Any]) -> None:
-    """Means of blocks of 2×2 pixels, with one block more beyond each edge.
+    """Means of blocks of 2×2 pixels, with ``BEYOND`` blocks more beyond each edge.
 
     What lies beyond the window equals its edge.
     """
     top, bottom, left, right = window
-    width, last = right - left, bottom - 1
+    width, last, first = right - left, bottom - 1, 2 * BEYOND
     line = np.empty(2 * coarse.shape[1], np.float32)
-    within = line[2 : 2 + width]
+    within = line[first : first + width]
     for i in range(coarse.shape[0]):
-        r = top + 2 * i - 2
+        r = top + 2 * i - first
         upper = surface[min(max(r, top), last), left:right]
         lower = surface[min(max(r + 1, top), last), left:right]
         for k in range(width):
             within[k] = upper[k] + lower[k]
-        line[:2] = within[0]
-        line[2 + width :] = within[width - 1]
+        line[:first] = within[0]
+        line[first + width :] = within[width - 1]
         out = coarse[i]
         for j in range(out.shape[0]):
             even = np.uint64(2 * j)  # an index with a sign would keep numba from vectors
@@ -159,16 +161,16 @@ def _blend(near: NDArray[Any], far: NDArray[Any], out: NDArray[Any]) -> None:
 def _double(coarse: NDArray[Any], window: Window, surface: NDArray[Any]) -> None:
     """Interpolate between the middles of the blocks that ``_halve`` made."""
     top, bottom, left, right = window
-    n_blocks = coarse.shape[1] - 2
+    n_blocks = coarse.shape[1] - 2 * BEYOND
     wide = np.empty((2, 2 * n_blocks), np.float32)  # two rows of blocks, as wide as the window
-    for i in range(coarse.shape[0]):
-        before, here, after = coarse[i], coarse[i, 1:], coarse[i, 2:]
+    for i in range(BEYOND - 1, coarse.shape[0]):
+        before, here, after = coarse[i, BEYOND - 1 :], coarse[i, BEYOND:], coarse[i, BEYOND + 1 :]
         above, below = wide[1 - i % 2], wide[i % 2]
         for j in range(n_blocks):
             even = np.uint64(2 * j)
             below[even] = np.float32(0.75) * here[j] + np.float32(0.25) * before[j]
             below[even + np.uint64(1)] = np.float32(0.75) * here[j] + np.float32(0.25) * after[j]
-        r = top + 2 * i - 3  # the lower row of the block before
+        r = top + 2 * (i - BEYOND) - 1  # the lower row of the block before
         if top <= r < bottom:
             _blend(above, below, surface[r, left:right])
         if top <= r + 1 < bottom:
@@ -206,7 +208,7 @@ class Gaussian:
             smooth(surface, window, self.kernel)
             return
         top, bottom, left, right = window
-        shape = ((bottom - top + 1) // 2 + 2, (right - left + 1) // 2 + 2)
+        shape = tuple((n + 1) // 2 + 2 * BEYOND for n in (bottom - top, right - left))
         coarse = np.empty(shape, dtype=np.float32)
         _halve(surface, window, coarse)
         self._apply(coarse, (0, shape[0], 0, shape[1]), n_halvings - 1)
