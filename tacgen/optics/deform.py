@@ -27,8 +27,8 @@ NEGLIGIBLE_MM = 1e-5
 """Deformation below this is none: it changes no slope by more than 2e-4 at 0.03 mm/px."""
 
 REACH_SIGMAS = 4.6
-"""Of all Gaussians together: beyond it the straight edge of a contact as deep as a gel of 4 mm has
-left less than ``NEGLIGIBLE_MM``."""
+"""Of all Gaussians together. So far from a straight edge 4 mm deep, 4 mm × (1 − Φ(4.6)) = 8 nm are
+left: less than ``NEGLIGIBLE_MM``."""
 
 
 @njit(cache=True, nogil=True)
@@ -117,7 +117,7 @@ class Deformer:
         loose_mm, firm_mm = (share * deepest_mm for share in FIRM_CONTACT)
         reach = 1
         for blur in (*self._pyramid, self._final):
-            # One pixel beyond what is deformed, so that the edge is at rest.
+            # One pixel beyond what is deformed: the edge is at rest, to ``NEGLIGIBLE_MM``.
             reach += blur.reach_px
             around = grown(patch, min(reach, self.reach_px + 1), surface.shape)
             changed = aligned(around, blur.factor, surface.shape)

@@ -261,7 +261,8 @@ def check_height_map(height_map_mm: NDArray[np.floating], table: LookupTable) ->
 class Renderer:
     """Renders frame after frame of one sensor, touching only what a contact changes.
 
-    The picture is the same, bit for bit, as ``render_rgb`` of the whole surface.
+    The picture is the same, bit for bit, as ``render_rgb`` of the whole surface, unless shadows are
+    on and the gel's dome is so steep that at rest it shades itself.
 
     ``rest_map_mm`` (H, W) is the gel at rest, gel frame. Empty ``leds`` are read off the table; a
     ``marker_radius_mm`` of 0 draws no markers.

@@ -88,7 +88,7 @@ def blend_nodes(
             blends.append(
                 builder.fadd(builder.fadd(parts[0], parts[1]), builder.fadd(parts[2], parts[3]))
             )
-        # The pairs of features are u² and v², uv and u, v and 1: (u², v²) + (u + 1) (v, 1).
+        # a u² + b v² + (c u + e) v + (d u + f), with two features in each vector.
         squares = _halves(builder, builder.fmul(u, u), builder.fmul(v, v))
         linear = builder.fadd(builder.fmul(blends[1], _everywhere(builder, u)), blends[2])
         total = builder.fadd(

@@ -31,8 +31,8 @@ class Imprint:
 
     ``indentation_mm`` is δ beyond first touch; ``saturated`` where the gel is pressed through to
     its backing. ``window`` (top, bottom, left, right) holds the contact patch, ``depth_mm`` (h, w)
-    float32 the indentation over it, in pixels of ``pixel_area_mm2``. ``motion`` is how far shear
-    has moved the object along the gel.
+    float32 the indentation over it, in pixels of ``pixel_area_mm2``, by which the volume is summed.
+    ``motion`` is how far shear has moved the object along the gel.
     """
 
     indentation_mm: float = 0.0
