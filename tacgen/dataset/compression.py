@@ -62,9 +62,18 @@ def storage_of(array: ArraySpec) -> dict[str, Any]:
 
 
 def write_images(dataset: h5py.Dataset, row: int, frames: NDArray[np.uint8]) -> None:
-    """Write the noisy images (T, H, W, 3) of one grasp, compressed here and not by HDF5."""
+    """Write the noisy images (T, H, W, 3) of one grasp, compressed here and not by HDF5.
+
+    An image that equals the one before is not coded again: that of a steady hold, stored without
+    the noise.
+    """
+    chunk, before = encode_image(frames[0]), frames[0]
     for frame, rgb in enumerate(frames):
-        dataset.id.write_direct_chunk((row, frame, 0, 0, 0), encode_image(rgb))
+        # The first row differs at once where there is noise.
+        if not (np.array_equal(rgb[0], before[0]) and np.array_equal(rgb, before)):
+            chunk = encode_image(rgb)
+        before = rgb
+        dataset.id.write_direct_chunk((row, frame, 0, 0, 0), chunk)
 
 
 def encode_image(rgb: NDArray[np.uint8]) -> bytes:

@@ -12,6 +12,7 @@ from tacgen.dataset.compression import (
     encode_image,
     is_blosc2_image,
     storage_of,
+    write_images,
 )
 from tacgen.dataset.schema import ArraySpec
 
@@ -24,6 +25,22 @@ def read_back(rgb: np.ndarray) -> np.ndarray:
         array = file.create_dataset("x", rgb.shape, "u1", chunks=rgb.shape, **storage_of(NOISY))
         array.id.write_direct_chunk((0, 0, 0), encode_image(rgb))
         return array[()]
+
+
+def test_images_that_equal_the_one_before_or_nearly_do_are_read_as_they_were():
+    still = make_image("skewed", 31, 40, 1)
+    last_pixel, first_row = still.copy(), still.copy()
+    last_pixel[-1, -1] ^= 1
+    first_row[0] ^= 1
+    frames = np.stack([still, still, last_pixel, first_row, still, still])
+    with h5py.File("memory", "w", driver="core", backing_store=False) as file:
+        shape = (2, *frames.shape)
+        array = file.create_dataset(
+            "x", shape, "u1", chunks=(1, 1, *still.shape), **storage_of(NOISY)
+        )
+        write_images(array, 0, frames)
+        write_images(array, 1, frames[::-1])
+        np.testing.assert_array_equal(array[()], np.stack([frames, frames[::-1]]))
 
 
 def make_image(kind: str, height: int, width: int, seed: int) -> np.ndarray:
