@@ -15,7 +15,7 @@ Float64: TypeAlias = NDArray[np.float64]
 Int32: TypeAlias = NDArray[np.int32]
 
 CELL_MM = 4.0  # of a cut mesh: a fifth of a sensor's window, and some 50 faces
-MOST_CELLS = 1024  # along an axis: what lies over 4 m from the first vertex is in the last cell
+MOST_CELLS = 1024  # along an axis: what lies over 4 m from the mesh's end is in the last cell
 
 
 @dataclass(frozen=True, slots=True)

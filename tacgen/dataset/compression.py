@@ -67,12 +67,13 @@ def write_images(dataset: h5py.Dataset, row: int, frames: NDArray[np.uint8]) -> 
     An image that equals the one before is not coded again: that of a steady hold, stored without
     the noise.
     """
-    chunk, before = encode_image(frames[0]), frames[0]
+    chunk = b""
     for frame, rgb in enumerate(frames):
+        before = frames[frame - 1]
         # The first row differs at once where there is noise.
-        if not (np.array_equal(rgb[0], before[0]) and np.array_equal(rgb, before)):
+        is_same = frame > 0 and np.array_equal(rgb[0], before[0]) and np.array_equal(rgb, before)
+        if not is_same:
             chunk = encode_image(rgb)
-        before = rgb
         dataset.id.write_direct_chunk((row, frame, 0, 0, 0), chunk)
 
 

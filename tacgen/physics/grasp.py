@@ -207,6 +207,7 @@ class _Grasp:
 
     def _pad_forces_n(self) -> dict[str, float]:
         body = self.robot.body
+        # Of ``getContactPoints``: 1 and 2 are the bodies, 9 the normal force.
         own = [c for c in self.world.contacts() if (c[1] == body or c[2] == body) and c[9] > 0]
         if not own:  # as most of the time
             return dict.fromkeys(PAD_NAMES, 0.0)
