@@ -66,4 +66,6 @@ def test_trials_that_change_too_few_labels_are_counted_apart():
         "cup", ("mass",), 0.05, True, ("mass",), (1.4,), (("friction",),), "right", 0.2, 0.05
     )
     few = Trial("cup", ("mass",), 0.05, False, (), (), (), "missed", 0.02, 0.02)
-    assert "| 1 | 5 % | 2 | 1 | 1 | 0 | 0 | 0 | 2.0 | 20.0 → 5.0 % |" in summary_of([trial, few])
+    assert "| 1 | 5 % | 2 | 1 | 1 | 0 | 0 | 0 | 0 | 2.0 | 20.0 → 5.0 % |" in summary_of(
+        [trial, few]
+    )

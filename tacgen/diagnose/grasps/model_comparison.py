@@ -475,6 +475,15 @@ class Posterior:
         """Log of the sum of all weights, over that of the declared simulation."""
         return float(logsumexp([0.0, *(one.gain for one in self.explanations)]))
 
+    @property
+    def with_declared(self) -> list[Explanation]:
+        """The explanations and that nothing is wrong, the likeliest first."""
+        return sorted([AS_DECLARED, *self.explanations], key=lambda one: -one.gain)
+
+    def share(self, one: Explanation) -> float:
+        """Probability that exactly this is wrong."""
+        return float(np.exp(one.gain - self.log_total))
+
     def probability(self, candidates: Set[Candidate]) -> float:
         """Probability that all of these are wrong, among whatever else."""
         gains = [one.gain for one in self.explanations if candidates <= one.candidates]

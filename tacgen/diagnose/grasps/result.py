@@ -77,6 +77,11 @@ class GraspDiagnosis:
         return "effect_found" if self.found else "sufficient"
 
     @property
+    def undecided(self) -> bool:
+        """Whether labels differ from the simulation, but too few to name a cause."""
+        return self.verdict == "sufficient" and self.rate_before > 0
+
+    @property
     def sentence(self) -> str:
         """The verdict in a sentence or two."""
         n = len(self.real)
@@ -84,8 +89,18 @@ class GraspDiagnosis:
         if self.verdict == "sufficient":
             small = n < RULES.few_grasps
             few = " With so few grasps, an effect could hardly be detected." if small else ""
-            count = f"{n - before} of {n}" if before else f"all {n}"
-            return f"The simulation reproduces {count} labels.{few}"
+            if not self.undecided:
+                return f"The simulation reproduces all {n} labels.{few}"
+            possible = ", or ".join(
+                f"{' beside '.join(map(describe, one.causes)) or 'flipped labels alone'} "
+                f"({100 * self.posterior.share(one):.0f} %)"
+                for one in self.posterior.with_declared[: RULES.explanations_told]
+            )
+            return (
+                f"{before} of {n} labels differ from the simulation, too few to name a cause: with "
+                f"nothing wrong, one seems as likely in {100 * self.posterior.p_value:.1f} % of "
+                f"cases. Most probable: {possible}.{few}"
+            )
         followed = ", ".join(self.dependences)
         follow = f" follow {followed}" if followed else " follow none of the known columns"
         if not self.found:
@@ -269,10 +284,10 @@ def diagnosis_record(
         "explanations": [
             {
                 "causes": [describe(cause) for cause in one.causes],
-                "probability": float(np.exp(one.gain - posterior.log_total)),
+                "probability": posterior.share(one),
                 "log_evidence_gain": finite(one.gain),
             }
-            for one in posterior.explanations[: RULES.explanations_reported]
+            for one in posterior.with_declared[: RULES.explanations_reported]
         ],
     }
     return {"schema": SCHEMA, "notes": list(diagnosis.notes), "channels": {"grasp": channel}}

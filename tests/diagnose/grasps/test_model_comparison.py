@@ -3,6 +3,8 @@
 No simulator: what the hypotheses predict is written down here.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import expit, logsumexp
@@ -358,6 +360,34 @@ def test_labels_that_follow_something_unlisted_are_unexplained():
     assert "order" in found.sentence
 
 
+def test_too_few_other_labels_name_nothing_and_the_likeliest_explanations_are_stated():
+    grasps = Grasps(3, count=60)
+    labels, comparison = grasps.labels(flips=3), grasps.comparison()
+    found = posterior(comparison, labels, np.random.default_rng(0))
+    simulated = (grasps.margin() > 0).astype(int)
+    rng = np.random.default_rng(0)
+    diagnosis = diagnose_labels(comparison, labels, found, simulated, {}, [], rng)
+    assert diagnosis.undecided
+    assert diagnosis.verdict == "sufficient"
+    assert diagnosis.sentence.startswith("3 of 60 labels differ from the simulation, too few to")
+    explanations = diagnosis_record(diagnosis, {"block": BLOCK})["channels"]["grasp"][
+        "explanations"
+    ]
+    probabilities = [one["probability"] for one in explanations]
+    assert probabilities == sorted(probabilities, reverse=True)
+    (alone,) = (one for one in explanations if not one["causes"])
+    assert f"flipped labels alone ({100 * alone['probability']:.0f} %)" in diagnosis.sentence
+    likeliest = next(one["causes"][0] for one in explanations if one["causes"])
+    assert likeliest in diagnosis.sentence
+    # Nothing differs, or something is named: neither is undecided.
+    clean = np.where(simulated, SUCCESS, FAILED)
+    same = replace(labels, known=clean)
+    none = posterior(comparison, same, np.random.default_rng(0))
+    agreed = diagnose_labels(comparison, same, none, simulated, {}, [], rng)
+    assert not agreed.undecided
+    assert agreed.sentence == "The simulation reproduces all 60 labels."
+
+
 def test_a_ridge_is_written_in_words_and_numbers():
     grasps = Grasps(2)
     labels, comparison = grasps.labels("mass_factor", 1.4), grasps.comparison(KEYS[:2])
@@ -438,7 +468,7 @@ def test_the_record_has_the_contracts_keys():
     assert effect["runner_up"]
     assert effect["probability"] > 0.9
     assert effect["ridge"] == ""
-    assert sum(one["probability"] for one in channel["explanations"]) <= 1
+    assert sum(one["probability"] for one in channel["explanations"]) <= 1 + 1e-9  # rounding
     assert {"noise_floor", "trials", "unexplained"} <= set(channel)
 
 
