@@ -1,10 +1,10 @@
 """From perturbed simulations of the real grasps to the models that are compared.
 
-Not everything is simulated. Grasps of an object whose mass and force grow by one factor move
-alike, so a heavier object is a weaker grip, and an offset of the force is another factor for every
-grasp. Where a grasp is far from slipping at a force, its margin is taken from the closed form.
-Parameters with a closed form of their own start from there too, and are simulated only where it
-matters: about the values that lead (``refined``).
+Not everything is simulated. An offset of the force is another factor for every grasp, and a heavier
+object is a weaker grip, but for the patches under the pads: they grow with the force alone, and the
+moment that they hold by up to its power of 1/4 more. Where a grasp is far from slipping at a force,
+its margin is taken from the closed form. Parameters with a closed form of their own start from
+there too, and are simulated only where it matters: about the values that lead (``refined``).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

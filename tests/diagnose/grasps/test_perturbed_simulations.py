@@ -112,6 +112,33 @@ def test_a_mass_predicts_what_the_inverse_force_does_failure_modes_included(tmp_
     assert mass.turning == pytest.approx(force.turning[::-1], abs=1e-6)
 
 
+@pytest.mark.slow
+def test_only_a_force_presses_the_patches_under_the_pads_larger(tmp_path):
+    """So a mass is not quite another force: on a dome V = π a⁴ / 4R, and V grows with the force.
+
+    The moment that the pads hold then grows with the force to the power of 5/4; where the box ends
+    under the pads, by a few per cent more or less.
+    """
+    simulations = PerturbedSimulations(RECIPE, (config(9.0, 6.0), config(14.0, 6.0)), tmp_path, 1)
+    changes = {
+        "declared": Perturbation(),
+        "force": Perturbation(force_scale=1.6),
+        "friction": Perturbation(friction_factor=1.6),
+        "mass": Perturbation(mass_factor=1 / 1.6),
+    }
+    simulations.simulate(
+        (one, change) for one in simulations.configs for change in changes.values()
+    )
+    held = {
+        name: np.array([one.whole_torsion_ratio for one in simulations.outcomes(change)])
+        for name, change in changes.items()
+    }
+    power = {name: np.log(one / held["declared"]) / np.log(1.6) for name, one in held.items()}
+    assert power["force"] == pytest.approx(1.25, abs=0.05)
+    assert power["friction"] == pytest.approx(1.0, abs=0.01)
+    assert power["mass"] == pytest.approx(1.0, abs=0.01)
+
+
 class RimmedSimulations(PerturbedSimulations):
     """No simulator: an object that a rim holds at 0.86 of the force that friction would need."""
 

@@ -92,7 +92,7 @@ register(
         parameters=(
             factor(
                 "mass_factor",
-                # Mass and force grow by one factor without any change of motion.
+                # The inverse of a force, but for the patches, which grow with the force alone.
                 tuple(1 / one for one in reversed(FORCE_FACTORS)),
                 0.4,
                 prediction=Prediction.EQUIVALENT_FORCE,

@@ -24,7 +24,7 @@ class Prediction(Enum):
     GRIP_FORCE = auto()
     """The factor on the grip force: simulated where a grasp is near its threshold."""
     EQUIVALENT_FORCE = auto()
-    """Grasps move exactly as at another grip force: never simulated."""
+    """Grasps move as at another grip force, or so nearly that none is simulated."""
     CLOSED_FORM_FORCE = auto()
     """Nearly as at another grip force: simulated about leading values only."""
     CLOSED_FORM_TORSION = auto()
