@@ -31,8 +31,8 @@ exact in float32, so the indentation keeps its last bit wherever along z the obj
 NO_OBJECT = 2**30
 """In place of a number of grains where there is no object (or one over half a metre away)."""
 
-FIRST_ROWS = 16
-"""Every 16th row is rasterised first: its smallest gap shows which triangles are too far away to
+FIRST_ROWS = 32
+"""Every 32nd row is rasterised first: its smallest gap shows which triangles are too far away to
 touch anywhere, whatever the shape of the mesh."""
 
 CUT_AFTER = 30
