@@ -97,7 +97,8 @@ def before_after(rows: Sequence[tuple[str, float, float, float | None]], unit: s
     for place, (_, before, after, floor) in enumerate(rows):
         for shift, value, color in ((-0.19, before, MUTED), (0.19, after, ACCENT)):
             axes.barh(place + shift, value, height=0.34, color=color)
-            axes.text(value, place + shift, f" {value:.3g}", va="center", fontsize=9)
+            beside = max(value, value if floor is None else floor)
+            axes.text(beside, place + shift, f" {value:.3g}", va="center", fontsize=9)
         if floor is not None:
             axes.plot([floor, floor], [place - 0.42, place + 0.42], color=INK, lw=1.4, ls="--")
     axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
