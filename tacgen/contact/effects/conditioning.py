@@ -35,7 +35,10 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
             (f"over {n:g} trials, with a tail", {"trials": n, "tail": 1.0}, ("trials", "tail"))
             for n in (0.5, 1.5)
         ),
-        ("a plateau of 4 trials", {"trials": 4.0, "power": 2.5}, ("trials",)),
+        *(
+            (f"a plateau of {n:g} trials", {"trials": n, "power": 2.5}, ("trials",))
+            for n in (4.0, 8.0)
+        ),
     ]
     return tuple(
         base.variant(label, [{"amount": 0.05}], shapes, fitted=fitted)

@@ -36,7 +36,9 @@ base.register(
         ),
         apply=_apply,
         variants=lambda history, references: (
-            base.variant("lead or delay", [{"delay_s": history.sample_period_s}]),
+            # Small: from sample to sample the force is a line, of other slopes before and after.
+            base.variant("delay", [{"delay_s": 0.1 * history.sample_period_s}]),
+            base.variant("lead", [{"delay_s": -0.1 * history.sample_period_s}]),
             base.variant("first-order lag", [{"lag_s": history.sample_period_s}]),
             base.variant("smoothed samples", [{"smoothing_s": 0.3 * history.sample_period_s}]),
             base.variant(

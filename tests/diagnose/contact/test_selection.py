@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
 from tacgen.diagnose.contact.selection import Selection
-from tests.diagnose.contact.test_free_forms import presses, prony
+from tests.diagnose.contact.test_free_forms import K_N, N_TRIALS, presses, prony
 
 
 def selection_of_creep_and_offset(**rules):
@@ -42,3 +43,32 @@ def test_an_effect_is_needed_beside_one_without_which_cross_validation_goes_astr
     without["creep"] = replace(without["creep"], unit_losses=astray)
     monkeypatch.setattr(sets, "without", lambda _, member: without[member.name])
     assert sets.is_needed(full, offset)
+
+
+def test_conditioning_is_not_judged_by_what_later_presses_say_of_the_first():
+    """An inexact form, fitted without the press that shows most, is far off there."""
+    columns = presses(lambda force, *_: force, 0.05, 11)
+    columns["volume_mm3"] *= 1.0 + 0.2 / (1.0 + columns["trial"] / 0.7) ** 2
+    sets = Selection(ChannelSamples(columns, "normal").thinned(), np.random.default_rng(0)).sets
+    base = sets.fitted((), sets.linear)
+    (form,) = (one for one, _ in sets.pool(base) if one.label == "conditioning: over 1 trials")
+    assert sets.add(base, [form]).loss < 0.1 * base.loss
+
+
+@pytest.mark.parametrize(("delay_s", "form"), [(0.02, "delay"), (-0.02, "lead")])
+def test_a_delay_of_a_part_of_a_sample_is_seen_before_it_is_fitted(delay_s, form):
+    """A force that turns every few samples: moved by a whole one, it is another force."""
+    columns = presses(lambda force, *_: force, 0.0, 12)
+    rng = np.random.default_rng(12)
+    for rows in np.split(np.arange(columns["trial"].size), N_TRIALS):
+        time = columns["time_s"][rows]
+        force = 4.0 - 2.0 * np.cos(2 * np.pi * np.arange(time.size) / 7) * rng.uniform(0.5, 1.0)
+        columns["force_normal_n"][rows] = force
+        columns["volume_mm3"][rows] = K_N * np.interp(time - delay_s, time, force)
+    columns["volume_mm3"] += 0.2 * rng.normal(size=columns["trial"].size)
+    data = ChannelSamples(columns, "normal").thinned()
+    assert data.history.sample_period_s > 3 * abs(delay_s)
+    sets = Selection(data, np.random.default_rng(0)).sets
+    base = sets.fitted((), sets.linear)
+    gains = {one.label: gain for one, gain in sets.pool(base)}
+    assert gains[f"latency: {form}"] > 0.9 * base.loss
