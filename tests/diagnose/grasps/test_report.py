@@ -32,7 +32,10 @@ def test_the_page_shows_outcomes_candidates_and_next_grasps(tmp_path):
         "ranking": candidates,
         "p_value": 0.002,
         "critical_gain": 3.0,
-        "explanations": [{"causes": [FOUND, "mass of mug"], "probability": 0.25}],
+        "explanations": [
+            {"causes": [FOUND, "mass of mug"], "probability": 0.25},
+            {"causes": [], "probability": 0.125},
+        ],
         "force_from_images": "",
         "next_grasps": [
             {
@@ -54,6 +57,7 @@ def test_the_page_shows_outcomes_candidates_and_next_grasps(tmp_path):
     assert "1 of 6 (16.7 %)" in page
     assert f"{FOUND}; mass of mug" in page
     assert "25.0 %" in page
+    assert "flipped labels alone" in page
     assert "grip_force or friction: lift." in page
     assert "if grip_force" in page
     assert page.count("data:image/png") == 2
