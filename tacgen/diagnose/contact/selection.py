@@ -353,10 +353,8 @@ class CandidateSets:
     def is_worth(self, smaller: FittedSet, larger: FittedSet) -> bool:
         """Whether the larger set's gain on held-out units is large."""
         gain = smaller.loss - larger.loss
-        if self.data.few_trials:
-            at_bound = any(_is_at_bound(term) for term in larger.fit.model.terms)
-            if at_bound or gain < self.rules.clear_share * smaller.loss:
-                return False
+        if self.data.few_trials and gain < self.rules.clear_share * smaller.loss:
+            return False
         return gain > self._min_gain * self.total(larger)
 
     def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
@@ -381,8 +379,6 @@ class CandidateSets:
         if p_value > self.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
-        # A set that hardly determines its parameters may have any cross-validated loss.
-        most = min(most, self.fitted((), self.linear).loss - full.loss)
         return worth >= self.rules.least_share_of_rival * most
 
 
@@ -567,13 +563,3 @@ def _best_of_each(
             by_name.setdefault(candidate.name, []).append(candidate)
     best = list(by_name.values())[: rules.singles_fitted]
     return [candidate for same in best for candidate in same[:variants]]
-
-
-def _is_at_bound(term: Term) -> bool:
-    """Whether a fitted amount ended where its bound stopped it: then it is no measurement."""
-    for name in term.variant.free:
-        parameter, value = term.effect.parameter(name), term.values[name]
-        is_inside = parameter.low < value < parameter.high
-        if parameter.role == "amount" and value != parameter.identity and not is_inside:
-            return True
-    return False
