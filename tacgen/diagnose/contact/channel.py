@@ -80,14 +80,11 @@ class ChannelData:
         return trial
 
     def folds(self) -> NDArray[np.int64]:
-        """Fold of each unit (U,): whole trials stay together unless there are hardly any.
-
-        The first trial is in none (−1): no other tells how the first presses differ.
-        """
+        """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
         count, n_trials = self.rules.n_folds, self.history.n_trials
         if n_trials < self.rules.min_trials_as_folds:
             return np.arange(self.n_units) % min(count, self.n_units)
-        return np.where(self.unit_trial > 0, self.unit_trial % min(count, n_trials), -1)
+        return self.unit_trial % min(count, n_trials)
 
     def memory_units(self, reduced: FloatArray) -> int:
         """Over how many units what is left (R,) goes on, as noise with a memory does; at least 1.

@@ -32,7 +32,7 @@ class SelectionRules:
     min_trials_to_split: int = 8  # with fewer, each trial is held out in turn
     n_bootstrap: int = 1000  # resamplings of held-out trials for the gain's interval
     n_folds: int = 10  # of whole trials in cross-validation
-    n_shuffles: int = 3999  # in each test: a p by rank, times all names, must get below alpha
+    n_shuffles: int = 999  # sign flips or permutations of trials in each test
     shuffle_tail_share: float = 0.05  # of the shuffles: an exponential tail is fitted to it
 
     # Which columns compete

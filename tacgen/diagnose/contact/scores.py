@@ -64,19 +64,17 @@ def cv_losses(
     """Held-out sum of squares of every unit, for every set of columns: (S, U).
 
     ``sets`` hold column numbers; the last column is the target. Coefficients are fitted to
-    ``training`` (≥ U, P, P), whose first U are the units, by default to ``grams`` too; units in
-    no fold (−1) are always fitted to. A set of columns that are all but the same can overflow;
-    ``believable`` refuses it.
+    ``training`` (≥ U, P, P), whose first U are the units, by default to ``grams`` too. A set of
+    columns that are all but the same can overflow; ``believable`` refuses it.
     """
     losses = np.empty((len(sets), grams.shape[0]))
     training = grams if training is None else training
     total = training.sum(axis=0)
     for rows, index in _of_one_length(sets):
-        for fold in np.unique(folds):
+        for fold in range(int(folds.max()) + 1):
             out = np.flatnonzero(folds == fold)
             held = grams[out]
-            seen = total - training[out].sum(axis=0) if fold >= 0 else total
-            weights = _solve(seen, index, rules)
+            weights = _solve(total - training[out].sum(axis=0), index, rules)
             block = held[:, index[:, :, None], index[:, None, :]]
             with np.errstate(over="ignore", invalid="ignore"):
                 onto = (block @ weights[None, :, :, None])[..., 0]

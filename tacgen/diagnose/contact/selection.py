@@ -379,6 +379,8 @@ class CandidateSets:
         if p_value > self.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
+        # A set that hardly determines its parameters may have any cross-validated loss.
+        most = min(most, self.fitted((), self.linear).loss - full.loss)
         return worth >= self.rules.least_share_of_rival * most
 
 
