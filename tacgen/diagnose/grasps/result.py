@@ -95,11 +95,13 @@ class GraspDiagnosis:
                 f"{' beside '.join(map(describe, one.causes)) or 'flipped labels alone'} "
                 f"({100 * self.posterior.share(one):.0f} %)"
                 for one in self.posterior.with_declared[: RULES.explanations_told]
+                if self.posterior.share(one) >= RULES.least_share_told
             )
             return (
-                f"{before} of {n} labels differ from the simulation, too few to name a cause: with "
-                f"nothing wrong, one seems as likely in {100 * self.posterior.p_value:.1f} % of "
-                f"cases. Most probable: {possible}.{few}"
+                f"Of {n} labels, {before} {'differs' if before == 1 else 'differ'} from the "
+                "simulation, too few to name a cause: even if nothing is wrong, some cause looks "
+                f"as likely as here in {100 * self.posterior.p_value:.1f} % of cases. "
+                f"Most probable: {possible}.{few}"
             )
         followed = ", ".join(self.dependences)
         follow = f" follow {followed}" if followed else " follow none of the known columns"
