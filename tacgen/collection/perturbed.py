@@ -196,18 +196,19 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
 class Outcome:
     """How one simulated grasp ended, and how far it was from ending otherwise.
 
-    Three ratios are those of ``records.SlipMargin``; ``turn_ratio`` is how far the lifted object
-    turned over the largest turn of a success. All numbers are NaN, and the label is −1, where the
-    grasp was not executed.
+    ``friction_ratio`` is that of ``records.SlipMargin``; ``swing_ratio`` and ``whole_swing_ratio``
+    are its torsion ratios over the moment that is to be held lest the object swings beyond the turn
+    of a success; ``turn_ratio`` is how far the lifted object turned over that turn. All numbers are
+    NaN, and the label is −1, where the grasp was not executed.
     """
 
     label: int
     failure_mode: str
     friction_ratio: float = NAN
-    torsion_ratio: float = NAN
+    swing_ratio: float = NAN
     rise_mm: float = NAN
     turn_ratio: float = NAN
-    whole_torsion_ratio: float = NAN
+    whole_swing_ratio: float = NAN
     status: str = "executed"
 
     @classmethod
@@ -216,9 +217,13 @@ class Outcome:
         margin = trace.margin
         if margin is None:
             return cls(trace.label, trace.failure_mode, status=trace.status)
-        ratios = margin.friction_ratio, margin.torsion_ratio
+        share = margin.swing_moment_share
+        swing, whole = (
+            ratio / share if share > 0 else float("inf")
+            for ratio in (margin.torsion_ratio, margin.whole_torsion_ratio)
+        )
         turn_ratio = trace.turn_rad / settings.success_turn_rad
-        whole = margin.whole_torsion_ratio
+        ratios = margin.friction_ratio, swing
         return cls(trace.label, trace.failure_mode, *ratios, trace.rise_mm, turn_ratio, whole)
 
 

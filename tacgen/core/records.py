@@ -156,8 +156,9 @@ class SlipMargin:
     limit − moment of gravity about the pads' axis) / (weight × 1 mm). ``first_slip_time_s`` is
     NaN and ``first_slip_direction`` (2,), in the gel's x and y, is 0 where nothing slips.
     ``friction_ratio`` and ``torsion_ratio`` are the same limits over what is asked of them:
-    above 1 holds; ``whole_torsion_ratio`` is what the latter would be without tangential load.
-    They are NaN where only the differences were kept.
+    above 1 holds; ``whole_torsion_ratio`` is what the latter would be without tangential load,
+    and ``swing_moment_share`` (0 to 1) the part of the moment that is to be held lest the object
+    swings beyond the turn of a success. They are NaN where only the differences were kept.
     """
 
     translational: float
@@ -167,6 +168,7 @@ class SlipMargin:
     friction_ratio: float = float("nan")
     torsion_ratio: float = float("nan")
     whole_torsion_ratio: float = float("nan")
+    swing_moment_share: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,9 @@ class Capacity:
     """What the pads can hold and what the lifted object asks of them.
 
     ``torsion_limit_n_mm`` already allows for the friction that the weight takes up,
-    ``whole_torsion_n_mm`` does not; ``spinning_mm`` is what each pad's has to add to its contact
-    points' friction, for each newton.
+    ``whole_torsion_n_mm`` does not; ``swing_moment_n_mm`` is what has to be held lest the object
+    swings beyond the turn of a success; ``spinning_mm`` is what each pad's has to add to its
+    contact points' friction, for each newton.
     """
 
     friction_limit_n: float
@@ -34,6 +35,7 @@ class Capacity:
     torsion_limit_n_mm: float
     whole_torsion_n_mm: float
     moment_n_mm: float
+    swing_moment_n_mm: float
     spinning_mm: tuple[float, ...]
 
     @property
@@ -115,6 +117,7 @@ def grasp_capacity(
     mass_kg: float,
     friction: float,
     torsion: Sequence[TorsionLimit],
+    success_turn_rad: float,
 ) -> Capacity:
     """What ``pads``, by the contacts of each, can hold once the table is gone, world axes.
 
@@ -122,12 +125,15 @@ def grasp_capacity(
     normals do not carry; the moment is that of weight and normal forces about the axis through
     the pads' centres of pressure. A pad's moment is that of its ``torsion``, or of its contact
     points' friction about their own centre where that is larger.
+
+    An object whose moment is not held swings, and dry friction stops it once the moment's mean over
+    the turn is the limit: a mass that hangs below the pads is let go and caught again.
     """
     up = np.array([0.0, 0.0, 1.0])
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2
     forces = np.concatenate([pad.normal_force_n for pad in pads])
     if forces.sum() <= 0:
-        return Capacity(0.0, weight_n, 0.0, 0.0, 0.0, (0.0,) * len(pads))
+        return Capacity(0.0, weight_n, 0.0, 0.0, 0.0, 0.0, (0.0,) * len(pads))
     points = np.concatenate([pad.point_m for pad in pads])
     pushes = forces[:, None] * np.concatenate([pad.normal for pad in pads])
     total_n = float(forces.sum())
@@ -138,8 +144,12 @@ def grasp_capacity(
     share = tangential_load_n / friction_limit_n if friction_limit_n > 0 else np.inf
 
     center = (forces @ points) / total_n
-    moment = np.cross(center_of_mass_m - center, -weight_n * up)
-    moment += np.cross(points - center, pushes).sum(axis=0)
+    lever = center_of_mass_m - center
+    moment = np.cross(lever, -weight_n * up) + np.cross(points - center, pushes).sum(axis=0)
+    along_n_m = float(moment @ closing_axis)
+    # The mean over the turn is the moment half-way.
+    half_way = math.copysign(success_turn_rad / 2, along_n_m) * np.cross(closing_axis, lever)
+    rises_n_m = math.copysign(1.0, along_n_m) * (np.cross(half_way, -weight_n * up) @ closing_axis)
     torsion_n_mm, whole_n_mm, spinning_mm = 0.0, 0.0, []
     for pad, limit in zip(pads, torsion, strict=True):
         normal_n = float(pad.normal_force_n.sum())
@@ -158,7 +168,8 @@ def grasp_capacity(
         tangential_load_n=tangential_load_n,
         torsion_limit_n_mm=torsion_n_mm,
         whole_torsion_n_mm=whole_n_mm,
-        moment_n_mm=abs(float(moment @ closing_axis)) * MM_PER_M,
+        moment_n_mm=abs(along_n_m) * MM_PER_M,
+        swing_moment_n_mm=max(0.0, abs(along_n_m) + min(0.0, float(rises_n_m))) * MM_PER_M,
         spinning_mm=tuple(spinning_mm),
     )
 
@@ -176,6 +187,7 @@ def slip_margin(
         friction_ratio=_ratio(capacity.friction_limit_n, capacity.tangential_load_n),
         torsion_ratio=_ratio(capacity.torsion_limit_n_mm, capacity.moment_n_mm),
         whole_torsion_ratio=_ratio(capacity.whole_torsion_n_mm, capacity.moment_n_mm),
+        swing_moment_share=min(1.0, _ratio(capacity.swing_moment_n_mm, capacity.moment_n_mm)),
     )
 
 

@@ -107,6 +107,7 @@ def capacity_of(
         mass_kg=obj.mass_kg,
         friction=obj.friction * settings.pad_friction,
         torsion=[torsion[pad] for pad in bodies.pad_links],
+        success_turn_rad=settings.success_turn_rad,
     )
 
 

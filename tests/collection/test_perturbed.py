@@ -79,7 +79,7 @@ def test_a_centre_of_mass_moved_under_the_pads_takes_the_moment_away(simulated):
     *_, found = simulated
     declared, shifted = found["aside", "declared"], found["aside", "shifted"]
     # The lever goes from 15 mm to 5 mm, so the ratio grows threefold.
-    assert shifted.torsion_ratio == pytest.approx(3 * declared.torsion_ratio, rel=0.03)
+    assert shifted.swing_ratio == pytest.approx(3 * declared.swing_ratio, rel=0.03)
 
 
 @pytest.mark.slow

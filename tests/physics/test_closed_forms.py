@@ -191,6 +191,34 @@ def test_an_off_centre_grasp_turns_where_the_soft_finger_gives_way(
     record_threshold("offset_over_closed_form", steady, 0.9, 1.1)
 
 
+@pytest.mark.parametrize("below_mm", [20.0, 35.0])
+def test_what_hangs_below_the_pads_swings_to_twice_the_turn_of_balance(
+    simulator: GraspSimulator, below_mm: float
+) -> None:
+    """The energy of a pendulum let go with dry friction: it stops where the mean moment is held.
+
+    With its mass d beside and h below the pads, m g (d − h θ/2) = 2 s F √(1 − share²).
+    """
+    mass_kg, friction, force_n, spinning_mm = 0.3, 0.8, 20.0, 0.5
+    weight_n = mass_kg * GRAVITY_M_S2
+    share = weight_n / (2 * friction * force_n)
+    held_mm = 2 * spinning_mm * force_n * np.sqrt(1 - share**2) / weight_n
+
+    def turn_rad(expected_rad: float) -> float:
+        beside_mm = held_mm + below_mm * expected_rad / 2
+        obj = block(
+            mass_kg=mass_kg,
+            friction=friction,
+            spinning_friction_mm=spinning_mm,
+            center_of_mass_offset_mm=(0.0, beside_mm, 0.0),
+        )
+        return grasp(simulator, obj, force_n=force_n, z_mm=50.0 + below_mm).turn_rad
+
+    for expected_rad in (0.04, 0.08):
+        # The table takes a part of the energy while the object leaves it.
+        assert turn_rad(expected_rad) == pytest.approx(expected_rad, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("name", "force_n", "y_mm", "z_mm"),
     [("mustard_bottle", 15.0, -6.0, 90.0), ("flat_screwdriver", 15.0, -70.0, 12.0)],

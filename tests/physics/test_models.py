@@ -99,6 +99,7 @@ class TestMargins:
             mass_kg=0.3,
             friction=0.5,
             torsion=declared(2.0),
+            success_turn_rad=0.1,
         )
         weight_n = 0.3 * GRAVITY_M_S2
         assert capacity.friction_limit_n == pytest.approx(2 * 0.5 * 10)
@@ -111,6 +112,26 @@ class TestMargins:
         # Without the weight's share of the friction the pads hold 2 mm for each newton.
         assert margin.whole_torsion_ratio == pytest.approx(40.0 / (weight_n * 12.0))
         assert margin.translational == pytest.approx((10 - weight_n) / weight_n)
+
+    @pytest.mark.parametrize(("height_mm", "lever_mm"), [(-30.0, 10.5), (0.0, 12.0), (30.0, 12.0)])
+    def test_what_hangs_below_the_pads_is_caught_again(
+        self, height_mm: float, lever_mm: float
+    ) -> None:
+        """The mean over 0.1 rad of the lever of a mass 12 mm beside the pads and so much above."""
+        for side in (-1.0, 1.0):
+            capacity = grasp_capacity(
+                flat_pads(10.0),
+                closing_axis=X_AXIS,
+                center_of_mass_m=np.array([0.004, side * 0.012, 0.05 + height_mm / 1000]),
+                mass_kg=0.3,
+                friction=0.5,
+                torsion=declared(2.0),
+                success_turn_rad=0.1,
+            )
+            weight_n = 0.3 * GRAVITY_M_S2
+            assert capacity.swing_moment_n_mm == pytest.approx(weight_n * lever_mm)
+            margin = slip_margin(capacity, 0.3, float("nan"), np.zeros(2))
+            assert margin.swing_moment_share == pytest.approx(lever_mm / 12.0)
 
     def test_slanted_faces_carry_weight_or_add_to_it(self) -> None:
         def load_n(tilt_rad: float) -> float:
@@ -128,6 +149,7 @@ class TestMargins:
                 mass_kg=0.5,
                 friction=0.5,
                 torsion=declared(0.0),
+                success_turn_rad=0.1,
             ).tangential_load_n
 
         weight_n = 0.5 * GRAVITY_M_S2
@@ -153,6 +175,7 @@ class TestMargins:
             mass_kg=1e-6,
             friction=0.5,
             torsion=declared(0.0),
+            success_turn_rad=0.1,
         )
         assert capacity.torsion_limit_n_mm == pytest.approx(0.5 * 20 * 6.0)
 
@@ -164,6 +187,7 @@ class TestMargins:
             mass_kg=0.2,
             friction=0.5,
             torsion=declared(2.0),
+            success_turn_rad=0.1,
         )
         assert slip_margin(capacity, 0.2, 0.0, np.zeros(2)).translational == pytest.approx(-1.0)
         assert torsion_factor(capacity.friction_share) == 0.0

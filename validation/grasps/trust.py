@@ -34,12 +34,12 @@ from tacgen.diagnose.grasps.result import diagnose_labels
 from tacgen.objects import load_object
 
 SETS: tuple[tuple[tuple[str, ...], int], ...] = (
-    (("sugar_box",), 61),
-    (("tomato_soup_can",), 62),
-    (("rubiks_cube",), 64),
-    (("sugar_box", "mustard_bottle"), 66),
-    (("mustard_bottle",), 63),
-    (("flat_screwdriver",), 65),
+    (("sugar_box",), 71),
+    (("tomato_soup_can",), 72),
+    (("rubiks_cube",), 74),
+    (("sugar_box", "mustard_bottle"), 76),
+    (("mustard_bottle",), 73),
+    (("flat_screwdriver",), 75),
 )
 """Objects and seed of each set of configurations; what is an object's is wrong in the first."""
 N_GRASPS = 60

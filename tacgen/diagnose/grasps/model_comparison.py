@@ -195,7 +195,7 @@ def joint_model(
         log_force = log_force + spread(part.log_force, k)
     margin = margin + base / weight[..., None]
     for k, torsion in enumerate(parts):
-        if torsion.candidate.parameter.prediction is Prediction.CLOSED_FORM_TORSION:
+        if torsion.candidate.parameter.prediction is Prediction.TORSION:
             log_factor = spread(torsion.change[:, None] * torsion.acts, k)
             before = gain_by_torsion(declared.moment[0], log_factor)
             for j, part in enumerate(parts):

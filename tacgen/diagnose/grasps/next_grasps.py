@@ -8,12 +8,15 @@ from scipy.special import expit
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import place_of
 from tacgen.core.records import GraspConfig
+from tacgen.diagnose.grasps.hypotheses import Prediction
 from tacgen.diagnose.grasps.model_comparison import Cause, Explanation, Posterior
 from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations, combined_perturbation
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import margins_of
 
 Rivals = dict[str, tuple[Cause, ...]]
+_RATIO_SIGN = {Prediction.FORCE: 1, Prediction.FRICTION: 1, Prediction.MASS: -1}
+"""Whether force over weight grows or falls by a factor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +63,8 @@ def _at_the_same_ratio(one: Explanation, best: Explanation) -> tuple[Cause, ...]
     left = [cause for cause in best.causes if cause.candidate not in one.candidates]
     if len(new) != 1:
         return one.causes
-    sign = new[0].candidate.parameter.force_exponent * left[0].candidate.parameter.force_exponent
+    signs = [_RATIO_SIGN.get(own.candidate.parameter.prediction, 0) for own in (new[0], left[0])]
+    sign = signs[0] * signs[1]
     if not sign:
         return one.causes
     axis = new[0].model.coordinate

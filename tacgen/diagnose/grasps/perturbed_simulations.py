@@ -1,16 +1,13 @@
 """From perturbed simulations of the real grasps to the models that are compared.
 
-Not everything is simulated. An offset of the force is another factor for every grasp, and a heavier
-object is a weaker grip, but for the patches under the pads: they grow with the force alone, and the
-moment that they hold by up to its power of 1/4 more. Where a grasp is far from slipping at a force,
-its margin is taken from the closed form. Parameters with a closed form of their own start from
-there too, and are simulated only where it matters: about the values that lead (``refined``).
+Not everything is simulated. An offset of the force is another factor for every grasp. Where a
+grasp is far from slipping under a factor on force, mass, friction or torsion, its margin is taken
+from the closed form. More is simulated where it matters: about the values that lead (``refined``).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +41,7 @@ from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import (
     at_force,
     crossings,
+    gain_by_force,
     gain_by_torsion,
     holds_from,
     limited,
@@ -53,10 +51,15 @@ from tacgen.diagnose.grasps.slip_margin import (
 )
 
 DECLARED = Perturbation()
+GAINS: dict[Prediction, Callable[[FloatArray, FloatArray], FloatArray]] = {
+    Prediction.FRICTION: lambda moment, log_factor: log_factor + 0 * moment,
+    Prediction.MASS: lambda moment, log_factor: -log_factor + 0 * moment,
+    Prediction.FORCE: gain_by_force,
+    Prediction.TORSION: gain_by_torsion,
+}
+"""What margins gain by the logarithm of a factor, by the part that turning has in a slip."""
 Show = Callable[[int, int], None]
 Tables = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-Motion = tuple[Candidate, tuple[str, ...]]
-"""What changes how the grasps of some objects move."""
 
 
 @dataclass
@@ -100,53 +103,40 @@ class PerturbedSimulations:
         self.joint.clear()
 
     def refined(self, explanations: Sequence[Explanation]) -> ModelComparison:
-        """The comparison with the first few of these simulated where their values matter.
-
-        Those that move the grasps alike count once.
-        """
-        distinct: dict[frozenset[Motion], Explanation] = {}
-        for one in explanations:
-            motions = frozenset(self._motion(own)[0] for own in one.candidates)
-            if len(motions) == len(one.causes) and len(distinct) < RULES.most_refined:
-                distinct.setdefault(motions, one)
+        """The comparison with the first few of these simulated where their values matter."""
         wanted: list[tuple[GraspConfig, Perturbation]] = []
         together = []
-        for one in distinct.values():
+        for one in explanations[: RULES.most_refined]:
             if len(one.causes) > 1:
                 places, changes = self._at_once(one.causes)
                 together.append((places, changes))
                 wanted += [(self.configs[n], change) for n, change in changes.items()]
                 continue
-            (own, _), sign = self._motion(one.causes[0].candidate)
+            own = one.causes[0].candidate
             if own.parameter.prediction is Prediction.EQUIVALENT_FORCE:
                 continue
             for config, value in self._informative(one.causes[0]):
-                value = _rounded(value**sign)
+                value = _rounded(value)
                 self.further.setdefault(own, set()).add(value)
                 wanted.append((config, own.parameter.perturb(value)))
         self.simulate(wanted)
         for places, changes in together:
-            self._keep(places, changes)
+            margin = np.full(len(self.configs), np.nan)
+            for n, change in changes.items():
+                margin[n] = margins_of([self.known[place_of(self.configs[n]), change]])[0][0]
+            self.joint[frozenset(places)] = JointOutcome(places, margin)
         return self._comparison()
-
-    def _motion(self, candidate: Candidate) -> tuple[Motion, int]:
-        """The candidate that moves the same objects as this one does, by which exponent."""
-        parameter = candidate.parameter
-        if parameter.prediction is Prediction.EQUIVALENT_FORCE and parameter.force_exponent:
-            return (self._force, candidate.objects), parameter.force_exponent
-        return (candidate, candidate.objects), 1
 
     def _at_once(
         self, causes: Sequence[Cause]
-    ) -> tuple[dict[Motion, float], dict[int, Perturbation]]:
+    ) -> tuple[dict[Candidate, float], dict[int, Perturbation]]:
         """Where several causes are, and their changes to grasps whose label could be another."""
-        places: dict[Motion, float] = {}
+        places: dict[Candidate, float] = {}
         acting: list[tuple[tuple[str, ...], Perturbation]] = []
         for cause in causes:
-            motion, sign = self._motion(cause.candidate)
-            own, value = motion[0].parameter, _rounded(cause.value**sign)
-            places[motion] = float(own.coordinate(np.array([value]))[0])
-            acting.append((motion[1], own.perturb(value)))
+            own, value = cause.candidate.parameter, _rounded(cause.value)
+            places[cause.candidate] = float(own.coordinate(np.array([value]))[0])
+            acting.append((cause.candidate.objects, own.perturb(value)))
         parts = [_at(cause.model, cause.coordinate) for cause in causes]
         near = np.abs(joint_model(self._declared(), parts).margin[0]) < RULES.sure_margin
         found = {}
@@ -156,42 +146,18 @@ class PerturbedSimulations:
                 found[n] = reduce(Perturbation.and_then, changes)
         return places, found
 
-    def _keep(self, places: Mapping[Motion, float], changes: Mapping[int, Perturbation]) -> None:
-        """Keep what was simulated at once, for all candidates that move the grasps so."""
-        margin = np.full(len(self.configs), np.nan)
-        for n, change in changes.items():
-            margin[n] = margins_of([self.known[place_of(self.configs[n]), change]])[0][0]
-        alike: list[list[tuple[Candidate, float]]] = [[] for _ in places]
-        for candidate in self._candidates:
-            motion, sign = self._motion(candidate)
-            if motion in places:
-                alike[list(places).index(motion)].append((candidate, sign * places[motion]))
-        for chosen in product(*alike):
-            self.joint[frozenset(dict(chosen))] = JointOutcome(dict(chosen), margin)
-
     def _informative(self, cause: Cause) -> Iterator[tuple[GraspConfig, float]]:
         """Grasps and values at which a simulation would tell most about the cause's value.
 
-        Each grasp whose label changes near the value, at the value where it seems to change. What
-        was predicted by closed form is simulated at the value and one deviation to each side.
+        Each grasp whose label changes near the value, at the value where it seems to change.
         """
         candidate, axis = cause.candidate, cause.model.coordinate
-        margin, parameter = cause.model.margin, candidate.parameter
-        closed_form = parameter.prediction is Prediction.CLOSED_FORM_FORCE
         deviation = max(cause.deviation, 0.5 * float(axis[1] - axis[0]))
         near = np.abs(axis - cause.coordinate) <= RULES.refining_deviations * deviation
-        about = cause.coordinate + deviation * np.array([-1.0, 0.0, 1.0])
-        about = np.clip(about, axis[0], axis[-1])
         for n, config in enumerate(self.configs):
-            if config.object not in candidate.objects:
-                continue
-            if closed_form and candidate not in self.further:
-                unsure = np.abs(np.interp(about, axis, margin[:, n])) < RULES.sure_margin
-                places: FloatArray = about[unsure]
-            else:
-                places = crossings(axis[near], margin[near, n])
-            for place in places:
-                yield config, parameter.value(float(place))
+            if config.object in candidate.objects:
+                for place in crossings(axis[near], cause.model.margin[near, n]):
+                    yield config, candidate.parameter.value(float(place))
 
     @cached_property
     def _candidates(self) -> tuple[Candidate, ...]:
@@ -215,7 +181,7 @@ class PerturbedSimulations:
         wanted = []
         for candidate in self._candidates:
             parameter = candidate.parameter
-            if not parameter.is_simulated:
+            if parameter.prediction is Prediction.EQUIVALENT_FORCE:
                 continue
             near = np.ones((len(parameter.nodes), len(self.configs)), dtype=bool)
             if parameter.prediction is not Prediction.NONE:
@@ -236,7 +202,7 @@ class PerturbedSimulations:
     @cached_property
     def _force(self) -> Candidate:
         """The candidate from whose simulations others follow."""
-        force = Prediction.GRIP_FORCE
+        force = Prediction.FORCE
         return next(one for one in self._candidates if one.parameter.prediction is force)
 
     def _comparison(self) -> ModelComparison:
@@ -258,19 +224,14 @@ class PerturbedSimulations:
         other candidates' may follow.
         """
         parameter = candidate.parameter
-        values = {*parameter.nodes, *self.further.get(candidate, set())}
-        if parameter.force_exponent and force is not None:
-            values |= {parameter.at_force(factor) for factor in force[0]}
-        nodes = np.array(sorted(values))
+        nodes = np.array(sorted({*parameter.nodes, *self.further.get(candidate, set())}))
         margin, turning = self._predicted(candidate, nodes, force)
         moment = np.repeat(self._declared().moment, len(nodes), axis=0)
+        if parameter.prediction is Prediction.EQUIVALENT_FORCE:
+            return nodes, margin, turning, moment
         known = np.isin(nodes, parameter.nodes)[:, None] | np.zeros(margin.shape, bool)
-        if not parameter.is_simulated:
-            known[:] = True
         acting = [n for n, c in enumerate(self.configs) if c.object in candidate.objects]
         for k, node in enumerate(nodes):
-            if not parameter.is_simulated and node == parameter.declared:
-                continue
             change = parameter.perturb(float(node))
             keys = {n: (place_of(self.configs[n]), change) for n in acting}
             own = [n for n, key in keys.items() if key in self.known]
@@ -280,13 +241,22 @@ class PerturbedSimulations:
                 moment[k, own] = moment_part(outcomes)
             known[k, own] = True
         at = parameter.coordinate(nodes)
+        gains = self._gains(parameter, nodes)
         for n, own in enumerate(known.T):
             turning[:, n] = np.interp(at, at[own], turning[own, n])
             moment[:, n] = np.interp(at, at[own], moment[own, n])
-            place = holds_from(at[own], margin[own, n]) if candidate is self._force else None
             between = np.interp(at, at[own], margin[own, n])
-            margin[:, n] = between if place is None else limited(at - place)
+            if gains is not None:
+                order = np.argsort(gains[own, n])
+                place = holds_from(gains[own, n][order], margin[own, n][order])
+                between = between if place is None else limited(gains[:, n] - place)
+            margin[:, n] = between
         return nodes, margin, turning, moment
+
+    def _gains(self, parameter: Parameter, nodes: FloatArray) -> FloatArray | None:
+        """What margins (K, N) gain by a factor with a closed form."""
+        gain = GAINS.get(parameter.prediction)
+        return None if gain is None else gain(self._declared().moment, np.log(nodes)[:, None])
 
     def _predicted(
         self, candidate: Candidate, nodes: FloatArray, force: Tables | None
@@ -296,12 +266,10 @@ class PerturbedSimulations:
         margin = np.repeat(declared.margin, len(nodes), axis=0)
         turning = np.repeat(declared.turning, len(nodes), axis=0)
         acts = np.array([config.object in candidate.objects for config in self.configs])
-        found = margin
-        if candidate is self._force:
-            found = margin + np.log(nodes)[:, None]
-        elif candidate.parameter.prediction is Prediction.CLOSED_FORM_TORSION:
-            found = declared.margin + gain_by_torsion(declared.moment, np.log(nodes)[:, None])
-        elif not candidate.parameter.is_simulated and force is not None:
+        gains, found = self._gains(candidate.parameter, nodes), margin
+        if gains is not None:
+            found = margin + gains
+        elif candidate.parameter.prediction is Prediction.EQUIVALENT_FORCE and force is not None:
             log_scale, wanted = np.log(force[0]), self._log_force(candidate.parameter, nodes)
             found = margin_at_force(log_scale, force[1], wanted)
             turning = np.where(acts, at_force(log_scale, force[2], wanted), turning)
@@ -309,9 +277,6 @@ class PerturbedSimulations:
 
     def _log_force(self, parameter: Parameter, nodes: FloatArray) -> FloatArray:
         """Log (K, N) of the force over the declared one that each value amounts to."""
-        if parameter.force_exponent:
-            column = parameter.force_exponent * np.log(nodes)[:, None]
-            return np.repeat(column, len(self.configs), axis=1)
 
         def delivered(change: Perturbation) -> list[float]:
             settings = perturbed_settings(self.recipe.physics_settings, change)

@@ -49,8 +49,8 @@ def moment_part(outcomes: Sequence[Outcome]) -> FloatArray:
     """How much of a grasp's slip is turning: m²/(s² + m²) (N,), 0 where it is not known."""
     share, moment = _demands(
         np.array([one.friction_ratio for one in outcomes]),
-        np.array([one.torsion_ratio for one in outcomes]),
-        np.array([one.whole_torsion_ratio for one in outcomes]),
+        np.array([one.swing_ratio for one in outcomes]),
+        np.array([one.whole_swing_ratio for one in outcomes]),
     )
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(moment**2 / (share**2 + moment**2))
@@ -62,6 +62,14 @@ def gain_by_torsion(moment: FloatArray, log_factor: FloatArray) -> FloatArray:
     −½ log(s² + m²/f²) + ½ log(s² + m²).
     """
     return np.asarray(-0.5 * np.log1p(moment * np.expm1(-2 * log_factor)))
+
+
+def gain_by_force(moment: FloatArray, log_factor: FloatArray) -> FloatArray:
+    """What margins gain by the grip force: as much as by friction, and patches that grow.
+
+    The moment that a patch holds grows as F^(1 + 1/4), see ``physics.margins.dome_patch``.
+    """
+    return np.asarray(log_factor + gain_by_torsion(moment, 0.25 * log_factor))
 
 
 def signed_margin(
@@ -113,9 +121,9 @@ def margins_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
     """Margin and turning share (N,) of simulated grasps."""
     label = np.array([one.label for one in outcomes])
     friction = np.array([one.friction_ratio for one in outcomes])
-    torsion = np.array([one.torsion_ratio for one in outcomes])
+    torsion = np.array([one.swing_ratio for one in outcomes])
     turn = np.array([one.turn_ratio for one in outcomes])
-    whole = np.array([one.whole_torsion_ratio for one in outcomes])
+    whole = np.array([one.whole_swing_ratio for one in outcomes])
     turned = np.array([one.failure_mode == "rotational_slip" for one in outcomes])
     return (
         signed_margin(label, friction, torsion, turn, whole),
@@ -148,17 +156,19 @@ def at_force(log_force: FloatArray, values: FloatArray, wanted: FloatArray) -> F
     return np.stack([np.interp(wanted[:, n], log_force, values[:, n]) for n in columns], axis=1)
 
 
-def holds_from(log_force: FloatArray, margin: FloatArray) -> float | None:
-    """The force from which on a grasp holds, of those at which it was simulated (K,).
+def holds_from(gain: FloatArray, margin: FloatArray) -> float | None:
+    """The gain from which on a grasp holds, of those at which it was simulated (K,), ascending.
 
     By the closed form where it agrees with the simulation on both sides: margins then lie as far
-    apart as the forces do. Else half-way, so that the next simulation halves the unknown interval.
+    apart as the gains do. Else half-way, so that the next simulation halves the unknown interval.
     None if it holds or fails everywhere, or begins to hold more than once.
     """
     changes = np.flatnonzero(np.diff(margin > 0))
     if len(changes) != 1 or margin[0] > 0:
         return None
-    (low, high), (below, above) = (row[changes[0] :][:2] for row in (log_force, margin))
+    (low, high), (below, above) = (row[changes[0] :][:2] for row in (gain, margin))
+    if high <= low:
+        return None
     if abs((above - below) - (high - low)) < RULES.same_margin:
         return float(low - below)
     return float(low + high) / 2

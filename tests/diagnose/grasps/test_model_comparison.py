@@ -495,7 +495,7 @@ def test_slack_is_the_logarithm_of_the_force_that_is_to_spare(share, moment):
     margin = closed_form_margin(friction, torsion)[0]
     assert (share**2 + moment**2) * np.exp(2 * margin) == pytest.approx(1.0)
     whole = 1 / np.array([moment])
-    outcome = Outcome(1, "", friction[0], torsion[0], whole_torsion_ratio=whole[0])
+    outcome = Outcome(1, "", friction[0], torsion[0], whole_swing_ratio=whole[0])
     held = margin + gain_by_torsion(moment_part([outcome]), np.array([0.0, np.log(1.2)]))
     # Where the weight alone slips, the whole moment counts; a force twice as large tells both.
     slips = closed_form_margin(np.array([0.8]), np.zeros(1), whole)[0]

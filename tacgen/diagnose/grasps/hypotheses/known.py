@@ -62,8 +62,7 @@ register(
                 FORCE_FACTORS,
                 0.2,  # a gripper's force is off by a fifth
                 share=0.7,  # a wrong gain is more usual than a wrong zero
-                prediction=Prediction.GRIP_FORCE,
-                force_exponent=1,
+                prediction=Prediction.FORCE,
                 changes_force=True,
             ),
             shift(
@@ -92,11 +91,9 @@ register(
         parameters=(
             factor(
                 "mass_factor",
-                # The inverse of a force, but for the patches, which grow with the force alone.
                 tuple(1 / one for one in reversed(FORCE_FACTORS)),
                 0.4,
-                prediction=Prediction.EQUIVALENT_FORCE,
-                force_exponent=-1,
+                prediction=Prediction.MASS,
                 figure=("mass_kg", "kg"),
             ),
         ),
@@ -133,8 +130,7 @@ register(
                 "friction_factor",
                 FORCE_FACTORS,
                 0.5,  # a worn or dusty gel
-                prediction=Prediction.CLOSED_FORM_FORCE,
-                force_exponent=1,
+                prediction=Prediction.FRICTION,
                 figure=("friction", "1"),
             ),
         ),
@@ -150,7 +146,7 @@ register(
                 "spinning_friction_factor",
                 (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0),
                 0.4,  # set by a patch that nobody measures
-                prediction=Prediction.CLOSED_FORM_TORSION,
+                prediction=Prediction.TORSION,
             ),
         ),
     )

@@ -17,18 +17,22 @@ from tacgen.core.records import GraspObject
 
 
 class Prediction(Enum):
-    """How slip margins at a parameter's values are known without simulating them all."""
+    """How slip margins at a parameter's values follow from those as declared.
+
+    ``FRICTION``, ``MASS``, ``FORCE`` and ``TORSION`` are factors with closed forms; they are
+    simulated where a grasp is near its threshold.
+    """
 
     NONE = auto()
     """Simulated at every node, interpolated in between."""
-    GRIP_FORCE = auto()
-    """The factor on the grip force: simulated where a grasp is near its threshold."""
+    FRICTION = auto()
+    MASS = auto()
+    FORCE = auto()
+    """The grip force."""
+    TORSION = auto()
+    """The moment that the pads hold."""
     EQUIVALENT_FORCE = auto()
-    """Grasps move as at another grip force, or so nearly that none is simulated."""
-    CLOSED_FORM_FORCE = auto()
-    """Nearly as at another grip force: simulated about leading values only."""
-    CLOSED_FORM_TORSION = auto()
-    """By the torsion that the pads hold: simulated where a grasp is near its threshold."""
+    """Grasps move as at another grip force: none is simulated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +43,8 @@ class Parameter:
     among them; the first and the last bound the search. ``spread`` is the prior standard deviation
     about the declared value, of the logarithm for a factor, and ``share`` the part of the
     hypothesis's prior weight. ``perturb`` gives the changes to the simulation that a value amounts
-    to. Grasps change about as if the grip force were multiplied by value ** ``force_exponent``, 1
-    or −1; 0 where they do not. ``changes_force``: whether the force between the pads changes, which
+    to.
+    ``changes_force``: whether the force between the pads changes, which
     images of imprints show. ``figure`` is the attribute of ``GraspObject`` that a factor
     multiplies, and its unit; ``limits`` gives the smallest and largest value that an object allows;
     ``sentence`` is how a value is reported, after the name and the objects.
@@ -54,7 +58,6 @@ class Parameter:
     perturb: Callable[[float], Perturbation]
     share: float = 1.0
     prediction: Prediction = Prediction.NONE
-    force_exponent: int = 0
     changes_force: bool = False
     figure: tuple[str, str] | None = None
     limits: Callable[[GraspObject], tuple[float, float]] | None = None
@@ -70,15 +73,6 @@ class Parameter:
         """The declared value on the axis of ``coordinate``."""
         return 0.0 if self.is_factor else self.declared
 
-    @property
-    def is_simulated(self) -> bool:
-        """Whether values are simulated from the start."""
-        return self.prediction in (
-            Prediction.NONE,
-            Prediction.GRIP_FORCE,
-            Prediction.CLOSED_FORM_TORSION,
-        )
-
     def coordinate(self, values: FloatArray) -> FloatArray:
         """Values on the axis on which the prior is normal and outcomes are interpolated."""
         return np.log(values) if self.is_factor else np.asarray(values, dtype=np.float64)
@@ -86,10 +80,6 @@ class Parameter:
     def value(self, coordinate: float) -> float:
         """The value at a place on that axis."""
         return math.exp(coordinate) if self.is_factor else coordinate
-
-    def at_force(self, factor: float) -> float:
-        """The value that acts as ``factor`` on the grip force; and the other way round."""
-        return factor if self.force_exponent > 0 else 1 / factor
 
     def reported(self, value: str, error: str) -> str:
         """The value and its standard error in words."""
