@@ -12,7 +12,7 @@ from dataclasses import dataclass
 class GraspRules:
     """Thresholds, sizes and prior weights; ``RULES`` is what the diagnosis uses."""
 
-    # Margins are logarithms of the force to spare.
+    # Margins are logarithms of the friction to spare.
     farthest_margin: float = 1.5  # beyond a factor of 4.5 it makes no difference how far; chosen
     turn_margin: tuple[float, float] = (0.05, 0.5)  # where label and closed form disagree: never
     # zero and never sure; trust study

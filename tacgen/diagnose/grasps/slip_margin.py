@@ -19,10 +19,10 @@ def closed_form_margin(
     torsion_ratio: FloatArray,
     whole_torsion_ratio: FloatArray | float = np.inf,
 ) -> FloatArray:
-    """Logarithm of the factor by which the grip could be weaker before it slips.
+    """Logarithm of the factor by which the friction could be smaller before a grasp slips.
 
     With s the part of the friction that the weight takes up and m the part of the whole moment that
-    gravity asks for, a soft contact slips at s² + m² = 1, and both fall as the force grows.
+    gravity asks for, a soft contact slips at s² + m² = 1, and both fall as the friction grows.
     The ratios (...) are limit over demand, see ``records.SlipMargin``; NaN gives NaN.
     ``torsion_ratio`` is √(1 − s²)/m; where the weight alone slips it is 0, and the whole one is
     1/m.

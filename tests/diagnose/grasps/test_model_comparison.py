@@ -32,6 +32,7 @@ from tacgen.diagnose.grasps.result import GraspDiagnosis, diagnose_labels, diagn
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import (
     closed_form_margin,
+    gain_by_force,
     gain_by_torsion,
     margin_at_force,
     moment_part,
@@ -488,8 +489,8 @@ def test_slack_follows_the_label_where_the_closed_form_does_not():
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
 @pytest.mark.parametrize("moment", [0.3, 1.5])
-def test_slack_is_the_logarithm_of_the_force_that_is_to_spare(share, moment):
-    """A grip weaker by that factor is about to slip: both demands grow to s² + m² = 1."""
+def test_slack_is_the_logarithm_of_the_friction_that_is_to_spare(share, moment):
+    """A friction smaller by that factor is about to slip: both demands grow to s² + m² = 1."""
     with np.errstate(divide="ignore"):
         friction, torsion = 1 / np.array([share]), np.sqrt(1 - share**2) / np.array([moment])
     margin = closed_form_margin(friction, torsion)[0]
@@ -497,6 +498,8 @@ def test_slack_is_the_logarithm_of_the_force_that_is_to_spare(share, moment):
     whole = 1 / np.array([moment])
     outcome = Outcome(1, "", friction[0], torsion[0], whole_swing_ratio=whole[0])
     held = margin + gain_by_torsion(moment_part([outcome]), np.array([0.0, np.log(1.2)]))
+    pressed = margin + gain_by_force(moment_part([outcome]), np.array([np.log(1.2)]))[0]
+    assert pressed == pytest.approx(-0.5 * np.log((share / 1.2) ** 2 + (moment / 1.2**1.25) ** 2))
     # Where the weight alone slips, the whole moment counts; a force twice as large tells both.
     slips = closed_form_margin(np.array([0.8]), np.zeros(1), whole)[0]
     assert slips == pytest.approx(-0.5 * np.log(0.8**-2 + moment**2))
