@@ -34,12 +34,12 @@ from tacgen.diagnose.grasps.result import diagnose_labels
 from tacgen.objects import load_object
 
 SETS: tuple[tuple[tuple[str, ...], int], ...] = (
-    (("sugar_box",), 71),
-    (("tomato_soup_can",), 72),
-    (("rubiks_cube",), 74),
-    (("sugar_box", "mustard_bottle"), 76),
-    (("mustard_bottle",), 73),
-    (("flat_screwdriver",), 75),
+    (("sugar_box",), 81),
+    (("tomato_soup_can",), 82),
+    (("rubiks_cube",), 84),
+    (("sugar_box", "mustard_bottle"), 86),
+    (("mustard_bottle",), 83),
+    (("flat_screwdriver",), 85),
 )
 """Objects and seed of each set of configurations; what is an object's is wrong in the first."""
 N_GRASPS = 60

@@ -286,7 +286,7 @@ class Explanation:
 
     ``gain`` is the log of its evidence times prior weight over that of the declared simulation;
     ``fit`` the largest log-likelihood of the labels over that one's; ``covariance`` (k, k) that of
-    the causes' coordinates.
+    the causes' coordinates, in their highest modes.
     """
 
     causes: tuple[Cause, ...]
@@ -341,14 +341,21 @@ class ModelComparison:
         weights = np.exp(logsumexp(joint, axis=1) - logsumexp(joint)).reshape(
             [len(axis) for axis in axes]
         )
-        causes = []
+        causes, modes = [], []
         for k, (part, axis) in enumerate(zip(parts, axes, strict=True)):
             own = weights.sum(axis=tuple(j for j in range(len(parts)) if j != k))
-            mean, deviation, rest = _mean_of_best_mode(axis, own)
-            second_mode = None
+            mode = _best_mode(axis, own)
+            mean, deviation = _mean_and_deviation(axis[mode], own[mode])
+            rest, second_mode = own.copy(), None
+            rest[mode] = 0.0
             if rest.sum() > RULES.second_mode_share:
-                second_mode = part.candidate.parameter.value(_mean_of_best_mode(axis, rest)[0])
+                other = _best_mode(axis, rest)
+                beyond = _mean_and_deviation(axis[other], rest[other])[0]
+                second_mode = part.candidate.parameter.value(beyond)
             causes.append(Cause(part, mean, deviation, second_mode))
+            modes.append(mode)
+        axes = [axis[mode] for axis, mode in zip(axes, modes, strict=True)]
+        weights = weights[tuple(modes)] / weights[tuple(modes)].sum()
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(parts))
         apart = places - weights.ravel() @ places
         covariance = (weights.ravel() * apart.T) @ apart
@@ -495,7 +502,7 @@ class Posterior:
         Those by other names that the labels do not exclude, and beside which the cause lies
         ``RULES.ridge_widening`` times its error from its estimate or farther, root mean square.
         Where both are correlated, the precision matrix less the prior's gives the one combination
-        that the labels determine.
+        that the labels determine; a shift that may be to either side is taken to that of ``cause``.
         """
         found: dict[str, Shared] = {}
         k = self.best.causes.index(cause)
@@ -515,11 +522,16 @@ class Posterior:
             least = RULES.ridge_widening * alone
             if added[0].candidate.objects != cause.candidate.objects:
                 least *= np.sqrt(2)  # as where each follows from the grasps of one of two objects
-            moved = one.causes[pair[0]].coordinate - cause.coordinate
+            beside = one.causes[pair[0]]
+            is_mirrored = (
+                beside.second_mode is not None and beside.coordinate * cause.coordinate < 0
+            )
+            side = -1.0 if is_mirrored else 1.0
+            moved = side * beside.coordinate - cause.coordinate
             is_farther = np.hypot(np.sqrt(covariance[0, 0]), moved) > least
             if is_farther and by_labels > 0 and added[0].name != cause.name:
-                exponent = float(precision[0, 1] / by_labels)
-                both = Shared(one.causes[pair[0]], added[0], exponent)
+                exponent = side * float(precision[0, 1] / by_labels)
+                both = Shared(beside, added[0], exponent)
                 found.setdefault(added[0].candidate.title, both)
         return tuple(found.values())
 
@@ -553,17 +565,23 @@ def _log_evidence(
     return np.asarray(logsumexp(total, axis=(-2, -1)))
 
 
-def _mean_of_best_mode(axis: FloatArray, weights: FloatArray) -> tuple[float, float, FloatArray]:
-    """Mean and deviation about the highest mode, out to its edges, and the remaining weights.
+def _best_mode(axis: FloatArray, weights: FloatArray) -> slice:
+    """The highest mode of weights (M,) on ``axis`` (M,), out to its edges.
 
-    A shift to either side may explain the same labels; the mean of both would explain none.
+    A shift to either side may explain the same labels; the mean of both would explain none. So the
+    mode is of one side where the declared value, 0, is less than half as likely as either.
     """
     top = int(np.argmax(weights))
     low = weights < RULES.mode_edge * weights[top]
+    peaks = [weights[side].max(initial=0.0) for side in (axis < 0, axis > 0)]
+    if np.interp(0.0, axis, weights) < 0.5 * min(peaks):
+        low |= axis * axis[top] <= 0
     left = int(np.flatnonzero(low[:top])[-1]) + 1 if low[:top].any() else 0
-    right = top + int(np.flatnonzero(low[top:])[0]) if low[top:].any() else len(axis)
-    own, part = axis[left:right], weights[left:right] / weights[left:right].sum()
-    mean = float(part @ own)
-    rest = weights.copy()
-    rest[left:right] = 0.0
-    return mean, float(np.sqrt(part @ (own - mean) ** 2)), rest
+    right = top + int(np.flatnonzero(low[top:])[0]) if low[top:].any() else len(weights)
+    return slice(left, right)
+
+
+def _mean_and_deviation(axis: FloatArray, weights: FloatArray) -> tuple[float, float]:
+    part = weights / weights.sum()
+    mean = float(part @ axis)
+    return mean, float(np.sqrt(part @ (axis - mean) ** 2))

@@ -186,6 +186,22 @@ def test_what_moves_an_estimate_by_many_errors_is_confounded_with_it(moved_mm, b
     assert [one.other.name for one in found.shared(found.found[0])] == expected
 
 
+@pytest.mark.parametrize("offset", [-18.0, 18.0])
+def test_a_mass_is_mentioned_beside_a_shift_that_may_be_to_either_side(offset):
+    """All grasps fail: a shift of unknown side does it, and less of it under a heavier mass."""
+    grasps = Grasps(1)
+    grasps.lever_mm = 0.1 * grasps.lever_mm
+    grasps.force = 0.05 + 0.5 * np.abs(grasps.force)
+    labels = grasps.labels("center_of_mass_y_mm", offset, mass_factor=1.2)
+    assert not labels.success.any()
+    found = diagnosed(grasps, labels)
+    assert names_of(found) == ["center_of_mass"]
+    cause = found.found[0]
+    [mass] = [one for one in found.shared(cause) if one.other.name == "mass"]
+    # A mass heavier by 1 % allows for a shift that is shorter, to whichever side it is.
+    assert mass.exponent * cause.coordinate > 0
+
+
 @pytest.mark.parametrize("flips", [0, 3])
 def test_a_weaker_grip_beside_a_stronger_torsion_are_no_mass(flips):
     """One after the other, the compromise between both was corrected by a mass."""
