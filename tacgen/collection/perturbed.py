@@ -197,9 +197,9 @@ class Outcome:
     """How one simulated grasp ended, and how far it was from ending otherwise.
 
     ``friction_ratio`` is that of ``records.SlipMargin``; ``swing_ratio`` and ``whole_swing_ratio``
-    are its torsion ratios over the moment that is to be held lest the object swings beyond the turn
-    of a success; ``turn_ratio`` is how far the lifted object turned over that turn. All numbers are
-    NaN, and the label is −1, where the grasp was not executed.
+    are its torsion ratios over the moment that is to be held so that the object turns no farther
+    than a success may; ``turn_ratio`` is how far the lifted object turned over that turn. All
+    numbers are NaN, and the label is −1, where the grasp was not executed.
     """
 
     label: int
@@ -219,7 +219,7 @@ class Outcome:
             return cls(trace.label, trace.failure_mode, status=trace.status)
         share = margin.swing_moment_share
         swing, whole = (
-            ratio / share if share > 0 else float("inf")
+            float("inf") if share == 0 else ratio / share
             for ratio in (margin.torsion_ratio, margin.whole_torsion_ratio)
         )
         turn_ratio = trace.turn_rad / settings.success_turn_rad

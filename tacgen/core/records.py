@@ -157,8 +157,8 @@ class SlipMargin:
     NaN and ``first_slip_direction`` (2,), in the gel's x and y, is 0 where nothing slips.
     ``friction_ratio`` and ``torsion_ratio`` are the same limits over what is asked of them:
     above 1 holds; ``whole_torsion_ratio`` is what the latter would be without tangential load,
-    and ``swing_moment_share`` (0 to 1) the part of the moment that is to be held lest the object
-    swings beyond the turn of a success. They are NaN where only the differences were kept.
+    and ``swing_moment_share`` (0 to 1) the part of the moment that is to be held so that the object
+    turns no farther than a success may. They are NaN where only the differences were kept.
     """
 
     translational: float

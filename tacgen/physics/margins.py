@@ -25,8 +25,8 @@ class Capacity:
     """What the pads can hold and what the lifted object asks of them.
 
     ``torsion_limit_n_mm`` already allows for the friction that the weight takes up,
-    ``whole_torsion_n_mm`` does not; ``swing_moment_n_mm`` is what has to be held lest the object
-    swings beyond the turn of a success; ``spinning_mm`` is what each pad's has to add to its
+    ``whole_torsion_n_mm`` does not; ``swing_moment_n_mm`` is what has to be held so that the
+    object turns no farther than a success may; ``spinning_mm`` is what each pad's has to add to its
     contact points' friction, for each newton.
     """
 
@@ -127,7 +127,8 @@ def grasp_capacity(
     points' friction about their own centre where that is larger.
 
     An object whose moment is not held swings, and dry friction stops it once the moment's mean over
-    the turn is the limit: a mass that hangs below the pads is let go and caught again.
+    the turn is the limit: a mass that hangs below the pads is let go and caught again. That is of
+    an object let go at once; one that the table lets down slowly turns less, down to half as far.
     """
     up = np.array([0.0, 0.0, 1.0])
     weight_n = mass_kg * STANDARD_GRAVITY_M_S2
@@ -147,9 +148,9 @@ def grasp_capacity(
     lever = center_of_mass_m - center
     moment = np.cross(lever, -weight_n * up) + np.cross(points - center, pushes).sum(axis=0)
     along_n_m = float(moment @ closing_axis)
-    # The mean over the turn is the moment half-way.
-    half_way = math.copysign(success_turn_rad / 2, along_n_m) * np.cross(closing_axis, lever)
-    rises_n_m = math.copysign(1.0, along_n_m) * (np.cross(half_way, -weight_n * up) @ closing_axis)
+    # The mean over the turn is the moment half-way, where a mass below the pads has come nearer.
+    above_m = lever[2] - closing_axis[2] * (lever @ closing_axis)
+    change_n_m = success_turn_rad / 2 * weight_n * min(0.0, float(above_m))
     torsion_n_mm, whole_n_mm, spinning_mm = 0.0, 0.0, []
     for pad, limit in zip(pads, torsion, strict=True):
         normal_n = float(pad.normal_force_n.sum())
@@ -169,7 +170,7 @@ def grasp_capacity(
         torsion_limit_n_mm=torsion_n_mm,
         whole_torsion_n_mm=whole_n_mm,
         moment_n_mm=abs(along_n_m) * MM_PER_M,
-        swing_moment_n_mm=max(0.0, abs(along_n_m) + min(0.0, float(rises_n_m))) * MM_PER_M,
+        swing_moment_n_mm=max(0.0, abs(along_n_m) + change_n_m) * MM_PER_M,
         spinning_mm=tuple(spinning_mm),
     )
 

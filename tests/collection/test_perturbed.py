@@ -3,17 +3,19 @@
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 
 from tacgen.collection.perturbed import (
+    Outcome,
     Perturbation,
     place_of,
     recipe_object,
     simulate_perturbed,
 )
 from tacgen.collection.recipe import ObjectEntry, Recipe
-from tacgen.core.records import GraspConfig
+from tacgen.core.records import GraspConfig, GraspTrace, SlipMargin
 from tacgen.core.resources import find_object_folder
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tests.small_world import SHORT_LIFT
@@ -116,3 +118,16 @@ def test_changes_on_top_of_each_other_multiply_and_add():
     assert both == Perturbation(mass_factor=3.0, center_of_mass_y_mm=6.0, friction=0.5)
     table = Perturbation(settings_factors=(("table_friction", 0.5),))
     assert table.and_then(table).settings_factors == (("table_friction", 0.25),)
+
+
+@pytest.mark.parametrize(
+    ("share", "swing", "whole"), [(0.5, 2.4, 3.0), (1.0, 1.2, 1.5), (0.0, np.inf, np.inf)]
+)
+def test_torsion_is_asked_to_hold_the_moment_of_the_largest_turn(share, swing, whole):
+    margin = SlipMargin(1.0, 0.1, np.nan, np.zeros(2), 3.0, 1.2, 1.5, share)
+    config = GraspConfig(0, "sugar_box", 8.0, 0.0, 0.0, 50.0, 0.0)
+    pose = np.zeros((0, 7))
+    trace = GraspTrace(config, "executed", 1, "", {}, pose, 180.0, 0.02, margin)
+    outcome = Outcome.of(trace, RECIPE.physics_settings)
+    assert (outcome.friction_ratio, outcome.turn_ratio) == pytest.approx((3.0, 0.2))
+    assert (outcome.swing_ratio, outcome.whole_swing_ratio) == pytest.approx((swing, whole))

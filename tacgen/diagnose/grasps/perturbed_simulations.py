@@ -57,7 +57,7 @@ GAINS: dict[Prediction, Callable[[FloatArray, FloatArray], FloatArray]] = {
     Prediction.FORCE: gain_by_force,
     Prediction.TORSION: gain_by_torsion,
 }
-"""What margins gain by the logarithm of a factor, by the part that turning has in a slip."""
+"""What a factor adds to margins, from turning's part in a slip and the factor's logarithm."""
 Show = Callable[[int, int], None]
 Tables = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -246,7 +246,7 @@ class PerturbedSimulations:
             turning[:, n] = np.interp(at, at[own], turning[own, n])
             moment[:, n] = np.interp(at, at[own], moment[own, n])
             between = np.interp(at, at[own], margin[own, n])
-            if gains is not None:
+            if gains is not None and parameter.prediction is not Prediction.TORSION:
                 order = np.argsort(gains[own, n])
                 place = holds_from(gains[own, n][order], margin[own, n][order])
                 between = between if place is None else limited(gains[:, n] - place)

@@ -50,7 +50,7 @@ class GraspRules:
 
     # Simulations about the leading values.
     leading_gain: float = 5.0  # in log-evidence: those further behind do not come first; chosen
-    most_refined: int = 4  # explanations a round that move the grasps differently; chosen for time
+    most_refined: int = 4  # explanations a round; chosen for time
     refining_rounds: int = 3  # each halves the unknown interval; trust study
     refining_deviations: float = 2.5  # about a value: 99 % of a normal posterior
     least_force_n: float = 0.01  # delivered force below which a ratio means nothing; chosen

@@ -67,7 +67,8 @@ def gain_by_torsion(moment: FloatArray, log_factor: FloatArray) -> FloatArray:
 def gain_by_force(moment: FloatArray, log_factor: FloatArray) -> FloatArray:
     """What margins gain by the grip force: as much as by friction, and patches that grow.
 
-    The moment that a patch holds grows as F^(1 + 1/4), see ``physics.margins.dome_patch``.
+    The moment that a patch holds grows as F^(1 + 1/4), see ``physics.margins.dome_patch``; less
+    where the face ends under the pad, or the object declares its own ``spinning_friction_mm``.
     """
     return np.asarray(log_factor + gain_by_torsion(moment, 0.25 * log_factor))
 
@@ -167,10 +168,8 @@ def holds_from(gain: FloatArray, margin: FloatArray) -> float | None:
     if len(changes) != 1 or margin[0] > 0:
         return None
     (low, high), (below, above) = (row[changes[0] :][:2] for row in (gain, margin))
-    if high <= low:
-        return None
     if abs((above - below) - (high - low)) < RULES.same_margin:
-        return float(low - below)
+        return float(np.clip(low - below, low, high))
     return float(low + high) / 2
 
 

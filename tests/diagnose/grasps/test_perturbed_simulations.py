@@ -161,6 +161,9 @@ def test_refining_finds_where_a_grasp_slips_that_the_closed_form_puts_elsewhere(
     for _ in range(4):
         model = {one.candidate.parameter.key: one for one in comparison.models}[key]
         places.append(sign * crossings(model.coordinate, model.margin[:, 0])[0])
+        # Margins lie as far apart as the factor's logarithms.
+        expected = np.clip(sign * model.coordinate - places[-1], -1.5, 1.5)
+        assert model.margin[:, 0] == pytest.approx(expected, abs=0.02)
         weaker = Explanation((Cause(model, sign * np.log(0.8), 0.1),), 1.0, 1.0, np.eye(1))
         comparison = simulations.refined([weaker])
     truth = np.log(0.86 / 1.1)

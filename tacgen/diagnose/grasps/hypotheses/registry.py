@@ -26,7 +26,9 @@ class Prediction(Enum):
     NONE = auto()
     """Simulated at every node, interpolated in between."""
     FRICTION = auto()
+    """The object's coefficient of friction."""
     MASS = auto()
+    """The object's mass."""
     FORCE = auto()
     """The grip force."""
     TORSION = auto()
@@ -43,11 +45,10 @@ class Parameter:
     among them; the first and the last bound the search. ``spread`` is the prior standard deviation
     about the declared value, of the logarithm for a factor, and ``share`` the part of the
     hypothesis's prior weight. ``perturb`` gives the changes to the simulation that a value amounts
-    to.
-    ``changes_force``: whether the force between the pads changes, which
-    images of imprints show. ``figure`` is the attribute of ``GraspObject`` that a factor
-    multiplies, and its unit; ``limits`` gives the smallest and largest value that an object allows;
-    ``sentence`` is how a value is reported, after the name and the objects.
+    to. ``changes_force``: whether the force between the pads changes, which images of imprints
+    show. ``figure`` is the attribute of ``GraspObject`` that a factor multiplies, and its unit;
+    ``limits`` gives the smallest and largest value that an object allows; ``sentence`` is how a
+    value is reported, after the name and the objects.
     """
 
     key: str
