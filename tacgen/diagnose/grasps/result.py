@@ -94,8 +94,8 @@ class GraspDiagnosis:
             possible = ", or ".join(
                 f"{' beside '.join(map(describe, one.causes)) or 'flipped labels alone'} "
                 f"({100 * self.posterior.share(one):.0f} %)"
-                for one in self.posterior.with_declared[: RULES.explanations_told]
-                if self.posterior.share(one) >= RULES.least_share_told
+                for one in self.posterior.with_declared[: RULES.sentence_explanations]
+                if self.posterior.share(one) >= RULES.sentence_least_share
             )
             return (
                 f"Of {n} labels, {before} {'differs' if before == 1 else 'differ'} from the "

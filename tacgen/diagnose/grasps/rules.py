@@ -35,8 +35,8 @@ class GraspRules:
     cause_odds: float = 0.1  # prior odds of a cause of weight 1; chosen
     most_extended: int = 8  # explanations to which a further cause is tried; chosen for time
     explanations_reported: int = 12  # chosen
-    explanations_told: int = 4  # in the sentence where no cause can be named; chosen
-    least_share_told: float = 0.05  # probability of one that is told there; chosen
+    sentence_explanations: int = 4  # in the sentence where no cause can be named; chosen
+    sentence_least_share: float = 0.05  # probability of one of them; chosen
     axis_steps: tuple[tuple[int, ...], ...] = ((1,), (1, 3), (3, 5, 6))  # of ``axis_values`` for
     # one, two and three causes; unequal, so that sums of two causes' changes lie densely; numerical
     second_mode_share: float = 0.2  # of the posterior: less is not reported; chosen
