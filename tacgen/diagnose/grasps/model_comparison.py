@@ -170,9 +170,11 @@ def joint_model(
     """Several candidates at once, over the product of their values (the last varies fastest).
 
     A margin is a sum of logarithms of what each changes, so the changes add, to the margin as
-    declared by what is changed most. A torsion adds by the part that turning has where others are
-    changed. What ``known`` outcomes of some or all of them differ by is
-    added in proportion to the product of those changes, in that order.
+    declared by what is changed most of what acts on the grasp; by a torsion's only where nothing
+    else does, because refinement finds by force, mass or friction where a grasp slips. A torsion
+    adds by the part that turning has where others are changed. What ``known`` outcomes of some or
+    all of them differ by is added in proportion to the product of those changes, up to the
+    simulated ones, in that order.
     """
     if not parts:
         return declared
@@ -187,13 +189,15 @@ def joint_model(
     log_prior, log_force, base, weight = (np.zeros(()) for _ in range(4))
     for k, part in enumerate(parts):
         margin = margin + spread(part.margin - part.as_declared, k)
-        size = np.abs(part.change) / part.candidate.parameter.spread + 1e-9
-        base = base + spread(size, k)[..., None] * part.as_declared
+        is_torsion = part.candidate.parameter.prediction is Prediction.TORSION
+        size = np.abs(part.change)[:, None] / part.candidate.parameter.spread + 1e-6
+        size = size * (part.acts & (not is_torsion)) + 1e-15
+        base = base + spread(size, k) * part.as_declared
         weight = weight + spread(size, k)
         turning = turning + spread(logit(part.turning) - logit(declared.turning[0]), k)
         log_prior = log_prior + spread(part.log_prior, k)
         log_force = log_force + spread(part.log_force, k)
-    margin = margin + base / weight[..., None]
+    margin = margin + base / weight
     for k, torsion in enumerate(parts):
         if torsion.candidate.parameter.prediction is Prediction.TORSION:
             log_factor = spread(torsion.change[:, None] * torsion.acts, k)
@@ -208,7 +212,7 @@ def joint_model(
             place = outcome.coordinate.get(part.candidate, center)
             at.append(int(np.argmin(np.abs(part.coordinate - place))))
             if place != center:
-                share = share * spread(np.clip(part.change / (place - center), 0, 2), k)
+                share = share * spread(np.clip(part.change / (place - center), 0, 1), k)
         apart = np.nan_to_num(outcome.margin - margin[tuple(at)])
         margin = margin + share[..., None] * apart
     n = margin.shape[-1]
@@ -298,6 +302,11 @@ class Explanation:
     def candidates(self) -> frozenset[Candidate]:
         """What is wrong."""
         return frozenset(cause.candidate for cause in self.causes)
+
+    @property
+    def titles(self) -> frozenset[str]:
+        """What is wrong, in words."""
+        return frozenset(cause.candidate.title for cause in self.causes)
 
     @property
     def name(self) -> str:
@@ -496,6 +505,28 @@ class Posterior:
         gains = [one.gain for one in self.explanations if candidates <= one.candidates]
         return float(np.exp(logsumexp(gains) - self.log_total)) if gains else 0.0
 
+    @cached_property
+    def alternatives(self) -> tuple[Explanation, ...]:
+        """Other explanations that the labels do not exclude, the likeliest first.
+
+        They have at least ``RULES.least_alternative`` of the best one's probability, that nothing
+        is wrong among them. Of those with the same names only the likeliest counts, and none that
+        adds to another alternative, or to the best what ``shared`` names already.
+        """
+        if not self.found:
+            return ()
+        best, known = self.best, list[Explanation]()
+        said = [
+            best.titles | {one.other.candidate.title} for c in self.found for one in self.shared(c)
+        ]
+        for one in self.with_declared:
+            if one.gain < best.gain + np.log(RULES.least_alternative):
+                break
+            is_new = one.titles != best.titles and one.titles not in said
+            if is_new and not any(other.titles <= one.titles for other in known if other.causes):
+                known.append(one)
+        return tuple(known)
+
     def shared(self, cause: Cause) -> tuple[Shared, ...]:
         """What a found ``cause`` is confounded with, the likeliest first.
 
@@ -534,6 +565,14 @@ class Posterior:
                 both = Shared(beside, added[0], exponent)
                 found.setdefault(added[0].candidate.title, both)
         return tuple(found.values())
+
+    def confusable_with(self, cause: Cause) -> tuple[str, ...]:
+        """Names of what may be wrong beside a found ``cause`` or instead of it, likeliest first."""
+        names = [one.other.name for one in self.shared(cause)]
+        for one in self.alternatives:
+            if cause.candidate not in one.candidates or self.best.candidates < one.candidates:
+                names += [c.name for c in one.causes if c.candidate not in self.best.candidates]
+        return tuple(name for name in dict.fromkeys(names) if name != cause.name)
 
 
 def posterior(comparison: ModelComparison, labels: Labels, rng: np.random.Generator) -> Posterior:

@@ -106,7 +106,7 @@ class PerturbedSimulations:
         """The comparison with the first few of these simulated where their values matter."""
         wanted: list[tuple[GraspConfig, Perturbation]] = []
         together = []
-        for one in explanations[: RULES.most_refined]:
+        for one in [one for one in explanations if _is_telling(one)][: RULES.most_refined]:
             if len(one.causes) > 1:
                 places, changes = self._at_once(one.causes)
                 together.append((places, changes))
@@ -294,6 +294,13 @@ def combined_perturbation(causes: Sequence[Cause], name: str) -> Perturbation:
         if cause.candidate.acts_on(name):
             found = found.and_then(cause.candidate.parameter.perturb(round(cause.value, 4)))
     return found
+
+
+def _is_telling(one: Explanation) -> bool:
+    """Whether a simulation at its values tells of all its causes at once."""
+    least = [RULES.least_change * cause.candidate.parameter.spread for cause in one.causes]
+    changes = [cause.coordinate - cause.candidate.parameter.center for cause in one.causes]
+    return len(one.causes) == 1 or bool((np.abs(changes) >= least).all())
 
 
 def _rounded(value: float) -> float:

@@ -1,6 +1,6 @@
 """The diagnosis of real grasp labels, and how it stands in ``diagnosis.json``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from tacgen.diagnose.grasps.hypotheses import advice
 from tacgen.diagnose.grasps.model_comparison import (
     AS_DECLARED,
     Cause,
+    Explanation,
     Labels,
     ModelComparison,
     Posterior,
@@ -91,9 +92,8 @@ class GraspDiagnosis:
             few = " With so few grasps, an effect could hardly be detected." if small else ""
             if not self.undecided:
                 return f"The simulation reproduces all {n} labels.{few}"
-            possible = ", or ".join(
-                f"{' beside '.join(map(describe, one.causes)) or 'flipped labels alone'} "
-                f"({100 * self.posterior.share(one):.0f} %)"
+            possible = self._listed(
+                one
                 for one in self.posterior.with_declared[: RULES.sentence_explanations]
                 if self.posterior.share(one) >= RULES.sentence_least_share
             )
@@ -122,6 +122,13 @@ class GraspDiagnosis:
                 unit = "times the declared" if parameter.is_factor else parameter.unit
                 text += f" {cause.name} at {value} {unit} explains these labels nearly as well."
             text += self._confounded(cause)
+        if self.posterior.alternatives:
+            share = 100 * self.posterior.share(self.posterior.best)
+            possible = self._listed(self.posterior.alternatives)
+            text += f" This explanation is {share:.0f} % probable; also possible: {possible}."
+        if any(map(self.posterior.confusable_with, self.found)):
+            changed = " and ".join(cause.name for cause in self.found)
+            text += f" The recipe is changed in {changed}."
         if self.too_many_remaining:
             text += f" {self.n_remaining} mislabels remain, too many for chance; they{follow}."
         return text
@@ -131,17 +138,29 @@ class GraspDiagnosis:
 
         Empty where the cause is no factor, or shares what is known with none.
         """
-        text, likeliest = "", dict[str, Shared]()
-        for one in self.posterior.shared(cause):
-            likeliest.setdefault(one.other.name, one)  # on one object, or on all
-        for one in likeliest.values():
+        text = ""
+        for one in self._product(cause).values():
             power = f"{abs(one.exponent):.1f}"
-            factors = cause.candidate.parameter, one.other.candidate.parameter
-            if power != "0.0" and all(parameter.is_factor for parameter in factors):
-                power = "" if power == "1.0" else f"^{power}"
-                sign = "×" if one.exponent > 0 else "÷"
-                text += f" {sign} {one.other.candidate.title}{power}"
+            power = "" if power == "1.0" else f"^{power}"
+            text += f" {'×' if one.exponent > 0 else '÷'} {one.other.candidate.title}{power}"
         return cause.candidate.title + text if text else ""
+
+    def _product(self, cause: Cause) -> dict[str, Shared]:
+        """By name, the factors of which the labels determine a product with a found ``cause``."""
+        found: dict[str, Shared] = {}
+        for one in self.posterior.shared(cause):
+            both = cause.candidate.parameter, one.other.candidate.parameter
+            if abs(one.exponent) >= 0.05 and all(parameter.is_factor for parameter in both):
+                found.setdefault(one.other.name, one)  # on one object, or on all
+        return found
+
+    def _listed(self, explanations: Iterable[Explanation]) -> str:
+        """Explanations with their probabilities, in words."""
+        return ", or ".join(
+            f"{' beside '.join(map(describe, one.causes)) or 'flipped labels alone'} "
+            f"({100 * self.posterior.share(one):.0f} %)"
+            for one in explanations
+        )
 
     def _described(self, cause: Cause) -> str:
         text = describe(cause)
@@ -149,16 +168,14 @@ class GraspDiagnosis:
 
     def _confounded(self, cause: Cause) -> str:
         """What these labels cannot separate from a finding, in words."""
-        shared = self.posterior.shared(cause)
-        if not shared:
-            return ""
-        known = f"{cause.name} may not be wrong alone"
-        if self.ridge(cause):
-            known = f"Only this product is known, not {cause.name} alone"
-        parts = ", or ".join(
-            f"{describe(one.cause)} beside {describe(one.other)}" for one in shared
-        )
-        return f" {known}: {parts} would do as well. The recipe is changed in {cause.name}."
+        product = self._product(cause)
+        text = f" Only this product is known, not {cause.name} alone." if product else ""
+        said = {*product, *(own.name for own in self.found)}
+        others = [one.other.name for one in self.posterior.shared(cause)]
+        beside = dict.fromkeys(name for name in others if name not in said)
+        if beside:
+            text += f" Beside {cause.name}, {' or '.join(beside)} may be wrong as well."
+        return text
 
 
 def describe(cause: Cause) -> str:
@@ -283,6 +300,20 @@ def diagnosis_record(
         ],
         "p_value": posterior.p_value,
         "critical_gain": finite(posterior.critical_gain),
+        "alternatives": [
+            {
+                "causes": [
+                    {
+                        "name": cause.name,
+                        "objects": list(cause.candidate.objects),
+                        "parameters": _parameters(cause, declared),
+                    }
+                    for cause in one.causes
+                ],
+                "probability": posterior.share(one),
+            }
+            for one in posterior.alternatives
+        ],
         "explanations": [
             {
                 "causes": [describe(cause) for cause in one.causes],
@@ -300,6 +331,7 @@ def _effect(
 ) -> dict[str, Any]:
     posterior = diagnosis.posterior
     shared = posterior.shared(cause)
+    confusable = posterior.confusable_with(cause)
     others = [one for one in posterior.explanations if cause.name not in one.name.split(" and ")]
     without = others[0].gain if others else 0.0
     return {
@@ -315,10 +347,11 @@ def _effect(
         "p_value": posterior.p_value,
         "or_value": cause.second_mode,
         "ridge": diagnosis.ridge(cause),
-        "confusable_with": list(dict.fromkeys(one.other.name for one in shared)),
+        "confusable_with": list(confusable),
         "shared_with": [
             {
                 "name": one.other.name,
+                "description": f"{describe(one.cause)} beside {describe(one.other)}",
                 "objects": list(one.other.candidate.objects),
                 "exponent": one.exponent,
                 "parameters": _parameters(one.other, declared),
@@ -326,9 +359,7 @@ def _effect(
             }
             for one in shared
         ],
-        "what_would_tell": list(
-            dict.fromkeys(advice(cause.name, one.other.name) for one in shared)
-        ),
+        "what_would_tell": list(dict.fromkeys(advice(cause.name, name) for name in confusable)),
     }
 
 

@@ -45,12 +45,16 @@ class GraspRules:
     # shares what is known; trust study
     excluding_gain: float = math.log(10)  # strong evidence against another cause beside what was
     # found, prior weights aside (Jeffreys 1961, Theory of probability, appendix B)
+    least_alternative: float = 0.1  # of the best explanation's probability: less is not told;
+    # as ``excluding_gain``
     least_variance: float = 1e-8  # of a coordinate; numerical
     confusable_gain: float = math.log(100)  # further behind in evidence is no rival; chosen
 
     # Simulations about the leading values.
     leading_gain: float = 5.0  # in log-evidence: those further behind do not come first; chosen
     most_refined: int = 4  # explanations a round; chosen for time
+    least_change: float = 0.15  # of a prior's spread: several causes at once are simulated where
+    # each is changed by more; trust study
     refining_rounds: int = 3  # each halves the unknown interval; trust study
     refining_deviations: float = 2.5  # about a value: 99 % of a normal posterior
     least_force_n: float = 0.01  # delivered force below which a ratio means nothing; chosen

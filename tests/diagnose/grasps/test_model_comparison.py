@@ -13,6 +13,7 @@ from tacgen.collection.perturbed import Outcome
 from tacgen.core.records import GraspObject, Mesh, frozen_array
 from tacgen.diagnose.grasps.hypotheses import candidates_for
 from tacgen.diagnose.grasps.model_comparison import (
+    AS_DECLARED,
     FAILED,
     NO_READING,
     SUCCESS,
@@ -287,6 +288,8 @@ def test_a_joint_outcome_corrects_the_sum_in_proportion_to_both_changes():
     assert after[..., ~known] == pytest.approx(before[..., ~known])
     # Where one of the two is as declared, single causes know better.
     assert after[60] == pytest.approx(before[60])
+    # Beyond the simulated values it is not extrapolated.
+    assert (after - before)[0, 120][known] == pytest.approx((after - before)[30, 90][known])
     assert (after - before)[45, 90][known] == pytest.approx((after - before)[30, 90][known] / 2)
 
 
@@ -318,6 +321,36 @@ def test_a_torsion_counts_as_much_as_the_shifted_object_turns():
     # At one value of each alone, as well as over all.
     at_once = joint_model(declared, [shift.only(np.s_[90:91]), torsion.only(np.s_[100:101])])
     assert at_once.margin[0] == pytest.approx(found[90, 100])
+
+
+def test_a_torsion_adds_to_where_another_cause_found_the_threshold():
+    """A friction's refinement found that 0.3 are missing, and the closed form said 0.8."""
+    half, log_factor = np.full(1, 0.5), np.linspace(-0.6, 0.6, 121)
+    by_key = {one.parameter.key: one for one in candidates_for(("block",))}
+    rows = 0 * log_factor[:, None] + 0.5
+    friction = interpolated(
+        by_key["friction_factor"],
+        np.exp(log_factor),
+        log_factor[:, None] - 0.3,
+        rows,
+        None,
+        0.8 * rows,
+    )
+    torsion = interpolated(
+        by_key["spinning_friction_factor"],
+        np.exp(log_factor),
+        -0.8 + gain_by_torsion(np.full(1, 0.4), log_factor[:, None]),
+        rows,
+    )
+    declared = declared_model(np.full(1, -0.8), half, np.full(1, 0.4))
+    found = joint_model(declared, [friction, torsion]).margin.reshape(121, 121)
+    gain = gain_by_torsion(np.full(1, 0.4), log_factor)
+    assert found == pytest.approx(log_factor[:, None] - 0.3 + gain, abs=1e-6)
+    # Nor does what acts on no grasp tell its margin.
+    shift = by_key["center_of_mass_y_mm"]
+    idle = interpolated(shift, np.array([-30.0, 30.0]), np.full((2, 1), -0.8), rows[:2])
+    found = joint_model(declared, [friction, idle]).margin.reshape(121, 121)
+    assert found == pytest.approx(np.tile(log_factor[:, None] - 0.3, 121), abs=1e-6)
 
 
 @pytest.mark.slow
@@ -415,11 +448,14 @@ def test_a_ridge_is_written_in_words_and_numbers():
         comparison, labels, found, simulated, {}, [], np.random.default_rng(0)
     )
     assert diagnosis.sentence.startswith("Declared wrongly: mass of block ÷ grip_force at 1.")
-    assert "Only this product is known, not mass alone: mass of block at 1." in diagnosis.sentence
+    assert "Only this product is known, not mass alone." in diagnosis.sentence
+    assert diagnosis.sentence.endswith(" The recipe is changed in mass.")
     effect = diagnosis_record(diagnosis, {"block": BLOCK})["channels"]["grasp"]["effects"][0]
     assert effect["ridge"] == "mass of block ÷ grip_force"
     assert effect["confusable_with"] == ["grip_force"]
     shared = effect["shared_with"][0]
+    assert shared["description"].startswith("mass of block at 1.")
+    assert " beside grip_force at " in shared["description"]
     # The product of the parts is that of the cause alone, to what their priors shrink.
     force = shared["parameters"]["force_scale"]["value"]
     mass = shared["beside"]["mass_factor"]["value"]
@@ -427,41 +463,84 @@ def test_a_ridge_is_written_in_words_and_numbers():
     assert mass / force == pytest.approx(alone["value"], abs=alone["stderr"])
 
 
-def sentence_of(best, *others):
-    """The sentence of a posterior made by hand: each of ``others`` is beside the best cause."""
+def cause_of(key, objects, coordinate, deviation):
+    candidates = candidates_for(("a", "b"))
+    (own,) = (c for c in candidates if c.parameter.key == key and c.objects == objects)
+    nodes = np.array(own.parameter.nodes)
+    table = np.zeros((len(nodes), 1))
+    return Cause(interpolated(own, nodes, table, table + 0.5), coordinate, deviation)
+
+
+def diagnosis_of(best, *others):
+    """A diagnosis made by hand: each of ``others``, its causes, covariance and gain, beside 30."""
     explanations = [Explanation((best,), 30.0, 40.0, np.diag([0.05**2]))]
-    for both, covariance in others:
-        explanations.append(Explanation(both, 29.0, 41.0, np.asarray(covariance)))
+    for causes, covariance, gain in others:
+        explanations.append(Explanation(causes, gain, 41.0, np.asarray(covariance)))
     found = Posterior(tuple(explanations), 0.002, 2.0)
     labels = np.ones(4, int)
-    return GraspDiagnosis(found, labels, 1 - labels, labels, labels, {}, ()).sentence
+    return GraspDiagnosis(found, labels, 1 - labels, labels, labels, {}, ())
 
 
 def test_a_product_holds_each_figure_once_and_only_what_is_correlated():
-    candidates = candidates_for(("a", "b"))
-
-    def of(key, objects, coordinate, deviation):
-        (own,) = (c for c in candidates if c.parameter.key == key and c.objects == objects)
-        nodes = np.array(own.parameter.nodes)
-        table = np.zeros((len(nodes), 1))
-        return Cause(interpolated(own, nodes, table, table + 0.5), coordinate, deviation)
-
+    of = cause_of
     force = of("force_scale", ("a", "b"), 0.4, 0.05)
     ridge = np.array([[1.0, 0.97], [0.97, 1.0]]) * 0.2**2
     beside = of("force_scale", ("a", "b"), 0.2, 0.2)
     masses = [
-        ((beside, of("mass_factor", objects, -0.2, 0.2)), ridge)
+        ((beside, of("mass_factor", objects, -0.2, 0.2)), ridge, 29.0)
         for objects in (("a",), ("b",), ("a", "b"))
     ]
-    sentence = sentence_of(force, *masses)
-    assert "wrongly: grip_force ÷ mass of a" in sentence
-    assert sentence.count("÷") == 1
-    assert all(f"beside mass of {whose} at" in sentence for whose in ("a", "b", "a, b"))
+    diagnosis = diagnosis_of(force, *masses)
+    assert "wrongly: grip_force ÷ mass of a at" in diagnosis.sentence
+    assert diagnosis.sentence.count("÷") == 1
+    titles = {one.other.candidate.title for one in diagnosis.posterior.shared(force)}
+    assert titles == {"mass of a", "mass of b", "mass of a, b"}
     # Farther by eight errors beside a friction, but not along with it.
     apart = (of("force_scale", ("a", "b"), 0.8, 0.05), of("friction_factor", ("a",), 0.3, 0.05))
-    sentence = sentence_of(force, (apart, np.diag([0.05**2, 0.05**2])))
-    assert "wrongly: grip_force at 1.49" in sentence
-    assert "grip_force may not be wrong alone" in sentence
+    diagnosis = diagnosis_of(force, (apart, np.diag([0.05**2, 0.05**2]), 29.0))
+    assert "wrongly: grip_force at 1.49" in diagnosis.sentence
+    assert "Beside grip_force, friction may be wrong as well." in diagnosis.sentence
+
+
+def test_what_the_labels_do_not_exclude_is_told_with_its_probability():
+    alone = np.diag([0.05**2])
+    force = cause_of("force_scale", ("a", "b"), 0.4, 0.05)
+    same_force = cause_of("force_scale", ("a", "b"), 0.41, 0.05)
+    mass, slip = (cause_of(key, ("a",), -0.4, 0.05) for key in ("mass_factor", "friction_factor"))
+    offset = cause_of("force_offset_n", ("a", "b"), 2.0, 0.3)
+    apart = np.diag([0.05**2, 0.05**2])
+    diagnosis = diagnosis_of(
+        force,
+        ((offset,), alone, 29.9),  # the same name: no news
+        ((mass,), alone, 29.0),
+        ((same_force, slip), apart, 28.5),  # beside what was found, though it does not move
+        ((mass, slip), apart, 28.4),  # adds to an alternative
+        ((slip,), alone, 27.8),
+        ((cause_of("mass_factor", ("b",), -0.4, 0.05),), alone, 27.6),  # below a tenth
+    )
+    found = diagnosis.posterior
+    expected = [{mass}, {same_force, slip}, {slip}]
+    assert [set(one.causes) for one in found.alternatives] == expected
+    assert found.confusable_with(force) == ("mass", "friction")
+    total = np.exp([30.0, 29.9, 29.0, 28.5, 28.4, 27.8, 27.6]).sum()
+    assert (
+        f"{100 * np.exp(30.0) / total:.0f} % probable; also possible: mass of a at 0.670 ± 0.034 "
+        f"times the declared ({100 * np.exp(29.0) / total:.0f} %), or grip_force at "
+    ) in diagnosis.sentence
+    assert diagnosis.sentence.endswith("The recipe is changed in grip_force.")
+    record = diagnosis_record(diagnosis, {"a": BLOCK, "b": BLOCK})["channels"]["grasp"]
+    names = [[cause["name"] for cause in one["causes"]] for one in record["alternatives"]]
+    assert names == [["mass"], ["grip_force", "friction"], ["friction"]]
+    assert record["alternatives"][0]["probability"] == pytest.approx(np.exp(29.0) / total)
+    assert record["effects"][0]["confusable_with"] == ["mass", "friction"]
+    # That nothing is wrong may be the likelier one.
+    weak = replace(found, explanations=(replace(found.best, gain=-0.5),))
+    assert weak.alternatives == (AS_DECLARED,)
+    assert weak.confusable_with(force) == ()
+    told = replace(diagnosis, posterior=weak).sentence
+    assert "is 38 % probable; also possible: flipped labels alone (62 %)." in told
+    # Where clean labels need an explanation as often, nothing is found and nothing instead of it.
+    assert replace(found, p_value=0.2).alternatives == ()
 
 
 def test_the_record_has_the_contracts_keys():

@@ -187,6 +187,11 @@ def test_two_causes_are_simulated_at_once_and_kept(tmp_path):
     kept = simulations.joint[frozenset({mass.candidate, friction.candidate})]
     assert kept.coordinate[mass.candidate] == pytest.approx(np.log(1.25))
     assert kept.margin == pytest.approx(margins_of([outcome])[0])
+    # A simulation with a mass as declared would tell of the friction alone.
+    idle = (Cause(mass, np.log(1.01), 0.1), Cause(friction, np.log(0.8), 0.1))
+    known = dict(simulations.known)
+    simulations.refined([Explanation(idle, 1.0, 1.0, np.eye(2))])
+    assert simulations.known == known
 
 
 def test_crossings_lie_where_the_line_between_values_is_zero():

@@ -27,7 +27,13 @@ def test_the_page_shows_outcomes_candidates_and_next_grasps(tmp_path):
         "error_before": {"rmse": 0.5, "mislabels": 3},
         "error_after": {"rmse": 1 / 6, "mislabels": 1},
         "simulated_again": {"rate": 0.0, "mislabels": 0},
-        "effects": [{"description": FOUND, "what_would_tell": ["grip_force or friction: lift"]}],
+        "effects": [
+            {
+                "description": FOUND,
+                "what_would_tell": ["grip_force or friction: lift"],
+                "shared_with": [{"description": "grip_force at 0.9 beside mass of mug at 1.1"}],
+            }
+        ],
         "false_alarm_rate": 0.03,
         "ranking": candidates,
         "p_value": 0.002,
@@ -57,6 +63,7 @@ def test_the_page_shows_outcomes_candidates_and_next_grasps(tmp_path):
     assert "1 of 6 (16.7 %)" in page
     assert f"{FOUND}; mass of mug" in page
     assert "25.0 %" in page
+    assert "grip_force at 0.9 beside mass of mug at 1.1" in page
     assert "flipped labels alone" in page
     assert "grip_force or friction: lift." in page
     assert "if grip_force" in page
