@@ -75,7 +75,7 @@ def test_a_hypothesis_of_ones_own_is_found_simulated_written_and_reported(
     assert channel["effects"][0]["name"] == "worn_pads"
     value = channel["effects"][0]["parameters"]["pad_friction_factor"]["value"]
     assert value == pytest.approx(0.5, rel=0.15)
-    assert "worn_pads at 0." in channel["sentence"]
+    assert channel["effects"][0]["description"].startswith("worn_pads at 0.")
     assert findings.recipe.physics.pad_friction == pytest.approx(value, abs=1e-4)
     assert channel["simulated_again"]["mislabels"] <= 2
     record = record_of(findings, RECIPE, [BOX])
