@@ -32,6 +32,7 @@ from tacgen.diagnose.grasps.model_comparison import (
 )
 from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations
 from tacgen.diagnose.grasps.result import diagnose_labels
+from tacgen.diagnose.grasps.rules import RULES
 from tacgen.objects import load_object
 
 SETS: tuple[tuple[tuple[str, ...], int], ...] = (
@@ -192,17 +193,22 @@ def judged(found: Posterior, truth: dict[str, float], objects: Sequence[str]) ->
 
 def _is_truth(one: Explanation, truth: dict[str, float], objects: Sequence[str]) -> bool:
     """Whether an explanation has exactly the true causes, at their values."""
-    apart = []
-    for cause in one.causes:
-        own = cause.candidate
-        of_set = own.hypothesis.of_gripper or own.objects == tuple(objects[:1])
-        if own.name not in truth or own.parameter.key != WRONG[own.name][0] or not of_set:
-            return False
-        apart.append(_true_coordinate(cause, truth) - cause.coordinate)
-    if len(apart) != len(truth):
+    keys = [cause.candidate.parameter.key for cause in one.causes]
+    if sorted(keys) != sorted(WRONG[name][0] for name in truth):
         return False
-    distance = float(apart @ np.linalg.solve(one.covariance, apart))
-    return distance <= DEVIATIONS**2
+    if not all(_is_true(cause, truth, objects) for cause in one.causes):
+        return False
+    apart = np.array([_true_coordinate(cause, truth) - cause.coordinate for cause in one.causes])
+    covariance = one.covariance + RULES.least_variance * np.eye(len(apart))
+    return bool(apart @ np.linalg.solve(covariance, apart) <= DEVIATIONS**2)
+
+
+def _is_true(cause: Cause, truth: dict[str, float], objects: Sequence[str]) -> bool:
+    """Whether this is wrong indeed, whatever its value."""
+    own = cause.candidate
+    is_axis = own.name != "center_of_mass" or own.parameter.key == WRONG[own.name][0]
+    of_set = own.hypothesis.of_gripper or own.objects == tuple(objects[:1])
+    return own.name in truth and is_axis and of_set
 
 
 def _true_coordinate(cause: Cause, truth: dict[str, float]) -> float:
@@ -217,10 +223,7 @@ def _judged_by_names(found: Posterior, truth: dict[str, float], objects: Sequenc
     """The result by what is named, and by what shares what is known with it."""
 
     def is_true(cause: Cause) -> bool:
-        own = cause.candidate
-        of_gripper = own.hypothesis.of_gripper
-        is_axis = own.name != "center_of_mass" or own.parameter.key == WRONG[own.name][0]
-        return own.name in truth and is_axis and (of_gripper or own.objects == tuple(objects[:1]))
+        return _is_true(cause, truth, objects)
 
     groups = [(cause, *(one.other for one in found.shared(cause))) for cause in found.found]
     mentioned = {one.name for group in groups for one in group if is_true(one)}
