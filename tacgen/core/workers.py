@@ -59,6 +59,7 @@ _START_TRIES, _START_PAUSE_S = 20, 0.05
 
 MAX_KILLS_PER_TASK = 5  # an item that ends a worker this often is at fault itself
 MAX_CRASHES_IN_A_ROW = 3  # with different items: then the machine is at fault
+_ENDING_SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 _NATIVE_CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL}
 SILENCE_LIMIT_S = 600.0
 """Between items, where a worker opens and writes files; after that it is ended and replaced."""
@@ -141,7 +142,9 @@ def map_in_processes(
     pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
     with _without_opencv_threads(), pool:
         try:
-            return list(pool.map(_run_task, items))
+            with _signals_held():
+                results = pool.map(_run_task, items)  # starts the processes
+            return list(results)
         except BaseException as error:
             # Leaving the block waits for results that nobody will look at.
             for child in set(multiprocessing.active_children()) - others:
@@ -168,9 +171,24 @@ def _without_opencv_threads() -> Iterator[None]:
         opencv.setNumThreads(before)
 
 
+@contextlib.contextmanager
+def _signals_held() -> Iterator[None]:
+    """Signals arrive after this block, in a process that is started in it after ``_set_task``.
+
+    A new copy of this process still has its handlers, and Python drops what a handler raises
+    there at first: the copy that was to end would live on and wait for its work for ever.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _set_task(task: Callable[[Any], Any]) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # not an error that is sent back, but the end
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent acts on it
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)
     _pool_task["task"] = task
 
 

@@ -5,6 +5,8 @@ import os
 import pickle
 import signal
 import struct
+import subprocess
+import sys
 import time
 from collections import deque
 from multiprocessing import Pipe, Process
@@ -18,6 +20,7 @@ from tacgen.core import workers
 from tacgen.core.errors import TacgenError
 from tacgen.core.workers import map_in_processes, run_tasks
 
+CHECKOUT = Path(__file__).parents[2]
 ITEMS_PER_TASK = 4
 
 
@@ -174,6 +177,40 @@ def test_mapped_processes_do_not_handle_signals_as_the_command_line_does():
     finally:
         signal.signal(signal.SIGTERM, before)
     assert found == [(signal.SIG_DFL, signal.SIG_IGN)] * 2
+
+
+LATE_COPY = """
+import itertools, os, signal, time
+from tacgen.core.errors import Interrupted, TacgenError
+from tacgen.core.workers import map_in_processes
+
+def refused(item):
+    raise TacgenError(f"item {item} is wrong; mend it")
+
+def interrupt(*_):
+    raise Interrupted
+
+def not_yet_run():
+    # As if the machine were too busy to run the second copy for a second.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    time.sleep(next(started) - 1)
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+started = itertools.count()
+os.register_at_fork(before=lambda: next(started), after_in_child=not_yet_run)
+signal.signal(signal.SIGTERM, interrupt)
+try:
+    map_in_processes(refused, [4, 5], 2)
+except TacgenError as error:
+    print(error)
+"""
+
+
+def test_an_error_ends_a_mapped_process_that_has_hardly_begun():
+    """What a handler raises in it there is lost; it would wait for the lock of one that ended."""
+    command = [sys.executable, "-c", LATE_COPY]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=CHECKOUT)
+    assert run.stdout == "item 4 is wrong; mend it\n", run.stderr
 
 
 def test_leaving_early_ends_every_process(tmp_path):
