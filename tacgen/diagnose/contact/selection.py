@@ -230,9 +230,9 @@ class CandidateSets:
         found = [one for one in found if all(self._fit_beside(one, m) for m in current.members)]
         grams, groups, base = self._grams(fit, found)
         sets = [[*base, *group] for group in groups]
-        losses = self._cv_losses(grams, sets, current.unit_losses).sum(axis=1)
-        order = np.argsort(losses)
-        return [(found[i], current.loss - float(losses[i])) for i in order]
+        gains = self._gains(current, self._cv_losses(grams, sets, current.unit_losses))
+        order = np.argsort(-gains, kind="stable")
+        return [(found[i], float(gains[i])) for i in order]
 
     def pairs(self, current: FittedSet, pool: Pool) -> list[tuple[Candidate, Candidate]]:
         """The pairs of candidates beside ``current`` that are worth a fit, best first."""
@@ -249,13 +249,17 @@ class CandidateSets:
         short = [k for k in np.argsort(sums, kind="stable") if sums[k] >= least]
         short = short[: rules.pairs_scored]
         losses = self._cv_losses(grams, [sets[k] for k in short], current.unit_losses)
-        gains = current.loss - losses.sum(axis=1)
+        gains = self._gains(current, losses)
         best: dict[frozenset[str], tuple[Candidate, Candidate]] = {}
-        for index in np.argsort(-gains):
+        for index in np.argsort(-gains, kind="stable"):
             if gains[index] >= rules.pair_share * gains.max():
                 a, b = (found[i] for i in pairs[short[index]])
                 best.setdefault(frozenset((a.name, b.name)), (a, b))
         return list(best.values())[: rules.pairs_fitted]
+
+    def _gains(self, current: FittedSet, losses: FloatArray) -> FloatArray:
+        """What sets that leave ``losses`` (S, U) explain of the loss (S,): no more than there is."""
+        return np.asarray(current.loss - np.maximum(losses.sum(axis=1), min(current.loss, 0.0)))
 
     def _fit_beside(self, one: Candidate, other: Candidate) -> bool:
         """Whether both can be in a model: not an effect and a covariate that can do the same."""
@@ -362,9 +366,9 @@ class CandidateSets:
 
         ``p_value`` is not corrected, but of a pair's members, which were chosen together.
         """
-        rules = self.rules
-        least = max(rules.clear_share * without.loss, rules.clear_gain * self.total(without))
-        return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
+        if self.data.few_trials or p_value > self.rules.clear_alpha:
+            return False
+        return gain > self.rules.clear_share * without.loss
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
@@ -435,7 +439,7 @@ class Selection:
         }
         best = _best_of_each([one for one in pool if one[0].name in significant], rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
-        singles = [single for single in singles if sets.is_worth(current, single)]
+        singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
         best_single = min(singles, key=sets.score, default=None)
         if len(current.members) + 2 > rules.max_members:
             return best_single

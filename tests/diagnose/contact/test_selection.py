@@ -67,3 +67,29 @@ def test_a_delay_and_a_lead_are_told_before_they_are_fitted(delay_s, form, other
     gains = {one.label: gain for one, gain in sets.pool(base)}
     assert gains[f"latency: {form}"] > 0.9 * base.loss
     assert gains.get(f"latency: {other}", 0.0) < 0.6 * base.loss
+
+
+def test_no_form_explains_more_than_there_is(monkeypatch):
+    """Products between the halves may leave less than nothing of what only noise tells apart."""
+    sets = selection_of_creep_and_offset().sets
+    base = sets.fitted((), sets.linear)
+    losses_of = sets._cv_losses
+    monkeypatch.setattr(sets, "_cv_losses", lambda *args: losses_of(*args) - 0.2 * base.loss)
+    gains = [gain for _, gain in sets.pool(base)]
+    assert gains[:2] == [base.loss, base.loss]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_a_form_that_would_be_dropped_again_hides_no_other(monkeypatch):
+    selection = selection_of_creep_and_offset(max_members=1)
+    sets = selection.sets
+    base = sets.fitted((), sets.linear)
+    pool = sets.pool(base)
+    args = base, pool, np.zeros(len(pool)), np.ones(len(pool), dtype=bool)
+    assert selection._extended(*args).members[0].name == "creep"
+    monkeypatch.setattr(sets, "is_needed", lambda _, member, *__: member.name != "creep")
+    other = selection._extended(*args)
+    assert other is not None
+    assert other.members[0].name != "creep"
+    monkeypatch.setattr(sets, "is_needed", lambda *_: False)
+    assert selection._extended(*args) is None
