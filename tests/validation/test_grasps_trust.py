@@ -62,10 +62,34 @@ def test_every_pair_is_a_case_and_half_of_the_values_are_the_other_way_round():
 
 
 def test_trials_that_change_too_few_labels_are_counted_apart():
-    trial = Trial(
-        "cup", ("mass",), 0.05, True, ("mass",), (1.4,), (("friction",),), "right", 0.2, 0.05
-    )
-    few = Trial("cup", ("mass",), 0.05, False, (), (), (), "missed", 0.02, 0.02)
-    assert "| 1 | 5 % | 2 | 1 | 1 | 0 | 0 | 0 | 0 | 2.0 | 20.0 → 5.0 % |" in summary_of(
-        [trial, few]
-    )
+    named = ("mass",), (1.4,), (("friction",),)
+    trial = Trial("cup", ("mass",), 0.05, True, *named, "right", 0.2, 0.05, False, 0.6)
+    few = Trial("cup", ("mass",), 0.05, False, (), (), (), "missed", 0.02, 0.02, True, 0.1)
+    row = "| 1 | 5 % | 2 | 1 | 1 (0) | 0 | 0 | 0 | 0 | 0 | 2.0 | 60 % | 20.0 → 5.0 % |"
+    assert row in summary_of([trial, few])
+
+
+def also_possible(*causes):
+    """A force is named; these, each known to 0.03, are half as probable."""
+    known = np.diag([0.03**2] * len(causes))
+    named = Explanation((cause("force_scale", 0.5),), 20.0, 20.0, np.diag([0.03**2]))
+    return Posterior((named, Explanation(causes, 19.3, 20.0, known)), 0.002, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("causes", "objects", "expected"),
+    [
+        ((("friction_factor", -0.35), ("center_of_mass_y_mm", 18.05)), ("cup",), "alternative"),
+        # One value is off by four standard deviations.
+        ((("friction_factor", -0.35), ("center_of_mass_y_mm", 18.12)), ("cup",), "false"),
+        # Along another axis, of another object, one cause too few.
+        ((("friction_factor", -0.35), ("center_of_mass_x_mm", 18.0)), ("cup",), "false"),
+        ((("friction_factor", -0.35), ("center_of_mass_y_mm", 18.0)), ("jug", "cup"), "false"),
+        ((("friction_factor", -0.35),), ("cup",), "false"),
+    ],
+)
+def test_only_the_whole_truth_counts_as_an_alternative(causes, objects, expected):
+    found = also_possible(*(cause(key, coordinate) for key, coordinate in causes))
+    truth = {"friction": np.exp(-0.35), "center_of_mass": 18.0}
+    assert judged(found, truth, objects) == expected
+    assert judged(found, {}, objects) == "false"

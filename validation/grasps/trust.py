@@ -67,14 +67,15 @@ DEVIATIONS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One diagnosis: the causes, what was named, and with what each was said to be confounded.
+    """One diagnosis: the causes, what was named, and with what each was reported as confounded.
 
-    ``result`` is ``right``, ``confounded`` (all causes are named or said to be confounded with
-    what is named, nothing else is named, and the product of the confounded ones is the true one;
-    or exactly the causes, at their values, are among the alternatives that are not excluded),
-    ``undecided`` (nothing is named, because too few labels differ, and the diagnosis says so),
-    ``missed`` (a cause is not mentioned) or ``false`` (something named has no part in the truth).
-    ``telling`` says whether every cause changes labels enough.
+    ``result`` is ``right``, ``confounded`` (all causes are named or reported as confounded with
+    what is named, nothing else is named, and the product of the confounded ones is the true one),
+    ``alternative`` (neither, but exactly the causes, at their values, are among what is reported as
+    also possible), ``undecided`` (nothing is named, because too few labels differ, and the
+    diagnosis reports so), ``missed`` (a cause is not mentioned) or ``false`` (something named has
+    no part in the truth). ``telling`` tells whether every cause changes labels enough, ``at_value``
+    whether each one named has its true value, and ``probability`` is that given to what is named.
     """
 
     objects: str
@@ -87,6 +88,8 @@ class Trial:
     result: str
     rate_before: float
     rate_after: float
+    at_value: bool
+    probability: float
 
 
 def planned_grasps(objects: Sequence[str], count: int, seed: int) -> tuple[GraspConfig, ...]:
@@ -158,6 +161,7 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
     truths, values = true_labels(simulations, objects, seed), wrong_values(seed)
     for names, truth in truths.items():
         others = [truths[tuple(one for one in names if one != name)] for name in names]
+        wrong = {name: values[name] for name in names}
         changed = [int((truth != one).sum()) for one in [*others, *([truths[()]] if names else [])]]
         rng = np.random.default_rng([seed, round(100 * flips)])
         success = truth.copy()
@@ -176,19 +180,22 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
             tuple(cause.name for cause in found.found),
             tuple(round(cause.value, 4) for cause in found.found),
             tuple(found.confusable_with(own) for own in found.found),
-            "undecided"
-            if names and diagnosis.undecided
-            else judged(found, {name: values[name] for name in names}, objects),
+            "undecided" if names and diagnosis.undecided else judged(found, wrong, objects),
             diagnosis.rate_before,
             diagnosis.rate_after,
+            all(_has_true_value(cause, wrong) for cause in found.found),
+            sum(map(found.share, found.same)),
         )
 
 
 def judged(found: Posterior, truth: dict[str, float], objects: Sequence[str]) -> str:
     """The result of a trial, see ``Trial``; ``truth`` are the values of the causes by name."""
     result = _judged_by_names(found, truth, objects)
-    told = bool(truth) and any(_is_truth(one, truth, objects) for one in found.alternatives)
-    return "confounded" if told and result in ("missed", "false") else result
+    if not truth or result not in ("missed", "false"):
+        return result
+    possible = (*found.same, *found.alternatives)
+    is_reported = any(_is_truth(one, truth, objects) for one in possible)
+    return "alternative" if is_reported else result
 
 
 def _is_truth(one: Explanation, truth: dict[str, float], objects: Sequence[str]) -> bool:
@@ -209,6 +216,13 @@ def _is_true(cause: Cause, truth: dict[str, float], objects: Sequence[str]) -> b
     is_axis = own.name != "center_of_mass" or own.parameter.key == WRONG[own.name][0]
     of_set = own.hypothesis.of_gripper or own.objects == tuple(objects[:1])
     return own.name in truth and is_axis and of_set
+
+
+def _has_true_value(cause: Cause, truth: dict[str, float]) -> bool:
+    """Whether the true value is within ``DEVIATIONS`` of the reported one, or of its second."""
+    value = cause.candidate.parameter.value(_true_coordinate(cause, truth))
+    reported = [cause.value, *([] if cause.second_mode is None else [cause.second_mode])]
+    return any(abs(value - one) <= DEVIATIONS * cause.stderr for one in reported)
 
 
 def _true_coordinate(cause: Cause, truth: dict[str, float]) -> float:
@@ -247,9 +261,10 @@ def _judged_by_names(found: Posterior, truth: dict[str, float], objects: Sequenc
 def summary_of(trials: Sequence[Trial]) -> str:
     """The trials in Markdown, a row for each number of causes and share of flipped labels."""
     lines = [
-        "| causes | flipped | trials | too few labels changed | right | confounded | undecided "
-        "| missed | false | names mentioned | mislabels before → after |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| causes | flipped | trials | too few labels changed | right (at the true value) "
+        "| confounded | alternative | undecided | missed | false | names mentioned "
+        "| probability given | mislabels before → after |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for size in sorted({len(one.causes) for one in trials}):
         for flips in FLIPS:
@@ -257,10 +272,13 @@ def summary_of(trials: Sequence[Trial]) -> str:
             seen = [one for one in own if one.telling]
             if not seen:
                 continue
+            right = [one for one in seen if one.result == "right"]
             counts = [
                 sum(one.result == kind for one in seen)
-                for kind in ("right", "confounded", "undecided", "missed", "false")
+                for kind in ("confounded", "alternative", "undecided", "missed", "false")
             ]
+            named = [one.probability for one in seen if one.named]
+            given = f"{100 * np.mean(named):.0f} %" if named else "–"
             names = np.mean([len({*one.named, *sum(one.confounded, ())}) for one in seen])
             before, after = (
                 100 * float(np.mean([getattr(one, f"rate_{what}") for one in seen]))
@@ -268,6 +286,8 @@ def summary_of(trials: Sequence[Trial]) -> str:
             )
             lines.append(
                 f"| {size} | {100 * flips:.0f} % | {len(own)} | {len(own) - len(seen)} "
-                f"| {' | '.join(map(str, counts))} | {names:.1f} | {before:.1f} → {after:.1f} % |"
+                f"| {len(right)} ({sum(one.at_value for one in right)}) "
+                f"| {' | '.join(map(str, counts))} | {names:.1f} | {given} "
+                f"| {before:.1f} → {after:.1f} % |"
             )
     return "\n".join(lines) + "\n"

@@ -258,7 +258,7 @@ class CandidateSets:
         return list(best.values())[: rules.pairs_fitted]
 
     def _gains(self, current: FittedSet, losses: FloatArray) -> FloatArray:
-        """What sets that leave ``losses`` (S, U) explain of the loss (S,): no more than there is."""
+        """What sets that leave ``losses`` (S, U) explain, of the loss that there is: (S,)."""
         return np.asarray(current.loss - np.maximum(losses.sum(axis=1), min(current.loss, 0.0)))
 
     def _fit_beside(self, one: Candidate, other: Candidate) -> bool:

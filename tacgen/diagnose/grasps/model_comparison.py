@@ -169,11 +169,12 @@ def joint_model(
 ) -> LabelModel:
     """Several candidates at once, over the product of their values (the last varies fastest).
 
-    A margin is a sum of logarithms of what each changes, so the changes add, to the margin as
-    declared by what is changed most of what acts on the grasp; by a torsion's only where nothing
-    else does, because refinement finds by force, mass or friction where a grasp slips. A torsion
-    adds by the part that turning has where others are changed. What ``known`` outcomes of some or
-    all of them differ by is added in proportion to the product of those changes, up to the
+    A margin is a sum of logarithms of what each changes, so the changes add. They add to the
+    margin as declared. Refinement corrects that margin separately for each force, mass and
+    friction; here it is the mean over the candidates that act on the grasp, weighted by how far
+    each is changed. A torsion has no such correction, and counts only where nothing else acts. A
+    torsion adds by the part that turning has where others are changed. What ``known`` outcomes of
+    some or all of them differ by is added in proportion to the product of those changes, up to the
     simulated ones, in that order.
     """
     if not parts:
@@ -302,11 +303,6 @@ class Explanation:
     def candidates(self) -> frozenset[Candidate]:
         """What is wrong."""
         return frozenset(cause.candidate for cause in self.causes)
-
-    @property
-    def titles(self) -> frozenset[str]:
-        """What is wrong, in words."""
-        return frozenset(cause.candidate.title for cause in self.causes)
 
     @property
     def name(self) -> str:
@@ -452,6 +448,12 @@ class Shared:
     other: Cause
     exponent: float
 
+    @property
+    def is_product(self) -> bool:
+        """Whether both are factors, of which the labels determine a product of powers."""
+        both = self.cause.candidate.parameter, self.other.candidate.parameter
+        return abs(self.exponent) >= 0.05 and all(parameter.is_factor for parameter in both)
+
 
 @dataclass(frozen=True)
 class Posterior:
@@ -506,26 +508,48 @@ class Posterior:
         return float(np.exp(logsumexp(gains) - self.log_total)) if gains else 0.0
 
     @cached_property
+    def same(self) -> tuple[Explanation, ...]:
+        """Explanations that say what is reported as found, the likeliest first.
+
+        The best one and, of each product that ``shared`` reports, those by its other factors.
+        """
+        groups = [
+            {
+                cause.candidate,
+                *(one.other.candidate for one in self.shared(cause) if one.is_product),
+            }
+            for cause in self.found
+        ]
+        reported = frozenset[Candidate]().union(*groups)
+        return tuple(
+            one
+            for one in self.explanations
+            if one.candidates <= reported and all(one.candidates & group for group in groups)
+        )
+
+    @cached_property
     def alternatives(self) -> tuple[Explanation, ...]:
         """Other explanations that the labels do not exclude, the likeliest first.
 
         They have at least ``RULES.least_alternative`` of the best one's probability, that nothing
-        is wrong among them. Of those with the same names only the likeliest counts, and none that
-        adds to another alternative, or to the best what ``shared`` names already.
+        is wrong among them. Not listed again is what is the ``same``, what adds a cause to the best
+        that ``shared`` reports, and what adds one to another of these or of those.
         """
         if not self.found:
             return ()
-        best, known = self.best, list[Explanation]()
-        said = [
-            best.titles | {one.other.candidate.title} for c in self.found for one in self.shared(c)
-        ]
+        best, found = self.best, list[Explanation]()
+        reported = [one.candidates for one in self.same]
+        for cause in self.found:
+            reported += [best.candidates | {one.other.candidate} for one in self.shared(cause)]
         for one in self.with_declared:
             if one.gain < best.gain + np.log(RULES.least_alternative):
                 break
-            is_new = one.titles != best.titles and one.titles not in said
-            if is_new and not any(other.titles <= one.titles for other in known if other.causes):
-                known.append(one)
-        return tuple(known)
+            # A part of the best one says nothing of what else may be beside it.
+            smaller = [other.candidates for other in (*self.same, *found)]
+            adds = any(own < one.candidates for own in smaller if not own <= best.candidates)
+            if one.candidates not in reported and not adds:
+                found.append(one)
+        return tuple(found)
 
     def shared(self, cause: Cause) -> tuple[Shared, ...]:
         """What a found ``cause`` is confounded with, the likeliest first.
@@ -571,8 +595,9 @@ class Posterior:
         names = [one.other.name for one in self.shared(cause)]
         for one in self.alternatives:
             if cause.candidate not in one.candidates or self.best.candidates < one.candidates:
-                names += [c.name for c in one.causes if c.candidate not in self.best.candidates]
-        return tuple(name for name in dict.fromkeys(names) if name != cause.name)
+                names += [own.name for own in one.causes]
+        found = {own.name for own in self.found}
+        return tuple(name for name in dict.fromkeys(names) if name not in found)
 
 
 def posterior(comparison: ModelComparison, labels: Labels, rng: np.random.Generator) -> Posterior:

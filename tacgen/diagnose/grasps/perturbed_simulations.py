@@ -106,7 +106,7 @@ class PerturbedSimulations:
         """The comparison with the first few of these simulated where their values matter."""
         wanted: list[tuple[GraspConfig, Perturbation]] = []
         together = []
-        for one in [one for one in explanations if _is_telling(one)][: RULES.most_refined]:
+        for one in [one for one in explanations if _changes_enough(one)][: RULES.most_refined]:
             if len(one.causes) > 1:
                 places, changes = self._at_once(one.causes)
                 together.append((places, changes))
@@ -296,8 +296,8 @@ def combined_perturbation(causes: Sequence[Cause], name: str) -> Perturbation:
     return found
 
 
-def _is_telling(one: Explanation) -> bool:
-    """Whether a simulation at its values tells of all its causes at once."""
+def _changes_enough(one: Explanation) -> bool:
+    """Whether each of several causes is changed so far that simulating them together says more."""
     least = [RULES.least_change * cause.candidate.parameter.spread for cause in one.causes]
     changes = [cause.coordinate - cause.candidate.parameter.center for cause in one.causes]
     return len(one.causes) == 1 or bool((np.abs(changes) >= least).all())

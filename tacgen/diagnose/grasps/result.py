@@ -122,16 +122,27 @@ class GraspDiagnosis:
                 unit = "times the declared" if parameter.is_factor else parameter.unit
                 text += f" {cause.name} at {value} {unit} explains these labels nearly as well."
             text += self._confounded(cause)
-        if self.posterior.alternatives:
-            share = 100 * self.posterior.share(self.posterior.best)
-            possible = self._listed(self.posterior.alternatives)
-            text += f" This explanation is {share:.0f} % probable; also possible: {possible}."
+        text += self._probability()
         if any(map(self.posterior.confusable_with, self.found)):
             changed = " and ".join(cause.name for cause in self.found)
             text += f" The recipe is changed in {changed}."
         if self.too_many_remaining:
             text += f" {self.n_remaining} mislabels remain, too many for chance; they{follow}."
         return text
+
+    def _probability(self) -> str:
+        """How probable it is, by which factors of a product, and what else is possible."""
+        posterior, most = self.posterior, RULES.sentence_explanations
+        text, share_of = "", posterior.share
+        same = [one for one in posterior.same if share_of(one) >= RULES.sentence_least_share]
+        if len(posterior.same) > 1:
+            text = f": {self._listed(same[:most])}"
+        if posterior.alternatives:
+            text += f"; also possible: {self._listed(posterior.alternatives[:most])}"
+            more = len(posterior.alternatives) - most
+            text += f", and {more} more in the report" if more > 0 else ""
+        share = 100 * sum(map(share_of, posterior.same))
+        return f" This explanation is {share:.0f} % probable{text}." if text else ""
 
     def ridge(self, cause: Cause) -> str:
         """The product of factors that the labels determine, such as ``grip_force ÷ mass of cup``.
@@ -149,8 +160,7 @@ class GraspDiagnosis:
         """By name, the factors of which the labels determine a product with a found ``cause``."""
         found: dict[str, Shared] = {}
         for one in self.posterior.shared(cause):
-            both = cause.candidate.parameter, one.other.candidate.parameter
-            if abs(one.exponent) >= 0.05 and all(parameter.is_factor for parameter in both):
+            if one.is_product:
                 found.setdefault(one.other.name, one)  # on one object, or on all
         return found
 
@@ -170,9 +180,9 @@ class GraspDiagnosis:
         """What these labels cannot separate from a finding, in words."""
         product = self._product(cause)
         text = f" Only this product is known, not {cause.name} alone." if product else ""
-        said = {*product, *(own.name for own in self.found)}
-        others = [one.other.name for one in self.posterior.shared(cause)]
-        beside = dict.fromkeys(name for name in others if name not in said)
+        named = {*product, *(own.name for own in self.found)}
+        others = [one.other for one in self.posterior.shared(cause) if one.other.name not in named]
+        beside = dict.fromkeys(other.candidate.title for other in others)
         if beside:
             text += f" Beside {cause.name}, {' or '.join(beside)} may be wrong as well."
         return text

@@ -45,8 +45,8 @@ class GraspRules:
     # shares what is known; trust study
     excluding_gain: float = math.log(10)  # strong evidence against another cause beside what was
     # found, prior weights aside (Jeffreys 1961, Theory of probability, appendix B)
-    least_alternative: float = 0.1  # of the best explanation's probability: one with less is
-    # not reported; as ``excluding_gain``
+    least_alternative: float = 0.1  # of the best explanation's probability, prior weights
+    # included: one with less is not reported; chosen
     least_variance: float = 1e-8  # of a coordinate; numerical
     confusable_gain: float = math.log(100)  # further behind in evidence is no rival; chosen
 

@@ -495,14 +495,26 @@ def test_a_product_holds_each_figure_once_and_only_what_is_correlated():
     assert diagnosis.sentence.count("÷") == 1
     titles = {one.other.candidate.title for one in diagnosis.posterior.shared(force)}
     assert titles == {"mass of a", "mass of b", "mass of a, b"}
+    # The product is as probable as the sum of all sets of its factors, one of them at least.
+    alone = (of("mass_factor", ("a",), -0.4, 0.05),)
+    both = (alone[0], of("mass_factor", ("b",), -0.4, 0.05))
+    other = (of("spinning_friction_factor", ("a",), 0.4, 0.05),)
+    less = [(other, [[0.05**2]], 28.5), (both, np.eye(2), 28.0)]
+    diagnosis = diagnosis_of(force, (alone, [[0.05**2]], 29.5), *masses, *less)
+    weights = np.exp([30.0, 29.0, 29.0, 29.0, 29.5, 28.0])
+    share, part = (100 * w / (weights.sum() + np.exp(28.5)) for w in (weights.sum(), weights[4]))
+    assert f"This explanation is {share:.0f} % probable: grip_force at " in diagnosis.sentence
+    assert f"or mass of a at 0.670 ± 0.034 times the declared ({part:.0f} %)" in diagnosis.sentence
+    assert "; also possible: spinning_friction of a at 1.492" in diagnosis.sentence
+    assert [set(one.causes) for one in diagnosis.posterior.alternatives] == [set(other)]
     # Farther by eight errors beside a friction, but not along with it.
     apart = (of("force_scale", ("a", "b"), 0.8, 0.05), of("friction_factor", ("a",), 0.3, 0.05))
     diagnosis = diagnosis_of(force, (apart, np.diag([0.05**2, 0.05**2]), 29.0))
     assert "wrongly: grip_force at 1.49" in diagnosis.sentence
-    assert "Beside grip_force, friction may be wrong as well." in diagnosis.sentence
+    assert "Beside grip_force, friction of a may be wrong as well." in diagnosis.sentence
 
 
-def test_what_the_labels_do_not_exclude_is_told_with_its_probability():
+def test_what_the_labels_do_not_exclude_is_reported_with_its_probability():
     alone = np.diag([0.05**2])
     force = cause_of("force_scale", ("a", "b"), 0.4, 0.05)
     same_force = cause_of("force_scale", ("a", "b"), 0.41, 0.05)
@@ -511,7 +523,7 @@ def test_what_the_labels_do_not_exclude_is_told_with_its_probability():
     apart = np.diag([0.05**2, 0.05**2])
     diagnosis = diagnosis_of(
         force,
-        ((offset,), alone, 29.9),  # the same name: no news
+        ((offset,), alone, 29.9),  # of the same name, but another correction
         ((mass,), alone, 29.0),
         ((same_force, slip), apart, 28.5),  # beside what was found, though it does not move
         ((mass, slip), apart, 28.4),  # adds to an alternative
@@ -519,28 +531,67 @@ def test_what_the_labels_do_not_exclude_is_told_with_its_probability():
         ((cause_of("mass_factor", ("b",), -0.4, 0.05),), alone, 27.6),  # below a tenth
     )
     found = diagnosis.posterior
-    expected = [{mass}, {same_force, slip}, {slip}]
+    expected = [{offset}, {mass}, {same_force, slip}, {slip}]
     assert [set(one.causes) for one in found.alternatives] == expected
     assert found.confusable_with(force) == ("mass", "friction")
     total = np.exp([30.0, 29.9, 29.0, 28.5, 28.4, 27.8, 27.6]).sum()
     assert (
-        f"{100 * np.exp(30.0) / total:.0f} % probable; also possible: mass of a at 0.670 ± 0.034 "
+        f"{100 * np.exp(30.0) / total:.0f} % probable; also possible: grip_force off by +2.00 ± "
+        f"0.30 N ({100 * np.exp(29.9) / total:.0f} %), or mass of a at 0.670 ± 0.034 "
         f"times the declared ({100 * np.exp(29.0) / total:.0f} %), or grip_force at "
     ) in diagnosis.sentence
     assert diagnosis.sentence.endswith("The recipe is changed in grip_force.")
     record = diagnosis_record(diagnosis, {"a": BLOCK, "b": BLOCK})["channels"]["grasp"]
     names = [[cause["name"] for cause in one["causes"]] for one in record["alternatives"]]
-    assert names == [["mass"], ["grip_force", "friction"], ["friction"]]
-    assert record["alternatives"][0]["probability"] == pytest.approx(np.exp(29.0) / total)
+    assert names == [["grip_force"], ["mass"], ["grip_force", "friction"], ["friction"]]
+    assert record["alternatives"][1]["probability"] == pytest.approx(np.exp(29.0) / total)
     assert record["effects"][0]["confusable_with"] == ["mass", "friction"]
     # That nothing is wrong may be the likelier one.
     weak = replace(found, explanations=(replace(found.best, gain=-0.5),))
     assert weak.alternatives == (AS_DECLARED,)
     assert weak.confusable_with(force) == ()
-    told = replace(diagnosis, posterior=weak).sentence
-    assert "is 38 % probable; also possible: flipped labels alone (62 %)." in told
+    sentence = replace(diagnosis, posterior=weak).sentence
+    assert "is 38 % probable; also possible: flipped labels alone (62 %)." in sentence
     # Where clean labels need an explanation as often, nothing is found and nothing instead of it.
     assert replace(found, p_value=0.2).alternatives == ()
+
+
+def test_no_alternative_hides_behind_a_name_or_a_part_of_what_was_found():
+    def of(key, coordinate=0.4, objects=("a",)):
+        return cause_of(key, objects, coordinate, 0.05)
+
+    apart = np.diag([0.05**2, 0.05**2])
+    # The same name along another axis would change the recipe elsewhere.
+    along_x, along_y = of("center_of_mass_x_mm", 9.0), of("center_of_mass_y_mm", 9.0)
+    diagnosis = diagnosis_of(along_x, ((along_y,), [[0.05**2]], 29.9))
+    assert [set(one.causes) for one in diagnosis.posterior.alternatives] == [{along_y}]
+    assert "also possible: center_of_mass of a along y off by +9.000" in diagnosis.sentence
+    # A likelier part of what was found hides no other pair.
+    force, mass, slip = (
+        of("force_scale", objects=("a", "b")),
+        of("mass_factor"),
+        of("friction_factor"),
+    )
+    offset = of("force_offset_n", objects=("a", "b"))
+    pairs = ((force, mass), 30.0), ((force, slip), 29.8), ((offset, slip), 29.0)
+    explanations = [Explanation(causes, gain, 40.0, apart) for causes, gain in pairs]
+    explanations.insert(1, Explanation((force,), 29.9, 40.0, apart[:1, :1]))
+    found = Posterior(tuple(explanations), 0.002, 2.0)
+    expected = [{force}, {force, slip}, {offset, slip}]
+    assert [set(one.causes) for one in found.alternatives] == expected
+    # A wrong force is in all of them, so nothing is to separate it from the mass.
+    assert found.confusable_with(mass) == ("friction",)
+    assert found.confusable_with(force) == ("friction",)
+
+
+def test_a_sentence_lists_four_alternatives():
+    force = cause_of("force_scale", ("a", "b"), 0.4, 0.05)
+    keys = ("mass_factor", "friction_factor", "spinning_friction_factor")
+    others = [cause_of(key, (of,), 0.4, 0.05) for key in keys for of in "ab"]
+    diagnosis = diagnosis_of(force, *(((one,), [[0.05**2]], 29.0) for one in others))
+    assert len(diagnosis.posterior.alternatives) == len(others)
+    assert diagnosis.sentence.count("(5 %)") + diagnosis.sentence.count("(11 %)") == 4
+    assert ", and 2 more in the report." in diagnosis.sentence
 
 
 def test_the_record_has_the_contracts_keys():
