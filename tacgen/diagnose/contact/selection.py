@@ -207,6 +207,8 @@ class CandidateSets:
 
         plain = model.law_response(data)
         size = np.linalg.norm(change(effect.complete({})))
+        if size == 0.0:
+            return full  # at an amount of 0 there is no form to correct
         probed = [change({**term.values, name: _PROBE}) / _PROBE for name in effect.free_amounts]
         prior_sd = self.rules.correction_share * float(size / np.linalg.norm(probed))
         form = effect.corrected(term.variant, prior_sd)

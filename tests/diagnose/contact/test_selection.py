@@ -93,3 +93,17 @@ def test_a_form_that_would_be_dropped_again_hides_no_other(monkeypatch):
     assert other.members[0].name != "creep"
     monkeypatch.setattr(sets, "is_needed", lambda *_: False)
     assert selection._extended(*args) is None
+
+
+def test_an_effect_that_was_fitted_to_nothing_has_no_form_to_correct():
+    """As a creep beside which another effect explains all; fits end at bounds such as 0."""
+    sets = selection_of_creep_and_offset().sets
+    base = sets.fitted((), sets.linear)
+    creep = next(one for one, _ in sets.pool(base) if one.name == "creep")
+    full = sets.add(base, [creep])
+    (term,) = full.fit.model.terms
+    assert sets.corrected(full, creep.effect) is not full
+    nothing = replace(term, values={**term.values, "amount": 0.0, "amount_2": 0.0})
+    model = replace(full.fit.model, terms=(nothing,))
+    full = replace(full, fit=replace(full.fit, model=model))
+    assert sets.corrected(full, creep.effect) is full
