@@ -85,6 +85,12 @@ class Variant:
     scales: bool = True
     prior_sd: float = np.inf
 
+    @property
+    def form(self) -> tuple[object, ...]:
+        """Its function: variants of one form differ only in where their fit starts."""
+        held = {name: value for name, value in self.shapes.items() if name not in self.free}
+        return self.free, tuple(sorted(held.items()))
+
 
 @dataclass(frozen=True, slots=True)
 class Effect:

@@ -49,6 +49,11 @@ class Candidate:
         return int(self.columns.shape[1]) + found
 
     @property
+    def form(self) -> object:
+        """Its function: candidates of one form differ only in where their fit starts."""
+        return self.variant.form if self.variant is not None else self.label
+
+    @property
     def label(self) -> str:
         """Its name for a reader."""
         if self.variant is not None:

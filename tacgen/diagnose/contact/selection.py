@@ -562,12 +562,15 @@ class Selection:
 
 
 def _best_of_each(
-    found: Sequence[tuple[Candidate, float]], rules: SelectionRules, variants: int
+    found: Sequence[tuple[Candidate, float]], rules: SelectionRules, n_forms: int
 ) -> list[Candidate]:
-    """The best ``variants`` of each of the best names; ``found`` with their gains, best first."""
-    by_name: dict[str, list[Candidate]] = {}
+    """The best start of the best ``n_forms`` forms of each of the best names.
+
+    ``found`` with their gains, best first.
+    """
+    by_name: dict[str, dict[object, Candidate]] = {}
     for candidate, gain in found:
         if gain >= rules.single_share * found[0][1]:
-            by_name.setdefault(candidate.name, []).append(candidate)
+            by_name.setdefault(candidate.name, {}).setdefault(candidate.form, candidate)
     best = list(by_name.values())[: rules.singles_fitted]
-    return [candidate for same in best for candidate in same[:variants]]
+    return [candidate for by_form in best for candidate in list(by_form.values())[:n_forms]]

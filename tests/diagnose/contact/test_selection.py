@@ -7,7 +7,7 @@ import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
-from tacgen.diagnose.contact.selection import Selection
+from tacgen.diagnose.contact.selection import Selection, _best_of_each
 from tests.diagnose.contact.test_free_forms import K_N, N_TRIALS, presses, prony
 
 
@@ -28,6 +28,20 @@ def test_of_a_name_with_a_significant_form_the_best_forms_are_fitted():
     p_values[creeps[-1]] = 0.0
     extended = selection._extended(base, pool, p_values, np.ones(len(pool), dtype=bool))
     assert extended.members[0].label in {pool[k][0].label for k in creeps[:2]}
+
+
+def test_each_form_is_fitted_from_its_best_start_alone():
+    """Two starts of one form end in one fit, in the place of another form."""
+    selection = selection_of_creep_and_offset()
+    sets, rules = selection.sets, selection.rules
+    pool = [one for one in sets.pool(sets.fitted((), sets.linear)) if one[0].name == "creep"]
+    best = _best_of_each(pool, rules, 10)
+    worth_a_fit = [one for one, gain in pool if gain >= rules.single_share * pool[0][1]]
+    assert len(best) < len(worth_a_fit)
+    assert {one.form for one in best} == {one.form for one in worth_a_fit}
+    for one in best:
+        starts = [(gain, other.label) for other, gain in pool if other.form == one.form]
+        assert max(starts)[1] == one.label
 
 
 def test_an_effect_is_needed_beside_one_without_which_cross_validation_goes_astray(monkeypatch):
