@@ -186,7 +186,9 @@ def _signals_held() -> Iterator[None]:
 
 
 def _set_task(task: Callable[[Any], Any]) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # not an error that is sent back, but the end
+    for number in (signal.SIGTERM, signal.SIGHUP):  # not an error that is sent back, but the end
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent acts on it
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)
     _pool_task["task"] = task

@@ -63,7 +63,7 @@ class Script:
         elif what == "slow":
             time.sleep(0.5)
         elif what == "wrong_input":
-            raise TacgenError("item 5 is wrong; mend it")
+            raise TacgenError("item 5 is wrong; fix it")
         elif what == "bug":
             raise ZeroDivisionError
 
@@ -146,7 +146,7 @@ def test_three_crashes_in_a_row_stop_the_run_with_the_cause(tmp_path, items):
 
 
 def test_wrong_input_ends_the_run_with_its_own_words(tmp_path):
-    with pytest.raises(TacgenError, match="^item 5 is wrong; mend it$"):
+    with pytest.raises(TacgenError, match="^item 5 is wrong; fix it$"):
         results(tmp_path, {5: "wrong_input"})
 
 
@@ -156,12 +156,12 @@ def test_a_bug_is_not_hidden(tmp_path):
 
 
 def refused(item):
-    raise TacgenError(f"item {item} is wrong; mend it")
+    raise TacgenError(f"item {item} is wrong; fix it")
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_an_error_in_a_mapped_process_keeps_its_words(method):
-    with pytest.raises(TacgenError, match="^item 4 is wrong; mend it$"):
+    with pytest.raises(TacgenError, match="^item 4 is wrong; fix it$"):
         map_in_processes(refused, [4, 5], 2, method=method)
 
 
@@ -185,7 +185,7 @@ from tacgen.core.errors import Interrupted, TacgenError
 from tacgen.core.workers import map_in_processes
 
 def refused(item):
-    raise TacgenError(f"item {item} is wrong; mend it")
+    raise TacgenError(f"item {item} is wrong; fix it")
 
 def interrupt(*_):
     raise Interrupted
@@ -210,7 +210,7 @@ def test_an_error_ends_a_mapped_process_that_has_hardly_begun():
     """What a handler raises in it there is lost; it would wait for the lock of one that ended."""
     command = [sys.executable, "-c", LATE_COPY]
     run = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=CHECKOUT)
-    assert run.stdout == "item 4 is wrong; mend it\n", run.stderr
+    assert run.stdout == "item 4 is wrong; fix it\n", run.stderr
 
 
 def test_leaving_early_ends_every_process(tmp_path):

@@ -184,7 +184,7 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
             diagnosis.rate_before,
             diagnosis.rate_after,
             all(_has_true_value(cause, wrong) for cause in found.found),
-            sum(map(found.share, found.same)),
+            found.found_probability,
         )
 
 
@@ -193,7 +193,8 @@ def judged(found: Posterior, truth: dict[str, float], objects: Sequence[str]) ->
     result = _judged_by_names(found, truth, objects)
     if not truth or result not in ("missed", "false"):
         return result
-    possible = (*found.same, *found.alternatives)
+    likely = [one for one in found.same if found.share(one) >= RULES.sentence_least_share]
+    possible = (*likely, *found.alternatives)
     is_reported = any(_is_truth(one, truth, objects) for one in possible)
     return "alternative" if is_reported else result
 

@@ -54,7 +54,7 @@ class SelectionRules:
     clear_share: float = 0.5  # of the remaining structure: then clear_alpha suffices
     clear_alpha: float = 0.02  # before correction: flips of a dozen trials go no lower
     few_alpha: float = 0.05  # alpha where trials are few
-    few_min_gain: float = 0.1  # min_gain where trials are few
+    few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
     max_members: int = 5  # of a channel's model
 
     min_trials_of_part: int = 4  # in a part of the log to which an effect is confined, and outside

@@ -368,9 +368,9 @@ class CandidateSets:
 
         ``p_value`` is not corrected, but of a pair's members, which were chosen together.
         """
-        if self.data.few_trials or p_value > self.rules.clear_alpha:
-            return False
-        return gain > self.rules.clear_share * without.loss
+        rules = self.rules
+        least = max(rules.clear_share * without.loss, rules.few_min_gain * self.total(without))
+        return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.

@@ -10,7 +10,7 @@ times prior weight gives the probability of each explanation.
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.special import expit, logit, logsumexp
@@ -511,21 +511,31 @@ class Posterior:
     def same(self) -> tuple[Explanation, ...]:
         """Explanations that say what is reported as found, the likeliest first.
 
-        The best one and, of each product that ``shared`` reports, those by its other factors.
+        The best one and, of each product that ``shared`` reports, those by its other factors at
+        which it has the value found.
         """
-        groups = [
+        powers = [
             {
-                cause.candidate,
-                *(one.other.candidate for one in self.shared(cause) if one.is_product),
+                cause.candidate: 1.0,
+                **{
+                    one.other.candidate: one.exponent
+                    for one in self.shared(cause)
+                    if one.is_product
+                },
             }
             for cause in self.found
         ]
-        reported = frozenset[Candidate]().union(*groups)
+        reported = frozenset[Candidate]().union(*powers)
         return tuple(
             one
             for one in self.explanations
-            if one.candidates <= reported and all(one.candidates & group for group in groups)
+            if one.candidates <= reported and all(map(partial(_has_value, one), self.found, powers))
         )
+
+    @property
+    def found_probability(self) -> float:
+        """Probability of what is reported as found: that of all that say the ``same``."""
+        return sum(map(self.share, self.same))
 
     @cached_property
     def alternatives(self) -> tuple[Explanation, ...]:
@@ -533,7 +543,7 @@ class Posterior:
 
         They have at least ``RULES.least_alternative`` of the best one's probability, that nothing
         is wrong among them. Not listed again is what is the ``same``, what adds a cause to the best
-        that ``shared`` reports, and what adds one to another of these or of those.
+        that ``shared`` reports, and what adds one to a likelier one of these or of those.
         """
         if not self.found:
             return ()
@@ -545,7 +555,8 @@ class Posterior:
             if one.gain < best.gain + np.log(RULES.least_alternative):
                 break
             # A part of the best one says nothing of what else may be beside it.
-            smaller = [other.candidates for other in (*self.same, *found)]
+            likelier = [other for other in (*self.same, *found) if other.gain >= one.gain]
+            smaller = [other.candidates for other in likelier]
             adds = any(own < one.candidates for own in smaller if not own <= best.candidates)
             if one.candidates not in reported and not adds:
                 found.append(one)
@@ -592,12 +603,21 @@ class Posterior:
 
     def confusable_with(self, cause: Cause) -> tuple[str, ...]:
         """Names of what may be wrong beside a found ``cause`` or instead of it, likeliest first."""
-        names = [one.other.name for one in self.shared(cause)]
+        others = [one.other for one in self.shared(cause)]
         for one in self.alternatives:
             if cause.candidate not in one.candidates or self.best.candidates < one.candidates:
-                names += [own.name for own in one.causes]
-        found = {own.name for own in self.found}
-        return tuple(name for name in dict.fromkeys(names) if name not in found)
+                others += one.causes
+        found = {(own.name, own.candidate.objects) for own in self.found}
+        names = [one.name for one in others if (one.name, one.candidate.objects) not in found]
+        return tuple(name for name in dict.fromkeys(names) if name != cause.name)
+
+
+def _has_value(one: Explanation, cause: Cause, powers: Mapping[Candidate, float]) -> bool:
+    """Whether the product of these ``powers`` has, by ``one``, the value of the found ``cause``."""
+    power = np.array([powers.get(own.candidate, 0.0) for own in one.causes])
+    apart = power @ np.array([own.coordinate for own in one.causes]) - cause.coordinate
+    variance = power @ one.covariance @ power + cause.deviation**2
+    return bool(power.any() and apart**2 <= RULES.same_errors**2 * variance)
 
 
 def posterior(comparison: ModelComparison, labels: Labels, rng: np.random.Generator) -> Posterior:

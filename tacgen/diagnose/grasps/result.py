@@ -135,13 +135,13 @@ class GraspDiagnosis:
         posterior, most = self.posterior, RULES.sentence_explanations
         text, share_of = "", posterior.share
         same = [one for one in posterior.same if share_of(one) >= RULES.sentence_least_share]
-        if len(posterior.same) > 1:
+        if len(posterior.same) > 1 and same:
             text = f": {self._listed(same[:most])}"
         if posterior.alternatives:
             text += f"; also possible: {self._listed(posterior.alternatives[:most])}"
             more = len(posterior.alternatives) - most
             text += f", and {more} more in the report" if more > 0 else ""
-        share = 100 * sum(map(share_of, posterior.same))
+        share = 100 * posterior.found_probability
         return f" This explanation is {share:.0f} % probable{text}." if text else ""
 
     def ridge(self, cause: Cause) -> str:
@@ -180,8 +180,9 @@ class GraspDiagnosis:
         """What these labels cannot separate from a finding, in words."""
         product = self._product(cause)
         text = f" Only this product is known, not {cause.name} alone." if product else ""
-        named = {*product, *(own.name for own in self.found)}
-        others = [one.other for one in self.posterior.shared(cause) if one.other.name not in named]
+        others = [
+            one.other for one in self.posterior.shared(cause) if one.other.name not in product
+        ]
         beside = dict.fromkeys(other.candidate.title for other in others)
         if beside:
             text += f" Beside {cause.name}, {' or '.join(beside)} may be wrong as well."
@@ -310,6 +311,7 @@ def diagnosis_record(
         ],
         "p_value": posterior.p_value,
         "critical_gain": finite(posterior.critical_gain),
+        "probability": posterior.found_probability,
         "alternatives": [
             {
                 "causes": [

@@ -47,6 +47,7 @@ class GraspRules:
     # found, prior weights aside (Jeffreys 1961, Theory of probability, appendix B)
     least_alternative: float = 0.1  # of the best explanation's probability, prior weights
     # included: one with less is not reported; chosen
+    same_errors: float = 3.0  # by which other factors may miss the value of a product; chosen
     least_variance: float = 1e-8  # of a coordinate; numerical
     confusable_gain: float = math.log(100)  # further behind in evidence is no rival; chosen
 

@@ -94,6 +94,19 @@ def test_no_form_explains_more_than_there_is(monkeypatch):
     assert gains == sorted(gains, reverse=True)
 
 
+def test_what_explains_little_is_not_clear_however_little_remains():
+    sets = selection_of_creep_and_offset().sets
+    base = sets.fitted((), sets.linear)
+    best = {one.name: one for one, _ in reversed(sets.pool(base))}
+    full = sets.add(base, [best["creep"], best["zero_offset"]])
+    assert full.loss < 0.02 * base.loss
+    rules, total = sets.rules, sets.total(full)
+    assert not sets.is_clear(full, 0.9 * rules.few_min_gain * total, p_value=0.015)
+    assert sets.is_clear(full, 1.1 * rules.few_min_gain * total, p_value=0.015)
+    assert not sets.is_clear(base, 0.9 * rules.clear_share * base.loss, p_value=0.015)
+    assert not sets.is_clear(base, base.loss, p_value=0.03)
+
+
 def test_a_form_that_would_be_dropped_again_hides_no_other(monkeypatch):
     selection = selection_of_creep_and_offset(max_members=1)
     sets = selection.sets
@@ -116,7 +129,7 @@ def test_an_effect_that_was_fitted_to_nothing_has_no_form_to_correct():
     creep = next(one for one, _ in sets.pool(base) if one.name == "creep")
     full = sets.add(base, [creep])
     (term,) = full.fit.model.terms
-    assert sets.corrected(full, creep.effect) is not full
+    assert sets.corrected(full, creep.effect).fit is not full.fit
     nothing = replace(term, values={**term.values, "amount": 0.0, "amount_2": 0.0})
     model = replace(full.fit.model, terms=(nothing,))
     full = replace(full, fit=replace(full.fit, model=model))
