@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +99,11 @@ def _growing(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.Da
     )
 
 
-def _trials_differ(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.DataFrame:
+def _trials_differ(
+    frame: pd.DataFrame, case: Case, rng: np.random.Generator, share: float = 0.02
+) -> pd.DataFrame:
     """Every trial has its own gain, by 2 %, that follows nothing."""
-    gain = 1 + 0.02 * rng.standard_normal(int(frame["trial"].max()) + 1)[frame["trial"]]
+    gain = 1 + share * rng.standard_normal(int(frame["trial"].max()) + 1)[frame["trial"]]
     frame = frame.copy()
     for names in RESPONSES:
         for name in set(names) & set(frame):
@@ -158,6 +161,7 @@ KINDS: dict[str, tuple[Spoil, tuple[int, int]]] = {
     "gaps": (_gaps, (12, 80)),
     "4 to 11 trials": (_plain, (4, 11)),
     "4 to 11 trials, lasting noise": (_correlated, (4, 11)),
+    "4 to 15 trials that differ by 4 %": (partial(_trials_differ, share=0.04), (4, 15)),
     "2 or 3 trials": (_plain, (2, 3)),
 }
 """What spoils the logs of each kind, and how many trials they have."""

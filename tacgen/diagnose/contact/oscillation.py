@@ -19,10 +19,9 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
     """The best frequency for an oscillation of the compliance, and for an added one.
 
     Times are put on a regular clock, so that all frequencies are one Fourier transform: from
-    ``min_cycles`` a session (where trials are few, a trial: a slower one fits any few) up to
-    periods of a few rows, half a cycle apart. ``signs`` (F, n_units) flip the residual of whole
-    units; how high the highest of all peaks then is says by how much the best one must stand out.
-    None where the clock is too coarse.
+    ``min_cycles`` a session up to periods of a few rows, half a cycle apart. ``signs`` (F, U) flip
+    the residual of whole trials; how high the highest of all peaks then is says by how much the
+    best one must stand out. None where the clock is too coarse.
     """
     history, rules = data.history, data.rules
     start = float(history.time_s.min())
@@ -32,8 +31,7 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
     tick_s = max(shortest_s / _POINTS_PER_PERIOD, 2.0 * session / _MAX_POINTS)
     ticks = np.rint(time / tick_s).astype(np.int64)
     n_points = next_fast_len(2 * int(ticks.max() + 1), real=True)
-    slowest = history.trial_duration_s if data.few_trials else session
-    first = int(np.ceil(rules.min_cycles * n_points * tick_s / slowest))
+    first = int(np.ceil(rules.min_cycles * n_points * tick_s / session))
     stop = n_points // _POINTS_PER_PERIOD
     if first >= stop:
         return []
@@ -43,6 +41,7 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
         return np.asarray(rfft(on_clock))
 
     flips = np.vstack([np.ones(signs.shape[1]), signs])[:, data.row_unit]
+    total = float(fit.residual @ fit.residual) + 1e-300
     found = []
     for how in HOWS:
         parts = _products(data, fit, how)
@@ -51,7 +50,8 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
             crossed = np.stack([spectrum(product * flip)[first:stop] for flip in flips], axis=1)
             double = spectrum(square)[2 * first : 2 * stop : 2]
             power += _explained(crossed, double[:, None], float(square.sum()))
-        peaks = power.max(axis=0)
+        # Of n numbers, a frequency explains a share above x in (1 - x)^((n - 3) / 2) of cases.
+        peaks = -np.log1p(-np.minimum(power.max(axis=0) / total, 1.0 - 1e-12))
         best = first + int(np.argmax(power[:, 0]))
         near = (best + np.linspace(-1, 1, _REFINED)) / (n_points * tick_s)
         phase: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer(near, time))

@@ -69,9 +69,8 @@ class SelectionRules:
     confusable_in_se: float = 2.0  # lead below which a rival is reported as confusable
 
     # How much is looked at
-    single_share: float = 0.5  # of the best linearised gain: below it one is not fitted
     singles_fitted: int = 6  # effects or covariates that are fitted alone
-    pair_share: float = 0.85  # the same for pairs of candidates
+    pair_share: float = 0.85  # of the best pair's linearised gain: below it one is not fitted
     pair_pool: int = 44  # candidates whose pairs are looked at
     pairs_scored: int = 60  # pairs that are cross-validated
     pairs_fitted: int = 8  # pairs that are fitted

@@ -144,6 +144,11 @@ class Shuffles:
     orders: NDArray[np.int64]
     trial: NDArray[np.int64]
 
+    @property
+    def of_trials(self) -> "Shuffles":
+        """The same, but with one sign for all units of a trial."""
+        return self.of_blocks(self.trial.size)
+
     def of_blocks(self, n_units: int) -> "Shuffles":
         """The same, but with one sign for so many neighbouring units of a trial."""
         first = np.searchsorted(self.trial, self.trial)

@@ -9,7 +9,7 @@ compete on the same terms, so that they are not taken for an effect.
 ``CandidateSets`` fits sets of candidates and tests their members; ``Selection`` searches.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -224,7 +224,7 @@ class CandidateSets:
         covariates = [c for c in self._covariates if c.column not in taken]
         if "time_s" not in taken and self._session_clock:
             if new_oscillations or not self._oscillations:
-                flips = self._shuffled.signs[1 : 1 + self.rules.n_oscillation_flips]
+                flips = self._shuffled.of_trials.signs[1 : 1 + self.rules.n_oscillation_flips]
                 self._oscillations = find_oscillations(self.data, fit, flips)
             covariates += self._oscillations
         found = cand.effect_candidates(self.data, fit.model, effects)
@@ -439,7 +439,7 @@ class Selection:
             for (candidate, gain), p, whole in zip(pool, p_values, of_trials, strict=True)
             if p <= sets.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
         }
-        best = _best_of_each([one for one in pool if one[0].name in significant], rules, 2)
+        best = _best_of_each((one for one, _ in pool if one.name in significant), rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
         best_single = min(singles, key=sets.score, default=None)
@@ -512,9 +512,9 @@ class Selection:
 
     def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:
         """The few best candidates beside ``rest``, the same name in other variants included."""
-        pool = self.sets.pool(rest)
-        own = [one for one in pool if one[0].name in full.names]
-        others = [one for one in pool if one[0].name not in full.names]
+        found = [one for one, _ in self.sets.pool(rest)]
+        own = [one for one in found if one.name in full.names]
+        others = [one for one in found if one.name not in full.names]
         return _best_of_each(own, self.rules, 3) + _best_of_each(others, self.rules, 2)
 
     def _pruned(self, fitted: FittedSet) -> FittedSet:
@@ -562,15 +562,14 @@ class Selection:
 
 
 def _best_of_each(
-    found: Sequence[tuple[Candidate, float]], rules: SelectionRules, n_forms: int
+    found: Iterable[Candidate], rules: SelectionRules, n_forms: int
 ) -> list[Candidate]:
     """The best start of the best ``n_forms`` forms of each of the best names.
 
-    ``found`` with their gains, best first.
+    ``found`` come best first.
     """
     by_name: dict[str, dict[object, Candidate]] = {}
-    for candidate, gain in found:
-        if gain >= rules.single_share * found[0][1]:
-            by_name.setdefault(candidate.name, {}).setdefault(candidate.form, candidate)
+    for candidate in found:
+        by_name.setdefault(candidate.name, {}).setdefault(candidate.form, candidate)
     best = list(by_name.values())[: rules.singles_fitted]
     return [candidate for by_form in best for candidate in list(by_form.values())[:n_forms]]
