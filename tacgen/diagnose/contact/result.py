@@ -99,7 +99,11 @@ class ChannelDiagnosis:
             error = f"{finder} {others}; there {error}"
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
-            return f"{what} is sufficient: {before:.3g} {unit} on {held}, {floor_words}."
+            times = f"{before / floor:.2f} times the " if floor > 0 else ""
+            return (
+                f"{what} is sufficient: nothing that was looked at explains more of the error, "
+                f"{before:.3g} {unit} on {held}, {times}{floor_words}."
+            )
         left = ", ".join(d.covariate for d in self.unexplained)
         if self.verdict == "effect_found":
             with_it = "" if self.is_scored_otherwise else "with it, "

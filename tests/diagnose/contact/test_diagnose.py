@@ -222,6 +222,19 @@ def test_errors_of_choices_that_differ_are_not_those_of_what_was_found():
     assert any("do not confirm" in note for note in diagnosis.notes)
 
 
+def test_an_error_far_above_the_noise_is_stated_where_nothing_explains_it():
+    """Seven trials with a gain of their own each, by 5 %."""
+    columns, _ = case([], n_trials=7, seed=3)
+    log = few_columns(columns)
+    gain = 1.0 + 0.05 * np.random.default_rng([3, 7]).normal(size=7)
+    log["volume_mm3"] = log["volume_mm3"] * gain[log["trial"]]
+    found = diagnose(log).channels["normal"]
+    assert found.verdict == "sufficient"
+    times = float(found.sentence.split(", ")[-1].split(" times")[0])
+    assert times == pytest.approx(found.before.rmse / found.floor, abs=0.006)
+    assert times > 2.0
+
+
 def test_samples_that_stick_out_spoil_neither_the_fit_nor_the_errors():
     columns, noise = case([])
     log = few_columns(columns)
