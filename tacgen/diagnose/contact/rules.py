@@ -53,7 +53,6 @@ class SelectionRules:
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
     clear_share: float = 0.5  # of the remaining structure: then clear_alpha suffices
     clear_alpha: float = 0.02  # before correction: flips of a dozen trials go no lower
-    few_alpha: float = 0.05  # alpha where trials are few
     few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
     max_members: int = 5  # of a channel's model
 

@@ -122,7 +122,6 @@ class CandidateSets:
             and (session_clock or not e.needs_session_clock)
         ]
         self._local_effects = local_effects(data, self.effects)
-        self.alpha = rules.few_alpha if few else rules.alpha
         self._min_gain = rules.few_min_gain if few else rules.min_gain
         self._parameter_price = rules.few_parameter_price if few else rules.parameter_price
         self._covariates = cand.log_covariates(data)
@@ -382,7 +381,7 @@ class CandidateSets:
             return False
         worth = rest.loss - full.loss
         p_value, of_trials = self.p_value(full, member, n_names)
-        if p_value > self.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
+        if p_value > self.rules.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
         # A set that hardly determines its parameters may have any cross-validated loss.
@@ -437,7 +436,7 @@ class Selection:
         significant = {
             candidate.name
             for (candidate, gain), p, whole in zip(pool, p_values, of_trials, strict=True)
-            if p <= sets.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
+            if p <= rules.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
         }
         best = _best_of_each((one for one, _ in pool if one.name in significant), rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
