@@ -36,12 +36,12 @@ from tacgen.diagnose.grasps.rules import RULES
 from tacgen.objects import load_object
 
 SETS: tuple[tuple[tuple[str, ...], int], ...] = (
-    (("sugar_box",), 91),
-    (("tomato_soup_can",), 92),
-    (("rubiks_cube",), 94),
-    (("sugar_box", "mustard_bottle"), 96),
-    (("mustard_bottle",), 93),
-    (("flat_screwdriver",), 95),
+    (("sugar_box",), 101),
+    (("tomato_soup_can",), 102),
+    (("rubiks_cube",), 104),
+    (("sugar_box", "mustard_bottle"), 106),
+    (("mustard_bottle",), 103),
+    (("flat_screwdriver",), 105),
 )
 """Objects and seed of each set of configurations; what is an object's is wrong in the first."""
 N_GRASPS = 60
