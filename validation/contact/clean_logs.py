@@ -102,7 +102,7 @@ def _growing(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.Da
 def _trials_differ(
     frame: pd.DataFrame, case: Case, rng: np.random.Generator, share: float = 0.02
 ) -> pd.DataFrame:
-    """Every trial has its own gain, by 2 %, that follows nothing."""
+    """Every trial has its own gain, by ``share``, that follows nothing."""
     gain = 1 + share * rng.standard_normal(int(frame["trial"].max()) + 1)[frame["trial"]]
     frame = frame.copy()
     for names in RESPONSES:
