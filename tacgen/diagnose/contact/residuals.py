@@ -85,8 +85,9 @@ def dependences(
     own = replace(fit, jacobian=fit.jacobian[:, ~fit.prior[:, :-1].any(axis=0)])
     grams, (*groups, ones), base = scores.fit_grams(data, own, [*blocks.values(), data.ones])
     shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
-    p_values, _ = scores.shuffle_p_values(grams, base, groups, shuffled, ones, rules)
-    p_values = np.minimum(p_values * len(groups), 1.0)
+    p_values = scores.shuffle_p_values(
+        grams, base, groups, shuffled, ones, rules, parts_of_trials=data.few_trials
+    ).corrected(len(groups), len(groups))
     sets = [base, *([*base, *group] for group in groups)]
     without, *losses = scores.cv_losses(grams, data.folds(), sets, rules).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)

@@ -33,6 +33,7 @@ class SelectionRules:
     n_bootstrap: int = 1000  # resamplings of held-out trials for the gain's interval
     n_folds: int = 10  # of whole trials in cross-validation
     n_shuffles: int = 999  # sign flips or permutations of trials in each test
+    few_shuffles: int = 9999  # the same where trials are few: a dozen numbers have no long tail
     shuffle_tail_share: float = 0.05  # of the shuffles: an exponential tail is fitted to it
 
     # Which columns compete

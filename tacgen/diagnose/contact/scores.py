@@ -6,7 +6,7 @@ candidates and pairs cost milliseconds. The products are between the two halves 
 (`channel`), so that a loss is what is left of structure, without the noise.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -166,6 +166,27 @@ def shuffles(trial: NDArray[np.int64], count: int, rng: np.random.Generator) -> 
     return Shuffles(signs, orders, trial)
 
 
+@dataclass(frozen=True)
+class PValues:
+    """The p of every group of columns, each (groups,), before any correction for the choice.
+
+    ``flipped`` is by signs of units, ``permuted`` by the order of the trials. Groups that are
+    ``of_trials`` have one value a trial, and only the second test; the others only the first,
+    unless they ``have_both``.
+    """
+
+    flipped: FloatArray
+    permuted: FloatArray
+    of_trials: BoolArray
+    have_both: bool
+
+    def corrected(self, n_flipped: int, n_permuted: int) -> FloatArray:
+        """The p (groups,) for a choice from so many, by each test, and for that between the two."""
+        flipped, permuted = self.flipped * n_flipped, self.permuted * n_permuted
+        others = 2.0 * np.minimum(flipped, permuted) if self.have_both else flipped
+        return np.asarray(np.minimum(np.where(self.of_trials, permuted, others), 1.0))
+
+
 def shuffle_p_values(
     grams: FloatArray,
     base: Sequence[int],
@@ -174,75 +195,160 @@ def shuffle_p_values(
     ones: Sequence[int],
     rules: SelectionRules,
     names: Sequence[str] | None = None,
-) -> tuple[FloatArray, BoolArray]:
-    """Return the p of the score of every group of columns by its own shuffles: (groups,).
+    *,
+    parts_of_trials: bool = False,
+) -> PValues:
+    """The p of the score of every group of columns by its own shuffles.
 
-    And which groups are of trials: they have one value a trial, and trials were permuted. Of
-    groups with the same of ``names``, each p is the chance that any of them scores as high.
+    Of groups with the same of ``names``, each p is the chance that any of them scores as high.
 
     The score of a unit is the product of the group's columns, made orthogonal to the base, and the
     residual. Two kinds of null are used. Where the columns are, within each trial, a constant times
     the response (or a constant), what counts is one number a trial, and those numbers are permuted.
     Otherwise each unit's score is given a random sign, which holds whatever the correlations within
-    the unit. ``base[0]`` is the column of the compliance, ``ones`` those of a constant along each
-    axis.
+    the unit. Where units are ``parts_of_trials``, whose gains may differ, the signs are of what is
+    left beside a gain for each trial, and the gains are permuted too. ``base[0]`` is the column of
+    the compliance, ``ones`` those of a constant along each axis.
     """
-    total = grams.sum(axis=0)
-    base = list(base)
-    left = grams[:, :, -1] - grams[:, :, base] @ coefficients(total, base, rules)
-    absorbed = _leverage_products(grams, left, base)
-    bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
-    trial_grams, trial_left = (np.add.reduceat(sums, bounds, axis=0) for sums in (grams, left))
-    neg_log_p = np.empty((len(groups), shuffled.signs.shape[0]))
-    of_trials = np.zeros(len(groups), dtype=bool)
-    onto_base = np.linalg.lstsq(total[np.ix_(base, base)], total[base], rcond=1e-10)[0]
-    for number, group in enumerate(groups):
-        columns = list(group)
-        projection = onto_base[:, columns]
-        shapes = _shapes_within_trials(trial_grams, ([base[0]], ones), columns, rules)
-        of_trials[number] = bool(shapes)
-        if not shapes:
-            scores, more = (
-                part[:, columns] - part[:, base] @ projection for part in (left, absorbed)
-            )
-            scale = np.sqrt((scores**2).sum(axis=0)) + 1e-300
-            scores, more = scores / scale, more / scale
-            growth = max(1.0, float(((scores + 0.5 * more) ** 2).sum(axis=0).mean()))
-            covariance = scores.T @ scores
-            sums = shuffled.signs @ scores
-            sums[0] /= np.sqrt(growth)
-        else:
-            covariance, sums = np.zeros((len(columns), len(columns))), np.zeros(1)
-            for shape in shapes:
-                information = trial_information(trial_grams, shape)
-                deviation = trial_deviation(trial_left[:, shape], information)[:, None]
-                beside = trial_grams[:, shape] - trial_grams[:, shape, base] @ onto_base
-                # What is the same in all trials has no order: nor has a constant beside the base.
-                alike = information[:, None]
-                if shape not in base:
-                    alike = np.column_stack([alike, beside[:, list(shapes)]])
-                alike = alike / deviation
-                per_trial = orthogonal(trial_left[:, [shape]] / deviation, alike)[:, 0]
-                per_trial = per_trial / (per_trial.std() + 1e-300)
-                across = orthogonal(beside[:, columns] / deviation, alike)
-                covariance = covariance + across.T @ across
-                sums = sums + per_trial[shuffled.orders] @ across
+    test = _Test(grams, base, shuffled, rules)
+    within = test
+    if parts_of_trials:
+        within = _Test(_without_gains(grams, base[0], shuffled.trial), base, shuffled, rules)
+    shapes = [test.shapes(group, ([base[0]], ones)) for group in groups]
+    gains = [shape or ([base[0]] if parts_of_trials else ()) for shape in shapes]
+    flips = {i: within.flipped(groups[i]) for i, shape in enumerate(shapes) if not shape}
+    orders = {i: test.permuted(groups[i], gain) for i, gain in enumerate(gains) if gain}
+    kinds = [(names[i] if names else i, bool(shape)) for i, shape in enumerate(shapes)]
+    return PValues(
+        _p_of_each(flips, kinds, rules, permuted=False),
+        _p_of_each(orders, kinds, rules, permuted=True),
+        np.array([bool(shape) for shape in shapes]),
+        parts_of_trials,
+    )
+
+
+def _p_of_each(
+    neg_log_p: Mapping[int, FloatArray],
+    kinds: Sequence[tuple[str | int, bool]],
+    rules: SelectionRules,
+    *,
+    permuted: bool,
+) -> FloatArray:
+    """The p of each of a list, by number; of one kind, that any scores as high. 1 of the others."""
+    p_values = np.ones(len(kinds))
+    for kind in set(kinds):
+        same = [number for number in neg_log_p if kinds[number] == kind]
+        if same:
+            highest = np.max([neg_log_p[number] for number in same], axis=0)
+        for number in same:
+            highest[0] = neg_log_p[number][0]
+            p_values[number] = p_of_shuffles(highest, rules, permuted=permuted)
+    return p_values
+
+
+def _without_gains(grams: FloatArray, response: int, trial: NDArray[np.int64]) -> FloatArray:
+    """``grams`` (U, P, P) of columns less, in each ``trial`` (U,), their share of the response."""
+    starts = np.searchsorted(trial, np.arange(int(trial[-1]) + 1))
+    whole = np.add.reduceat(grams, starts, axis=0)
+    gains = (whole[:, response] / trial_information(whole, response)[:, None])[trial]
+    cross = gains[:, :, None] * grams[:, response][:, None, :]
+    both = gains[:, :, None] * gains[:, None, :] * grams[:, response, response][:, None, None]
+    left = grams - cross - np.swapaxes(cross, 1, 2) + both
+    left[:, response] = left[:, :, response] = 0.0
+    return left
+
+
+class _Test:
+    """Scores of columns beside a base, and the −log p (F + 1,) of each shuffle of them."""
+
+    def __init__(
+        self,
+        grams: FloatArray,
+        base: Sequence[int],
+        shuffled: Shuffles,
+        rules: SelectionRules,
+    ) -> None:
+        self._grams, self._base, self._shuffled, self._rules = grams, list(base), shuffled, rules
+        total = grams.sum(axis=0)
+        self._left = grams[:, :, -1] - grams[:, :, self._base] @ coefficients(total, base, rules)
+        self._absorbed = _leverage_products(grams, self._left, self._base)
+        of_base = np.ix_(self._base, self._base)
+        self._onto_base = np.linalg.lstsq(total[of_base], total[self._base], rcond=1e-10)[0]
+        bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
+        self._trial_grams = np.add.reduceat(grams, bounds, axis=0)
+        self._trial_left = np.add.reduceat(self._left, bounds, axis=0)
+        self._known: dict[tuple[int, tuple[int, ...]], tuple[FloatArray, FloatArray, FloatArray]]
+        self._known = {}
+
+    def shapes(self, columns: Sequence[int], among: Sequence[Sequence[int]]) -> Sequence[int]:
+        """Which of the shapes ``among`` (numbers of columns) the columns are in each trial."""
+        return _shapes_within_trials(self._trial_grams, among, list(columns), self._rules)
+
+    def flipped(self, columns: Sequence[int]) -> FloatArray:
+        """By a sign for each unit."""
+        base, projection = self._base, self._onto_base[:, list(columns)]
+        scores, more = (
+            part[:, list(columns)] - part[:, base] @ projection
+            for part in (self._left, self._absorbed)
+        )
+        scale = np.sqrt((scores**2).sum(axis=0)) + 1e-300
+        scores, more = scores / scale, more / scale
+        growth = max(1.0, float(((scores + 0.5 * more) ** 2).sum(axis=0).mean()))
+        sums = self._shuffled.signs @ scores
+        sums[0] /= np.sqrt(growth)
+        return self._neg_log_p(sums, scores.T @ scores)
+
+    def permuted(self, columns: Sequence[int], shapes: Sequence[int]) -> FloatArray:
+        """By the order of the trials' numbers: how much of each of ``shapes`` is in them."""
+        covariance, sums = np.zeros((len(columns), len(columns))), np.zeros(1)
+        for shape in shapes:
+            shuffles, alike, deviation = self._shuffles(shape, tuple(shapes))
+            across = orthogonal(self._beside(shape)[:, list(columns)] / deviation, alike)
+            covariance = covariance + across.T @ across
+            sums = sums + shuffles @ across
+        return self._neg_log_p(sums, covariance)
+
+    def _beside(self, shape: int) -> FloatArray:
+        grams = self._trial_grams
+        return np.asarray(grams[:, shape] - grams[:, shape, self._base] @ self._onto_base)
+
+    def _shuffles(
+        self, shape: int, shapes: tuple[int, ...]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Shuffles (F + 1, T) of the numbers of ``shape``, what all trials share, their deviation.
+
+        What the base would take from a shuffle is taken from it.
+        Source: Freedman & Lane 1983, J. Business & Economic Statistics 1: residuals permuted.
+        """
+        if (shape, shapes) not in self._known:
+            grams, numbers = self._trial_grams, self._trial_left[:, shape]
+            information = trial_information(grams, shape)
+            deviation = trial_deviation(numbers, information)[:, None]
+            # What is the same in all trials has no order: nor has a constant beside the base.
+            alike = information[:, None] / deviation
+            if shape not in self._base:
+                alike = np.column_stack([alike, self._beside(shape)[:, shapes] / deviation])
+            taken = np.column_stack([alike, grams[:, shape, self._base] / deviation])
+            shuffles = (numbers / deviation[:, 0])[self._shuffled.orders]
+            shuffles /= _size_beside(shuffles, taken)[:, None]
+            self._known[shape, shapes] = shuffles, alike, deviation
+        return self._known[shape, shapes]
+
+    def _neg_log_p(self, sums: FloatArray, covariance: FloatArray) -> FloatArray:
         size = np.sqrt(np.diag(covariance)) + 1e-150
-        scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(len(columns))
+        scaled = covariance / np.outer(size, size) + 1e-6 * np.eye(size.size)
         sums = sums / size
         quadratic = ((sums @ np.linalg.inv(scaled)) * sums).sum(axis=1)
-        neg_log_p[number] = neg_log_p_of(np.maximum(quadratic, 0.0), len(columns), rules)
-    same: dict[tuple[str, bool], list[int]] = {}
-    for number, whole in enumerate(of_trials):
-        name = names[number] if names is not None else str(number)
-        same.setdefault((name, bool(whole)), []).append(number)
-    p_values = np.empty(len(groups))
-    for (_, whole), numbers in same.items():
-        highest = neg_log_p[numbers].max(axis=0)
-        for number in numbers:
-            highest[0] = neg_log_p[number, 0]
-            p_values[number] = p_of_shuffles(highest, rules, permuted=whole)
-    return p_values, of_trials
+        return neg_log_p_of(np.maximum(quadratic, 0.0), size.size, self._rules)
+
+
+def _size_beside(rows: FloatArray, columns: FloatArray) -> FloatArray:
+    """Root mean square (F,) of ``rows`` (F, T) less their share along ``columns`` (T, K)."""
+    size = np.linalg.norm(columns, axis=0)
+    u, singular, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    basis = u[:, singular > 1e-6 * singular[0]]
+    square, own = (rows**2).sum(axis=1), ((rows @ basis) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(square - own, 1e-12 * square) / rows.shape[1]) + 1e-300)
 
 
 def _leverage_products(grams: FloatArray, left: FloatArray, base: Sequence[int]) -> FloatArray:

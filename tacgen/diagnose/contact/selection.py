@@ -1,6 +1,6 @@
-"""Which effects does a residual come from: forward, pairwise and backward selection.
+"""Which effects does a residual come from: forward and backward selection.
 
-Candidates are first compared as linear columns (`scores`), all singles and all pairs, by
+Candidates are first compared as linear columns (`scores`), all singles and pairs, by
 cross-validation over whole trials; the best few are then fitted in full. An effect is kept if a
 sign-flip test over trials, corrected for everything that was looked at, and a least gain on
 held-out trials both allow it. Columns that no effect explains (an operator, an oscillation)
@@ -48,12 +48,6 @@ class FittedSet:
     def names(self) -> frozenset[str]:
         """Names of the members."""
         return frozenset(member.name for member in self.members)
-
-    @property
-    def acting(self) -> frozenset[tuple[str, str]]:
-        """Names of the members, and where each acts."""
-        wheres = (str(m.effect.where) if m.effect else "" for m in self.members)
-        return frozenset(zip((m.name for m in self.members), wheres, strict=True))
 
     @property
     def effect_names(self) -> tuple[str, ...]:
@@ -131,7 +125,8 @@ class CandidateSets:
         self._session_clock = session_clock
         self._oscillations: list[Covariate] = []
         self._folds = data.folds()
-        self._shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
+        n_shuffles = rules.few_shuffles if few else rules.n_shuffles
+        self._shuffled = scores.shuffles(data.unit_trial, n_shuffles, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._parts = [] if few else parts_of(data)
 
@@ -300,12 +295,21 @@ class CandidateSets:
         ones = Candidate("", self.data.ones)
         grams, groups, base = self._grams(current.fit, [*candidates, ones])
         names = [candidate.name for candidate in candidates]
-        by_shuffle, of_trials = scores.shuffle_p_values(
-            grams, base, groups[:-1], shuffled or self._shuffled, groups[-1], self.rules, names
+        found = scores.shuffle_p_values(
+            grams,
+            base,
+            groups[:-1],
+            shuffled or self._shuffled,
+            groups[-1],
+            self.rules,
+            names,
+            parts_of_trials=self.data.few_trials,
         )
+        n_flipped = 1 if self.data.few_trials else n_names
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
-        looked_at = np.where(of_trials | (not self.data.few_trials), n_names, 1)
-        return np.minimum(np.maximum(by_shuffle, search) * looked_at, 1.0), of_trials
+        search_of = np.where(found.of_trials, n_names, n_flipped) * search
+        p_values = np.maximum(found.corrected(n_flipped, n_names), search_of)
+        return np.minimum(p_values, 1.0), found.of_trials
 
     def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
         """The p of the member's columns beside the others, and whether it is of trials.
@@ -404,33 +408,30 @@ class Selection:
         return replace(found, chosen=self._described(found.named))
 
     def choose(self) -> Attribution:
-        """Select forward by singles and pairs, then drop and swap; nothing is described."""
-        base = current = self.sets.fitted((), self.sets.linear)
-        ranking: tuple[tuple[str, float, float], ...] = ()
-        visited = {base.acting}
+        """Select forward, swap and drop; where nothing is significant, look deeper."""
+        sets, ranking = self.sets, tuple[tuple[str, float, float], ...]()
+        base = current = sets.fitted((), sets.linear)
         while len(current.members) < self.rules.max_members:
-            pool = self.sets.pool(current, new_oscillations=True)
+            pool = sets.pool(current, new_oscillations=True)
             candidates = [candidate for candidate, _ in pool]
             n_names = len({candidate.name for candidate in candidates})
-            p_values, of_trials = self.sets.p_values(current, candidates, n_names)
+            p_values, of_trials = sets.p_values(current, candidates, n_names)
             ranking = ranking or self._ranking(current, pool, p_values)
-            extended = self._extended(current, pool, p_values, of_trials)
-            if extended is not None:
-                current = self._pruned(self._swapped(extended))
-            if extended is None or current.acting in visited:
-                if (local := self._localised(base, current)) is None:
-                    break
-                current = local
-                if current.acting in visited:
-                    break
-            visited.add(current.acting)
+            found = self._extended(current, pool, p_values, of_trials)
+            if found is not None:
+                found = self._pruned(self._swapped(found))
+            if found is None or sets.score(found) >= sets.score(current):
+                found = self._deeper(current, pool) or self._localised(base, current)
+            if found is None:
+                break
+            current = found
         named = self._without_mismatch(self._pruned(current))
         return Attribution(base, named, self._refined(named), ranking=ranking)
 
     def _extended(
         self, current: FittedSet, pool: Pool, p_values: FloatArray, of_trials: BoolArray
     ) -> FittedSet | None:
-        """The best set with one or two members more; None if nothing is significant."""
+        """The best set with one member more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
         n_names = len({candidate.name for candidate, _ in pool})
         significant = {
@@ -441,17 +442,50 @@ class Selection:
         best = _best_of_each((one for one, _ in pool if one.name in significant), rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
-        best_single = min(singles, key=sets.score, default=None)
-        if len(current.members) + 2 > rules.max_members:
-            return best_single
-        pairs = [sets.add(current, pair) for pair in sets.pairs(current, pool)]
-        for pair in sorted(pairs, key=sets.score):
-            added = pair.members[len(current.members) :]
-            if sets.is_worth(best_single or current, pair) and all(
-                sets.is_needed(pair, member, n_names) for member in added
-            ):
-                return pair
-        return best_single
+        return min(singles, key=sets.score, default=None)
+
+    def _deeper(self, current: FittedSet, pool: Pool) -> FittedSet | None:
+        """A better set than ``current`` that no tested step leads to; None if none is found.
+
+        It is searched by its score alone, beside ``current`` and with a pair in the place of each
+        member, and then pruned of what its own tests do not call for.
+        """
+        sets, rules = self.sets, self.rules
+        if sets.score(current) < rules.min_gain * sets.total(current):
+            return None
+        ends = self._grown(current, pool)
+        ends += [self._swapped(end, tested=False) for end in ends[-1:]]
+        ends += self._with_pair(current, pool)
+        for rest in (sets.without(current, member) for member in current.members):
+            ends += self._with_pair(rest, sets.pool(rest))
+        n_names = len({candidate.name for candidate, _ in pool})
+        least = rules.min_swap_gain * sets.total(current)
+        for end in sorted(ends, key=sets.score):
+            if sets.score(end) < sets.score(current) - least:
+                pruned = self._pruned(end, n_names)
+                if sets.score(pruned) < sets.score(current) - least:
+                    return pruned
+        return None
+
+    def _grown(self, current: FittedSet, pool: Pool) -> list[FittedSet]:
+        """``current`` with ever more members, those that make the score best, untested."""
+        sets, rules, path = self.sets, self.rules, list[FittedSet]()
+        while len(current.members) < rules.max_members:
+            best = _best_of_each((candidate for candidate, _ in pool), rules, 2)
+            tried = [sets.add(current, [candidate]) for candidate in best]
+            tried += self._with_pair(current, pool)
+            larger = min(tried, key=sets.score, default=current)
+            if sets.score(larger) > sets.score(current) - rules.min_gain * sets.total(current):
+                break
+            path.append(current := larger)
+            pool = sets.pool(current)
+        return path
+
+    def _with_pair(self, current: FittedSet, pool: Pool) -> list[FittedSet]:
+        """``current`` with each of the pairs that promise most beside it."""
+        if len(current.members) + 2 > self.rules.max_members:
+            return []
+        return [self.sets.add(current, pair) for pair in self.sets.pairs(current, pool)]
 
     def _localised(self, base: FittedSet, current: FittedSet) -> FittedSet | None:
         """A better set with an effect that acts in one part of the log only; None if none is.
@@ -472,8 +506,11 @@ class Selection:
                 return best if sets.score(best) < sets.score(current) else None
         return None
 
-    def _swapped(self, fitted: FittedSet) -> FittedSet:
-        """Exchange members, and their variants, for needed ones as long as held-out trials gain."""
+    def _swapped(self, fitted: FittedSet, *, tested: bool = True) -> FittedSet:
+        """Exchange members, and their variants, for others as long as held-out trials gain.
+
+        If ``tested``, only for those that are needed.
+        """
         sets = self.sets
         for _ in range(4):
             best = fitted
@@ -483,7 +520,7 @@ class Selection:
                     trial = sets.add(rest, [other])
                     least = self.rules.min_swap_gain * sets.total(best)
                     is_better = sets.score(trial) < sets.score(best) - least
-                    if is_better and sets.is_needed(trial, other):
+                    if is_better and (not tested or sets.is_needed(trial, other)):
                         best = trial
             if best is fitted:
                 return fitted
@@ -516,10 +553,11 @@ class Selection:
         others = [one for one in found if one.name not in full.names]
         return _best_of_each(own, self.rules, 3) + _best_of_each(others, self.rules, 2)
 
-    def _pruned(self, fitted: FittedSet) -> FittedSet:
+    def _pruned(self, fitted: FittedSet, n_names: int = 1) -> FittedSet:
         """Drop members that are not needed beside the others, the least needed first."""
-        while idle := [m for m in fitted.members if not self.sets.is_needed(fitted, m)]:
-            rests = [self.sets.without(fitted, member) for member in idle]
+        sets = self.sets
+        while idle := [m for m in fitted.members if not sets.is_needed(fitted, m, n_names)]:
+            rests = [sets.without(fitted, member) for member in idle]
             fitted = min(rests, key=lambda rest: rest.loss)
         return fitted
 

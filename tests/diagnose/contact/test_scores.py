@@ -65,7 +65,7 @@ def test_shuffles_keep_their_level_and_see_a_bend():
 
     def p_value(bend):
         _, grams, _ = grams_of(log(rng, bend=bend))
-        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES)[0][0]
+        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES).flipped[0]
 
     null = np.array([p_value(0.0) for _ in range(150)])
     assert 0.0 <= np.mean(null < 0.1) < 0.2
@@ -81,9 +81,9 @@ def test_a_constant_that_is_added_in_every_trial_has_the_p_of_sign_flips():
         columns["volume_mm3"] += offset
         _, grams, _ = grams_of(columns)
         shuffled = scores.shuffles(np.arange(N_TRIALS), 499, rng)
-        (p_value,), (of_trials,) = scores.shuffle_p_values(grams, [0], [[2]], shuffled, [2], RULES)
-        assert not of_trials
-        p_values.append(p_value)
+        found = scores.shuffle_p_values(grams, [0], [[2]], shuffled, [2], RULES)
+        assert not found.of_trials
+        p_values.append(found.flipped[0])
     # Of 40 uniform values 2 are below 0.05 in the mean; more than 7 have a chance of 0.1 %.
     assert sum(p < 0.05 for p in p_values[:-1]) <= 7
     assert p_values[-1] < 1e-4, "0.4 mm³ is ten standard errors"
@@ -101,9 +101,58 @@ def test_permutations_keep_their_level_where_trials_differ():
         left = 0.05 * rng.normal(size=n_trials) * load + 0.01 * rng.normal(size=n_trials)
         columns = np.stack([load, condition * load, np.ones(n_trials), left], axis=1)
         grams = columns[:, :, None] * columns[:, None, :]
-        p_values.append(scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES)[0][0])
+        p_values.append(
+            scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES).permuted[0]
+        )
     # Two standard deviations of 400 draws at 0.1 are 0.03.
     assert np.mean(np.array(p_values) < 0.1) == pytest.approx(0.1, abs=0.03)
+
+
+def test_permutations_keep_their_level_beside_almost_as_many_numbers_as_trials():
+    """Residuals beside six columns of ten trials vary in four ways only; their shuffles in all."""
+    rng = np.random.default_rng(17)
+    n_trials, p_values = 10, []
+    shuffled = scores.shuffles(np.arange(n_trials), 199, rng)
+    for _ in range(400):
+        conditions = np.column_stack([np.ones(n_trials), rng.normal(size=(n_trials, 6))])
+        left = rng.normal(size=n_trials)
+        columns = np.column_stack([conditions, np.ones(n_trials), left])
+        grams = columns[:, :, None] * columns[:, None, :]
+        base = list(range(6))
+        found = scores.shuffle_p_values(grams, base, [[6]], shuffled, [7], RULES)
+        p_values.append(found.permuted[0])
+    # Two standard deviations of 400 draws at 0.1 are 0.03.
+    assert np.mean(np.array(p_values) < 0.1) == pytest.approx(0.1, abs=0.03)
+
+
+def log_of_parts(rng, n_trials, *, gains, bend=0.0):
+    """Gram matrices of six parts a trial, of load, load² and what is left: trials differ by gains.
+
+    The second column, load² in half of the trials, is more of a gain than of a bend.
+    """
+    load = np.linspace(0.4, 1.0, 24).reshape(1, 6, 4) * rng.uniform(0.5, 1.0, (n_trials, 1, 1))
+    bent = load**2 * (np.arange(n_trials) % 2)[:, None, None]
+    left = gains * rng.normal(size=(n_trials, 1, 1)) * load + bend * bent
+    left = left + 0.01 * rng.normal(size=load.shape)
+    design = np.stack([load, bent, np.ones_like(load), left], axis=-1)
+    return np.einsum("tpri,tprj->tpij", design, design).reshape(n_trials * 6, 4, 4)
+
+
+def test_parts_of_trials_keep_their_level_where_the_trials_gains_differ():
+    rng = np.random.default_rng(18)
+    shuffled = scores.shuffles(np.repeat(np.arange(9), 6), 199, rng)
+
+    def found(**how):
+        grams = log_of_parts(rng, 9, **how)
+        args = grams, [0], [[1]], shuffled, [2], RULES
+        parts = scores.shuffle_p_values(*args, parts_of_trials=True).corrected(1, 1)[0]
+        return parts, scores.shuffle_p_values(*args).corrected(1, 1)[0]
+
+    null = np.array([found(gains=0.1) for _ in range(300)])
+    # Three standard deviations of 300 draws at 0.1 are 0.05; twice the smaller p is cautious.
+    assert np.mean(null[:, 0] < 0.1) < 0.15
+    assert np.mean(null[:, 1] < 0.1) > 0.4, "signs of parts take a gain for several findings"
+    assert found(gains=0.1, bend=0.3)[0] < 0.01
 
 
 def test_an_offset_of_both_axes_is_no_difference_between_the_levels_of_a_column():
@@ -123,9 +172,9 @@ def test_an_offset_of_both_axes_is_no_difference_between_the_levels_of_a_column(
         design = np.concatenate([*columns, left[..., None]], axis=3).reshape(n_trials, -1, 8)
         grams = np.einsum("urp,urq->upq", design, design)
         groups = [[1, 2, 3, 4]]
-        (p,), (of_trials,) = scores.shuffle_p_values(grams, [0], groups, shuffled, [5, 6], RULES)
-        assert of_trials
-        return p
+        found = scores.shuffle_p_values(grams, [0], groups, shuffled, [5, 6], RULES)
+        assert found.of_trials
+        return found.permuted[0]
 
     null = np.array([p_value(0.0) for _ in range(150)])
     # Three standard deviations of 150 draws at 0.1 are 0.07.
@@ -143,7 +192,7 @@ def p_values_of_forms(rng, shuffled, n_forms, names):
     grams = np.einsum("urp,urq->upq", design, design)
     groups = [[1 + form] for form in range(n_forms)]
     ones = [n_forms + 1]
-    return scores.shuffle_p_values(grams, [0], groups, shuffled, ones, RULES, names)[0]
+    return scores.shuffle_p_values(grams, [0], groups, shuffled, ones, RULES, names).flipped
 
 
 @pytest.mark.parametrize("n_forms", [1, 8])
@@ -170,7 +219,7 @@ def test_a_trial_of_one_row_changes_no_p():
         parts = [force, number * force, np.ones_like(force), data.target - 4.0 * force]
         grams = scores.unit_grams(data, np.column_stack([data.reduce(part) for part in parts]))
         shuffled = scores.shuffles(data.unit_trial, 99, np.random.default_rng(0))
-        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES)[0]
+        return scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES).permuted
 
     np.testing.assert_allclose(p_values(with_short), p_values(columns))
 

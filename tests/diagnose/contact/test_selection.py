@@ -133,3 +133,23 @@ def test_an_effect_that_was_fitted_to_nothing_has_no_form_to_correct():
     model = replace(full.fit.model, terms=(nothing,))
     full = replace(full, fit=replace(full.fit, model=model))
     assert sets.corrected(full, creep.effect) is full
+
+
+def test_causes_that_hide_each_other_in_few_trials_are_found_together(monkeypatch):
+    """Gains by temperature and by place, equally strong: neither is significant alone."""
+    rng = np.random.default_rng(4)
+    columns = presses(lambda force, *_: force, 0.05, 9)
+    columns = {name: values[columns["trial"] < 12] for name, values in columns.items()}
+    warmth, place = (np.linspace(-1.0, 1.0, 12)[rng.permutation(12)] for _ in range(2))
+    trial = columns["trial"].astype(int)
+    columns |= {"temperature_c": 25.0 + 5.0 * warmth[trial], "x_mm": 6.0 * place[trial]}
+    columns["y_mm"] = np.zeros(trial.size)
+    columns["volume_mm3"] *= 1.0 + 0.1 * warmth[trial] + 0.1 * place[trial]
+    data = ChannelSamples(columns, "normal").thinned()
+
+    def names():
+        return Selection(data, np.random.default_rng(0)).choose().named.names
+
+    assert names() == {"temperature", "position"}
+    monkeypatch.setattr(Selection, "_deeper", lambda *_: None)
+    assert not names()
