@@ -115,6 +115,12 @@ class ChannelData:
         """Sum of squares of the noise alone, on the scale of a sum over pairs."""
         return 0.5 * self.noise**2 * self.n_samples * self.n_outputs
 
+    @property
+    def least_loss(self) -> float:
+        """How far below 0 chance takes a sum of products between halves, of noise a row long."""
+        deviation = self.noise_loss / np.sqrt(self.pairs.shape[1] * self.n_outputs)
+        return -self.rules.negative_loss_in_sd * float(deviation)
+
     def reduce(self, values: FloatArray) -> FloatArray:
         """``values`` (N, C) times the root of their weight, as (N·C,)."""
         return (values * np.sqrt(self.weight)[:, None]).ravel()

@@ -86,7 +86,7 @@ class _Screen:
         self.forms = [one for one in found if one.columns.shape[1] <= MOST_COLUMNS]
         columns = [one.columns for one in self.forms]
         self._grams, self._groups, self._base = scores.fit_grams(data, fit, columns)
-        self._least = min(fit.loss, 0.0) - self._rules.negative_loss_tolerance * data.noise_loss
+        self._least = min(fit.loss, data.least_loss)
         n_parameters = np.array([one.n_parameters for one in self.forms])
         self._price = self._rules.parameter_price * data.noise_loss * n_parameters
 

@@ -47,14 +47,13 @@ class SelectionRules:
     # Numbers of the linear algebra
     ridge: float = 1e-8  # of the diagonal: enough for columns that are equal but for noise
     one_number_a_trial_share: float = 0.97  # of a column that follows the response: permuted
-    negative_loss_tolerance: float = 0.25  # of the noise: chance hardly takes a loss below −0.25
+    negative_loss_in_sd: float = 3.0  # of chance: no true set leaves so much less than nothing
 
     # When an effect is kept
-    alpha: float = 0.01  # chance of a first false effect, over all candidates together
+    alpha: float = 0.02  # chance of a first false effect, over all candidates together
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
-    clear_share: float = 0.5  # of the remaining structure: then clear_alpha suffices
-    clear_alpha: float = 0.02  # before correction: flips of a dozen trials go no lower
-    few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
+    clear_share: float = 0.5  # of the remaining structure: then alpha before correction suffices
+    few_min_gain: float = 0.1  # min_gain where trials are few, or only an uncorrected p passes
     max_members: int = 5  # of a channel's model
 
     min_trials_of_part: int = 4  # in a part of the log to which an effect is confined, and outside

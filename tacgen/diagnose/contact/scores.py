@@ -103,16 +103,14 @@ def _of_one_length(
         yield rows, np.asarray([sets[i] for i in rows], dtype=np.int64)
 
 
-def believable(
-    losses: FloatArray, without: FloatArray, noise_loss: float, rules: SelectionRules
-) -> FloatArray:
+def believable(losses: FloatArray, without: FloatArray, least: float) -> FloatArray:
     """``losses`` (S, U) of units; a set whose sum cannot be takes the losses ``without`` (U,) it.
 
-    Products between the halves are not positive definite, so that a set of columns that are
-    nearly the same can seem to leave less than nothing.
+    Products between the halves are not positive definite, so that columns that are nearly the
+    same, or that have a memory of the force's noise, can seem to leave less than chance could:
+    than ``least``, or than ``without`` them.
     """
-    least = min(float(without.sum()), 0.0) - rules.negative_loss_tolerance * noise_loss
-    impossible: BoolArray = ~(losses.sum(axis=1) >= least)
+    impossible: BoolArray = ~(losses.sum(axis=1) >= min(float(without.sum()), least))
     result: FloatArray = np.where(impossible[:, None], without, losses)
     return result
 
@@ -213,7 +211,8 @@ def shuffle_p_values(
     test = _Test(grams, base, shuffled, rules)
     within = test
     if parts_of_trials:
-        within = _Test(_without_gains(grams, base[0], shuffled.trial), base, shuffled, rules)
+        grams = _without_gains(grams, base[0], shuffled.trial, rules)
+        within = _Test(grams, base, shuffled, rules)
     shapes = [test.shapes(group, ([base[0]], ones)) for group in groups]
     gains = [shape or ([base[0]] if parts_of_trials else ()) for shape in shapes]
     flips = {i: within.flipped(groups[i]) for i, shape in enumerate(shapes) if not shape}
@@ -246,15 +245,23 @@ def _p_of_each(
     return p_values
 
 
-def _without_gains(grams: FloatArray, response: int, trial: NDArray[np.int64]) -> FloatArray:
-    """``grams`` (U, P, P) of columns less, in each ``trial`` (U,), their share of the response."""
+def _without_gains(
+    grams: FloatArray, response: int, trial: NDArray[np.int64], rules: SelectionRules
+) -> FloatArray:
+    """``grams`` (U, P, P) of columns less, in each ``trial`` (U,), their share of the response.
+
+    Nothing is left of a column that is hardly more than that: what it would fit is decided by
+    the trials' gains.
+    """
     starts = np.searchsorted(trial, np.arange(int(trial[-1]) + 1))
     whole = np.add.reduceat(grams, starts, axis=0)
     gains = (whole[:, response] / trial_information(whole, response)[:, None])[trial]
     cross = gains[:, :, None] * grams[:, response][:, None, :]
     both = gains[:, :, None] * gains[:, None, :] * grams[:, response, response][:, None, None]
     left = grams - cross - np.swapaxes(cross, 1, 2) + both
-    left[:, response] = left[:, :, response] = 0.0
+    own, own_left = (np.diag(one.sum(axis=0)) for one in (grams, left))
+    gone = own_left[:-1] <= (1.0 - rules.one_number_a_trial_share) * own[:-1]
+    left[:, :-1][:, gone] = left[:, :, :-1][:, :, gone] = 0.0
     return left
 
 

@@ -157,7 +157,7 @@ class CandidateSets:
     ) -> FloatArray:
         """Held-out losses (S, U) of sets of columns; of those that cannot be, ``without`` (U,)."""
         losses = scores.cv_losses(grams, self._folds, sets, self.rules, training)
-        return scores.believable(losses, without, self.data.noise_loss, self.rules)
+        return scores.believable(losses, without, self.data.least_loss)
 
     def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
         """``current`` with ``more`` members, fitted from the linear solution."""
@@ -241,7 +241,7 @@ class CandidateSets:
         ]
         sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
         sums = scores.training_losses(grams.sum(axis=0), sets, rules)
-        least = min(current.loss, 0.0) - rules.negative_loss_tolerance * self.data.noise_loss
+        least = min(current.loss, self.data.least_loss)
         short = [k for k in np.argsort(sums, kind="stable") if sums[k] >= least]
         short = short[: rules.pairs_scored]
         losses = self._cv_losses(grams, [sets[k] for k in short], current.unit_losses)
@@ -311,8 +311,8 @@ class CandidateSets:
         p_values = np.maximum(found.corrected(n_flipped, n_names), search_of)
         return np.minimum(p_values, 1.0), found.of_trials
 
-    def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
-        """The p of the member's columns beside the others, and whether it is of trials.
+    def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> float:
+        """The p of the member's columns beside the others.
 
         Parts of trials count as one for as long as what the whole set leaves goes on.
         """
@@ -321,7 +321,7 @@ class CandidateSets:
             p_local = local_p_value(
                 self.data, rest.fit, member.effect, member.label, self._parts, shuffled
             )
-            return min(p_local * len(self._local_effects), 1.0), True
+            return min(p_local * len(self._local_effects), 1.0)
         if self.data.few_trials:
             shuffled = shuffled.of_blocks(self.data.memory_units(full.fit.residual))
         if member.covariate is not None:
@@ -331,9 +331,9 @@ class CandidateSets:
             same = cand.effect_candidates(self.data, rest.fit.model, effects)
             fresh = [one for one in same if one.label == member.label]
         if not fresh:
-            return 1.0, False
-        (p_value,), (of_trials,) = self.p_values(rest, fresh, n_names, shuffled)
-        return float(p_value), bool(of_trials)
+            return 1.0
+        (p_value,), _ = self.p_values(rest, fresh, n_names, shuffled)
+        return float(p_value)
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -367,13 +367,13 @@ class CandidateSets:
         return gain > self._min_gain * self.total(larger)
 
     def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
-        """Whether ``gain`` over ``without`` is so large that a weak p of sign flips is enough.
+        """Whether ``gain`` over ``without`` is so large that an uncorrected p of flips is enough.
 
-        ``p_value`` is not corrected, but of a pair's members, which were chosen together.
+        Flips of a dozen trials go no lower.
         """
         rules = self.rules
         least = max(rules.clear_share * without.loss, rules.few_min_gain * self.total(without))
-        return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
+        return not self.data.few_trials and p_value <= rules.alpha and gain > least
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
@@ -384,8 +384,7 @@ class CandidateSets:
         if not self.is_worth(rest, full):
             return False
         worth = rest.loss - full.loss
-        p_value, of_trials = self.p_value(full, member, n_names)
-        if p_value > self.rules.alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
+        if self.p_value(full, member, n_names) > self.rules.alpha:
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
         # A set that hardly determines its parameters may have any cross-validated loss.
@@ -431,7 +430,7 @@ class Selection:
     def _extended(
         self, current: FittedSet, pool: Pool, p_values: FloatArray, of_trials: BoolArray
     ) -> FittedSet | None:
-        """The best set with one member more; None if nothing is significant."""
+        """The best set with one or two members more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
         n_names = len({candidate.name for candidate, _ in pool})
         significant = {
@@ -442,7 +441,14 @@ class Selection:
         best = _best_of_each((one for one, _ in pool if one.name in significant), rules, 2)
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
-        return min(singles, key=sets.score, default=None)
+        best_single = min(singles, key=sets.score, default=None)
+        for pair in sorted(self._with_pair(current, pool), key=sets.score):
+            added = pair.members[len(current.members) :]
+            if sets.is_worth(best_single or current, pair) and all(
+                sets.is_needed(pair, member, n_names) for member in added
+            ):
+                return pair
+        return best_single
 
     def _deeper(self, current: FittedSet, pool: Pool) -> FittedSet | None:
         """A better set than ``current`` that no tested step leads to; None if none is found.
@@ -587,7 +593,7 @@ class Selection:
             chosen = Chosen(
                 member,
                 gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
-                p_value=sets.p_value(final, member)[0],
+                p_value=sets.p_value(final, member),
                 confusable=tuple(dict.fromkeys(close)),
             )
             if rivals:

@@ -271,8 +271,17 @@ def test_groups_of_different_size_are_scored_as_they_are_alone():
 def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
     without = np.array([3.0, 2.0, 1.0])
     losses = np.array([[1.0, 0.5, -0.2], [-60.0, -50.0, 3.0], [np.nan, 1.0, 1.0]])
-    kept = scores.believable(losses, without, 10.0, RULES)
+    kept = scores.believable(losses, without, -0.5)
     np.testing.assert_array_equal(kept, [losses[0], without, without])
+
+
+def test_chance_takes_a_sum_between_halves_below_zero_as_far_as_is_said():
+    rng = np.random.default_rng(19)
+    data, _, _ = grams_of(log(rng))
+    deviation = data.least_loss / -RULES.negative_loss_in_sd
+    sums = [grams_of(log(rng))[1][:, -1, -1].sum() for _ in range(60)]
+    # The noise of a standard deviation of 60 draws is 9 %; that of the force adds to the volume's.
+    assert np.std(sums) == pytest.approx(deviation, rel=0.3)
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.4, 0.6])

@@ -136,20 +136,20 @@ def test_an_effect_that_was_fitted_to_nothing_has_no_form_to_correct():
 
 
 def test_causes_that_hide_each_other_in_few_trials_are_found_together(monkeypatch):
-    """Gains by temperature and by place, equally strong: neither is significant alone."""
+    """Gains by temperature, place and radius, equally strong: one or two explain too little."""
     rng = np.random.default_rng(4)
     columns = presses(lambda force, *_: force, 0.05, 9)
-    columns = {name: values[columns["trial"] < 12] for name, values in columns.items()}
-    warmth, place = (np.linspace(-1.0, 1.0, 12)[rng.permutation(12)] for _ in range(2))
+    columns = {name: values[columns["trial"] < 13] for name, values in columns.items()}
+    warmth, place, size = (np.linspace(-1.0, 1.0, 13)[rng.permutation(13)] for _ in range(3))
     trial = columns["trial"].astype(int)
     columns |= {"temperature_c": 25.0 + 5.0 * warmth[trial], "x_mm": 6.0 * place[trial]}
-    columns["y_mm"] = np.zeros(trial.size)
-    columns["volume_mm3"] *= 1.0 + 0.1 * warmth[trial] + 0.1 * place[trial]
+    columns |= {"y_mm": np.zeros(trial.size), "radius_mm": 4.0 * np.exp(0.5 * size[trial])}
+    columns["volume_mm3"] *= 1.0 + 0.1 * (warmth + place + size)[trial]
     data = ChannelSamples(columns, "normal").thinned()
 
     def names():
         return Selection(data, np.random.default_rng(0)).choose().named.names
 
-    assert names() == {"temperature", "position"}
+    assert names() == {"temperature", "position", "geometry"}
     monkeypatch.setattr(Selection, "_deeper", lambda *_: None)
     assert not names()
