@@ -50,10 +50,11 @@ class SelectionRules:
     negative_loss_in_sd: float = 3.0  # of chance: no true set leaves so much less than nothing
 
     # When an effect is kept
-    alpha: float = 0.02  # chance of a first false effect, over all candidates together
+    alpha: float = 0.01  # chance of a first false effect, over all candidates together
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
-    clear_share: float = 0.5  # of the remaining structure: then alpha before correction suffices
-    few_min_gain: float = 0.1  # min_gain where trials are few, or only an uncorrected p passes
+    clear_share: float = 0.5  # of the remaining structure: then clear_alpha suffices
+    clear_alpha: float = 0.02  # before correction; after it, of each of several found together
+    few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
     max_members: int = 5  # of a channel's model
 
     min_trials_of_part: int = 4  # in a part of the log to which an effect is confined, and outside

@@ -311,8 +311,8 @@ class CandidateSets:
         p_values = np.maximum(found.corrected(n_flipped, n_names), search_of)
         return np.minimum(p_values, 1.0), found.of_trials
 
-    def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> float:
-        """The p of the member's columns beside the others.
+    def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
+        """The p of the member's columns beside the others, and whether it is of trials.
 
         Parts of trials count as one for as long as what the whole set leaves goes on.
         """
@@ -321,7 +321,7 @@ class CandidateSets:
             p_local = local_p_value(
                 self.data, rest.fit, member.effect, member.label, self._parts, shuffled
             )
-            return min(p_local * len(self._local_effects), 1.0)
+            return min(p_local * len(self._local_effects), 1.0), True
         if self.data.few_trials:
             shuffled = shuffled.of_blocks(self.data.memory_units(full.fit.residual))
         if member.covariate is not None:
@@ -331,9 +331,9 @@ class CandidateSets:
             same = cand.effect_candidates(self.data, rest.fit.model, effects)
             fresh = [one for one in same if one.label == member.label]
         if not fresh:
-            return 1.0
-        (p_value,), _ = self.p_values(rest, fresh, n_names, shuffled)
-        return float(p_value)
+            return 1.0, False
+        (p_value,), (of_trials,) = self.p_values(rest, fresh, n_names, shuffled)
+        return float(p_value), bool(of_trials)
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -369,11 +369,11 @@ class CandidateSets:
     def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
         """Whether ``gain`` over ``without`` is so large that an uncorrected p of flips is enough.
 
-        Flips of a dozen trials go no lower.
+        Flips of a dozen trials go no lower than ``clear_alpha``.
         """
         rules = self.rules
         least = max(rules.clear_share * without.loss, rules.few_min_gain * self.total(without))
-        return not self.data.few_trials and p_value <= rules.alpha and gain > least
+        return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
@@ -384,7 +384,11 @@ class CandidateSets:
         if not self.is_worth(rest, full):
             return False
         worth = rest.loss - full.loss
-        if self.p_value(full, member, n_names) > self.rules.alpha:
+        # Several that were chosen together would all have to be due to chance.
+        together = n_names > 1 and len(full.members) > 1
+        alpha = self.rules.clear_alpha if together else self.rules.alpha
+        p_value, of_trials = self.p_value(full, member, n_names)
+        if p_value > alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
         # A set that hardly determines its parameters may have any cross-validated loss.
@@ -593,7 +597,7 @@ class Selection:
             chosen = Chosen(
                 member,
                 gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
-                p_value=sets.p_value(final, member),
+                p_value=sets.p_value(final, member)[0],
                 confusable=tuple(dict.fromkeys(close)),
             )
             if rivals:
