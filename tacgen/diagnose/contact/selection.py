@@ -9,7 +9,7 @@ compete on the same terms, so that they are not taken for an effect.
 ``CandidateSets`` fits sets of candidates and tests their members; ``Selection`` searches.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -248,7 +248,7 @@ class CandidateSets:
         gains = self._gains(current, losses)
         best: dict[frozenset[str], tuple[Candidate, Candidate]] = {}
         for index in np.argsort(-gains, kind="stable"):
-            if gains[index] >= rules.pair_share * gains.max():
+            if gains[index] >= rules.fitted_share * gains.max():
                 a, b = (found[i] for i in pairs[short[index]])
                 best.setdefault(frozenset((a.name, b.name)), (a, b))
         return list(best.values())[: rules.pairs_fitted]
@@ -420,11 +420,12 @@ class Selection:
             n_names = len({candidate.name for candidate in candidates})
             p_values, of_trials = sets.p_values(current, candidates, n_names)
             ranking = ranking or self._ranking(current, pool, p_values)
-            found = self._extended(current, pool, p_values, of_trials)
+            pairs = self._with_pair(current, pool)
+            found = self._extended(current, pool, pairs, p_values, of_trials)
             if found is not None:
                 found = self._pruned(self._swapped(found))
             if found is None or sets.score(found) >= sets.score(current):
-                found = self._deeper(current, pool) or self._localised(base, current)
+                found = self._deeper(current, pool, pairs) or self._localised(base, current)
             if found is None:
                 break
             current = found
@@ -432,7 +433,12 @@ class Selection:
         return Attribution(base, named, self._refined(named), ranking=ranking)
 
     def _extended(
-        self, current: FittedSet, pool: Pool, p_values: FloatArray, of_trials: BoolArray
+        self,
+        current: FittedSet,
+        pool: Pool,
+        pairs: list[FittedSet],
+        p_values: FloatArray,
+        of_trials: BoolArray,
     ) -> FittedSet | None:
         """The best set with one or two members more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
@@ -442,11 +448,11 @@ class Selection:
             for (candidate, gain), p, whole in zip(pool, p_values, of_trials, strict=True)
             if p <= rules.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
         }
-        best = _best_of_each((one for one, _ in pool if one.name in significant), rules, 2)
+        best = _worth_a_fit([one for one in pool if one[0].name in significant], rules)
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
         best_single = min(singles, key=sets.score, default=None)
-        for pair in sorted(self._with_pair(current, pool), key=sets.score):
+        for pair in sorted(pairs, key=sets.score):
             added = pair.members[len(current.members) :]
             if sets.is_worth(best_single or current, pair) and all(
                 sets.is_needed(pair, member, n_names) for member in added
@@ -454,7 +460,7 @@ class Selection:
                 return pair
         return best_single
 
-    def _deeper(self, current: FittedSet, pool: Pool) -> FittedSet | None:
+    def _deeper(self, current: FittedSet, pool: Pool, pairs: list[FittedSet]) -> FittedSet | None:
         """A better set than ``current`` that no tested step leads to; None if none is found.
 
         It is searched by its score alone, beside ``current`` and with a pair in the place of each
@@ -463,9 +469,9 @@ class Selection:
         sets, rules = self.sets, self.rules
         if sets.score(current) < rules.min_gain * sets.total(current):
             return None
-        ends = self._grown(current, pool)
+        ends = self._grown(current, pool, pairs)
         ends += [self._swapped(end, tested=False) for end in ends[-1:]]
-        ends += self._with_pair(current, pool)
+        ends += pairs
         for rest in (sets.without(current, member) for member in current.members):
             ends += self._with_pair(rest, sets.pool(rest))
         n_names = len({candidate.name for candidate, _ in pool})
@@ -477,18 +483,17 @@ class Selection:
                     return pruned
         return None
 
-    def _grown(self, current: FittedSet, pool: Pool) -> list[FittedSet]:
+    def _grown(self, current: FittedSet, pool: Pool, pairs: list[FittedSet]) -> list[FittedSet]:
         """``current`` with ever more members, those that make the score best, untested."""
         sets, rules, path = self.sets, self.rules, list[FittedSet]()
         while len(current.members) < rules.max_members:
-            best = _best_of_each((candidate for candidate, _ in pool), rules, 2)
-            tried = [sets.add(current, [candidate]) for candidate in best]
-            tried += self._with_pair(current, pool)
+            tried = [sets.add(current, [one]) for one in _worth_a_fit(pool, rules)] + pairs
             larger = min(tried, key=sets.score, default=current)
             if sets.score(larger) > sets.score(current) - rules.min_gain * sets.total(current):
                 break
             path.append(current := larger)
             pool = sets.pool(current)
+            pairs = self._with_pair(current, pool)
         return path
 
     def _with_pair(self, current: FittedSet, pool: Pool) -> list[FittedSet]:
@@ -526,7 +531,7 @@ class Selection:
             best = fitted
             for member in fitted.members:
                 rest = sets.without(fitted, member)
-                for other in self._alternatives(rest, fitted):
+                for other in _worth_a_fit(sets.pool(rest), self.rules):
                     trial = sets.add(rest, [other])
                     least = self.rules.min_swap_gain * sets.total(best)
                     is_better = sets.score(trial) < sets.score(best) - least
@@ -556,13 +561,6 @@ class Selection:
                 fitted = trial if gain > self.rules.min_swap_gain else fitted
         return fitted
 
-    def _alternatives(self, rest: FittedSet, full: FittedSet) -> list[Candidate]:
-        """The few best candidates beside ``rest``, the same name in other variants included."""
-        found = [one for one, _ in self.sets.pool(rest)]
-        own = [one for one in found if one.name in full.names]
-        others = [one for one in found if one.name not in full.names]
-        return _best_of_each(own, self.rules, 3) + _best_of_each(others, self.rules, 2)
-
     def _pruned(self, fitted: FittedSet, n_names: int = 1) -> FittedSet:
         """Drop members that are not needed beside the others, the least needed first."""
         sets = self.sets
@@ -587,11 +585,8 @@ class Selection:
         sets, least_lead = self.sets, self.rules.confusable_in_se
         for member in final.members:
             rest = sets.without(final, member)
-            rivals = [
-                sets.add(rest, [other])
-                for other in self._alternatives(rest, final)
-                if other.name not in final.names
-            ]
+            others = [one for one in sets.pool(rest) if one[0].name not in final.names]
+            rivals = [sets.add(rest, [other]) for other in _worth_a_fit(others, self.rules)]
             rivals.sort(key=lambda rival: rival.loss)
             close = [r.members[-1].name for r in rivals if final.lead_in_se(r) < least_lead]
             chosen = Chosen(
@@ -608,15 +603,11 @@ class Selection:
         return tuple(described)
 
 
-def _best_of_each(
-    found: Iterable[Candidate], rules: SelectionRules, n_forms: int
-) -> list[Candidate]:
-    """The best start of the best ``n_forms`` forms of each of the best names.
-
-    ``found`` come best first.
-    """
-    by_name: dict[str, dict[object, Candidate]] = {}
-    for candidate in found:
-        by_name.setdefault(candidate.name, {}).setdefault(candidate.form, candidate)
-    best = list(by_name.values())[: rules.singles_fitted]
-    return [candidate for by_form in best for candidate in list(by_form.values())[:n_forms]]
+def _worth_a_fit(pool: Pool, rules: SelectionRules) -> list[Candidate]:
+    """Of each form the best start, if it promises nearly as much as the best of all."""
+    best: dict[tuple[str, object], Candidate] = {}
+    least = rules.fitted_share * max((gain for _, gain in pool), default=0.0)
+    for candidate, gain in pool:
+        if gain >= least:
+            best.setdefault((candidate.name, candidate.form), candidate)
+    return list(best.values())

@@ -7,7 +7,7 @@ import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
-from tacgen.diagnose.contact.selection import Selection, _best_of_each
+from tacgen.diagnose.contact.selection import Selection, _worth_a_fit
 from tests.diagnose.contact.test_free_forms import K_N, N_TRIALS, presses, prony
 
 
@@ -26,7 +26,7 @@ def test_of_a_name_with_a_significant_form_the_best_forms_are_fitted():
     creeps = [number for number, (one, _) in enumerate(pool) if one.name == "creep"]
     p_values = np.ones(len(pool))
     p_values[creeps[-1]] = 0.0
-    extended = selection._extended(base, pool, p_values, np.ones(len(pool), dtype=bool))
+    extended = selection._extended(base, pool, [], p_values, np.ones(len(pool), dtype=bool))
     assert extended.members[0].label in {pool[k][0].label for k in creeps[:2]}
 
 
@@ -35,12 +35,22 @@ def test_each_form_is_fitted_from_its_best_start_alone():
     sets = selection_of_creep_and_offset().sets
     pool = sets.pool(sets.fitted((), sets.linear))
     creeps = [(one, gain) for one, gain in pool if one.name == "creep"]
-    best = _best_of_each((one for one, _ in creeps), sets.rules, 10)
+    best = _worth_a_fit(creeps, replace(sets.rules, fitted_share=-np.inf))
     assert len(best) < len(creeps)
     assert {one.form for one in best} == {one.form for one, _ in creeps}
     for one in best:
         starts = [(gain, other.label) for other, gain in creeps if other.form == one.form]
         assert max(starts)[1] == one.label
+
+
+def test_what_promises_far_less_than_the_best_is_not_fitted():
+    """At 0.85 of the best gain a form is fitted, below it not."""
+    sets = selection_of_creep_and_offset().sets
+    forms = _worth_a_fit(sets.pool(sets.fitted((), sets.linear)), sets.rules)[:1]
+    others = [one for one, _ in sets.pool(sets.fitted((), sets.linear)) if one.name == "drift"]
+    best, near = forms[0], others[0]
+    for gain, fitted in ((0.86, [best, near]), (0.84, [best])):
+        assert _worth_a_fit([(best, 1.0), (near, gain)], sets.rules) == fitted
 
 
 def test_an_effect_is_needed_beside_one_without_which_cross_validation_goes_astray(monkeypatch):
@@ -111,7 +121,7 @@ def test_a_form_that_would_be_dropped_again_hides_no_other(monkeypatch):
     sets = selection.sets
     base = sets.fitted((), sets.linear)
     pool = sets.pool(base)
-    args = base, pool, np.zeros(len(pool)), np.ones(len(pool), dtype=bool)
+    args = base, pool, [], np.zeros(len(pool)), np.ones(len(pool), dtype=bool)
     assert selection._extended(*args).members[0].name == "creep"
     monkeypatch.setattr(sets, "is_needed", lambda _, member, *__: member.name != "creep")
     other = selection._extended(*args)
