@@ -26,7 +26,6 @@ from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.localised import best_local, local_effects, local_p_value, parts_of
 from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
 from tacgen.diagnose.contact.oscillation import find_oscillations
-from tacgen.diagnose.contact.rules import SelectionRules
 
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
 
@@ -448,7 +447,8 @@ class Selection:
             for (candidate, gain), p, whole in zip(pool, p_values, of_trials, strict=True)
             if p <= rules.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
         }
-        best = _worth_a_fit([one for one in pool if one[0].name in significant], rules)
+        found = [one for one in pool if one[0].name in significant]
+        best = _worth_a_fit(found, rules.fitted_share)
         singles = [sets.add(current, [candidate]) for candidate in best]
         singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
         best_single = min(singles, key=sets.score, default=None)
@@ -487,7 +487,8 @@ class Selection:
         """``current`` with ever more members, those that make the score best, untested."""
         sets, rules, path = self.sets, self.rules, list[FittedSet]()
         while len(current.members) < rules.max_members:
-            tried = [sets.add(current, [one]) for one in _worth_a_fit(pool, rules)] + pairs
+            best = _worth_a_fit(pool, rules.fitted_share)
+            tried = [sets.add(current, [candidate]) for candidate in best] + pairs
             larger = min(tried, key=sets.score, default=current)
             if sets.score(larger) > sets.score(current) - rules.min_gain * sets.total(current):
                 break
@@ -531,7 +532,7 @@ class Selection:
             best = fitted
             for member in fitted.members:
                 rest = sets.without(fitted, member)
-                for other in _worth_a_fit(sets.pool(rest), self.rules):
+                for other in _worth_a_fit(sets.pool(rest), self.rules.fitted_share):
                     trial = sets.add(rest, [other])
                     least = self.rules.min_swap_gain * sets.total(best)
                     is_better = sets.score(trial) < sets.score(best) - least
@@ -586,7 +587,8 @@ class Selection:
         for member in final.members:
             rest = sets.without(final, member)
             others = [one for one in sets.pool(rest) if one[0].name not in final.names]
-            rivals = [sets.add(rest, [other]) for other in _worth_a_fit(others, self.rules)]
+            # One that promises less than the best may still not be told from the member.
+            rivals = [sets.add(rest, [other]) for other in _worth_a_fit(others, 0.0)]
             rivals.sort(key=lambda rival: rival.loss)
             close = [r.members[-1].name for r in rivals if final.lead_in_se(r) < least_lead]
             chosen = Chosen(
@@ -603,10 +605,10 @@ class Selection:
         return tuple(described)
 
 
-def _worth_a_fit(pool: Pool, rules: SelectionRules) -> list[Candidate]:
-    """Of each form the best start, if it promises nearly as much as the best of all."""
+def _worth_a_fit(pool: Pool, share: float) -> list[Candidate]:
+    """Of each form the best start, if it promises at least ``share`` of what the best one does."""
     best: dict[tuple[str, object], Candidate] = {}
-    least = rules.fitted_share * max((gain for _, gain in pool), default=0.0)
+    least = share * max((gain for _, gain in pool), default=0.0)
     for candidate, gain in pool:
         if gain >= least:
             best.setdefault((candidate.name, candidate.form), candidate)

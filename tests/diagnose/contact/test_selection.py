@@ -35,7 +35,7 @@ def test_each_form_is_fitted_from_its_best_start_alone():
     sets = selection_of_creep_and_offset().sets
     pool = sets.pool(sets.fitted((), sets.linear))
     creeps = [(one, gain) for one, gain in pool if one.name == "creep"]
-    best = _worth_a_fit(creeps, replace(sets.rules, fitted_share=-np.inf))
+    best = _worth_a_fit(creeps, -np.inf)
     assert len(best) < len(creeps)
     assert {one.form for one in best} == {one.form for one, _ in creeps}
     for one in best:
@@ -44,13 +44,24 @@ def test_each_form_is_fitted_from_its_best_start_alone():
 
 
 def test_what_promises_far_less_than_the_best_is_not_fitted():
-    """At 0.85 of the best gain a form is fitted, below it not."""
     sets = selection_of_creep_and_offset().sets
-    forms = _worth_a_fit(sets.pool(sets.fitted((), sets.linear)), sets.rules)[:1]
-    others = [one for one, _ in sets.pool(sets.fitted((), sets.linear)) if one.name == "drift"]
-    best, near = forms[0], others[0]
+    best, near = (pool := sets.pool(sets.fitted((), sets.linear)))[0][0], pool[-1][0]
     for gain, fitted in ((0.86, [best, near]), (0.84, [best])):
-        assert _worth_a_fit([(best, 1.0), (near, gain)], sets.rules) == fitted
+        assert _worth_a_fit([(best, 1.0), (near, gain)], share=0.85) == fitted
+
+
+def test_every_rival_of_an_effect_is_looked_at_however_few_are_fitted_in_the_search():
+    """One that promises less than another may predict as well as the member, once it is fitted."""
+
+    def chosen_with(share):
+        # Every rival counts as confusable.
+        rules = {"fitted_share": share, "confusable_in_se": np.inf}
+        return selection_of_creep_and_offset(**rules).run().chosen
+
+    few, many = chosen_with(1.0), chosen_with(0.5)
+    assert [one.candidate.label for one in few] == [one.candidate.label for one in many]
+    assert [one.confusable for one in few] == [one.confusable for one in many]
+    assert all(len(one.confusable) > 3 for one in few)
 
 
 def test_an_effect_is_needed_beside_one_without_which_cross_validation_goes_astray(monkeypatch):
