@@ -22,11 +22,6 @@ def encode_png(rgb: Image) -> bytes:
     return _encoded(rgb, ".png", [])
 
 
-def png_uri(png: bytes) -> str:
-    """PNG bytes as a data URI."""
-    return f"data:image/png;base64,{base64.b64encode(png).decode()}"
-
-
 def jpeg_uri(rgb: Image) -> str:
     """An image as a JPEG data URI."""
     jpeg = _encoded(rgb, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import io
 import math
@@ -16,7 +17,6 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from tacgen.core.files import write_text
-from tacgen.core.images import Image, jpeg_uri, png_uri
 from tacgen.report.formatting import (
     estimate,
     fixed,
@@ -31,6 +31,8 @@ from tacgen.report.formatting import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from tacgen.core.images import Image
 
 FIGURE_DPI = 110  # sharp at the page's width on common screens
 _COLUMN_WIDTHS = ((2.0, "240px"), (4.5, "470px"), (math.inf, "100%"))
@@ -82,11 +84,14 @@ def figure_section(title: str, figure: Figure, note: str = "") -> Section:
     # `savefig` would draw twice.
     FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]
     width_px = round(figure.get_figwidth() * 96)
-    return _section(title, "image", png_uri(buffer.getvalue()), title, width_px, typeset(note))
+    uri = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    return _section(title, "image", uri, title, width_px, typeset(note))
 
 
 def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str = "") -> Section:
     """Captions with their RGB images, in as many columns as their shapes leave room for."""
+    from tacgen.core.images import jpeg_uri  # OpenCV: pages without pictures do without it
+
     shown = list(items)
     aspect = max((rgb.shape[1] / rgb.shape[0] for _, rgb in shown), default=1.0)
     column = next(width for limit, width in _COLUMN_WIDTHS if aspect < limit)
