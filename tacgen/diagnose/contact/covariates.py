@@ -35,7 +35,8 @@ class Covariate:
         """Its name for a reader."""
         if self.kind == "oscillation":
             period = f"period {1 / self.frequency_hz:.4g} s"
-            return f"oscillation in {self.column}, {period} ({self.how})"
+            harmonics = f", {self.degree} harmonics" if self.degree > 1 else ""
+            return f"oscillation in {self.column}, {period} ({self.how}{harmonics})"
         power = f", degree {self.degree}" if self.kind == "polynomial" else ""
         return f"{self.column} ({self.how}{power})"
 
@@ -47,7 +48,8 @@ class Covariate:
         values = data.history.column(self.column)
         if self.kind == "oscillation":
             phase = 2.0 * np.pi * self.frequency_hz * (values - self.center)
-            return [np.cos(phase), np.sin(phase)]
+            orders = range(1, self.degree + 1)
+            return [wave(order * phase) for order in orders for wave in (np.cos, np.sin)]
         scaled = np.nan_to_num((values - self.center) / self.scale, nan=0.0)
         return [scaled**power for power in range(1, self.degree + 1)]
 

@@ -99,7 +99,7 @@ class _Screen:
         n_base = len(self._base)
         stops = np.cumsum([n_base, *(len(self._groups[form]) for form in forms)])
         sets = [[*range(n_base), *range(i, j)] for i, j in pairwise(stops)]
-        left = np.stack([scores.training_losses(one, sets, self._rules) for one in totals])
+        left = np.stack([scores.training_losses(one, sets, self._rules.ridge) for one in totals])
         for column, form in enumerate(forms):
             effect = self.forms[form].effect
             if effect is not None and effect.is_local:
@@ -111,7 +111,7 @@ class _Screen:
         grams, own = self._of([form])
         grams = np.where(own, grams * self._inside(part)[:, None, None], grams)
         columns = range(grams.shape[1] - 1)
-        loss = scores.cv_losses(grams, self._data.folds(), [columns], self._rules).sum()
+        loss = scores.cv_losses(grams, self._data.folds(), [columns], self._rules.ridge).sum()
         return float(loss + self._price[form]) if loss >= self._least else np.inf
 
     def _of(self, forms: Sequence[int]) -> tuple[FloatArray, BoolArray]:
@@ -184,7 +184,7 @@ def local_p_value(
         )
     )
     grams, (group,), base = scores.fit_grams(data, rest, [inside])
-    weights = scores.coefficients(grams.sum(axis=0), [*base, *group], data.rules)[len(base) :]
+    weights = scores.coefficients(grams.sum(axis=0), [*base, *group], data.rules.ridge)[len(base) :]
     grams, ((column,),), base = scores.fit_grams(data, rest, [whole @ weights[:, None]])
     bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
     grams = np.add.reduceat(grams, bounds, axis=0)
@@ -192,7 +192,7 @@ def local_p_value(
     fitted = np.linalg.lstsq(total[np.ix_(every, every)], total[every, -1], rcond=1e-10)[0]
     score = grams[:, column, -1] - grams[:, column][:, every] @ fitted
     information = scores.trial_information(grams, column)
-    deviation = scores.trial_deviation(score, information)
+    deviation = scores.score_deviation(score, information)
     own = (information / deviation)[:, None]
     held = np.stack([part.trials for part in parts], axis=1)[data.unit_trial[bounds]]
     across = scores.orthogonal(held * own, own)

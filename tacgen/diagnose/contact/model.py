@@ -146,6 +146,15 @@ def fit_model(data: ChannelData, start: Model) -> Fit:
     return space.fit(vector, residual, jacobian * (inner & acts))
 
 
+def as_it_is(data: ChannelData, model: Model) -> Fit:
+    """The residual and the Jacobian of ``model`` with its parameters as they are."""
+    space = _Space(data, model)
+    residual = space.residual(space.start)
+    jacobian = space.jacobian(space.start, residual)
+    inner = space.inner(space.start, jacobian.T @ residual)
+    return space.fit(space.start, residual, jacobian * inner)
+
+
 def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
     """The fit with the bias removed that noise of the force puts on least squares.
 

@@ -89,7 +89,7 @@ def dependences(
         grams, base, groups, shuffled, ones, rules, parts_of_trials=data.few_trials
     ).corrected(len(groups), len(groups))
     sets = [base, *([*base, *group] for group in groups)]
-    without, *losses = scores.cv_losses(grams, data.folds(), sets, rules).sum(axis=1)
+    without, *losses = scores.cv_losses(grams, data.folds(), sets, rules.ridge).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)
     found = [
         Dependence(name, float(p), float(without - loss) / total)

@@ -19,6 +19,9 @@ from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.rules import SelectionRules
 
+_OWN_SHARES = np.array([0.0, *np.logspace(-2, 3, 11)])
+"""Variance of trials' own effects, in parts of the samples' noise at the mean information."""
+
 
 def unit_grams(
     data: ChannelData, columns: FloatArray, *, between_halves: bool = True
@@ -58,14 +61,15 @@ def cv_losses(
     grams: FloatArray,
     folds: NDArray[np.int64],
     sets: Sequence[Sequence[int]],
-    rules: SelectionRules,
+    ridge: float,
     training: FloatArray | None = None,
 ) -> FloatArray:
     """Held-out sum of squares of every unit, for every set of columns: (S, U).
 
     ``sets`` hold column numbers; the last column is the target. Coefficients are fitted to
-    ``training`` (≥ U, P, P), whose first U are the units, by default to ``grams`` too. A set of
-    columns that are all but the same can overflow; ``believable`` refuses it.
+    ``training`` (≥ U, P, P), whose first U are the units, by default to ``grams`` too; ``ridge``
+    of the diagonal holds them near 0. A set of columns that are all but the same can overflow;
+    ``believable`` refuses it.
     """
     losses = np.empty((len(sets), grams.shape[0]))
     training = grams if training is None else training
@@ -74,7 +78,7 @@ def cv_losses(
         for fold in range(int(folds.max()) + 1):
             out = np.flatnonzero(folds == fold)
             held = grams[out]
-            weights = _solve(total - training[out].sum(axis=0), index, rules)
+            weights = _solve(total - training[out].sum(axis=0), index, ridge)
             block = held[:, index[:, :, None], index[:, None, :]]
             with np.errstate(over="ignore", invalid="ignore"):
                 onto = (block @ weights[None, :, :, None])[..., 0]
@@ -83,13 +87,11 @@ def cv_losses(
     return losses
 
 
-def training_losses(
-    total: FloatArray, sets: Sequence[Sequence[int]], rules: SelectionRules
-) -> FloatArray:
+def training_losses(total: FloatArray, sets: Sequence[Sequence[int]], ridge: float) -> FloatArray:
     """Sum of squares left by each set of columns on all units: (S,)."""
     losses = np.empty(len(sets))
     for rows, index in _of_one_length(sets):
-        weights = _solve(total, index, rules)
+        weights = _solve(total, index, ridge)
         losses[rows] = total[-1, -1] - np.einsum("si,si->s", weights, total[index, -1])
     return losses
 
@@ -115,18 +117,18 @@ def believable(losses: FloatArray, without: FloatArray, least: float) -> FloatAr
     return result
 
 
-def coefficients(total: FloatArray, columns: Sequence[int], rules: SelectionRules) -> FloatArray:
+def coefficients(total: FloatArray, columns: Sequence[int], ridge: float) -> FloatArray:
     """Least-squares coefficients of ``columns`` for the target."""
-    return np.asarray(_solve(total, np.asarray([columns], dtype=np.int64), rules)[0])
+    return np.asarray(_solve(total, np.asarray([columns], dtype=np.int64), ridge)[0])
 
 
-def _solve(gram: FloatArray, index: NDArray[np.int64], rules: SelectionRules) -> FloatArray:
+def _solve(gram: FloatArray, index: NDArray[np.int64], ridge: float) -> FloatArray:
     """Coefficients (S, P) by the normal equations."""
     block = gram[index[:, :, None], index[:, None, :]]
     own = np.abs(np.diagonal(block, axis1=1, axis2=2))
     size = np.sqrt(np.maximum(own, 1e-12 * own.max(axis=1, keepdims=True)) + 1e-290)
     scaled = block / (size[:, :, None] * size[:, None, :])
-    scaled = scaled + rules.ridge * np.eye(index.shape[1])
+    scaled = scaled + ridge * np.eye(index.shape[1])
     right = gram[index, -1] / size
     return np.asarray(np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / size)
 
@@ -277,10 +279,14 @@ class _Test:
     ) -> None:
         self._grams, self._base, self._shuffled, self._rules = grams, list(base), shuffled, rules
         total = grams.sum(axis=0)
-        self._left = grams[:, :, -1] - grams[:, :, self._base] @ coefficients(total, base, rules)
-        self._absorbed = _leverage_products(grams, self._left, self._base)
-        of_base = np.ix_(self._base, self._base)
-        self._onto_base = np.linalg.lstsq(total[of_base], total[self._base], rcond=1e-10)[0]
+        self._with_base = grams[:, self._base]
+        weights = coefficients(total, base, rules.ridge)
+        self._left = grams[:, :, -1] - grams[:, :, self._base] @ weights
+        self._of_base = total[np.ix_(self._base, self._base)]
+        self._inverse = _inverse_without_noise(self._of_base)
+        share = self._left[:, self._base] @ self._inverse
+        self._absorbed = (self._with_base * share[:, :, None]).sum(axis=1)
+        self._onto_base = np.linalg.lstsq(self._of_base, total[self._base], rcond=1e-10)[0]
         bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
         self._trial_grams = np.add.reduceat(grams, bounds, axis=0)
         self._trial_left = np.add.reduceat(self._left, bounds, axis=0)
@@ -292,15 +298,39 @@ class _Test:
         return _shapes_within_trials(self._trial_grams, among, list(columns), self._rules)
 
     def flipped(self, columns: Sequence[int]) -> FloatArray:
-        """By a sign for each unit."""
-        base, projection = self._base, self._onto_base[:, list(columns)]
-        scores, more = (
-            part[:, list(columns)] - part[:, base] @ projection
-            for part in (self._left, self._absorbed)
-        )
+        """By a sign for each unit: of scores as they are, or weighted, whichever says more.
+
+        The weights are information over variance (`score_deviation`) and know no signs. Where
+        effects differ from unit to unit, or are far above the noise, no unit outweighs the others.
+
+        The residual r of a unit with a share H of all that says something of the base has a
+        variance lower by 1 − H; r + H r / 2 has the full one, to first order in H.
+        Source: Bell & McCaffrey 2002, Survey Methodology 28: (1 − H)^(−1/2) r.
+        """
+        base, columns = self._base, list(columns)
+        onto = self._onto_base[:, columns]
+        beside = self._with_base[:, :, columns] - self._with_base[:, :, base] @ onto
+        own = np.stack([self._grams[:, one, one] for one in columns], axis=1)
+        own = own - (onto * (self._with_base[:, :, columns] + beside)).sum(axis=1)
+        parts = self._left, self._absorbed
+        plain = [part[:, columns] - part[:, base] @ onto for part in parts]
+        weights = np.empty_like(own)
+        for score, information, weight in zip(plain[0].T, own.T, weights.T, strict=True):
+            information = floored(information)
+            weight[:] = information / score_deviation(score, information) ** 2
+        again = np.linalg.lstsq(
+            self._of_base, (weights[:, None] * beside).sum(axis=0), rcond=1e-10
+        )[0]
+        weighted = [
+            weights * score - part[:, base] @ again
+            for score, part in zip(plain, parts, strict=True)
+        ]
+        return np.maximum(self._of_signs(*plain), self._of_signs(*weighted))
+
+    def _of_signs(self, scores: FloatArray, absorbed: FloatArray) -> FloatArray:
         scale = np.sqrt((scores**2).sum(axis=0)) + 1e-300
-        scores, more = scores / scale, more / scale
-        growth = max(1.0, float(((scores + 0.5 * more) ** 2).sum(axis=0).mean()))
+        scores, absorbed = scores / scale, absorbed / scale
+        growth = max(1.0, float(((scores + 0.5 * absorbed) ** 2).sum(axis=0).mean()))
         sums = self._shuffled.signs @ scores
         sums[0] /= np.sqrt(growth)
         return self._neg_log_p(sums, scores.T @ scores)
@@ -324,20 +354,22 @@ class _Test:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Shuffles (F + 1, T) of the numbers of ``shape``, what all trials share, their deviation.
 
-        What the base would take from a shuffle is taken from it.
+        What the base, fitted to a shuffle, takes from it is taken from it.
         Source: Freedman & Lane 1983, J. Business & Economic Statistics 1: residuals permuted.
         """
         if (shape, shapes) not in self._known:
             grams, numbers = self._trial_grams, self._trial_left[:, shape]
             information = trial_information(grams, shape)
-            deviation = trial_deviation(numbers, information)[:, None]
+            deviation = score_deviation(numbers, information)[:, None]
             # What is the same in all trials has no order: nor has a constant beside the base.
             alike = information[:, None] / deviation
             if shape not in self._base:
                 alike = np.column_stack([alike, self._beside(shape)[:, shapes] / deviation])
-            taken = np.column_stack([alike, grams[:, shape, self._base] / deviation])
             shuffles = (numbers / deviation[:, 0])[self._shuffled.orders]
-            shuffles /= _size_beside(shuffles, taken)[:, None]
+            with_base = grams[:, shape, self._base]
+            gains = shuffles * (deviation[:, 0] / information)
+            shuffles -= gains @ with_base @ self._inverse @ (with_base / deviation).T
+            shuffles /= _size_beside(shuffles, alike)[:, None]
             self._known[shape, shapes] = shuffles, alike, deviation
         return self._known[shape, shapes]
 
@@ -358,19 +390,11 @@ def _size_beside(rows: FloatArray, columns: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(square - own, 1e-12 * square) / rows.shape[1]) + 1e-300)
 
 
-def _leverage_products(grams: FloatArray, left: FloatArray, base: Sequence[int]) -> FloatArray:
-    """Products (U, P) of the columns with what the fit of ``base`` absorbs of each unit's residual.
-
-    The residual r of a unit with a share H of all that says something of the base has a variance
-    lower by 1 − H; r + H r / 2 has the full one, to first order in H. Here the products are with
-    H r, without directions of the base that hardly differ but for noise.
-    Source: Bell & McCaffrey 2002, Survey Methodology 28: (1 − H)^(−1/2) r.
-    """
-    total = grams.sum(axis=0)[np.ix_(base, base)]
-    size = np.sqrt(np.abs(np.diag(total))) + 1e-150
-    inverse = np.linalg.pinv(total / np.outer(size, size), rcond=1e-3, hermitian=True)
-    share = left[:, base] @ (inverse / np.outer(size, size))
-    return np.asarray((grams[:, :, base] @ share[:, :, None])[:, :, 0])
+def _inverse_without_noise(gram: FloatArray) -> FloatArray:
+    """Inverse (P, P) without directions of the columns that hardly differ but for noise."""
+    size = np.sqrt(np.abs(np.diag(gram))) + 1e-150
+    scale = np.outer(size, size)
+    return np.asarray(np.linalg.pinv(gram / scale, rcond=1e-3, hermitian=True) / scale)
 
 
 def _shapes_within_trials(
@@ -395,15 +419,14 @@ def _shapes_within_trials(
     return ()
 
 
-def trial_deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
-    """Standard deviation (T,) of trials' scores: noise of the samples, and trials that differ.
+def score_deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
+    """Standard deviation (T,) of trials' or units' scores: noise of the samples, and their own.
 
     The first adds a variance in proportion to the information, the second to its square. What is
     divided by it can be permuted, though trials with more load or samples say more. The second's
     share is the likeliest for normal scores; the scale is left out.
     """
-    shares = np.array([0.0, *np.logspace(-2, 3, 11)])[:, None]
-    variance = information * (1.0 + shares * information / information.mean())
+    variance = information * (1.0 + _OWN_SHARES[:, None] * information / information.mean())
     scale = (scores**2 / variance).mean(axis=1)
     likelihood = -scores.size * np.log(scale + 1e-290) - np.log(variance).sum(axis=1)
     return np.asarray(np.sqrt(variance[np.argmax(likelihood)]))
@@ -418,8 +441,12 @@ def orthogonal(columns: FloatArray, to: FloatArray) -> FloatArray:
 
 def trial_information(grams: FloatArray, shape: int) -> FloatArray:
     """Sum of squares of a column in each trial, with a floor for those that hardly have any."""
-    own = grams[:, shape, shape]
-    return np.maximum(own, 0.01 * max(float(own.mean()), 1e-290))
+    return floored(grams[:, shape, shape])
+
+
+def floored(information: FloatArray) -> FloatArray:
+    """``information`` (T,), at least a hundredth of its mean."""
+    return np.maximum(information, 0.01 * max(float(information.mean()), 1e-290))
 
 
 def neg_log_p_of(quadratic: FloatArray, size: int, rules: SelectionRules) -> FloatArray:

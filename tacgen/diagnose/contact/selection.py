@@ -24,7 +24,15 @@ from tacgen.diagnose.contact.candidates import Candidate
 from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
 from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.localised import best_local, local_effects, local_p_value, parts_of
-from tacgen.diagnose.contact.model import CovariateTerm, Fit, Model, Term, fit_model, start_term
+from tacgen.diagnose.contact.model import (
+    CovariateTerm,
+    Fit,
+    Model,
+    Term,
+    as_it_is,
+    fit_model,
+    start_term,
+)
 from tacgen.diagnose.contact.oscillation import find_oscillations
 
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
@@ -127,6 +135,7 @@ class CandidateSets:
         n_shuffles = rules.few_shuffles if few else rules.n_shuffles
         self._shuffled = scores.shuffles(data.unit_trial, n_shuffles, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
+        self._p_values: dict[tuple[tuple[str, ...], str, int], tuple[float, bool]] = {}
         self._parts = [] if few else parts_of(data)
 
     def fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
@@ -136,26 +145,23 @@ class CandidateSets:
             fit = fit_model(self.data, start)
             design = np.column_stack([fit.jacobian, fit.residual])
             grams = scores.unit_grams(self.data, design)
-            plain, training = grams[:, -1, -1], None
+            columns, plain = range(fit.jacobian.shape[1]), grams[:, -1, -1]
+            training, ridge = None, self.rules.ridge_at_fit
             if fit.prior.any():
                 # Many similar columns: between the halves they are nearly singular.
                 training = scores.unit_grams(self.data, design, between_halves=False)
                 prior = 0.5 * fit.prior.T @ fit.prior
-                training = np.concatenate([training, prior[None]])
-            columns = range(fit.jacobian.shape[1])
-            losses = self._cv_losses(grams, [columns], plain, training)[0]
-            self._fits[key] = FittedSet(members, fit, losses)
+                training, ridge = np.concatenate([training, prior[None]]), self.rules.ridge
+            losses = scores.cv_losses(grams, self._folds, [columns], ridge, training)
+            losses = scores.believable(losses, plain, self.data.least_loss)
+            self._fits[key] = FittedSet(members, fit, losses[0])
         return replace(self._fits[key], members=members)
 
     def _cv_losses(
-        self,
-        grams: FloatArray,
-        sets: Sequence[Sequence[int]],
-        without: FloatArray,
-        training: FloatArray | None = None,
+        self, grams: FloatArray, sets: Sequence[Sequence[int]], without: FloatArray
     ) -> FloatArray:
         """Held-out losses (S, U) of sets of columns; of those that cannot be, ``without`` (U,)."""
-        losses = scores.cv_losses(grams, self._folds, sets, self.rules, training)
+        losses = scores.cv_losses(grams, self._folds, sets, self.rules.ridge)
         return scores.believable(losses, without, self.data.least_loss)
 
     def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
@@ -163,7 +169,7 @@ class CandidateSets:
         fit = current.fit
         grams, groups, base = self._grams(fit, more)
         columns = [*base, *(i for group in groups for i in group)]
-        weights = scores.coefficients(grams.sum(axis=0), columns, self.rules)
+        weights = scores.coefficients(grams.sum(axis=0), columns, self.rules.ridge)
         model = fit.model
         for candidate, group in zip(more, groups, strict=True):
             part = weights[group]
@@ -239,7 +245,7 @@ class CandidateSets:
             if found[a].name != found[b].name and self._fit_beside(found[a], found[b])
         ]
         sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
-        sums = scores.training_losses(grams.sum(axis=0), sets, rules)
+        sums = scores.training_losses(grams.sum(axis=0), sets, rules.ridge)
         least = min(current.loss, self.data.least_loss)
         short = [k for k in np.argsort(sums, kind="stable") if sums[k] >= least]
         short = short[: rules.pairs_scored]
@@ -279,60 +285,85 @@ class CandidateSets:
     ) -> tuple[FloatArray, list[list[int]], list[int]]:
         return scores.fit_grams(self.data, fit, [candidate.columns for candidate in candidates])
 
-    def p_values(
-        self,
-        current: FittedSet,
-        candidates: Sequence[Candidate],
-        n_names: int,
-        shuffled: scores.Shuffles | None = None,
-    ) -> tuple[FloatArray, BoolArray]:
-        """The p of each candidate, chosen from ``n_names`` names, and which are of trials.
+    def p_values(self, fit: Fit, candidates: Sequence[Candidate]) -> FloatArray:
+        """The p (candidates,) that any of them beside a fit scores as high as each does.
 
-        Of trials are those with one value a trial, whose test permutes trials. Only these are
-        corrected for the choice where trials are few.
+        Where trials are few, signs of their parts say how high any of the same name scores.
         """
-        ones = Candidate("", self.data.ones)
-        grams, groups, base = self._grams(current.fit, [*candidates, ones])
         names = [candidate.name for candidate in candidates]
-        found = scores.shuffle_p_values(
+        few, n_names = self.data.few_trials, len(set(names))
+        families = names if few else [""] * len(names)
+        found = self._shuffle_p_values(fit, candidates, families)
+        # Each kind has its own shuffles.
+        n_kinds = len(set(found.of_trials))
+        p_values = found.corrected(1, n_names) if few else found.corrected(n_kinds, n_kinds)
+        return np.maximum(p_values, self._search_p_values(candidates, found.of_trials, n_names))
+
+    def _shuffle_p_values(
+        self,
+        fit: Fit,
+        candidates: Sequence[Candidate],
+        families: Sequence[str],
+        shuffled: scores.Shuffles | None = None,
+    ) -> scores.PValues:
+        ones = Candidate("", self.data.ones)
+        grams, groups, base = self._grams(fit, [*candidates, ones])
+        return scores.shuffle_p_values(
             grams,
             base,
             groups[:-1],
             shuffled or self._shuffled,
             groups[-1],
             self.rules,
-            names,
+            families,
             parts_of_trials=self.data.few_trials,
         )
-        n_flipped = 1 if self.data.few_trials else n_names
+
+    def _search_p_values(
+        self, candidates: Sequence[Candidate], of_trials: BoolArray, n_names: int
+    ) -> FloatArray:
+        """The p (candidates,) of having found a covariate by a search of its own; 0 of others."""
         search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
-        search_of = np.where(found.of_trials, n_names, n_flipped) * search
-        p_values = np.maximum(found.corrected(n_flipped, n_names), search_of)
-        return np.minimum(p_values, 1.0), found.of_trials
+        n_searched = np.where(of_trials | (not self.data.few_trials), n_names, 1)
+        return np.minimum(n_searched * search, 1.0)
 
     def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
-        """The p of the member's columns beside the others, and whether it is of trials.
+        """The p of a member, one of ``n_names``, beside the others, and whether it is of trials."""
+        labels = tuple(sorted(one.label for one in full.members))
+        key = labels, member.label, n_names
+        if key not in self._p_values:
+            self._p_values[key] = self._p_value(full, member, n_names)
+        return self._p_values[key]
 
-        Parts of trials count as one for as long as what the whole set leaves goes on.
+    def _p_value(self, full: FittedSet, member: Candidate, n_names: int) -> tuple[float, bool]:
+        """As `p_value` gives it, worked out.
+
+        The others are as they are beside it: refitted without it, they would bend towards it.
+        Parts of trials count as one for as long as what the whole set leaves goes on. Where trials
+        are few, only what is of trials is corrected for the choice.
         """
-        rest, shuffled = self.without(full, member), self._shuffled
+        rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
+        shuffled = self._shuffled
         if member.effect is not None and member.is_local:
             p_local = local_p_value(
-                self.data, rest.fit, member.effect, member.label, self._parts, shuffled
+                self.data, rest, member.effect, member.label, self._parts, shuffled
             )
             return min(p_local * len(self._local_effects), 1.0), True
-        if self.data.few_trials:
+        few = self.data.few_trials
+        if few:
             shuffled = shuffled.of_blocks(self.data.memory_units(full.fit.residual))
         if member.covariate is not None:
-            fresh = cand.covariate_candidates(self.data, rest.fit, [member.covariate])
+            fresh = cand.covariate_candidates(self.data, rest, [member.covariate])
         else:
             effects = [member.effect] if member.effect is not None else []
-            same = cand.effect_candidates(self.data, rest.fit.model, effects)
+            same = cand.effect_candidates(self.data, rest.model, effects)
             fresh = [one for one in same if one.label == member.label]
         if not fresh:
             return 1.0, False
-        (p_value,), (of_trials,) = self.p_values(rest, fresh, n_names, shuffled)
-        return float(p_value), bool(of_trials)
+        found = self._shuffle_p_values(rest, fresh, [""], shuffled)
+        (p_value,) = found.corrected(1 if few else n_names, n_names)
+        (p_search,) = self._search_p_values(fresh, found.of_trials, n_names)
+        return float(max(p_value, p_search)), bool(found.of_trials[0])
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -387,7 +418,7 @@ class CandidateSets:
         together = n_names > 1 and len(full.members) > 1
         alpha = self.rules.clear_alpha if together else self.rules.alpha
         p_value, of_trials = self.p_value(full, member, n_names)
-        if p_value > alpha and (of_trials or not self.is_clear(rest, worth, p_value)):
+        if p_value > alpha and (of_trials or not self.is_clear(rest, worth, p_value / n_names)):
             return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
         # A set that hardly determines its parameters may have any cross-validated loss.
@@ -415,12 +446,10 @@ class Selection:
         base = current = sets.fitted((), sets.linear)
         while len(current.members) < self.rules.max_members:
             pool = sets.pool(current, new_oscillations=True)
-            candidates = [candidate for candidate, _ in pool]
-            n_names = len({candidate.name for candidate in candidates})
-            p_values, of_trials = sets.p_values(current, candidates, n_names)
+            p_values = sets.p_values(current.fit, [candidate for candidate, _ in pool])
             ranking = ranking or self._ranking(current, pool, p_values)
             pairs = self._with_pair(current, pool)
-            found = self._extended(current, pool, pairs, p_values, of_trials)
+            found = self._extended(current, pool, pairs, p_values)
             if found is not None:
                 found = self._pruned(self._swapped(found))
             if found is None or sets.score(found) >= sets.score(current):
@@ -437,15 +466,14 @@ class Selection:
         pool: Pool,
         pairs: list[FittedSet],
         p_values: FloatArray,
-        of_trials: BoolArray,
     ) -> FittedSet | None:
         """The best set with one or two members more; None if nothing is significant."""
         sets, rules = self.sets, self.rules
         n_names = len({candidate.name for candidate, _ in pool})
         significant = {
             candidate.name
-            for (candidate, gain), p, whole in zip(pool, p_values, of_trials, strict=True)
-            if p <= rules.alpha or (not whole and sets.is_clear(current, gain, p / n_names))
+            for (candidate, _), p in zip(pool, p_values, strict=True)
+            if p <= rules.alpha
         }
         found = [one for one in pool if one[0].name in significant]
         best = _worth_a_fit(found, rules.fitted_share)

@@ -162,7 +162,7 @@ def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
     within = scores.unit_grams(data, design, between_halves=False)
     training = np.concatenate([within, 0.5 * precision[None] ** 2])
     between = scores.unit_grams(data, design)
-    losses = scores.cv_losses(between, data.folds(), [[0, 1]], RULES, training)[0]
+    losses = scores.cv_losses(between, data.folds(), [[0, 1]], RULES.ridge, training)[0]
     fold_of_row = data.folds()[data.row_unit]
     for fold in range(int(data.folds().max()) + 1):
         kept = fold_of_row != fold

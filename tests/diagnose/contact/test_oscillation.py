@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
+from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.model import Model, fit_model
 from tacgen.diagnose.contact.oscillation import find_oscillations
 from tacgen.diagnose.contact.scores import shuffles
@@ -11,13 +12,17 @@ from tacgen.diagnose.contact.scores import shuffles
 K_N = 4.0
 
 
-def log(period_s, amplitude, n_trials=30, n_samples=50, seed=0):
-    """Half-sine presses of 5 s, 20 s apart, whose compliance oscillates by ``amplitude``."""
+def log(period_s, amplitude, n_trials=30, n_samples=50, seed=0, wave=np.sin, loads=0.0):
+    """Half-sine presses of 5 s, 20 s apart, whose compliance oscillates by ``amplitude``.
+
+    ``loads`` is the standard deviation of the logarithm of the trials' loads.
+    """
     rng = np.random.default_rng(seed)
     phase = np.linspace(0.0, 5.0, n_samples)
     time = (np.arange(n_trials)[:, None] * 20.0 + rng.uniform(0, 5, (n_trials, 1)) + phase).ravel()
-    force = np.tile(8.0 * np.sin(np.pi * phase / 5.0), n_trials)
-    volume = K_N * force * (1.0 + amplitude * np.sin(2 * np.pi * time / period_s + 0.7))
+    size = np.exp(loads * np.random.default_rng([seed, 2]).standard_normal((n_trials, 1)))
+    force = (size * 8.0 * np.sin(np.pi * phase / 5.0)).ravel()
+    volume = K_N * force * (1.0 + amplitude * wave(2 * np.pi * time / period_s + 0.7))
     return {
         "trial": np.repeat(np.arange(n_trials), n_samples),
         "time_s": time,
@@ -26,10 +31,14 @@ def log(period_s, amplitude, n_trials=30, n_samples=50, seed=0):
     }
 
 
-def best_wave(columns):
+def waves_in(columns):
     data = ChannelSamples(columns, "normal").thinned()
     flips = shuffles(data.unit_trial, 40, np.random.default_rng(1)).of_trials.signs[1:]
-    waves = find_oscillations(data, fit_model(data, Model(K_N)), flips)
+    return find_oscillations(data, fit_model(data, Model(K_N)), flips)
+
+
+def best_wave(columns):
+    waves = waves_in(columns)
     return min(waves, key=lambda wave: wave.p_search) if waves else None
 
 
@@ -47,6 +56,34 @@ def test_a_dozen_trials_show_a_period_longer_than_a_press(period_s):
     wave = best_wave(log(period_s, 0.1, n_trials=12, seed=1))
     assert 1.0 / wave.frequency_hz == pytest.approx(period_s, rel=0.03)
     assert wave.p_search < 2e-3
+
+
+def on_and_off(phase):
+    return np.sign(np.sin(phase))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_switched_on_and_off_is_found_in_twenty_trials_of_unequal_loads(seed):
+    waves = waves_in(log(130.0, 0.05, n_trials=20, seed=seed, wave=on_and_off, loads=0.5))
+    waves = [wave for wave in waves if wave.how == "gain"]
+    slow = min(waves, key=lambda wave: wave.frequency_hz)
+    assert 1.0 / slow.frequency_hz == pytest.approx(130.0, rel=0.05)
+    assert slow.p_search < 2e-3
+    fast = max(waves, key=lambda wave: wave.frequency_hz)
+    assert 1.0 / fast.frequency_hz < 40.0, "it has its own search"
+
+
+@pytest.mark.parametrize(("degree", "share"), [(1, 8 / np.pi**2), (3, 8 / np.pi**2 * (1 + 1 / 9))])
+def test_harmonics_explain_as_much_of_a_square_wave_as_its_fourier_series(degree, share):
+    columns = log(5.0, 0.0, n_trials=40)
+    columns["time_s"] = np.linspace(0.0, 100.0, columns["time_s"].size)
+    data = ChannelSamples(columns, "normal").thinned()
+    wave = Covariate("time_s", "oscillation", "gain", degree=degree, frequency_hz=0.2)
+    basis = np.stack(wave.basis(data), axis=1)
+    square = on_and_off(2.0 * np.pi * 0.2 * data.history.time_s + 0.7)
+    left = square - basis @ np.linalg.lstsq(basis, square, rcond=None)[0]
+    # Two jumps in each of 20 periods, each within a row: a part in a hundred.
+    assert 1.0 - (left @ left) / (square @ square) == pytest.approx(share, abs=0.02)
 
 
 def test_noise_alone_has_no_period_that_stands_out():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_1samp
 
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.channel import ChannelSamples, noise_floor
@@ -41,7 +42,7 @@ def test_the_compliance_is_not_diluted_by_noise_of_the_force():
     for _ in range(20):
         _, grams, k = grams_of(log(rng, force_noise=1.5))
         diluted.append(k)
-        free.append(k + scores.coefficients(grams.sum(axis=0), [0], RULES)[0])
+        free.append(k + scores.coefficients(grams.sum(axis=0), [0], RULES.ridge)[0])
     assert np.mean(diluted) < 3.85
     assert np.mean(free) == pytest.approx(4.0, abs=0.03)
 
@@ -123,6 +124,48 @@ def test_permutations_keep_their_level_beside_almost_as_many_numbers_as_trials()
         p_values.append(found.permuted[0])
     # Two standard deviations of 400 draws at 0.1 are 0.03.
     assert np.mean(np.array(p_values) < 0.1) == pytest.approx(0.1, abs=0.03)
+
+
+def test_what_other_columns_take_of_a_shuffle_hides_no_effect():
+    """A condition that explains all that ten columns beside it leave; by chance 1 shuffle of 200.
+
+    The same ratio of sums of squares as an F test has, whose p is below 1e-8 in each draw.
+    """
+    rng = np.random.default_rng(19)
+    n_trials, n_base = 14, 10
+    shuffled = scores.shuffles(np.arange(n_trials), 199, rng)
+    p_values = []
+    for _ in range(20):
+        load = np.exp(0.7 * rng.normal(size=(n_trials, 1)))
+        base = np.column_stack([load, load * rng.normal(size=(n_trials, n_base - 1))])
+        condition = load[:, 0] * rng.normal(size=n_trials) + base @ rng.normal(size=n_base)
+        left = condition + 1e-4 * rng.normal(size=n_trials)
+        left -= base @ np.linalg.lstsq(base, left, rcond=None)[0]
+        columns = np.column_stack([base, condition, np.ones(n_trials), left])
+        grams = columns[:, :, None] * columns[:, None, :]
+        groups, ones = [[n_base]], [n_base + 1]
+        found = scores.shuffle_p_values(grams, list(range(n_base)), groups, shuffled, ones, RULES)
+        p_values.append(found.permuted[0])
+    assert max(p_values) <= 0.02
+
+
+def test_signs_see_effects_that_scatter_about_as_well_as_a_t_test_of_them_whatever_the_loads():
+    rng = np.random.default_rng(20)
+    n_units, rows, n_draws = 20, 5, 60
+    shuffled = scores.shuffles(np.arange(n_units), 999, rng)
+    found = np.empty((n_draws, 2))
+    for draw in range(n_draws):
+        load = np.exp(0.8 * rng.normal(size=(n_units, 1, 1))) * np.linspace(0.2, 1.0, rows)[:, None]
+        bent = load * np.linspace(-1.0, 1.0, rows)[:, None] ** 2
+        effects = 0.3 + 0.3 * rng.normal(size=n_units)
+        left = effects[:, None, None] * bent + 1e-3 * rng.normal(size=load.shape)
+        design = np.concatenate([load, bent, np.ones_like(load), left], axis=2)
+        grams = np.einsum("urp,urq->upq", design, design)
+        p_value = scores.shuffle_p_values(grams, [0], [[1]], shuffled, [2], RULES).flipped[0]
+        found[draw] = p_value < 0.01, ttest_1samp(effects, 0.0).pvalue < 0.01
+    by_signs, by_t_test = found.mean(axis=0)
+    assert by_t_test > 0.8
+    assert by_signs > 0.75 * by_t_test
 
 
 def log_of_parts(rng, n_trials, *, gains, bend=0.0):
@@ -251,7 +294,7 @@ def test_blocks_of_units_share_a_sign_within_their_trial():
 def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
     _, grams, _ = grams_of(log(np.random.default_rng(4), bend=0.02))
     folds = np.arange(N_TRIALS) % 5
-    quick = scores.cv_losses(grams, folds, [[0, 1]], RULES)[0]
+    quick = scores.cv_losses(grams, folds, [[0, 1]], RULES.ridge)[0]
     for fold in range(5):
         kept = grams[folds != fold].sum(axis=0)
         weights = np.linalg.solve(kept[:2, :2], kept[:2, -1])
@@ -260,12 +303,29 @@ def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
         np.testing.assert_allclose(quick[folds == fold], slow, rtol=1e-5, atol=1e-6)
 
 
+def test_a_ridge_is_as_much_more_data_that_the_coefficients_are_0():
+    rng = np.random.default_rng(21)
+    design = rng.normal(size=(6, 30, 3))
+    design[:, :, 1] = design[:, :, 0] + 1e-3 * design[:, :, 1]  # hardly two columns
+    grams, ridge = np.einsum("urp,urq->upq", design, design), 1e-3
+    losses = scores.cv_losses(grams, np.arange(6), [[0, 1]], ridge)[0]
+    for unit in range(6):
+        columns, target = (
+            np.delete(design, unit, axis=0).reshape(-1, 3)[:, part] for part in ([0, 1], 2)
+        )
+        rows = np.sqrt(ridge) * np.diag(np.linalg.norm(columns, axis=0))
+        stacked = np.vstack([columns, rows])
+        weights = np.linalg.lstsq(stacked, np.append(target, [0.0, 0.0]), rcond=None)[0]
+        left = design[unit, :, 2] - design[unit, :, :2] @ weights
+        assert losses[unit] == pytest.approx(left @ left, rel=1e-6)
+
+
 def test_groups_of_different_size_are_scored_as_they_are_alone():
     _, grams, _ = grams_of(log(np.random.default_rng(5)))
     folds = np.arange(N_TRIALS) % 4
-    both = scores.cv_losses(grams, folds, [[0, 1], [0, 1, 2]], RULES)
-    np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]], RULES)[0])
-    np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]], RULES)[0])
+    both = scores.cv_losses(grams, folds, [[0, 1], [0, 1, 2]], RULES.ridge)
+    np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]], RULES.ridge)[0])
+    np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]], RULES.ridge)[0])
 
 
 def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():

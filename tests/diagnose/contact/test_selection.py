@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
+from tacgen.diagnose.contact.model import as_it_is
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
 from tacgen.diagnose.contact.selection import Selection, _worth_a_fit
 from tests.diagnose.contact.test_free_forms import K_N, N_TRIALS, presses, prony
@@ -26,7 +27,7 @@ def test_of_a_name_with_a_significant_form_the_best_forms_are_fitted():
     creeps = [number for number, (one, _) in enumerate(pool) if one.name == "creep"]
     p_values = np.ones(len(pool))
     p_values[creeps[-1]] = 0.0
-    extended = selection._extended(base, pool, [], p_values, np.ones(len(pool), dtype=bool))
+    extended = selection._extended(base, pool, [], p_values)
     assert extended.members[0].label in {pool[k][0].label for k in creeps[:2]}
 
 
@@ -127,12 +128,42 @@ def test_what_explains_little_is_not_clear_however_little_remains():
     assert not sets.is_clear(base, base.loss, p_value=0.03)
 
 
+@pytest.mark.parametrize(
+    ("of_trials", "p_value", "needed"),
+    [(False, 0.18, True), (False, 0.24, False), (True, 0.18, False)],
+)
+def test_what_explains_most_of_what_remains_is_not_corrected_for_the_choice(
+    monkeypatch, of_trials, p_value, needed
+):
+    """Of ten names: signs of a few trials in which it acts go no lower."""
+    sets = selection_of_creep_and_offset().sets
+    base = sets.fitted((), sets.linear)
+    best = {one.name: one for one, _ in reversed(sets.pool(base))}
+    full = sets.add(base, [best["creep"], best["zero_offset"]])
+    monkeypatch.setattr(sets, "p_value", lambda *_: (p_value, of_trials))
+    assert sets.is_needed(full, full.members[0], n_names=10) is needed
+
+
+def test_beside_others_as_they_are_the_residual_is_what_a_member_does_and_what_all_leave():
+    sets = selection_of_creep_and_offset().sets
+    base = sets.fitted((), sets.linear)
+    best = {one.name: one for one, _ in reversed(sets.pool(base))}
+    full = sets.add(base, [best["creep"], best["zero_offset"]]).fit
+    same = as_it_is(sets.data, full.model)
+    np.testing.assert_allclose(same.residual, full.residual, atol=1e-12)
+    less = full.model.without("creep", None)
+    does = sets.data.reduce(full.model.response(sets.data) - less.response(sets.data))
+    left = as_it_is(sets.data, less)
+    np.testing.assert_allclose(left.residual, full.residual + does, atol=1e-9)
+    assert left.jacobian.shape[1] == full.jacobian.shape[1] - len(best["creep"].variant.free)
+
+
 def test_a_form_that_would_be_dropped_again_hides_no_other(monkeypatch):
     selection = selection_of_creep_and_offset(max_members=1)
     sets = selection.sets
     base = sets.fitted((), sets.linear)
     pool = sets.pool(base)
-    args = base, pool, [], np.zeros(len(pool)), np.ones(len(pool), dtype=bool)
+    args = base, pool, [], np.zeros(len(pool))
     assert selection._extended(*args).members[0].name == "creep"
     monkeypatch.setattr(sets, "is_needed", lambda _, member, *__: member.name != "creep")
     other = selection._extended(*args)
