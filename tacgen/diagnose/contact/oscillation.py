@@ -1,7 +1,8 @@
 """Oscillations of a residual in the session's clock."""
 
-from dataclasses import replace
-from itertools import pairwise
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,79 +21,78 @@ _AT_ONCE = 8  # flips whose spectra are computed together: faster, and little me
 _HARMONICS = 3  # of one that is no sine, as of what is switched on and off
 _REFINED = 41  # frequencies between the neighbours of the best one that are tried afterwards
 
+Transform: TypeAlias = Callable[[FloatArray, int], NDArray[np.complex128]]
+"""Of rows (F, N) the Fourier sums (F, K) at so many times each frequency."""
+
+
+@dataclass(frozen=True)
+class _Products:
+    """Amplitude times residual (N,), its square (N,), and the residual's sum of squares."""
+
+    product: FloatArray
+    square: FloatArray
+    left: float
+
+    def of_trials(self, trial: NDArray[np.int64]) -> "_Products":
+        """The same with one number a trial (T,), its gain."""
+        product, square = (
+            np.asarray(np.bincount(trial, one), dtype=np.float64)
+            for one in (self.product, self.square)
+        )
+        return _Products(product, square, float((product**2 / (square + 1e-300)).sum()))
+
 
 def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Covariate]:
     """The best frequencies for an oscillation of the compliance, and for an added one.
 
-    One is slower than every other trial, one faster: few frequencies are slow, so that chance
-    reaches less there. Each is offered as a sine and with harmonics.
-
-    Times are put on a regular clock, so that all frequencies are one Fourier transform: from
-    ``min_cycles`` a session up to periods of a few rows, half a cycle apart. ``signs`` (F, U) flip
-    the residual of whole trials; how high the highest of all peaks then is says by how much the
-    best one must stand out. None where the clock is too coarse.
+    One is slower than every other trial, from ``min_cycles`` a session, and is sought in one number
+    a trial: few frequencies are slow, so that chance reaches less there. One is faster, up to
+    periods of a few rows. Each is offered as a sine and with harmonics. ``signs`` (F, U) flip the
+    residual of whole trials; how high the highest of all peaks then is says by how much the best
+    one must stand out.
     """
     history, rules = data.history, data.rules
-    start = float(history.time_s.min())
+    start, trial = float(history.time_s.min()), history.trial_index
     time = history.time_s - start
     session = max(float(time.max()), history.sample_period_s)
-    shortest_s = rules.rows_per_period * history.sample_period_s
-    tick_s = max(shortest_s / _POINTS_PER_PERIOD, 2.0 * session / _MAX_POINTS)
-    ticks = np.rint(time / tick_s).astype(np.int64)
-    n_points = next_fast_len(2 * int(ticks.max() + 1), real=True)
-    first = int(np.ceil(rules.min_cycles * n_points * tick_s / session))
-    stop = n_points // _POINTS_PER_PERIOD
-    if first >= stop:
-        return []
-    middle = int(np.ceil(0.5 * history.n_trials * n_points * tick_s / session))
-    edges = sorted({first, min(max(first, middle), stop), stop})
-
-    def spectra(rows: FloatArray) -> NDArray[np.complex128]:
-        on_clock = [np.bincount(ticks, row, minlength=n_points) for row in rows]
-        return np.asarray(rfft(np.asarray(on_clock, dtype=np.float32)), dtype=np.complex128)
-
     flips = np.vstack([np.ones(signs.shape[1]), signs])[:, data.row_unit]
+    of_trials = flips[:, history.starts[:-1]]
+    middle = 0.5 * history.n_trials / session
+    slow_hz = np.arange(rules.min_cycles / session, middle, 0.5 / session)
+    at_trials = np.bincount(trial, time) / np.bincount(trial)
+    fast_hz, spectra = _fourier(data, time, max(middle, rules.min_cycles / session))
     found: list[Covariate] = []
     for how in HOWS:
-        parts = _products(data, fit, how)
-        power, total = np.zeros((flips.shape[0], stop - first)), np.zeros(flips.shape[0])
-        for product, square, left in parts:
-            (of_square,) = spectra(square[None])
-            single, double = of_square[first:stop], of_square[2 * first : 2 * stop : 2]
-            constant, size = flips @ product, float(square.sum())
-            for some in np.split(np.arange(len(flips)), range(_AT_ONCE, len(flips), _AT_ONCE)):
-                crossed = spectra(product * flips[some])[:, first:stop]
-                power[some] += _explained(crossed, single, double, constant[some, None], size)
-            total += left - constant**2 / size
-        for low, high in pairwise(edges):
-            in_band = power[:, low - first : high - first]
-            shares = np.minimum(in_band.max(axis=1) / (total + 1e-300), 1.0 - 1e-12)
+        rows = _products(data, fit, how)
+        trials = [one.of_trials(trial) for one in rows]
+        searches = [
+            (slow_hz, _shares(trials, of_trials, _direct(at_trials, slow_hz))),
+            (fast_hz, _shares(rows, flips, spectra)),
+        ]
+        searches = [one for one in searches if one[0].size > 1]
+        for frequencies_hz, shares in searches:
             # Of n numbers, a frequency explains a share above x in (1 - x)^((n - 3) / 2) of cases.
-            peaks = -np.log1p(-shares)
-            best = low + int(np.argmax(in_band[0]))
-            near = (best + np.linspace(-1, 1, _REFINED)) / (n_points * tick_s)
-            phase: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer(near, time))
-            exact = np.zeros(_REFINED)
-            for product, square, _ in parts:
-                sums = phase @ product, phase @ square, phase**2 @ square
-                exact += _explained(*sums, product.sum(), float(square.sum()))
+            peaks = -np.log1p(-shares.max(axis=1))
+            step_hz = frequencies_hz[1] - frequencies_hz[0]
+            near_hz = frequencies_hz[np.argmax(shares[0])] + step_hz * np.linspace(-1, 1, _REFINED)
+            exact = _shares(rows, flips[:1], _direct(time, near_hz))[0]
             sine = Covariate(
                 "time_s",
                 "oscillation",
                 how,
                 center=start,
-                frequency_hz=float(near[np.argmax(exact)]),
-                p_search=(len(edges) - 1) * _gumbel_p(peaks[0], peaks[1:]),
+                frequency_hz=float(near_hz[np.argmax(exact)]),
+                p_search=len(searches) * _gumbel_p(peaks[0], peaks[1:]),
             )
             found += [sine, replace(sine, degree=_HARMONICS)]
     return found
 
 
-def _products(data: ChannelData, fit: Fit, how: How) -> list[tuple[FloatArray, FloatArray, float]]:
-    """Amplitude times residual (N,), its square (N,), and the residual's sum of squares.
+def _products(data: ChannelData, fit: Fit, how: How) -> list[_Products]:
+    """Of the compliance, or, added, of each output.
 
-    Added ones have them for each output. Trials are weighted by information over variance, as
-    scores are, so that those with the highest loads do not outweigh the others.
+    Trials are weighted by information over variance, as scores are, so that those with the
+    highest loads do not outweigh the others.
     """
     response = fit.model.law_response(data)
     size = response if how == "gain" else np.full_like(response, 0.1 * data.span)
@@ -103,19 +103,61 @@ def _products(data: ChannelData, fit: Fit, how: How) -> list[tuple[FloatArray, F
     for outputs in [slice(None)] if how == "gain" else one_each:
         column, left = amplitude[:, outputs], residual[:, outputs]
         product, square = (column * left).sum(axis=1), (column**2).sum(axis=1)
-        score, own = (np.asarray(np.bincount(trial, one), float) for one in (product, square))
-        information = floored(own)
-        deviation = score_deviation(score, information)
-        weight = (information / deviation**2)[trial]
-        products.append((weight * product, weight * square, float(weight @ (left**2).sum(axis=1))))
+        whole = _Products(product, square, 0.0).of_trials(trial)
+        information = floored(whole.square)
+        weight = (information / score_deviation(whole.product, information) ** 2)[trial]
+        total = float(weight @ (left**2).sum(axis=1))
+        products.append(_Products(weight * product, weight * square, total))
     return products
+
+
+def _fourier(data: ChannelData, time: FloatArray, first_hz: float) -> tuple[FloatArray, Transform]:
+    """Frequencies (K,) from ``first_hz`` on, half a cycle a session apart, and their transform.
+
+    Times are put on a regular clock, so that all frequencies are one Fourier transform. None where
+    the clock is too coarse.
+    """
+    shortest_s = data.rules.rows_per_period * data.history.sample_period_s
+    session = max(float(time.max()), data.history.sample_period_s)
+    tick_s = max(shortest_s / _POINTS_PER_PERIOD, 2.0 * session / _MAX_POINTS)
+    ticks = np.rint(time / tick_s).astype(np.int64)
+    n_points = next_fast_len(2 * int(ticks.max() + 1), real=True)
+    first, stop = int(np.ceil(first_hz * n_points * tick_s)), n_points // _POINTS_PER_PERIOD
+
+    def transform(rows: FloatArray, order: int) -> NDArray[np.complex128]:
+        found = []
+        for some in np.split(rows, range(_AT_ONCE, len(rows), _AT_ONCE)):
+            on_clock = [np.bincount(ticks, row, minlength=n_points) for row in some]
+            spectra = rfft(np.asarray(on_clock, dtype=np.float32))
+            found.append(spectra[:, order * first : order * stop : order])
+        return np.concatenate(found, dtype=np.complex128)
+
+    return np.arange(first, stop) / (n_points * tick_s), transform
+
+
+def _direct(time: FloatArray, frequencies_hz: FloatArray) -> Transform:
+    """The transform at any frequencies (K,), term by term."""
+    phase: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer(time, frequencies_hz))
+    return lambda rows, order: rows @ phase**order
+
+
+def _shares(parts: list[_Products], flips: FloatArray, transform: Transform) -> FloatArray:
+    """Share of the sum of squares that each frequency explains of each flip: (F, K), below 1."""
+    power, total = np.zeros(1), np.zeros(1)
+    for part in parts:
+        (single,), (double,) = (transform(part.square[None], order) for order in (1, 2))
+        constant, size = flips @ part.product, float(part.square.sum()) + 1e-300
+        crossed = transform(part.product * flips, 1)
+        power = power + _explained(crossed, single, double, constant[:, None], size)
+        total = total + part.left - constant**2 / size
+    return np.minimum(power / (total[:, None] + 1e-300), 1.0 - 1e-12)
 
 
 def _explained(
     crossed: NDArray[np.complex128],
     single: NDArray[np.complex128],
     double: NDArray[np.complex128],
-    constant: FloatArray | float,
+    constant: FloatArray,
     size: float,
 ) -> FloatArray:
     """Sum of squares that a cosine and a sine explain together, beside a constant.

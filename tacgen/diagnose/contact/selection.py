@@ -17,12 +17,12 @@ import numpy as np
 
 from tacgen.contact.effects import Effect, all_effects
 from tacgen.contact.effects.base import Parameters
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
 from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
-from tacgen.diagnose.contact.covariates import Covariate
+from tacgen.diagnose.contact.covariates import HOWS, Covariate
 from tacgen.diagnose.contact.localised import best_local, local_effects, local_p_value, parts_of
 from tacgen.diagnose.contact.model import (
     CovariateTerm,
@@ -35,6 +35,7 @@ from tacgen.diagnose.contact.model import (
 )
 from tacgen.diagnose.contact.oscillation import find_oscillations
 
+_N_KINDS = 3  # of candidates: flipped, permuted, and sought ones have their own chances
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
 
 
@@ -294,10 +295,8 @@ class CandidateSets:
         few, n_names = self.data.few_trials, len(set(names))
         families = names if few else [""] * len(names)
         found = self._shuffle_p_values(fit, candidates, families)
-        # Each kind has its own shuffles.
-        n_kinds = len(set(found.of_trials))
-        p_values = found.corrected(1, n_names) if few else found.corrected(n_kinds, n_kinds)
-        return np.maximum(p_values, self._search_p_values(candidates, found.of_trials, n_names))
+        p_values = found.corrected(1, n_names) if few else found.corrected(_N_KINDS, _N_KINDS)
+        return np.maximum(p_values, _search_p_values(candidates))
 
     def _shuffle_p_values(
         self,
@@ -318,14 +317,6 @@ class CandidateSets:
             families,
             parts_of_trials=self.data.few_trials,
         )
-
-    def _search_p_values(
-        self, candidates: Sequence[Candidate], of_trials: BoolArray, n_names: int
-    ) -> FloatArray:
-        """The p (candidates,) of having found a covariate by a search of its own; 0 of others."""
-        search = [c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates]
-        n_searched = np.where(of_trials | (not self.data.few_trials), n_names, 1)
-        return np.minimum(n_searched * search, 1.0)
 
     def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
         """The p of a member, one of ``n_names``, beside the others, and whether it is of trials."""
@@ -361,9 +352,8 @@ class CandidateSets:
         if not fresh:
             return 1.0, False
         found = self._shuffle_p_values(rest, fresh, [""], shuffled)
-        (p_value,) = found.corrected(1 if few else n_names, n_names)
-        (p_search,) = self._search_p_values(fresh, found.of_trials, n_names)
-        return float(max(p_value, p_search)), bool(found.of_trials[0])
+        p_values = found.corrected(1 if few else n_names, n_names)
+        return float(max(*p_values, *_search_p_values(fresh))), bool(found.of_trials[0])
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -631,6 +621,12 @@ class Selection:
                 chosen = replace(chosen, runner_up=name, runner_up_margin=margin, margin_in_se=lead)
             described.append(chosen)
         return tuple(described)
+
+
+def _search_p_values(candidates: Sequence[Candidate]) -> FloatArray:
+    """The p (candidates,) of having found a covariate by any search for one; 0 of others."""
+    found = (c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates)
+    return np.array([min(_N_KINDS * len(HOWS) * p_search, 1.0) for p_search in found])
 
 
 def _worth_a_fit(pool: Pool, share: float) -> list[Candidate]:
