@@ -32,7 +32,6 @@ STRENGTHS = [1.5, 2.0, 3.0]
 REMOVED: dict[str, Any] = {
     "least_share_of_rival": 0.0,
     "parameter_price": 0.0,
-    "few_parameter_price": 0.0,
     "min_gain": 0.0,
     "min_swap_gain": 0.0,
     "clear_alpha": 0.0,

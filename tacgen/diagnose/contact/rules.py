@@ -63,7 +63,6 @@ class SelectionRules:
 
     # Which of two is kept
     parameter_price: float = 0.002  # share by which one parameter more must be better
-    few_parameter_price: float = 0.02  # the same where trials are few
     min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
     correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
     least_share_of_rival: float = 0.02  # of what another explains: less is that one's model error

@@ -125,7 +125,6 @@ class CandidateSets:
         ]
         self._local_effects = local_effects(data, self.effects)
         self._min_gain = rules.few_min_gain if few else rules.min_gain
-        self._parameter_price = rules.few_parameter_price if few else rules.parameter_price
         self._covariates = cand.log_covariates(data)
         rough_k = linear_compliance(data.history.load(data.channel), data.target)
         self.linear = Model(rough_k or 1e-6)
@@ -374,7 +373,7 @@ class CandidateSets:
     def score(self, fitted: FittedSet) -> float:
         """Loss for comparing rivals: a covariate, a part of the log, a parameter has its price."""
         members, rules = fitted.members, self.rules
-        price = self._parameter_price * sum(member.n_parameters for member in members)
+        price = rules.parameter_price * sum(member.n_parameters for member in members)
         price += rules.min_gain * sum(not member.is_effect for member in members)
         price += rules.local_price * sum(member.is_local for member in members)
         return fitted.loss + price * self.total(fitted)
