@@ -12,7 +12,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import HOWS, Covariate, How
 from tacgen.diagnose.contact.model import Fit
-from tacgen.diagnose.contact.scores import floored, score_deviation
+from tacgen.diagnose.contact.scores import score_weights
 
 _MAX_POINTS = 1 << 17
 """Of the search's clock; a session that needs more is searched for slower oscillations only."""
@@ -66,11 +66,12 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
         rows = _products(data, fit, how)
         trials = [one.of_trials(trial) for one in rows]
         searches = [
-            (slow_hz, _shares(trials, of_trials, _direct(at_trials, slow_hz))),
-            (fast_hz, _shares(rows, flips, spectra)),
+            (slow_hz, trials, of_trials, _direct(at_trials, slow_hz)),
+            (fast_hz, rows, flips, spectra),
         ]
         searches = [one for one in searches if one[0].size > 1]
-        for frequencies_hz, shares in searches:
+        for frequencies_hz, parts, signs_of_parts, transform in searches:
+            shares = _shares(parts, signs_of_parts, transform)
             # Of n numbers, a frequency explains a share above x in (1 - x)^((n - 3) / 2) of cases.
             peaks = -np.log1p(-shares.max(axis=1))
             step_hz = frequencies_hz[1] - frequencies_hz[0]
@@ -104,8 +105,7 @@ def _products(data: ChannelData, fit: Fit, how: How) -> list[_Products]:
         column, left = amplitude[:, outputs], residual[:, outputs]
         product, square = (column * left).sum(axis=1), (column**2).sum(axis=1)
         whole = _Products(product, square, 0.0).of_trials(trial)
-        information = floored(whole.square)
-        weight = (information / score_deviation(whole.product, information) ** 2)[trial]
+        weight = score_weights(whole.product, whole.square)[trial]
         total = float(weight @ (left**2).sum(axis=1))
         products.append(_Products(weight * product, weight * square, total))
     return products
@@ -114,8 +114,8 @@ def _products(data: ChannelData, fit: Fit, how: How) -> list[_Products]:
 def _fourier(data: ChannelData, time: FloatArray, first_hz: float) -> tuple[FloatArray, Transform]:
     """Frequencies (K,) from ``first_hz`` on, half a cycle a session apart, and their transform.
 
-    Times are put on a regular clock, so that all frequencies are one Fourier transform. None where
-    the clock is too coarse.
+    Times are put on a regular clock, so that all frequencies are one Fourier transform. There are
+    no frequencies where the clock is too coarse for them.
     """
     shortest_s = data.rules.rows_per_period * data.history.sample_period_s
     session = max(float(time.max()), data.history.sample_period_s)

@@ -46,7 +46,7 @@ class SelectionRules:
 
     # Numbers of the linear algebra
     ridge: float = 1e-8  # of the diagonal: enough for columns that are equal but for noise
-    ridge_at_fit: float = 0.05  # the same around a fit: so much of the data says that it is right
+    ridge_at_fit: float = 0.05  # the same around a fit, where it keeps the fitted parameters
     one_number_a_trial_share: float = 0.97  # of a column that follows the response: permuted
     negative_loss_in_sd: float = 3.0  # of chance: no true set leaves so much less than nothing
 

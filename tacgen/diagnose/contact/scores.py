@@ -298,14 +298,10 @@ class _Test:
         return _shapes_within_trials(self._trial_grams, among, list(columns), self._rules)
 
     def flipped(self, columns: Sequence[int]) -> FloatArray:
-        """By a sign for each unit: of scores as they are, or weighted, whichever says more.
+        """By a sign for each unit: the larger −log p of scores as they are and weighted.
 
-        The weights are information over variance (`score_deviation`) and know no signs. Where
-        effects differ from unit to unit, or are far above the noise, no unit outweighs the others.
-
-        The residual r of a unit with a share H of all that says something of the base has a
-        variance lower by 1 − H; r + H r / 2 has the full one, to first order in H.
-        Source: Bell & McCaffrey 2002, Survey Methodology 28: (1 − H)^(−1/2) r.
+        The weights (`score_weights`) do not depend on signs. Where effects differ from unit to
+        unit, or are far above the noise, no unit outweighs the others.
         """
         base, columns = self._base, list(columns)
         onto = self._onto_base[:, columns]
@@ -314,10 +310,9 @@ class _Test:
         own = own - (onto * (self._with_base[:, :, columns] + beside)).sum(axis=1)
         parts = self._left, self._absorbed
         plain = [part[:, columns] - part[:, base] @ onto for part in parts]
-        weights = np.empty_like(own)
-        for score, information, weight in zip(plain[0].T, own.T, weights.T, strict=True):
-            information = floored(information)
-            weight[:] = information / score_deviation(score, information) ** 2
+        weights = np.stack(
+            [score_weights(*one) for one in zip(plain[0].T, own.T, strict=True)], axis=1
+        )
         again = np.linalg.lstsq(
             self._of_base, (weights[:, None] * beside).sum(axis=0), rcond=1e-10
         )[0]
@@ -328,6 +323,12 @@ class _Test:
         return np.maximum(self._of_signs(*plain), self._of_signs(*weighted))
 
     def _of_signs(self, scores: FloatArray, absorbed: FloatArray) -> FloatArray:
+        """The −log p of scores (U, M), of which the fit of the base ``absorbed`` a part (U, M).
+
+        The residual r of a unit with a share H of all that says something of the base has a
+        variance lower by 1 − H; r + H r / 2 has the full one, to first order in H.
+        Source: Bell & McCaffrey 2002, Survey Methodology 28: (1 − H)^(−1/2) r.
+        """
         scale = np.sqrt((scores**2).sum(axis=0)) + 1e-300
         scores, absorbed = scores / scale, absorbed / scale
         growth = max(1.0, float(((scores + 0.5 * absorbed) ** 2).sum(axis=0).mean()))
@@ -432,6 +433,12 @@ def score_deviation(scores: FloatArray, information: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(variance[np.argmax(likelihood)]))
 
 
+def score_weights(scores: FloatArray, information: FloatArray) -> FloatArray:
+    """Information over variance (T,), by which scores with a part of their own are weighted."""
+    information = _floored(information)
+    return np.asarray(information / score_deviation(scores, information) ** 2)
+
+
 def orthogonal(columns: FloatArray, to: FloatArray) -> FloatArray:
     """``columns`` (T, M) less their share along ``to`` (T, K); 0 where nothing else is in one."""
     across = columns - to @ np.linalg.lstsq(to, columns, rcond=1e-10)[0]
@@ -441,10 +448,10 @@ def orthogonal(columns: FloatArray, to: FloatArray) -> FloatArray:
 
 def trial_information(grams: FloatArray, shape: int) -> FloatArray:
     """Sum of squares of a column in each trial, with a floor for those that hardly have any."""
-    return floored(grams[:, shape, shape])
+    return _floored(grams[:, shape, shape])
 
 
-def floored(information: FloatArray) -> FloatArray:
+def _floored(information: FloatArray) -> FloatArray:
     """``information`` (T,), at least a hundredth of its mean."""
     return np.maximum(information, 0.01 * max(float(information.mean()), 1e-290))
 

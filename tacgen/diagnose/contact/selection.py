@@ -35,7 +35,7 @@ from tacgen.diagnose.contact.model import (
 )
 from tacgen.diagnose.contact.oscillation import find_oscillations
 
-_N_KINDS = 3  # of candidates: flipped, permuted, and sought ones have their own chances
+_N_KINDS = 3  # of tests: by flips, by permutations, and of frequencies that were searched for
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
 
 
@@ -407,8 +407,10 @@ class CandidateSets:
         together = n_names > 1 and len(full.members) > 1
         alpha = self.rules.clear_alpha if together else self.rules.alpha
         p_value, of_trials = self.p_value(full, member, n_names)
-        if p_value > alpha and (of_trials or not self.is_clear(rest, worth, p_value / n_names)):
-            return False
+        if p_value > alpha:
+            uncorrected, _ = self.p_value(full, member)
+            if of_trials or not self.is_clear(rest, worth, uncorrected):
+                return False
         most = max(self.without(full, one).loss for one in full.members) - full.loss
         # A set that hardly determines its parameters may have any cross-validated loss.
         most = min(most, self.fitted((), self.linear).loss - full.loss)
@@ -604,7 +606,7 @@ class Selection:
         for member in final.members:
             rest = sets.without(final, member)
             others = [one for one in sets.pool(rest) if one[0].name not in final.names]
-            # One that promises less than the best may still not be told from the member.
+            # A linearised gain says little here: fitted, another may predict as well as the member.
             rivals = [sets.add(rest, [other]) for other in _worth_a_fit(others, 0.0)]
             rivals.sort(key=lambda rival: rival.loss)
             close = [r.members[-1].name for r in rivals if final.lead_in_se(r) < least_lead]
@@ -623,7 +625,7 @@ class Selection:
 
 
 def _search_p_values(candidates: Sequence[Candidate]) -> FloatArray:
-    """The p (candidates,) of having found a covariate by any search for one; 0 of others."""
+    """The p (candidates,) of an oscillation by chance in any of the searches; 0 of others."""
     found = (c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates)
     return np.array([min(_N_KINDS * len(HOWS) * p_search, 1.0) for p_search in found])
 
