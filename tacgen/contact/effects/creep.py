@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from tacgen.contact.effects import base, kernels
+from tacgen.contact.effects import base
 
 FREE_RECOVERING, FREE_HELD = base.free_amounts("recovering", 6), base.free_amounts("held", 6)
 TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
@@ -33,10 +33,7 @@ def _apply(
     result = load.copy()
     for tau, recovering, with_load in terms:
         if recovering != 0.0:
-            for axis in range(load.shape[1]):
-                values = np.ascontiguousarray(load[:, axis])
-                slow = kernels.low_pass(values, history.time_s, history.starts, tau, True)
-                result[:, axis] += recovering * slow
+            result += recovering * history.low_pass(load, tau)
         if with_load != 0.0:
             grown = -np.expm1(-history.time_since_contact_s(channel) / tau)
             result += with_load * load * grown[:, None]

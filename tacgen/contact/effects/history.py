@@ -1,6 +1,6 @@
 """The load history of a press log, or of one simulated grasp, as the effects see it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, Literal
 
@@ -19,6 +19,9 @@ SHEAR_FORCE = ("force_shear_x_n", "force_shear_y_n")
 CONTACT_SHARE = 0.05
 """Share of the log's span above which a load counts as contact, and by which it must fall to count
 as unloading: above the noise of any usable gauge."""
+
+MOST_KEPT = 64
+"""Results of one operator that are kept: more than the parameters of any effect."""
 
 ROWS_PER_SMOOTHED = 80
 """Rows of a trial for each row of smoothing either way: so few are no peak of a press."""
@@ -44,6 +47,7 @@ class LoadHistory:
         self._sorted: dict[str, FloatArray] = {}
         self._reversals: dict[Channel, tuple[NDArray[np.int64], BoolArray]] = {}
         self._since_contact: dict[Channel, FloatArray] = {}
+        self._kept: dict[str, tuple[FloatArray, dict[float, FloatArray]]] = {}
         trial = arrays["trial"][self.order]
         edges = np.flatnonzero(trial[1:] != trial[:-1]) + 1
         self.starts = np.unique([0, *edges, trial.size]).astype(np.int64)
@@ -124,7 +128,52 @@ class LoadHistory:
 
     def load(self, channel: Channel) -> FloatArray:
         """The force that drives a channel: (N, 1) normal, or (N, 2) shear."""
-        return self.force_shear_n if channel == "shear" else self.force_normal_n[:, None]
+        return self.force_shear_n if channel == "shear" else self._normal_load_n
+
+    @cached_property
+    def _normal_load_n(self) -> FloatArray:
+        return self.force_normal_n[:, None]
+
+    def play(self, load: FloatArray, width_n: float) -> FloatArray:
+        """The play operator of half-width ``width_n`` on every axis of ``load`` (N, C)."""
+        return self._of_axes(
+            "play", load, width_n, lambda axis: kernels.play(axis, self.starts, width_n)
+        )
+
+    def low_pass(self, load: FloatArray, tau_s: float) -> FloatArray:
+        """``load`` (N, C) through a low-pass of time constant ``tau_s`` that starts at rest."""
+        return self._of_axes(
+            "low_pass",
+            load,
+            tau_s,
+            lambda axis: kernels.low_pass(axis, self.time_s, self.starts, tau_s, True),
+        )
+
+    def dahl(self, load: FloatArray, width_n: float) -> FloatArray:
+        """Dahl's friction of that width on every axis of a lightly smoothed ``load`` (N, C)."""
+        smooth = self._of_axes("smooth", load, 0.0, self.smooth)
+        return self._of_axes(
+            "dahl", smooth, width_n, lambda axis: kernels.dahl(axis, self.starts, width_n)
+        )
+
+    def _of_axes(
+        self,
+        name: str,
+        load: FloatArray,
+        number: float,
+        kernel: Callable[[FloatArray], FloatArray],
+    ) -> FloatArray:
+        """``kernel`` of every axis of ``load``, kept until another load comes.
+
+        A fit changes one number of a model at a time, and most leave the load as it is.
+        """
+        last, kept = self._kept.get(name, (None, {}))
+        if last is not load or len(kept) >= MOST_KEPT:
+            kept = {}
+            self._kept[name] = load, kept
+        if number not in kept:
+            kept[number] = np.stack([kernel(np.ascontiguousarray(a)) for a in load.T], axis=1)
+        return kept[number]
 
     def span_n(self, channel: Channel) -> float:
         """A high quantile of the force that drives a channel."""

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from tacgen.contact.effects import base, kernels
+from tacgen.contact.effects import base
 
 SPREAD = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Widths of the Prandtl-Ishlinskii operator's plays, as shares of its largest."""
@@ -34,41 +34,43 @@ def _apply(
     """
     peak_row, unloading = history.reversal(channel)
     peak = load[peak_row]
-    below = _below(load, peak)
-    result = load + p["residual"] * (peak - load) * below
-    back = unloading[:, None] * load
+    result = load.copy()
+    if p["residual"] != 0.0:
+        result += p["residual"] * (peak - load) * _below(load, peak)
     if p["loop"] != 0.0:
-        size = np.linalg.norm(peak, axis=1) + 1e-9
-        share = np.clip(np.linalg.norm(load, axis=1) / size, 0.0, 1.0)
-        result = result + p["loop"] * back * (1.0 - share)[:, None]
+        share = np.clip(_size(load) / (_size(peak) + 1e-9), 0.0, 1.0)
+        result += (p["loop"] * unloading * (1.0 - share))[:, None] * load
     if p["jump"] != 0.0:
-        result = result + p["jump"] * back
+        result += (p["jump"] * unloading)[:, None] * load
     if any(p[one.name] != 0.0 for one in FREE):
         for curve, top in (KEPT, peak), (RETURN, load[history.peak_since_contact(channel)]):
-            gone = 1.0 - (load * top).sum(axis=1) / ((top**2).sum(axis=1) + 1e-18)
-            result = result + curve(gone, p)[:, None] * top * _below(load, top)
-    for axis in range(load.shape[1]):
-        values = np.ascontiguousarray(load[:, axis])
-        for width_n, size in (
-            (p["width_n"], p["play"]),
-            *((one * p["width_n"], p["spread"] / len(SPREAD)) for one in SPREAD),
-            *((w * p["span_n"], p[one.name]) for w, one in zip(PLAY_WIDTHS, PLAYS, strict=True)),
-        ):
-            if size != 0.0:
-                lagging = kernels.play(values, history.starts, width_n)
-                result[:, axis] += size * (values - lagging)
-        if p["friction"] != 0.0:
-            smooth = history.smooth(values)
-            rubbing = kernels.dahl(smooth, history.starts, p["width_n"])
-            result[:, axis] += p["friction"] * rubbing
+            gone = 1.0 - _dot(load, top) / (_dot(top, top) + 1e-18)
+            result += curve(gone, p)[:, None] * top * _below(load, top)
+    for width_n, size in (
+        (p["width_n"], p["play"]),
+        *((one * p["width_n"], p["spread"] / len(SPREAD)) for one in SPREAD),
+        *((w * p["span_n"], p[one.name]) for w, one in zip(PLAY_WIDTHS, PLAYS, strict=True)),
+    ):
+        if size != 0.0:
+            result += size * (load - history.play(load, width_n))
+    if p["friction"] != 0.0:
+        result += p["friction"] * history.dahl(load, p["width_n"])
     return result
 
 
+def _dot(a: base.FloatArray, b: base.FloatArray) -> base.FloatArray:
+    """Scalar products (N,) of vectors (N, C): several times as fast as a sum along short rows."""
+    return np.asarray(np.einsum("nc,nc->n", a, b))
+
+
+def _size(vectors: base.FloatArray) -> base.FloatArray:
+    return np.asarray(np.sqrt(_dot(vectors, vectors)))
+
+
 def _below(load: base.FloatArray, peak: base.FloatArray) -> base.FloatArray:
-    """0 at the peak, where noise alone separates the two, rising to 1 a little below it."""
-    size = np.linalg.norm(peak, axis=1, keepdims=True) + 1e-9
-    gap = np.linalg.norm(peak - load, axis=1, keepdims=True) / size
-    return np.asarray(np.clip(gap / 0.05, 0.0, 1.0))
+    """0 (N, 1) at the peak, where noise alone separates the two, to 1 a little below it."""
+    gap = _size(peak - load) / (_size(peak) + 1e-9)
+    return np.clip(gap / 0.05, 0.0, 1.0)[:, None]
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:

@@ -121,6 +121,12 @@ class ChannelData:
         deviation = self.noise_loss / np.sqrt(self.pairs.shape[1] * self.n_outputs)
         return -self.rules.negative_loss_in_sd * float(deviation)
 
+    @property
+    def is_loaded(self) -> bool:
+        """Whether there is more load than noise of the force: else no compliance can be fitted."""
+        a, b, _ = self.halves(self.reduce(self.history.load(self.channel)))
+        return bool(2.0 * (a @ b) > 0.5 * (a @ a + b @ b))
+
     def reduce(self, values: FloatArray) -> FloatArray:
         """``values`` (N, C) times the root of their weight, as (N·C,)."""
         return (values * np.sqrt(self.weight)[:, None]).ravel()

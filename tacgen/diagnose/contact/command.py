@@ -72,9 +72,14 @@ def diagnose(
             usable, note = _usable_columns(columns, channel, rules)
             if note:
                 notes.append(note)
-            if usable is not None:
-                channels[channel] = _Channel(usable, channel, session_clock, rules).diagnosis()
+            if usable is None:
+                continue
+            own = _Channel(usable, channel, session_clock, rules)
+            if own.every.thinned().is_loaded:
+                channels[channel] = own.diagnosis()
                 notes += result.channel_notes(channels[channel])
+            else:
+                notes.append(f"{channel} channel: not diagnosed, its force is mostly noise")
     if "normal" not in channels:
         raise PressError.from_problems(notes)
     law, notes_once = _law_of(channels), tuple(dict.fromkeys(notes))
@@ -92,16 +97,19 @@ class _Channel:
         self._rng = np.random.default_rng(SEED)
         square = sum(np.asarray(columns[name], np.float64) ** 2 for name in TARGETS[channel])
         self._rms = float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
+        self.every = self._samples(columns)
 
     def diagnosis(self) -> result.ChannelDiagnosis:
-        rules, rng = self._rules, self._rng
-        n_trials = np.unique(self._columns["trial"]).size
-        every, gp = self._samples(self._columns), float("nan")
+        rules, rng, every = self._rules, self._rng, self.every
+        n_trials, gp = every.history.n_trials, float("nan")
         attribution = self._selection(every).run()
         scored = attribution.named.effect_names
-        if n_trials >= rules.min_trials_to_split:
+        is_split = n_trials >= rules.min_trials_to_split
+        if is_split:
             chosen = heldout.test_trials(self._columns, rng, rules)
             fitted, test = self._split(np.isin(self._columns["trial"], chosen))
+            is_split = fitted.thinned().is_loaded
+        if is_split:
             without = self._selection(fitted).choose()
             before, after = self._test_errors(fitted, test, without)
             gp = self._gp_rmse(fitted, test, without.base.fit.model)
@@ -176,6 +184,8 @@ class _Channel:
         before, after, names = [], [], []
         for trial in np.unique(self._columns["trial"]):
             fitted, test = self._split(np.asarray(self._columns["trial"]) == trial)
+            if not fitted.thinned().is_loaded:
+                continue  # nothing is left that could predict this trial
             without = self._selection(fitted).choose()
             one, other = self._test_errors(fitted, test, without)
             before.append(one)

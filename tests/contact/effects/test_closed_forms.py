@@ -5,6 +5,7 @@ import pytest
 
 from tacgen.contact.effects import LoadHistory, find_effect
 from tacgen.contact.effects.base import power_shape
+from tacgen.contact.effects.kernels import delayed
 from tacgen.contact.law import respond
 
 
@@ -99,6 +100,32 @@ def test_latency_shifts_a_ramp_by_its_delay():
     np.testing.assert_allclose(late[5:], 6.0 * (time[5:] - 0.25), rtol=1e-9)
     early = volume(history_of(3.0 * time, time), "latency", delay_s=-0.25)[:, 0]
     np.testing.assert_allclose(early[:-5], 6.0 * (time[:-5] + 0.25), rtol=1e-9)
+
+
+def test_a_delay_interpolates_each_trial_by_itself_and_holds_its_ends():
+    rng = np.random.default_rng(5)
+    counts = [1, 7, 40, 12]
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    # Two decimals: some samples of a trial have the same time, as coarse clocks give.
+    times = [np.sort(np.round(rng.uniform(0.0, 0.5, count), 2)) for count in counts]
+    values = [rng.normal(size=count) for count in counts]
+    for delay_s in (-0.2, -0.01, 0.0, 0.004, 0.03, 2.0):
+        found = delayed(np.concatenate(values), np.concatenate(times), starts, delay_s)
+        wanted = [np.interp(t - delay_s, t, v) for t, v in zip(times, values, strict=True)]
+        np.testing.assert_allclose(found, np.concatenate(wanted), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("operator", ["play", "low_pass", "dahl"])
+def test_what_is_kept_of_a_load_is_not_taken_for_another(operator):
+    rng = np.random.default_rng(6)
+    one, other = np.cumsum(rng.normal(size=(2, 50, 1)), axis=1)
+    history = history_of(np.ones(50))
+    kept = getattr(history, operator)
+    first, again = kept(one, 0.5), kept(one, 0.5)
+    assert again is first
+    for load, number in ((other, 0.5), (one, 0.7), (one.copy(), 0.5)):
+        fresh = getattr(history_of(np.ones(50)), operator)(load, number)
+        np.testing.assert_array_equal(kept(load, number), fresh)
 
 
 def test_smoothed_samples_of_a_step_approach_it_by_a_geometric_series():

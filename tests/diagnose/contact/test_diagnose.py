@@ -199,6 +199,39 @@ def test_forces_of_the_wrong_sign_are_said_and_not_fitted():
     assert any("shear channel: not diagnosed" in note for note in diagnosis.notes)
 
 
+def unloaded(columns, trials, seed):
+    """``columns`` with nothing but noise in the shear channel of some trials."""
+    rng, gone = np.random.default_rng(seed), np.isin(columns["trial"], trials)
+    columns = dict(columns)
+    for name in ("force_shear_x_n", "force_shear_y_n", "shear_x_mm", "shear_y_mm"):
+        noise = 1e-4 * rng.normal(size=gone.size)
+        columns[name] = np.where(gone, noise, columns[name])
+    return columns
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("seed", range(4))
+def test_a_trial_without_load_cannot_tell_the_law_of_another(seed):
+    columns, noise = case([], n_trials=10, n_samples=40)
+    two = {name: values[columns["trial"] < 2] for name, values in columns.items()}
+    diagnosis = diagnose(unloaded(two, [1], seed))
+    # Trial 0 has all the load: only trial 1 can be held out, and of it nothing is left but noise.
+    found = diagnosis.channels["shear"]
+    assert found.verdict == "sufficient"
+    assert found.after.squares.size == 1
+    assert found.after.rmse < 2 * noise["shear"]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_force_that_is_all_noise_has_no_law():
+    columns, _ = case([], n_trials=10, n_samples=40)
+    found = [diagnose(unloaded(columns, np.arange(10), seed)) for seed in range(4)]
+    said = [note for one in found for note in one.notes if note.startswith("shear channel: not")]
+    assert all(list(one.channels) == ["normal"] for one in found)
+    assert len(said) == 4
+    assert any(note.endswith("its force is mostly noise") for note in said)
+
+
 @pytest.mark.slow
 def test_a_p_value_is_no_less_than_so_few_trials_allow():
     columns, _ = case([("normal", "latency", 0)], strength=3.0)
