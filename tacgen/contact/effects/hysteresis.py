@@ -73,6 +73,20 @@ def _below(load: base.FloatArray, peak: base.FloatArray) -> base.FloatArray:
     return np.clip(gap / 0.05, 0.0, 1.0)[:, None]
 
 
+def _more_on_the_way_back(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+    """A passive gel gives back no more work than it took: its deformation follows the load.
+
+    One that is ahead of the load is read at another time: a latency.
+    Source: Krasnosel'skii & Pokrovskii 1989, Systems with Hysteresis: loops that dissipate.
+    """
+    return 0.0, np.inf
+
+
+def _less_on_the_way_in(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+    """The same of what is taken from the way in."""
+    return -np.inf, 0.0
+
+
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     widths = {
         ("play", "play of {:g} of the load"): (0.05, 0.2),
@@ -101,12 +115,12 @@ def _register(channel: base.Channel) -> None:
             stage="memory",
             about="the way back differs from the way in",
             parameters=(
-                base.amount("residual", -1.0, 3.0),
-                base.amount("loop", -1.0, 3.0),
-                base.amount("jump", -1.0, 3.0),
-                base.amount("play", -3.0, 3.0),
-                base.amount("spread", -3.0, 3.0),
-                base.amount("friction", -3.0, 3.0),
+                base.amount("residual", -1.0, 3.0, bounds=_more_on_the_way_back),
+                base.amount("loop", -1.0, 3.0, bounds=_more_on_the_way_back),
+                base.amount("jump", -1.0, 3.0, bounds=_more_on_the_way_back),
+                base.amount("play", -3.0, 3.0, bounds=_less_on_the_way_in),
+                base.amount("spread", -3.0, 3.0, bounds=_less_on_the_way_in),
+                base.amount("friction", -3.0, 3.0, bounds=_less_on_the_way_in),
                 *PLAYS,
                 *FREE,
                 base.shape("width_n", 1e-4, 1e3, 1.0, "N", base.share_of("span_n", 0.01, 1.2)),

@@ -328,11 +328,23 @@ class CandidateSets:
     def _p_value(self, full: FittedSet, member: Candidate, n_names: int) -> tuple[float, bool]:
         """As `p_value` gives it, worked out.
 
-        The others are as they are beside it: refitted without it, they would bend towards it.
+        The others are as they are beside it, since refitted without it they would bend towards
+        it; or refitted, where to be linear they would have to bend too far.
+        """
+        rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
+        found = self._p_beside(rest, full, member, n_names)
+        if found[0] <= self.rules.alpha:
+            return found
+        return min(found, self._p_beside(self.without(full, member).fit, full, member, n_names))
+
+    def _p_beside(
+        self, rest: Fit, full: FittedSet, member: Candidate, n_names: int
+    ) -> tuple[float, bool]:
+        """The p of ``member`` beside ``rest``, one of ``n_names``, and whether it is of trials.
+
         Parts of trials count as one for as long as what the whole set leaves goes on. Where trials
         are few, only what is of trials is corrected for the choice.
         """
-        rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
         shuffled = self._shuffled
         if member.effect is not None and member.is_local:
             p_local = local_p_value(
@@ -467,10 +479,14 @@ class Selection:
             if p <= rules.alpha
         }
         found = [one for one in pool if one[0].name in significant]
-        best = _worth_a_fit(found, rules.fitted_share)
-        singles = [sets.add(current, [candidate]) for candidate in best]
-        singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
-        best_single = min(singles, key=sets.score, default=None)
+        best_single = None
+        while best_single is None and (best := _worth_a_fit(found, rules.fitted_share)):
+            singles = [sets.add(current, [candidate]) for candidate in best]
+            singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
+            best_single = min(singles, key=sets.score, default=None)
+            # What a bound forbids may promise most when it is linear, and hide the others.
+            tried = {(candidate.name, candidate.form) for candidate in best}
+            found = [one for one in found if (one[0].name, one[0].form) not in tried]
         for pair in sorted(pairs, key=sets.score):
             added = pair.members[len(current.members) :]
             if sets.is_worth(best_single or current, pair) and all(

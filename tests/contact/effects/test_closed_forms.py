@@ -128,6 +128,29 @@ def test_what_is_kept_of_a_load_is_not_taken_for_another(operator):
         np.testing.assert_array_equal(kept(load, number), fresh)
 
 
+@pytest.mark.parametrize("channel", ["normal", "shear"])
+def test_a_hysteresis_within_its_bounds_takes_work_from_every_cycle(channel):
+    """∮ F dV is above 0 where the deformation follows the load, and below where it is ahead."""
+    one = np.linspace(0.0, 6.0, 200)
+    force_n = np.concatenate([one, one[::-1]])
+    more = {"force_shear_x_n": force_n, "force_shear_y_n": 0 * force_n}
+    history = history_of(force_n, **(more if channel == "shear" else {}))
+    effect = find_effect(channel, "hysteresis")
+    references = effect.references(history)
+    seen = set()
+    for form in effect.variants(history, references):
+        for name in (name for probe in form.probes for name in probe):
+            parameter, values = effect.parameter(name), effect.complete(references | form.shapes)
+            low, high = parameter.bounds_on(history, values)
+            assert low == 0.0 or high == 0.0
+            for size in (0.2, -0.2):
+                response = volume(history, "hysteresis", channel, **{**values, name: size})[:, 0]
+                work = 0.5 * (force_n[1:] + force_n[:-1]) @ np.diff(response)
+                assert (work > 0) == (low <= size <= high), (form.label, name, size)
+            seen.add(name)
+    assert seen == {"residual", "loop", "jump", "play", "spread", "friction"}
+
+
 def test_smoothed_samples_of_a_step_approach_it_by_a_geometric_series():
     time = np.cumsum([0.0, 0.1, 0.1, 0.3, 0.05])
     step = volume(history_of([0.0, 5.0, 5.0, 5.0, 5.0], time), "latency", smoothing_s=0.2)[:, 0]

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from tacgen.diagnose.contact.channel import ChannelSamples
+from tacgen.diagnose.contact.command import diagnose
 from tacgen.diagnose.contact.model import as_it_is
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
 from tacgen.diagnose.contact.selection import Selection, _worth_a_fit
 from tests.diagnose.contact.test_free_forms import K_N, N_TRIALS, presses, prony
+from validation.blind.evaluate import split
+from validation.blind.generator import draw_case
 
 
 def selection_of_creep_and_offset(**rules):
@@ -205,3 +208,39 @@ def test_causes_that_hide_each_other_in_few_trials_are_found_together(monkeypatc
     assert names() == {"temperature", "position", "geometry"}
     monkeypatch.setattr(Selection, "_deeper", lambda *_: None)
     assert not names()
+
+
+def test_a_form_that_promises_most_and_then_fails_hides_no_weaker_one(monkeypatch):
+    """A lead promises, when it is linear, what creep with an amount below 0 would do."""
+    selection = selection_of_creep_and_offset(max_members=1)
+    sets = selection.sets
+    base = sets.fitted((), sets.linear)
+    creep = next(one for one, _ in sets.pool(base) if one.name == "creep")
+    other = next(one for one, _ in sets.pool(base) if one.name == "zero_offset")
+    monkeypatch.setattr(sets, "is_needed", lambda full, member, n=1: member.name == "zero_offset")
+    pool = [(creep, 1.0), (other, 0.3 * selection.rules.fitted_share)]
+    extended = selection._extended(base, pool, [], np.zeros(2))
+    assert [one.label for one in extended.members] == [other.label]
+    assert selection._extended(base, [(creep, -1.0)], [], np.zeros(1)) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "wanted"),
+    [
+        # Creep and a lag promise most where the volume is ahead of the force, and cannot be fitted.
+        (11253007, {"stiffening": 2.0, "latency": 2.0, "temperature": 1.0}),
+        # The same, and plays fit the lead better than itself while noise blurs the force.
+        (11253058, {"position": 2.0, "latency": 1.0, "geometry": 1.0}),
+        # Without the temperature the limit of a saturation that is sharp would be far away.
+        (11211036, {"temperature": 1.0, "saturation": 1.0}),
+    ],
+)
+def test_blind_logs_whose_causes_hid_each_other(seed, wanted):
+    case = draw_case(seed, normal=list(wanted.items()))
+    given, _ = split(case.frame, seed)
+    named = ["trial", "time_s", "force_normal_n", "volume_mm3", "indenter", "radius_mm"]
+    named += ["x_mm", "y_mm", "temperature_c"]
+    columns = {name: given[name].to_numpy() for name in named if name in given}
+    found = diagnose(columns).channels["normal"]
+    assert set(found.effect_names) == set(wanted)
