@@ -35,6 +35,8 @@ from tacgen.core.yaml_source import read_yaml, validate
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
+PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
+"""Of the response and of the compliance."""
 USUAL_K_S_MM_PER_N = 1.0
 """Assumed: summed marker motion a newton; a press log with shear gives a sensor's own."""
 

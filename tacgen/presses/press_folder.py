@@ -271,18 +271,18 @@ def _read_list(
     path: Path, required: tuple[str, ...], ball_radius_mm: float | None, problems: list[str]
 ) -> pd.DataFrame:
     """``presses.csv`` with every column; its first press is in row 2 of the file."""
-    frame = read_table(path)
+    table = read_table(path)
     if ball_radius_mm is not None:
-        frame["radius_mm"] = str(ball_radius_mm)
-    problems += column_problems(frame, path, required)
-    numbers, cells = numeric_columns(frame, path, NUMBERS)
+        table["radius_mm"] = [str(ball_radius_mm)] * len(next(iter(table.values())))
+    problems += column_problems(table, path, required)
+    numbers, cells = numeric_columns(table, path, NUMBERS)
+    frame = pd.DataFrame(table, dtype=str)
     problems += cells
     if "trial" in numbers:
         problems += trial_number_problems(numbers["trial"], path)
     if "radius_mm" in numbers:
         problems += _radius_problems(numbers["radius_mm"], frame, path, "radius_mm" in required)
     if "file" in frame:
-        frame["file"] = frame["file"].str.strip()
         problems += _file_problems(frame["file"], path)
     return frame.assign(**numbers)
 

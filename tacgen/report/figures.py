@@ -1,13 +1,15 @@
 """Figures that several pages share: fits, residuals, intervals, rankings, outcomes, scores."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd  # slow to import, and most pages do without it
 
 Array: TypeAlias = NDArray[Any]
 
@@ -258,7 +260,7 @@ def training_curves(metrics: Sequence[Mapping[str, Any]], best_epoch: int) -> Fi
     return figure
 
 
-def reliability_diagram(bins: pd.DataFrame) -> Figure:
+def reliability_diagram(bins: "pd.DataFrame") -> Figure:
     """Probability that was ``predicted`` against the share that ``succeeded``, of each bin.
 
     A bin runs from ``lo`` to ``hi`` and holds ``n`` grasps.

@@ -117,13 +117,32 @@ def test_cells_that_are_not_numbers_are_named_by_row(tmp_path):
         ("trial;time_s;force_normal_n;volume_mm3\n1;0;1;5\n", "separated by ';'"),
         ("trial,trial,time_s\n1,1,0\n", "appear twice: trial"),
         ("trial,time_s,force_normal_n,volume_mm3\n1.5,0,1,5\n,0,1,5\n", "row 3: trial is empty"),
+        ("trial,time_s,force_normal_n,volume_mm3\n1,0,1,5,6\n", "line 2 has 5 cells, the header 4"),
+        ("trial,time_s,force_normal_n,volume_mm3\n1,0,1_0,5\n", "force_normal_n = '1_0' is not a"),
+        ("trial,time_s,force_normal_n,volume_mm3\n1,0,١,5\n", "force_normal_n = '١' is not a"),
+        ('trial,time_s,force_normal_n,volume_mm3\n1,0,"1,5\n', "not comma-separated text"),
     ],
 )
 def test_files_that_are_no_log(tmp_path, text, words):
     path = tmp_path / "log.csv"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(PressError, match=words.replace("(", r"\(")):
         read_press_log(path)
+
+
+def test_marks_spaces_and_quotes_change_no_cell(tmp_path):
+    """As spreadsheets and other programs write the same table."""
+    frame = log_frame()
+    plain = read_press_log(write(frame, tmp_path))
+    header, *rows = frame.to_csv(index=False).splitlines()
+    lines = ["\ufeff" + header.replace(",", " , ")]
+    lines += [",".join(f'" {cell} "' for cell in row.split(",")) for row in rows]
+    path = tmp_path / "other.csv"
+    path.write_bytes("\r\n".join(lines).encode())
+    other = read_press_log(path)
+    assert list(other.columns) == list(plain.columns)
+    for name in plain.columns:
+        np.testing.assert_array_equal(other[name], plain[name])
 
 
 def test_a_missing_file(tmp_path):

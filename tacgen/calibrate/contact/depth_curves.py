@@ -132,12 +132,12 @@ def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
 
     Raises ``PressError`` listing what is missing, not a number, or too short.
     """
-    frame = read_table(path)
-    label = "curve" if "curve" in frame.columns else "trial"
-    problems = column_problems(frame, path, ("force_normal_n", "depth_mm"))
+    table = read_table(path)
+    problems = column_problems(table, path, ("force_normal_n", "depth_mm"))
     PressError.raise_if(problems)
-    numbers, problems = numeric_columns(frame, path, ("force_normal_n", "depth_mm"))
-    names = frame[label].astype(str) if label in frame.columns else np.full(len(frame), "curve")
+    numbers, problems = numeric_columns(table, path, ("force_normal_n", "depth_mm"))
+    one_curve = ["curve"] * len(table["depth_mm"])
+    names = np.array(table.get("curve", table.get("trial", one_curve)))
     curves = []
     for name in dict.fromkeys(names):
         rows = np.flatnonzero(names == name)

@@ -13,7 +13,7 @@ from scipy.special import fdtrc
 from tacgen.calibrate.contact.contact_point import ContactPoint, free_contact_points
 from tacgen.calibrate.contact.identifiability import limits_of
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
-from tacgen.contact.law import ContactLaw
+from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
@@ -35,9 +35,6 @@ BLOCKS_OF_A_TRIAL = 8
 SYMBOLS = {"normal": "k_n", "shear": "k_s"}
 AGREEMENT_LEVEL = 0.05  # Welch's p below which groups are said to differ
 MAX_GROUPS_SHOWN = 12  # groups that a terminal's text lists; the page has all
-
-PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
-"""Of the response and of the compliance."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tacgen.calibrate.contact.law_fit import PLAIN_UNITS
 from tacgen.contact.effects import CHANNELS, Channel
-from tacgen.contact.law import ContactLaw, FittedEffect, save_law
+from tacgen.contact.law import PLAIN_UNITS, ContactLaw, FittedEffect, save_law
 from tacgen.core.arrays import BoolArray
 from tacgen.core.errors import PressError
 from tacgen.core.files import write_text

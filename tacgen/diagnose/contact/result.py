@@ -8,9 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tacgen.calibrate.contact.law_fit import PLAIN_UNITS
 from tacgen.contact.effects import Where, separating_measurement
-from tacgen.contact.law import ContactLaw
+from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.diagnose.contact.candidates import follows_load, known_columns
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.covariates import max_levels
