@@ -9,7 +9,7 @@ compete on the same terms, so that they are not taken for an effect.
 ``CandidateSets`` fits sets of candidates and tests their members; ``Selection`` searches.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -34,6 +34,7 @@ from tacgen.diagnose.contact.model import (
     start_term,
 )
 from tacgen.diagnose.contact.oscillation import find_oscillations
+from tacgen.diagnose.contact.rules import SelectionRules
 
 _N_KINDS = 3  # of tests: by flips, by permutations, and of frequencies that were searched for
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
@@ -478,15 +479,12 @@ class Selection:
             for (candidate, _), p in zip(pool, p_values, strict=True)
             if p <= rules.alpha
         }
-        found = [one for one in pool if one[0].name in significant]
         best_single = None
-        while best_single is None and (best := _worth_a_fit(found, rules.fitted_share)):
+        for best in _in_turn([one for one in pool if one[0].name in significant], rules):
             singles = [sets.add(current, [candidate]) for candidate in best]
             singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
-            best_single = min(singles, key=sets.score, default=None)
-            # What a bound forbids may promise most when it is linear, and hide the others.
-            tried = {(candidate.name, candidate.form) for candidate in best}
-            found = [one for one in found if (one[0].name, one[0].form) not in tried]
+            if best_single := min(singles, key=sets.score, default=None):
+                break
         for pair in sorted(pairs, key=sets.score):
             added = pair.members[len(current.members) :]
             if sets.is_worth(best_single or current, pair) and all(
@@ -522,10 +520,15 @@ class Selection:
         """``current`` with ever more members, those that make the score best, untested."""
         sets, rules, path = self.sets, self.rules, list[FittedSet]()
         while len(current.members) < rules.max_members:
-            best = _worth_a_fit(pool, rules.fitted_share)
-            tried = [sets.add(current, [candidate]) for candidate in best] + pairs
+            most = sets.score(current) - rules.min_gain * sets.total(current)
+            promising = [one for one in pool if one[1] > rules.min_gain * sets.total(current)]
+            tried = list(pairs)
+            for best in _in_turn(promising, rules):
+                tried += [sets.add(current, [candidate]) for candidate in best]
+                if min(map(sets.score, tried)) <= most:
+                    break
             larger = min(tried, key=sets.score, default=current)
-            if sets.score(larger) > sets.score(current) - rules.min_gain * sets.total(current):
+            if sets.score(larger) > most:
                 break
             path.append(current := larger)
             pool = sets.pool(current)
@@ -644,6 +647,17 @@ def _search_p_values(candidates: Sequence[Candidate]) -> FloatArray:
     """The p (candidates,) of an oscillation by chance in any of the searches; 0 of others."""
     found = (c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates)
     return np.array([min(_N_KINDS * len(HOWS) * p_search, 1.0) for p_search in found])
+
+
+def _in_turn(pool: Pool, rules: SelectionRules) -> Iterator[list[Candidate]]:
+    """What is worth a fit, then what is of the rest, and so on.
+
+    A form that promises most may fail when it is fitted: linear, it knows no bounds.
+    """
+    while best := _worth_a_fit(pool, rules.fitted_share):
+        yield best
+        tried = {(candidate.name, candidate.form) for candidate in best}
+        pool = [one for one in pool if (one[0].name, one[0].form) not in tried]
 
 
 def _worth_a_fit(pool: Pool, share: float) -> list[Candidate]:

@@ -218,10 +218,16 @@ def test_a_form_that_promises_most_and_then_fails_hides_no_weaker_one(monkeypatc
     creep = next(one for one, _ in sets.pool(base) if one.name == "creep")
     other = next(one for one, _ in sets.pool(base) if one.name == "zero_offset")
     monkeypatch.setattr(sets, "is_needed", lambda full, member, n=1: member.name == "zero_offset")
-    pool = [(creep, 1.0), (other, 0.3 * selection.rules.fitted_share)]
+    most = sets.total(base)
+    pool = [(creep, most), (other, 0.3 * most * selection.rules.fitted_share)]
     extended = selection._extended(base, pool, [], np.zeros(2))
     assert [one.label for one in extended.members] == [other.label]
     assert selection._extended(base, [(creep, -1.0)], [], np.zeros(1)) is None
+    # Neither does it where the search goes by the score alone.
+    score = sets.score
+    fails = sets.add(base, [creep]).members
+    monkeypatch.setattr(sets, "score", lambda one: score(one) + 9 * most * (one.members == fails))
+    assert [one.label for one in selection._grown(base, pool, [])[0].members] == [other.label]
 
 
 @pytest.mark.slow
