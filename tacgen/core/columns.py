@@ -82,6 +82,8 @@ def csv_problem(error: Exception) -> str:
         return f"byte {error.start} is not UTF-8 text; save it as comma-separated UTF-8 text"
     if isinstance(error, OSError):
         return f"{error.strerror or error}; check the path and its permissions"
+    if "quote that is not closed" in str(error):
+        return f"there is {error}; close or delete it"
     if "No columns to parse" in str(error):
         return "it is empty; write a header and one row each below it"
     return "it is not comma-separated text; save it as comma-separated UTF-8 text"

@@ -202,17 +202,21 @@ def _is_parquet(path: Path) -> bool:
 def _csv(path: Path) -> tuple[list[str], list[Cells]]:
     """Header and columns; cells that a row lacks are empty."""
     text = path.read_text(encoding="utf-8").lstrip("\ufeff")  # the mark that spreadsheets write
-    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows = csv.reader(io.StringIO(text, newline=""))
     header = next(rows, [])
     if not header:
         msg = "No columns to parse from file"
         raise ValueError(msg)
-    filled = []
+    filled, last = list[list[str]](), ""
     for row in rows:
         if len(row) > len(header):
             msg = f"Expected {len(header)} fields in line {rows.line_num}, saw {len(row)}"
             raise ValueError(msg)
         filled.append([cell.strip() for cell in row] + [""] * (len(header) - len(row)))
+        last = row[-1] if row else ""
+    if "\n" in last and not text.rstrip().endswith('"'):
+        msg = f"a quote that is not closed in the row that begins with {', '.join(filled[-1][:2])}"
+        raise ValueError(msg)
     return header, list(zip(*filled, strict=True))
 
 
@@ -225,17 +229,25 @@ def _parquet(path: Path) -> tuple[list[str], list[Cells]]:
     for k in range(frame.shape[1]):
         values = frame.iloc[:, k]
         if pd.api.types.is_bool_dtype(values):
-            values = values.astype(int)
+            values = values.astype("Int64")
         texts = values.astype(object).where(known.iloc[:, k], "")
-        columns.append([str(value).strip() for value in texts])
+        columns.append([_text(value) for value in texts])
     return [str(name) for name in frame.columns], columns
+
+
+def _text(value: object) -> str:
+    return (value.decode() if isinstance(value, bytes) else str(value)).strip()
 
 
 def column_names(path: Path) -> list[str]:
     """The header of a table; empty where it cannot be read, which ``read_table`` then reports."""
+    path = Path(path)
     try:
-        return list(read_table(path))
-    except PressError:
+        if _is_parquet(path):
+            return list(read_table(path))
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return [name.strip() for name in next(csv.reader(file), [])]
+    except (PressError, OSError, ValueError, csv.Error):
         return []
 
 

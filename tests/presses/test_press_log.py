@@ -120,7 +120,10 @@ def test_cells_that_are_not_numbers_are_named_by_row(tmp_path):
         ("trial,time_s,force_normal_n,volume_mm3\n1,0,1,5,6\n", "line 2 has 5 cells, the header 4"),
         ("trial,time_s,force_normal_n,volume_mm3\n1,0,1_0,5\n", "force_normal_n = '1_0' is not a"),
         ("trial,time_s,force_normal_n,volume_mm3\n1,0,١,5\n", "force_normal_n = '١' is not a"),
-        ('trial,time_s,force_normal_n,volume_mm3\n1,0,"1,5\n', "not comma-separated text"),
+        (
+            'trial,time_s,force_normal_n,volume_mm3\n1,0,"1,5\n2,0,1,5\n',
+            "a quote that is not closed in the row that begins with 1, 0; close or delete it",
+        ),
     ],
 )
 def test_files_that_are_no_log(tmp_path, text, words):

@@ -20,8 +20,8 @@ CONTACT_SHARE = 0.05
 """Share of the log's span above which a load counts as contact, and by which it must fall to count
 as unloading: above the noise of any usable gauge."""
 
-MOST_KEPT = 64
-"""Results of one operator that are kept: more than the parameters of any effect."""
+LEAST_KEPT, NUMBERS_KEPT = 8, 400_000
+"""Results of one operator that are kept at least, and how many numbers in all beyond that."""
 
 ROWS_PER_SMOOTHED = 80
 """Rows of a trial for each row of smoothing either way: so few are no peak of a press."""
@@ -168,11 +168,12 @@ class LoadHistory:
         A fit changes one number of a model at a time, and most leave the load as it is.
         """
         last, kept = self._kept.get(name, (None, {}))
-        if last is not load or len(kept) >= MOST_KEPT:
+        if last is not load or len(kept) >= max(LEAST_KEPT, NUMBERS_KEPT // max(load.size, 1)):
             kept = {}
             self._kept[name] = load, kept
         if number not in kept:
             kept[number] = np.stack([kernel(np.ascontiguousarray(a)) for a in load.T], axis=1)
+            kept[number].setflags(write=False)
         return kept[number]
 
     def span_n(self, channel: Channel) -> float:

@@ -74,7 +74,7 @@ def _below(load: base.FloatArray, peak: base.FloatArray) -> base.FloatArray:
 
 
 def _more_on_the_way_back(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
-    """A passive gel gives back no more work than it took: its deformation follows the load.
+    """A passive gel gives back no more work than it took: its volume follows the load.
 
     One that is ahead of the load is read at another time: a latency.
     Source: Krasnosel'skii & Pokrovskii 1989, Systems with Hysteresis: loops that dissipate.
@@ -108,6 +108,10 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
 
 
 def _register(channel: base.Channel) -> None:
+    # Shear has no latency: there a motion ahead of the force has no other name.
+    is_bounded = channel == "normal"
+    more_on_the_way_back = _more_on_the_way_back if is_bounded else None
+    less_on_the_way_in = _less_on_the_way_in if is_bounded else None
     base.register(
         base.Effect(
             name="hysteresis",
@@ -115,12 +119,12 @@ def _register(channel: base.Channel) -> None:
             stage="memory",
             about="the way back differs from the way in",
             parameters=(
-                base.amount("residual", -1.0, 3.0, bounds=_more_on_the_way_back),
-                base.amount("loop", -1.0, 3.0, bounds=_more_on_the_way_back),
-                base.amount("jump", -1.0, 3.0, bounds=_more_on_the_way_back),
-                base.amount("play", -3.0, 3.0, bounds=_less_on_the_way_in),
-                base.amount("spread", -3.0, 3.0, bounds=_less_on_the_way_in),
-                base.amount("friction", -3.0, 3.0, bounds=_less_on_the_way_in),
+                base.amount("residual", -1.0, 3.0, bounds=more_on_the_way_back),
+                base.amount("loop", -1.0, 3.0, bounds=more_on_the_way_back),
+                base.amount("jump", -1.0, 3.0, bounds=more_on_the_way_back),
+                base.amount("play", -3.0, 3.0, bounds=less_on_the_way_in),
+                base.amount("spread", -3.0, 3.0, bounds=less_on_the_way_in),
+                base.amount("friction", -3.0, 3.0, bounds=less_on_the_way_in),
                 *PLAYS,
                 *FREE,
                 base.shape("width_n", 1e-4, 1e3, 1.0, "N", base.share_of("span_n", 0.01, 1.2)),

@@ -24,6 +24,7 @@ from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
 TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
+_CHANCES = 3.0  # standard deviations that noise seldom reaches
 _MEDIAN_OF_CHI2 = 0.455  # median of a squared standard normal number
 
 
@@ -123,9 +124,14 @@ class ChannelData:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether there is more load than noise of the force: else no compliance can be fitted."""
+        """Whether the load is more than noise of the force: else no compliance can be fitted.
+
+        Products of the halves have one sign where it is; of n of normal noise the sum is 0, give or
+        take π/(2√n) of the sum of their sizes.
+        """
         a, b, _ = self.halves(self.reduce(self.history.load(self.channel)))
-        return bool(2.0 * (a @ b) > 0.5 * (a @ a + b @ b))
+        least = min(0.5, _CHANCES * 0.5 * np.pi / np.sqrt(a.size))
+        return bool(a @ b > least * np.abs(a * b).sum())
 
     def reduce(self, values: FloatArray) -> FloatArray:
         """``values`` (N, C) times the root of their weight, as (N·C,)."""

@@ -27,6 +27,7 @@ from tacgen.diagnose.contact.selection import Attribution, Selection
 from tacgen.presses.press_log import SHEAR_FORCES, Columns, read_press_log
 
 SEED = 20220804  # any; results are repeatable
+MOST_DRAWS = 20  # of test trials, where few trials have load
 
 
 def diagnose_log(
@@ -78,7 +79,9 @@ def diagnose(
                 channels[channel] = own.diagnosis()
                 notes += result.channel_notes(channels[channel])
             else:
-                notes.append(f"{channel} channel: not diagnosed, its force is mostly noise")
+                notes.append(
+                    f"{channel} channel: not diagnosed, its force does not stand out from noise"
+                )
     if "normal" not in channels:
         raise PressError.from_problems(notes)
     law, notes_once = _law_of(channels), tuple(dict.fromkeys(notes))
@@ -103,26 +106,27 @@ class _Channel:
         n_trials, gp = every.history.n_trials, float("nan")
         attribution = self._selection(every).run()
         scored = attribution.named.effect_names
-        is_split = n_trials >= rules.min_trials_to_split
-        if is_split:
-            chosen = heldout.test_trials(self._columns, rng, rules)
-            fitted, test = self._split(np.isin(self._columns["trial"], chosen))
-            is_split = fitted.thinned().is_loaded
-        if is_split:
+        held = self._test_trials() if n_trials >= rules.min_trials_to_split else None
+        one_out = self._leave_one_out() if 2 <= n_trials < rules.min_trials_to_split else None
+        if held is not None:
+            fitted, test = held
             without = self._selection(fitted).choose()
             before, after = self._test_errors(fitted, test, without)
             gp = self._gp_rmse(fitted, test, without.base.fit.model)
             scored = without.named.effect_names
             n_fit, n_test = fitted.history.n_trials, before.squares.size
             how = "a quarter of the trials, spread over the session, all of the choice repeated"
-        elif n_trials >= 2:
-            before, after, by_all = self._leave_one_out()
+        elif one_out is not None:
+            before, after, by_all = one_out
             scored = tuple(name for name in scored if name in by_all)
             n_fit, n_test = n_trials - 1, 1
             how = "each trial in turn, all of the choice repeated"
+            if before.squares.size < n_trials:
+                how += "; not those without which nothing is left but noise"
         else:
             before, after = self._test_errors(every, every, attribution)
-            n_fit, n_test, how = n_trials, 0, "none could be: there is one trial"
+            why = "there is one trial" if n_trials == 1 else "only noise is left without them"
+            n_fit, n_test, how = n_trials, 0, f"none could be: {why}"
         data = every.thinned(rules.refit_rows_per_trial)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
         final = _refitted(data, attribution.final.fit.model)
@@ -178,18 +182,32 @@ class _Channel:
             found.append(heldout.errors(residual[kept], rows.history.trial[kept], self._rms))
         return found[0], found[1]
 
-    def _leave_one_out(self) -> tuple[Errors, Errors, frozenset[str]]:
-        """Errors before and after, and the effects that every choice without one trial has."""
+    def _test_trials(self) -> tuple[ChannelSamples, ChannelSamples] | None:
+        """Samples to fit and of the test trials; None where the load is in so few that none fit."""
+        for _ in range(MOST_DRAWS):
+            chosen = heldout.test_trials(self._columns, self._rng, self._rules)
+            fitted, test = self._split(np.isin(self._columns["trial"], chosen))
+            if fitted.thinned().is_loaded:
+                return fitted, test
+        return None
+
+    def _leave_one_out(self) -> tuple[Errors, Errors, frozenset[str]] | None:
+        """Errors before and after, and the effects that every choice without one trial has.
+
+        A trial without which nothing but noise is left is not held out; None if all are such.
+        """
         before, after, names = [], [], []
         for trial in np.unique(self._columns["trial"]):
             fitted, test = self._split(np.asarray(self._columns["trial"]) == trial)
             if not fitted.thinned().is_loaded:
-                continue  # nothing is left that could predict this trial
+                continue
             without = self._selection(fitted).choose()
             one, other = self._test_errors(fitted, test, without)
             before.append(one)
             after.append(other)
             names.append(frozenset(without.named.effect_names))
+        if not before:
+            return None
         return heldout.pooled(before), heldout.pooled(after), frozenset.intersection(*names)
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:

@@ -276,8 +276,9 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
             "the extended law"
         )
     if found.n_test == 0:
+        trials = "one trial only" if found.n_fit == 1 else "hardly any trial has load"
         notes.append(
-            f"{name} channel: one trial only; the errors are those on the trial that was fitted. "
+            f"{name} channel: {trials}; the errors are those on what was fitted. "
             f"Press at least twice, better {data.rules.min_trials_as_units} times"
         )
     elif found.n_test == 1:

@@ -69,7 +69,7 @@ class SelectionRules:
     confusable_in_se: float = 2.0  # lead below which a rival is reported as confusable
 
     # How much is looked at
-    fitted_share: float = 0.85  # of the best linearised gain: what promises less is not fitted
+    fitted_share: float = 0.85  # of the best linearised gain: what promises less is fitted later
     pair_pool: int = 44  # candidates whose pairs are looked at
     pairs_scored: int = 60  # pairs that are cross-validated
     pairs_fitted: int = 8  # pairs that are fitted

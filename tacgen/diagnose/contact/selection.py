@@ -330,13 +330,15 @@ class CandidateSets:
         """As `p_value` gives it, worked out.
 
         The others are as they are beside it, since refitted without it they would bend towards
-        it; or refitted, where to be linear they would have to bend too far.
+        it; or refitted, where to be linear they would have to bend too far: a second chance, so
+        that its p is doubled.
         """
         rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
         found = self._p_beside(rest, full, member, n_names)
         if found[0] <= self.rules.alpha:
             return found
-        return min(found, self._p_beside(self.without(full, member).fit, full, member, n_names))
+        refitted = self._p_beside(self.without(full, member).fit, full, member, n_names)
+        return min(found, (min(2.0 * refitted[0], 1.0), refitted[1]), key=lambda one: one[0])
 
     def _p_beside(
         self, rest: Fit, full: FittedSet, member: Candidate, n_names: int

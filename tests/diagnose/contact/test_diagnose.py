@@ -199,13 +199,13 @@ def test_forces_of_the_wrong_sign_are_said_and_not_fitted():
     assert any("shear channel: not diagnosed" in note for note in diagnosis.notes)
 
 
-def unloaded(columns, trials, seed):
+def unloaded(columns, noise, trials, seed):
     """``columns`` with nothing but noise in the shear channel of some trials."""
     rng, gone = np.random.default_rng(seed), np.isin(columns["trial"], trials)
     columns = dict(columns)
-    for name in ("force_shear_x_n", "force_shear_y_n", "shear_x_mm", "shear_y_mm"):
-        noise = 1e-4 * rng.normal(size=gone.size)
-        columns[name] = np.where(gone, noise, columns[name])
+    for axis in "xy":
+        for name, size in ((f"force_shear_{axis}_n", 1e-4), (f"shear_{axis}_mm", noise["shear"])):
+            columns[name] = np.where(gone, size * rng.normal(size=gone.size), columns[name])
     return columns
 
 
@@ -214,7 +214,7 @@ def unloaded(columns, trials, seed):
 def test_a_trial_without_load_cannot_tell_the_law_of_another(seed):
     columns, noise = case([], n_trials=10, n_samples=40)
     two = {name: values[columns["trial"] < 2] for name, values in columns.items()}
-    diagnosis = diagnose(unloaded(two, [1], seed))
+    diagnosis = diagnose(unloaded(two, noise, [1], seed))
     # Trial 0 has all the load: only trial 1 can be held out, and of it nothing is left but noise.
     found = diagnosis.channels["shear"]
     assert found.verdict == "sufficient"
@@ -224,12 +224,42 @@ def test_a_trial_without_load_cannot_tell_the_law_of_another(seed):
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_a_force_that_is_all_noise_has_no_law():
-    columns, _ = case([], n_trials=10, n_samples=40)
-    found = [diagnose(unloaded(columns, np.arange(10), seed)) for seed in range(4)]
+    columns, noise = case([], n_trials=10, n_samples=40)
+    found = [diagnose(unloaded(columns, noise, np.arange(10), seed)) for seed in range(4)]
     said = [note for one in found for note in one.notes if note.startswith("shear channel: not")]
     assert all(list(one.channels) == ["normal"] for one in found)
     assert len(said) == 4
-    assert any(note.endswith("its force is mostly noise") for note in said)
+    assert any(note.endswith("its force does not stand out from noise") for note in said)
+
+
+def test_a_force_that_turns_within_a_few_samples_is_no_noise():
+    """Rows next to each other may differ by most of the force, and still tell the compliance."""
+    columns, _ = case([], n_trials=12, n_samples=4)
+    course = np.tile([0.2, 1.0, 1.0, 0.2], 12) * np.repeat(np.linspace(3.0, 8.0, 12), 4)
+    noise = 0.05 * np.random.default_rng(2).normal(size=48)
+    log = few_columns(columns) | {"force_normal_n": course, "volume_mm3": 5.0 * course + noise}
+    found = diagnose(log)
+    assert found.channels["normal"].verdict == "sufficient"
+    assert found.law.k_n_mm3_per_n.value == pytest.approx(5.0, rel=0.01)
+
+
+@pytest.mark.parametrize("loaded", [1, 2, 3])
+def test_the_only_trial_with_load_stays_in_the_fit(loaded):
+    """The first draw of test trials has one of these three."""
+    columns, noise = case([], n_trials=10, n_samples=40)
+    rest = np.setdiff1d(np.arange(10), [loaded])
+    found = diagnose(unloaded(columns, noise, rest, 0)).channels["shear"]
+    assert (found.n_fit, found.n_test, found.verdict) == (7, 3, "sufficient")
+    assert found.after.rmse < 1.5 * noise["shear"]
+
+
+def test_where_no_trial_can_be_held_out_that_is_said(monkeypatch):
+    columns, _ = case([], n_trials=10, n_samples=40)
+    monkeypatch.setattr("tacgen.diagnose.contact.command.MOST_DRAWS", 0)
+    diagnosis = diagnose(few_columns(columns))
+    found = diagnosis.channels["normal"]
+    assert (found.how, found.n_test) == ("none could be: only noise is left without them", 0)
+    assert any("hardly any trial has load" in note for note in diagnosis.notes)
 
 
 @pytest.mark.slow
