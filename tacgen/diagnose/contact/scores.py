@@ -452,8 +452,9 @@ def trial_information(grams: FloatArray, shape: int) -> FloatArray:
 
 
 def _floored(information: FloatArray) -> FloatArray:
-    """``information`` (T,), at least a hundredth of its mean."""
-    return np.maximum(information, 0.01 * max(float(information.mean()), 1e-290))
+    """``information`` (T,), at least a hundredth of its mean; where that is noise, its size."""
+    mean, size = float(information.mean()), float(np.abs(information).mean())
+    return np.maximum(information, 0.01 * mean if mean > 0.0 else max(size, 1e-290))
 
 
 def neg_log_p_of(quadratic: FloatArray, size: int, rules: SelectionRules) -> FloatArray:

@@ -368,3 +368,14 @@ def test_shuffles_that_equal_the_observed_score_but_for_rounding_count_as_reachi
     quadratic[0] = observed
     neg_log_p = scores.neg_log_p_of(quadratic, 1, RULES)
     assert scores.p_of_shuffles(neg_log_p, RULES, permuted=False) == pytest.approx(p)
+
+
+def test_trials_in_which_the_halves_disagree_have_no_gain_beyond_their_size():
+    """Of few samples the products of the halves may all be negative: they say nothing then."""
+    products = np.array([-4.0, -2.0])
+    grams = np.repeat(products, 3).reshape(2, 3, 1) * np.ones((2, 3, 3))
+    information = scores.trial_information(grams, 0)
+    np.testing.assert_array_equal(information, [3.0, 3.0])
+    left = scores._without_gains(grams, 0, np.arange(2), RULES)
+    assert np.isfinite(left).all()
+    assert np.abs(left).max() == pytest.approx(4.0 * (1.0 + 4.0 / 3.0) ** 2)
