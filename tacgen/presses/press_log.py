@@ -215,7 +215,8 @@ def _csv(path: Path) -> tuple[list[str], list[Cells]]:
         filled.append([cell.strip() for cell in row] + [""] * (len(header) - len(row)))
         last = row[-1] if row else ""
     if "\n" in last and not text.rstrip().endswith('"'):
-        msg = f"a quote that is not closed in the row that begins with {', '.join(filled[-1][:2])}"
+        begin = ", ".join(filled[-1]).splitlines()[0][:40]
+        msg = f"a quote that is not closed in the row that begins with {begin!r}"
         raise ValueError(msg)
     return header, list(zip(*filled, strict=True))
 
