@@ -133,9 +133,10 @@ def map_in_processes(
     Raises ``TacgenError`` if a process is killed.
     """
     count = min(len(items), processes or _cores())
-    # A daemon may have no children of its own.
     possible = method == "spawn" or sys.platform == "linux"
-    if count < 2 or not possible or multiprocessing.current_process().daemon:
+    # A daemon may have no children of its own, and one of these processes has a core to itself.
+    is_child = bool(_pool_task) or multiprocessing.current_process().daemon
+    if count < 2 or not possible or is_child:
         return [task(item) for item in items]
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context(method)

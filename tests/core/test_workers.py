@@ -165,6 +165,17 @@ def test_an_error_in_a_mapped_process_keeps_its_words(method):
         map_in_processes(refused, [4, 5], 2, method=method)
 
 
+def whereabouts(_item):
+    return os.getpid(), map_in_processes(lambda _: os.getpid(), [0, 1], 2)
+
+
+def test_a_mapped_process_starts_no_others():
+    """Each has a core to itself; theirs would take it from the rest."""
+    for own, of_items in map_in_processes(whereabouts, [0, 1], 2):
+        assert own != os.getpid()
+        assert of_items == [own, own]
+
+
 def handlers(_item):
     return signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
 

@@ -127,6 +127,10 @@ class Effect:
     shown_against: str = "load"
     separated_by: Mapping[str, str] = field(default_factory=dict)
 
+    def __reduce__(self) -> tuple[Callable[..., "Effect"], tuple[str, str, Where | None]]:
+        """Between processes it goes by its name: most of its functions have none."""
+        return _registered, (self.channel, self.name, self.where)
+
     def parameter(self, name: str) -> Parameter:
         """Its parameter called ``name``; raises ``ContactError`` if it has none."""
         for parameter in self.parameters:
@@ -221,6 +225,10 @@ def find_effect(channel: str, name: str) -> Effect:
     known_names = [n for c, n in _REGISTRY if c == channel]
     msg = f"effect {name!r} is unknown; the {channel} channel has {', '.join(known_names)}"
     raise ContactError(msg)
+
+
+def _registered(channel: str, name: str, where: Where | None) -> Effect:
+    return find_effect(channel, name).only(where)
 
 
 def separating_measurement(name: str, other: str) -> str | None:

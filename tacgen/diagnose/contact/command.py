@@ -2,7 +2,8 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from tacgen.core.errors import PressError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
 from tacgen.core.version import versions
+from tacgen.core.workers import map_in_processes
 from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
@@ -65,7 +67,7 @@ def diagnose(
     samples to fit.
     """
     notes = list(notes)
-    channels: dict[str, result.ChannelDiagnosis] = {}
+    loaded: dict[str, _Channel] = {}
     # Thousands of products of small matrices: threads would only wait for each other.
     with threadpool_limits(limits=1):
         for channel in CHANNELS:
@@ -76,16 +78,48 @@ def diagnose(
                 continue
             own = _Channel(usable, channel, session_clock, rules)
             if own.every.thinned().is_loaded:
-                channels[channel] = own.diagnosis()
-                notes += result.channel_notes(channels[channel])
+                loaded[channel] = own
             else:
                 notes.append(
                     f"{channel} channel: not diagnosed, its force does not stand out from noise"
                 )
-    if "normal" not in channels:
-        raise PressError.from_problems(notes)
+        if "normal" not in loaded:
+            raise PressError.from_problems(notes)
+        chosen = _choices(list(loaded.values()))
+        channels = {
+            name: own.diagnosis(choices)
+            for (name, own), choices in zip(loaded.items(), chosen, strict=True)
+        }
+    notes += [note for one in channels.values() for note in result.channel_notes(one)]
     law, notes_once = _law_of(channels), tuple(dict.fromkeys(notes))
     return result.Diagnosis(channels, law, notes_once, session_clock)
+
+
+def _choices(channels: Sequence["_Channel"]) -> list[list[Attribution]]:
+    """Of each channel the choice on all trials, then that on each set to fit; in processes."""
+    tasks = [(own, k) for own in channels for k in range(1 + len(own.held_out.splits))]
+    tasks.sort(key=lambda task: task[1])  # those on all trials take longest
+
+    def choice(number: int) -> Attribution:
+        own, k = tasks[number]
+        return own.choice(k)
+
+    found = map_in_processes(choice, range(len(tasks)))
+    return [
+        [one for one, (own, _) in zip(found, tasks, strict=True) if own is channel]
+        for channel in channels
+    ]
+
+
+@dataclass(frozen=True)
+class _HeldOut:
+    """Samples to fit and to test, for each set of trials that is held out, and how it is said."""
+
+    splits: Sequence[tuple[ChannelSamples, ChannelSamples]]
+    n_fit: int
+    n_test: int
+    how: str
+    in_turn: bool = False
 
 
 class _Channel:
@@ -101,32 +135,46 @@ class _Channel:
         self._rms = float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
         self.every = self._samples(columns)
 
-    def diagnosis(self) -> result.ChannelDiagnosis:
-        rules, rng, every = self._rules, self._rng, self.every
-        n_trials, gp = every.history.n_trials, float("nan")
-        attribution = self._selection(every).run()
+    @cached_property
+    def held_out(self) -> _HeldOut:
+        """What is held out: a quarter of the trials, each in turn where they are few, or none."""
+        n_trials, least = self.every.history.n_trials, self._rules.min_trials_to_split
+        if n_trials >= least and (split := self._test_trials()):
+            fitted, test = split
+            n_test = test.history.n_trials
+            how = "a quarter of the trials, spread over the session, all of the choice repeated"
+            return _HeldOut([split], fitted.history.n_trials, n_test, how)
+        if 2 <= n_trials < least and (splits := self._leave_one_out()):
+            how = "each trial in turn, all of the choice repeated"
+            if len(splits) < n_trials:
+                how += "; not those without which nothing is left but noise"
+            return _HeldOut(splits, n_trials - 1, 1, how, in_turn=True)
+        why = "there is one trial" if n_trials == 1 else "only noise is left without them"
+        return _HeldOut([], n_trials, 0, f"none could be: {why}")
+
+    def choice(self, k: int) -> Attribution:
+        """The choice on all trials (0), described, or on the trials to fit of split ``k`` − 1."""
+        if k == 0:
+            return self._selection(self.every).run()
+        return self._selection(self.held_out.splits[k - 1][0]).choose()
+
+    def diagnosis(self, choices: Sequence[Attribution]) -> result.ChannelDiagnosis:
+        """The diagnosis by every ``choice``, in order."""
+        rules, rng, every, held = self._rules, self._rng, self.every, self.held_out
+        attribution, gp = choices[0], float("nan")
         scored = attribution.named.effect_names
-        held = self._test_trials() if n_trials >= rules.min_trials_to_split else None
-        one_out = self._leave_one_out() if 2 <= n_trials < rules.min_trials_to_split else None
-        if held is not None:
-            fitted, test = held
-            without = self._selection(fitted).choose()
-            before, after = self._test_errors(fitted, test, without)
+        tried = [
+            (*split, without) for split, without in zip(held.splits, choices[1:], strict=True)
+        ] or [(every, every, attribution)]
+        found = [self._test_errors(*one) for one in tried]
+        before, after = (heldout.pooled(own, self._rms) for own in zip(*found, strict=True))
+        if held.in_turn:
+            by_all = frozenset.intersection(*(frozenset(w.named.effect_names) for _, _, w in tried))
+            scored = tuple(name for name in scored if name in by_all)
+        elif held.splits:
+            fitted, test, without = tried[0]
             gp = self._gp_rmse(fitted, test, without.base.fit.model)
             scored = without.named.effect_names
-            n_fit, n_test = fitted.history.n_trials, before.squares.size
-            how = "a quarter of the trials, spread over the session, all of the choice repeated"
-        elif one_out is not None:
-            before, after, by_all = one_out
-            scored = tuple(name for name in scored if name in by_all)
-            n_fit, n_test = n_trials - 1, 1
-            how = "each trial in turn, all of the choice repeated"
-            if before.squares.size < n_trials:
-                how += "; not those without which nothing is left but noise"
-        else:
-            before, after = self._test_errors(every, every, attribution)
-            why = "there is one trial" if n_trials == 1 else "only noise is left without them"
-            n_fit, n_test, how = n_trials, 0, f"none could be: {why}"
         data = every.thinned(rules.refit_rows_per_trial)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
         final = _refitted(data, attribution.final.fit.model)
@@ -149,9 +197,9 @@ class _Channel:
             floor=noise_floor(left, samples.history.starts, rules),
             n_spikes=int((every.precision == 0).sum()),
             gp_rmse=gp,
-            n_fit=n_fit,
-            n_test=n_test,
-            how=how,
+            n_fit=held.n_fit,
+            n_test=held.n_test,
+            how=held.how,
             dependences_before=before_structure,
             dependences_after=after_structure,
             unexplained=_unexplained(attribution, data, base, final, after_structure),
@@ -191,24 +239,11 @@ class _Channel:
                 return fitted, test
         return None
 
-    def _leave_one_out(self) -> tuple[Errors, Errors, frozenset[str]] | None:
-        """Errors before and after, and the effects that every choice without one trial has.
-
-        A trial without which nothing but noise is left is not held out; None if all are such.
-        """
-        before, after, names = [], [], []
-        for trial in np.unique(self._columns["trial"]):
-            fitted, test = self._split(np.asarray(self._columns["trial"]) == trial)
-            if not fitted.thinned().is_loaded:
-                continue
-            without = self._selection(fitted).choose()
-            one, other = self._test_errors(fitted, test, without)
-            before.append(one)
-            after.append(other)
-            names.append(frozenset(without.named.effect_names))
-        if not before:
-            return None
-        return heldout.pooled(before), heldout.pooled(after), frozenset.intersection(*names)
+    def _leave_one_out(self) -> list[tuple[ChannelSamples, ChannelSamples]]:
+        """Every trial held out, but not those without which nothing but noise is left."""
+        trial = np.asarray(self._columns["trial"])
+        splits = [self._split(trial == one) for one in np.unique(trial)]
+        return [split for split in splits if split[0].thinned().is_loaded]
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
         data, rows = fitted.thinned(self._rules.gp_rows_per_trial), test.every_sample()

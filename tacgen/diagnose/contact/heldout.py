@@ -71,11 +71,11 @@ def _errors(squares: FloatArray, counts: IntArray, scale: float) -> Errors:
     return Errors(rmse, rmse / scale, squares, counts)
 
 
-def pooled(parts: Sequence[Errors]) -> Errors:
-    """Errors of several folds as one."""
+def pooled(parts: Sequence[Errors], scale: float) -> Errors:
+    """Errors of several folds as one, the RMS also over ``scale``."""
     squares = np.concatenate([part.squares for part in parts])
     counts = np.concatenate([part.counts for part in parts])
-    return _errors(squares, counts, parts[0].rmse / parts[0].nrmse if parts[0].nrmse else 1.0)
+    return _errors(squares, counts, scale)
 
 
 def gain_interval(

@@ -1,9 +1,11 @@
 """What every effect of the registry must do."""
 
+import pickle
+
 import numpy as np
 import pytest
 
-from tacgen.contact.effects import LoadHistory, all_effects, find_effect, register
+from tacgen.contact.effects import LoadHistory, Where, all_effects, find_effect, register
 from tacgen.contact.law import respond
 from tacgen.core.errors import ContactError
 
@@ -141,3 +143,11 @@ def test_the_registry_holds_the_contract_names():
     assert {name for channel, name in names if channel == "shear"} >= {
         *("slip", "normal_coupling", "anisotropy", "creep", "hysteresis", "zero_offset"),
     }
+
+
+def test_an_effect_reaches_another_process_by_its_name_with_the_part_it_acts_in():
+    creep = find_effect("shear", "creep")
+    assert pickle.loads(pickle.dumps(creep)) is creep
+    part = Where("indenter", equals="ball")
+    local = pickle.loads(pickle.dumps(creep.only(part)))
+    assert (local.name, local.where, local.needs) == ("creep", part, (*creep.needs, "indenter"))

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli import app
 from tacgen.contact.law import load_law
+from tacgen.core import workers
 from tacgen.core.errors import PressError
 from tacgen.diagnose.contact.command import SEED, diagnose
 from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
@@ -309,3 +310,16 @@ def test_samples_that_stick_out_spoil_neither_the_fit_nor_the_errors():
     assert found.verdict == "sufficient"
     assert found.after.rmse < 1.1 * noise["normal"]
     assert any("stick out" in note for note in diagnosis.notes)
+
+
+@pytest.mark.parametrize("n_trials", [16, 3])
+def test_one_core_and_several_find_the_same(monkeypatch, n_trials):
+    effects = [("normal", "stiffening", 0), ("shear", "anisotropy", 0)]
+    made, _ = case(effects, 3.0, n_trials=n_trials, n_samples=30)
+    records = []
+    for cores in (1, 3):
+        monkeypatch.setattr(workers, "_cores", lambda cores=cores: cores)
+        records.append(diagnosis_record(diagnose(made)))
+    assert json.dumps(records[0]) == json.dumps(records[1])
+    found = [names(one) for one in records[0]["channels"].values()]
+    assert found == [["stiffening"], ["anisotropy"]]
