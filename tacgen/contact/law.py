@@ -131,8 +131,9 @@ class ContactLaw:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Imprint volume and summed marker motion of every row of a log.
 
-        ``columns`` are a press log's, (N,) each, rows in any order: a mapping or a data frame. Each
-        trial starts from rest, and what happens in it carries through its samples. With
+        ``columns`` are a press log's, (N,) each, rows in any order: a mapping or a data frame. What
+        happens in a trial carries through its samples; it starts from rest, or where creep is
+        ``carried`` from what the trials before it left, which must then be in the log. With
         ``simulate`` they are a simulated grasp: effects of the measurement (zero offset, latency,
         drift with the session) do not act, nor do effects whose columns are missing (no
         thermometer, say), which then stay at their reference, nor those of a stretch of the session

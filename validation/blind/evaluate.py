@@ -103,7 +103,8 @@ def run(case: Case, seed: int, rules: SelectionRules = DEFAULT_RULES) -> dict[st
         log.columns, notes=log_notes(log), session_clock=log.session_clock, rules=rules
     )
     record = diagnosis_record(found)
-    volume, shear = found.law.predict(later)
+    # The forces of all trials are known: a memory may outlast the pause between two.
+    volume, shear = (response[later.index] for response in found.law.predict(case.frame))
     measured = later["volume_mm3"].to_numpy()
     record["later"] = {"normal": _rms(measured - volume)}
     record["later_noise"] = {"normal": _rms(measured - case.volume_mm3[later.index])}

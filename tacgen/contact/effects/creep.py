@@ -8,6 +8,8 @@ from tacgen.contact.effects import base
 
 FREE_RECOVERING, FREE_HELD = base.free_amounts("recovering", 6), base.free_amounts("held", 6)
 TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
+LONGEST_TAU = 5.0  # in durations of a trial
+LEAST_CARRIED = 0.2  # τ in pauses between trials: of faster ones nothing is left
 
 
 def _apply(
@@ -15,7 +17,8 @@ def _apply(
 ) -> base.FloatArray:
     """Load plus one or two Prony terms, and corrections.
 
-    A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew;
+    A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew, from the
+    start of the trial, or with ``carried`` 1 from that of the session;
     with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial's contact began,
     which is gone with the load; in between, a share of each. Corrections are amounts of each
     kind for six τ at even ratios from ``shortest_s`` to ``longest_s``.
@@ -34,6 +37,8 @@ def _apply(
     for tau, recovering, with_load in terms:
         if recovering != 0.0:
             result += recovering * history.low_pass(load, tau)
+            if p["carried"] != 0.0:
+                result += p["carried"] * recovering * history.left_over(channel, tau)
         if with_load != 0.0:
             grown = -np.expm1(-history.time_since_contact_s(channel) / tau)
             result += with_load * load * grown[:, None]
@@ -43,7 +48,7 @@ def _apply(
 def _tau_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
     """Slower than sampling and faster than some trials: else it is no creep that a log shows."""
     duration_s = history.trial_duration_s
-    return max(4.0 * history.sample_period_s, 0.02 * duration_s), 5.0 * duration_s
+    return max(4.0 * history.sample_period_s, 0.02 * duration_s), LONGEST_TAU * duration_s
 
 
 def _amount_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
@@ -55,30 +60,35 @@ def _amount_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float
 
 
 def _references(history: base.LoadHistory) -> dict[str, float]:
-    return {"shortest_s": history.sample_period_s, "longest_s": 5.0 * history.trial_duration_s}
+    longest_s = LONGEST_TAU * history.trial_duration_s
+    return {"shortest_s": history.sample_period_s, "longest_s": longest_s}
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     duration = max(history.trial_duration_s, 4 * history.sample_period_s)
-    recoveries = (("recovering", 1.0), ("with the load", 0.0))
+    recovering = {"recovery": 1.0}
+    kinds = [("recovering", recovering), ("with the load", {"recovery": 0.0})]
+    if history.pause_s < LONGEST_TAU * duration:
+        kinds.append(("recovering between presses too", {**recovering, "carried": 1.0}))
     single = [
         base.variant(
             f"{kind}, tau {tau:.3g} s",
             [{"amount": 0.05}],
-            {"tau_s": tau, "recovery": recovery},
+            {"tau_s": tau, **shape},
             fitted=("tau_s",),
         )
         for tau in (share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5))
-        for kind, recovery in recoveries
+        for kind, shape in kinds
+        if "carried" not in shape or tau > LEAST_CARRIED * history.pause_s
     ]
     double = [
         base.variant(
             f"two terms, {kind}",
             [{"amount": 0.05}, {"amount_2": 0.05}],
-            {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration, "recovery": recovery},
+            {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration, **shape},
             fitted=("tau_s", "tau_2_s"),
         )
-        for kind, recovery in recoveries
+        for kind, shape in kinds
     ]
     return (*single, *double)
 
@@ -96,6 +106,7 @@ for _channel in base.CHANNELS:
                 base.shape("tau_s", 1e-3, 1e5, 1.0, "s", _tau_bounds),
                 base.shape("tau_2_s", 1e-3, 1e5, 10.0, "s", _tau_bounds),
                 base.shape("recovery", 0.0, 1.0, 1.0),
+                base.shape("carried", 0.0, 1.0, 0.0),
                 *FREE_RECOVERING,
                 *FREE_HELD,
                 base.reference("shortest_s", "s"),

@@ -4,11 +4,13 @@ import numpy as np
 
 from tacgen.contact.effects import base
 
+MOST_INDENTERS = 12  # each with a compliance of its own
+
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
     """Gain 1 + amount·b + curvature·b², b the power shape of radius / reference.
 
-    An indenter without a radius has its own ``gain_<indenter>`` instead.
+    An indenter without a radius, or each, has its own ``gain_<indenter>`` instead.
     """
     radius = _radius(history)
     bend = np.nan_to_num(base.power_shape(radius / p["reference_mm"], p["exponent"]), nan=0.0)
@@ -33,10 +35,11 @@ def _references(history: base.LoadHistory) -> dict[str, float]:
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
     radius = _radius(history)
     sizes = np.unique(radius[np.isfinite(radius)]).size
-    own: list[dict[str, float]] = []
+    names, own = list[str](), list[dict[str, float]]()
     if history.has("indenter"):
-        names = np.unique(history.text("indenter")[~np.isfinite(radius)])
-        own = [{f"gain_{name}": 0.05} for name in names]
+        text = history.text("indenter")
+        names = np.unique(text).tolist()
+        own = [{f"gain_{name}": 0.05} for name in np.unique(text[~np.isfinite(radius)])]
     if sizes < 2:
         own = own if sizes else own[1:]
         return (base.variant("by indenter", own),) if own else ()
@@ -44,6 +47,8 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
     forms = [(f"power {e:g}", [amount, *own], e) for e in (-1.0, 0.0, 1.0)]
     if sizes >= 3:
         forms.append(("curved", [amount, {"curvature": 0.05}, *own], 0.0))
+    if 3 < len(names) <= MOST_INDENTERS:
+        forms.append(("by indenter", [{f"gain_{name}": 0.05} for name in names[1:]], 0.0))
     return tuple(
         base.variant(name, probes, {"exponent": e}, fitted=()) for name, probes, e in forms
     )

@@ -35,11 +35,14 @@ class LoadHistory:
     clock, ``force_normal_n`` (N,) the force into the gel.
 
     ``columns`` are a press log's in tacgen's units, (N,) each: ``trial``, ``time_s`` and
-    ``force_normal_n`` are required. Nothing is written to them. Raises ``ContactError`` if a
-    required column is missing or not finite, or columns differ in length.
+    ``force_normal_n`` are required. Nothing is written to them. ``session`` is the history of the
+    whole log where these rows are a part of it. Raises ``ContactError`` if a required column is
+    missing or not finite, or columns differ in length.
     """
 
-    def __init__(self, columns: Mapping[str, ArrayLike]) -> None:
+    def __init__(
+        self, columns: Mapping[str, ArrayLike], session: "LoadHistory | None" = None
+    ) -> None:
         arrays = {str(name): np.asarray(columns[name]) for name in columns}
         _require_usable(arrays)
         self.order = np.lexsort((arrays["time_s"], arrays["trial"]))
@@ -48,6 +51,8 @@ class LoadHistory:
         self._reversals: dict[Channel, tuple[NDArray[np.int64], BoolArray]] = {}
         self._since_contact: dict[Channel, FloatArray] = {}
         self._kept: dict[str, tuple[FloatArray, dict[float, FloatArray]]] = {}
+        self._left_over: dict[tuple[Channel, float], FloatArray] = {}
+        self.session = session or self
         trial = arrays["trial"][self.order]
         edges = np.flatnonzero(trial[1:] != trial[:-1]) + 1
         self.starts = np.unique([0, *edges, trial.size]).astype(np.int64)
@@ -134,8 +139,15 @@ class LoadHistory:
     def _normal_load_n(self) -> FloatArray:
         return self.force_normal_n[:, None]
 
-    def play(self, load: FloatArray, width_n: float) -> FloatArray:
-        """The play operator of half-width ``width_n`` on every axis of ``load`` (N, C)."""
+    def play(self, load: FloatArray, width_n: float, isotropic: bool = False) -> FloatArray:
+        """The play operator of half-width ``width_n`` on ``load`` (N, C), or on its every axis."""
+        if isotropic:
+            return self._keep(
+                "vector play",
+                load,
+                width_n,
+                lambda own: kernels.play_of_vectors(own, self.starts, width_n),
+            )
         return self._of_axes(
             "play", load, width_n, lambda axis: kernels.play(axis, self.starts, width_n)
         )
@@ -149,9 +161,54 @@ class LoadHistory:
             lambda axis: kernels.low_pass(axis, self.time_s, self.starts, tau_s, True),
         )
 
-    def dahl(self, load: FloatArray, width_n: float) -> FloatArray:
-        """Dahl's friction of that width on every axis of a lightly smoothed ``load`` (N, C)."""
+    def left_over(self, channel: Channel, tau_s: float) -> FloatArray:
+        """What such a low-pass of a channel's force still has (N, C) of the trials before."""
+        key = channel, tau_s
+        if key not in self._left_over:
+            if len(self._left_over) >= max(LEAST_KEPT, NUMBERS_KEPT // max(self.n_samples, 1)):
+                self._left_over.clear()
+            session = self.session
+            trial = np.searchsorted(session.trial[session.starts[:-1]], self.trial)
+            since_s = self.time_s - session.time_s[session.starts[trial]]
+            left = session._left_at_starts(channel, tau_s)[trial]
+            self._left_over[key] = left * np.exp(-since_s / tau_s)[:, None]
+        return self._left_over[key]
+
+    def _left_at_starts(self, channel: Channel, tau_s: float) -> FloatArray:
+        trials, rows, starts = self._in_time
+        axes = self.load(channel)[rows].T
+        left = np.empty((self.n_trials, len(axes)))
+        for axis, own in zip(left.T, axes, strict=True):
+            own = np.ascontiguousarray(own)
+            axis[trials] = kernels.left_over(own, self.time_s[rows], starts, tau_s)
+        return left
+
+    @cached_property
+    def _in_time(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """The trials in the order of time, their rows, and where each begins among these."""
+        trials = np.argsort(self.time_s[self.starts[:-1]], kind="stable")
+        rows = np.argsort(np.argsort(trials)[self.trial_index], kind="stable")
+        starts = np.cumsum([0, *np.diff(self.starts)[trials]])
+        return trials, rows, starts
+
+    @cached_property
+    def pause_s(self) -> float:
+        """Median time between trials of the session; infinite where the clock goes back."""
+        _, rows, starts = self.session._in_time
+        time_s = self.session.time_s[rows]
+        pauses = time_s[starts[1:-1]] - time_s[starts[1:-1] - 1]
+        return float(np.median(pauses)) if pauses.size and pauses.min() >= 0.0 else np.inf
+
+    def dahl(self, load: FloatArray, width_n: float, isotropic: bool = False) -> FloatArray:
+        """Dahl's friction on a lightly smoothed ``load`` (N, C), or on its every axis."""
         smooth = self._of_axes("smooth", load, 0.0, self.smooth)
+        if isotropic:
+            return self._keep(
+                "vector dahl",
+                smooth,
+                width_n,
+                lambda own: kernels.dahl_of_vectors(own, self.starts, width_n),
+            )
         return self._of_axes(
             "dahl", smooth, width_n, lambda axis: kernels.dahl(axis, self.starts, width_n)
         )
@@ -163,7 +220,22 @@ class LoadHistory:
         number: float,
         kernel: Callable[[FloatArray], FloatArray],
     ) -> FloatArray:
-        """``kernel`` of every axis of ``load``, kept until another load comes.
+        """``kernel`` of every axis of ``load``, kept."""
+        return self._keep(
+            name,
+            load,
+            number,
+            lambda own: np.stack([kernel(np.ascontiguousarray(axis)) for axis in own.T], axis=1),
+        )
+
+    def _keep(
+        self,
+        name: str,
+        load: FloatArray,
+        number: float,
+        kernel: Callable[[FloatArray], FloatArray],
+    ) -> FloatArray:
+        """``kernel`` of ``load``, kept until another load comes.
 
         A fit changes one number of a model at a time, and most leave the load as it is.
         """
@@ -172,7 +244,7 @@ class LoadHistory:
             kept = {}
             self._kept[name] = load, kept
         if number not in kept:
-            kept[number] = np.stack([kernel(np.ascontiguousarray(a)) for a in load.T], axis=1)
+            kept[number] = kernel(load)
             kept[number].setflags(write=False)
         return kept[number]
 

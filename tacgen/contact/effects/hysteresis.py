@@ -25,13 +25,15 @@ def _apply(
     """Load plus what the way back adds.
 
     With P the load at its peak so far: ``residual``·(P − F) at any time, ``loop``·F(1 − |F|/|P|)
-    and ``jump``·F while unloading; ``play``·(F − play operator of width ``width_n``) and
-    ``friction``·(Dahl friction of that width) turn round with the direction, and ``spread`` is
-    the play with widths spread evenly up to ``width_n``. Corrections are plays with an
+    and ``jump``·F while unloading. With the direction turn round ``play``·(F − play operator of
+    width ``width_n``), ``spread``, the same with widths spread evenly up to ``width_n``,
+    ``friction``·(Dahl friction of that width), and ``rubbing``, the same in proportion to |F|:
+    of each axis or, where ``isotropic`` is 1, of the vector. Corrections are plays with an
     amount each, and P times a curve of 1 − F/P: of what a gel keeps of its peak load.
 
     Source: Visintin 1994, Differential Models of Hysteresis, ch. III: play, Prandtl-Ishlinskii.
     """
+    isotropic = p["isotropic"] == 1.0
     peak_row, unloading = history.reversal(channel)
     peak = load[peak_row]
     result = load.copy()
@@ -52,9 +54,11 @@ def _apply(
         *((w * p["span_n"], p[one.name]) for w, one in zip(PLAY_WIDTHS, PLAYS, strict=True)),
     ):
         if size != 0.0:
-            result += size * (load - history.play(load, width_n))
-    if p["friction"] != 0.0:
-        result += p["friction"] * history.dahl(load, p["width_n"])
+            result += size * (load - history.play(load, width_n, isotropic))
+    if p["friction"] != 0.0 or p["rubbing"] != 0.0:
+        friction_n = history.dahl(load, p["width_n"], isotropic)
+        share = p["friction"] + p["rubbing"] * _size(load)[:, None] / p["width_n"]
+        result += share * friction_n
     return result
 
 
@@ -87,12 +91,17 @@ def _less_on_the_way_in(history: base.LoadHistory, p: base.Parameters) -> tuple[
     return -np.inf, 0.0
 
 
-def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
+def _variants(
+    history: base.LoadHistory, references: base.Parameters, channel: base.Channel
+) -> tuple[base.Variant, ...]:
     widths = {
         ("play", "play of {:g} of the load"): (0.05, 0.2),
         ("spread", "plays up to {:g} of the load"): (0.3, 0.6, 1.0),
         ("friction", "friction over {:g} of the load"): (0.04, 0.1, 0.25),
+        ("rubbing", "friction in proportion to the load, over {:g} of it"): (0.1, 0.25),
     }
+    # Of a vector there are two kinds; along one axis they are the same.
+    kinds = {"": 0.0, ", in any direction": 1.0} if channel == "shear" else {"": 0.0}
     return (
         base.variant("residual", [{"residual": 0.05}]),
         base.variant("loop", [{"loop": 0.05}]),
@@ -100,9 +109,15 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
         base.variant("residual and loop", [{"residual": 0.05}, {"loop": 0.05}]),
         base.variant("loop and jump", [{"loop": 0.05}, {"jump": 0.05}]),
         *(
-            base.variant(label.format(one), [{name: 0.05}], {"width_n": one * references["span_n"]})
+            base.variant(
+                label.format(one) + kind,
+                [{name: 0.05}],
+                {"width_n": one * references["span_n"], "isotropic": isotropic},
+                fitted=("width_n",),
+            )
             for (name, label), shares in widths.items()
             for one in shares
+            for kind, isotropic in kinds.items()
         ),
     )
 
@@ -125,14 +140,16 @@ def _register(channel: base.Channel) -> None:
                 base.amount("play", -3.0, 3.0, bounds=less_on_the_way_in),
                 base.amount("spread", -3.0, 3.0, bounds=less_on_the_way_in),
                 base.amount("friction", -3.0, 3.0, bounds=less_on_the_way_in),
+                base.amount("rubbing", -1.0, 1.0, bounds=less_on_the_way_in),
                 *PLAYS,
                 *FREE,
                 base.shape("width_n", 1e-4, 1e3, 1.0, "N", base.share_of("span_n", 0.01, 1.2)),
+                base.shape("isotropic", 0.0, 1.0, 0.0),
                 base.reference("span_n", "N"),
             ),
             apply=partial(_apply, channel=channel),
             references=lambda history: {"span_n": history.span_n(channel)},
-            variants=_variants,
+            variants=partial(_variants, channel=channel),
             is_identifiable=lambda history: bool(
                 history.reversal(channel)[1].mean() > MIN_UNLOADING_SHARE
             ),

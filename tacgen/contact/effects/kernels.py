@@ -35,6 +35,29 @@ def low_pass(
 
 
 @njit(cache=True)
+def left_over(
+    values: FloatArray, time_s: FloatArray, starts: NDArray[np.int64], tau_s: float
+) -> FloatArray:
+    """What ``low_pass``, from rest, still has (T,) of the trials before as each of them starts.
+
+    Between trials, which are in the order of time here, nothing is loaded; where the clock goes
+    back nothing is left.
+    """
+    result = np.zeros(starts.size - 1)
+    for k in range(starts.size - 2):
+        state, last = result[k], starts[k + 1] - 1
+        for i in range(starts[k] + 1, last + 1):
+            step = time_s[i] - time_s[i - 1]
+            if step > 0.0:
+                decay = np.exp(-step / tau_s)
+                lag = (values[i] - values[i - 1]) / step * tau_s
+                state = values[i] - lag + (state - values[i - 1] + lag) * decay
+        pause_s = time_s[last + 1] - time_s[last]
+        result[k + 1] = state * np.exp(-pause_s / tau_s) if pause_s >= 0.0 else 0.0
+    return result
+
+
+@njit(cache=True)
 def smoothed(
     values: FloatArray, time_s: FloatArray, starts: NDArray[np.int64], tau_s: float
 ) -> FloatArray:
@@ -103,6 +126,41 @@ def dahl(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatAr
             step = values[i] - values[i - 1]
             end = width if step > 0.0 else -width
             state = end + (state - end) * np.exp(-abs(step) / width)
+            result[i] = state
+    return result
+
+
+@njit(cache=True)
+def play_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
+    """The play operator of vectors (N, C): a ball of radius ``width`` drags what is in it along.
+
+    Source: Visintin 1994, Differential Models of Hysteresis, ch. III: vector play.
+    """
+    result = np.empty(values.shape)
+    for k in range(starts.size - 1):
+        state = np.zeros(values.shape[1])
+        for i in range(starts[k], starts[k + 1]):
+            away = values[i] - state
+            size = np.sqrt((away**2).sum())
+            if size > width:
+                state += away * (1.0 - width / size)
+            result[i] = state
+    return result
+
+
+@njit(cache=True)
+def dahl_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
+    """Dahl's friction of vectors (N, C), along the way: dz = dx − |dx|·z/width."""
+    result = np.empty(values.shape)
+    for k in range(starts.size - 1):
+        state = np.zeros(values.shape[1])
+        result[starts[k]] = 0.0
+        for i in range(starts[k] + 1, starts[k + 1]):
+            step = values[i] - values[i - 1]
+            size = np.sqrt((step**2).sum())
+            if size > 0.0:
+                end = width / size * step
+                state = end + (state - end) * np.exp(-size / width)
             result[i] = state
     return result
 

@@ -7,12 +7,14 @@ from tacgen.contact.effects import base
 PLACE = ("x_mm", "y_mm")
 TERMS = ("x", "y", "xx", "xy", "yy")
 GRID = np.linspace(-1.0, 1.0, 5)
+SPOTS = (-0.5, 0.0, 0.5)
+"""Where along each axis, in extents, the fit of a spot starts."""
 BUMPS = base.free_amounts("bump", GRID.size**2)
 """Of Gaussians on a grid, as far from each other as they are wide: half the extent."""
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
-    """Gain 1 + a polynomial of second degree in u = x/extent and v = y/extent.
+    """Gain 1 + a polynomial of second degree in u = x/extent and v = y/extent + a Gaussian spot.
 
     Free amounts add a smooth function of any shape.
     """
@@ -22,6 +24,11 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     for name in TERMS:
         if p[name] != 0.0:
             relative = relative + p[name] * u ** name.count("x") * v ** name.count("y")
+    if p["spot"] != 0.0:
+        away_mm = np.hypot(
+            history.column("x_mm") - p["spot_x_mm"], history.column("y_mm") - p["spot_y_mm"]
+        )
+        relative = relative + p["spot"] * np.exp(-0.5 * (away_mm / p["spot_width_mm"]) ** 2)
     bumps = np.array([p[one.name] for one in BUMPS]).reshape(GRID.size, GRID.size)
     if bumps.any():
         along_x, along_y = (np.exp(-0.5 * ((w[:, None] - GRID) / 0.5) ** 2) for w in (u, v))
@@ -45,9 +52,26 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
         "along y": ("y",),
         "plane": ("x", "y"),
         "from the centre out": ("rr",),
+        "from any place out": ("x", "y", "rr"),
         "second degree": TERMS,
     }
-    return tuple(base.variant(k, [{name: 0.05} for name in names]) for k, names in forms.items())
+    extent_mm = references["extent_mm"]
+    spots = [
+        {"spot_x_mm": x * extent_mm, "spot_y_mm": y * extent_mm, "spot_width_mm": 0.4 * extent_mm}
+        for x in SPOTS
+        for y in SPOTS
+    ]
+    return (
+        *(base.variant(k, [{name: 0.05} for name in names]) for k, names in forms.items()),
+        *(
+            base.variant(
+                "a spot around {spot_x_mm:.2g}, {spot_y_mm:.2g} mm".format(**one),
+                [{"spot": 0.05}],
+                one,
+            )
+            for one in spots
+        ),
+    )
 
 
 base.register(
@@ -58,7 +82,14 @@ base.register(
         is_of_trials=True,
         about="the compliance depends on where the gel is touched",
         parameters=(
-            *(base.amount(name, -5.0, 5.0) for name in (*TERMS, "rr")),
+            *(base.amount(name, -5.0, 5.0) for name in (*TERMS, "rr", "spot")),
+            *(
+                base.shape(name, -1e3, 1e3, 0.0, "mm", base.share_of("extent_mm", -1.0, 1.0))
+                for name in ("spot_x_mm", "spot_y_mm")
+            ),
+            base.shape(
+                "spot_width_mm", 1e-3, 1e3, 1.0, "mm", base.share_of("extent_mm", 0.15, 1.5)
+            ),
             *BUMPS,
             base.reference("extent_mm", "mm"),
         ),

@@ -30,7 +30,7 @@ base.register(
             base.amount(
                 "limit_mm3", 1e-6, np.inf, "mm3", np.inf, base.share_of("span_mm3", 0.4, 5.0)
             ),
-            base.shape("sharpness", 3.0, 60.0, 6.0),
+            base.shape("sharpness", 3.0, 300.0, 6.0),
             base.reference("span_mm3", "mm3", of_response=True),
         ),
         apply=_apply,

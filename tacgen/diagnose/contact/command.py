@@ -133,7 +133,7 @@ class _Channel:
         self._rng = np.random.default_rng(SEED)
         square = sum(np.asarray(columns[name], np.float64) ** 2 for name in TARGETS[channel])
         self._rms = float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
-        self.every = self._samples(columns)
+        self.every = ChannelSamples(columns, channel, rules)
 
     @cached_property
     def held_out(self) -> _HeldOut:
@@ -205,12 +205,13 @@ class _Channel:
             unexplained=_unexplained(attribution, data, base, final, after_structure),
         )
 
-    def _samples(self, columns: Columns) -> ChannelSamples:
-        return ChannelSamples(columns, self._channel, self._rules)
-
     def _split(self, out: BoolArray) -> tuple[ChannelSamples, ChannelSamples]:
         """Samples to fit, and those of the rows ``out``."""
-        kept, held = (self._samples(heldout.select(self._columns, rows)) for rows in (~out, out))
+        session = self.every.history
+        kept, held = (
+            ChannelSamples(heldout.select(self._columns, rows), self._channel, self._rules, session)
+            for rows in (~out, out)
+        )
         return kept, held
 
     def _selection(self, samples: ChannelSamples) -> Selection:

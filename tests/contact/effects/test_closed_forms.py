@@ -94,6 +94,64 @@ def test_memory_does_not_pass_from_one_trial_to_the_next():
     np.testing.assert_allclose(both, np.concatenate([alone, alone]), rtol=1e-9)
 
 
+def presses(*parts, pause_s):
+    """Columns of presses of these forces, 0.1 s from sample to sample, so far apart."""
+    counts = [len(part) for part in parts]
+    starts = np.cumsum([0.0, *((n - 1) * 0.1 + pause_s for n in counts[:-1])])
+    times = [start + 0.1 * np.arange(n) for start, n in zip(starts, counts, strict=True)]
+    return {
+        "trial": np.repeat(np.arange(len(parts)), counts),
+        "time_s": np.concatenate(times),
+        "force_normal_n": np.concatenate(parts).astype(float),
+    }
+
+
+def test_carried_memory_of_a_load_that_was_held_decays_through_pause_and_press():
+    columns = presses(np.full(21, 4.0), np.full(11, 3.0), np.full(6, 1.0), pause_s=1.5)
+    found = volume(LoadHistory(columns), "creep", amount=0.4, tau_s=0.8, carried=1.0)[:, 0]
+    time = columns["time_s"]
+    expected, state = [], 0.0
+    for trial, force in ((0, 4.0), (1, 3.0), (2, 1.0)):
+        own = time[columns["trial"] == trial]
+        grown = force + (state - force) * np.exp(-(own - own[0]) / 0.8)
+        expected += list(2.0 * (force + 0.4 * grown))
+        state = grown[-1] * np.exp(-1.5 / 0.8)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_carried_memory_does_not_know_where_a_log_is_cut_into_presses():
+    rng = np.random.default_rng(8)
+    course = np.concatenate([[0.0], rng.uniform(1.0, 5.0, 30), np.zeros(12), [2.0, 4.0, 3.0, 0.0]])
+    whole = history_of(course)
+    cut = presses(course[:33], course[41:], pause_s=0.9)
+    given = {"amount": 0.3, "tau_s": 1.2, "carried": 1.0}
+    one, two = volume(whole, "creep", **given), volume(LoadHistory(cut), "creep", **given)
+    np.testing.assert_allclose(two, np.concatenate([one[:33], one[41:]]), rtol=1e-12, atol=1e-12)
+
+
+def test_a_part_of_a_log_carries_what_the_whole_left():
+    columns = presses(*np.random.default_rng(9).uniform(0.0, 5.0, (5, 20)), pause_s=0.4)
+    # As the trials' numbers tell nothing of their order in time.
+    columns["trial"] = np.array([3, 1, 4, 0, 2])[columns["trial"]]
+    whole = LoadHistory(columns)
+    kept = np.isin(columns["trial"], [0, 2, 3])
+    part = LoadHistory({name: values[kept] for name, values in columns.items()}, whole)
+    given = {"amount": 0.5, "tau_s": 0.9, "carried": 1.0}
+    of_whole = whole.unsorted(volume(whole, "creep", **given))
+    of_part = part.unsorted(volume(part, "creep", **given))
+    np.testing.assert_allclose(of_part, of_whole[kept], rtol=1e-12)
+
+
+def test_nothing_is_carried_where_the_clock_starts_anew_with_every_press():
+    columns = presses(np.full(9, 4.0), np.full(9, 4.0), pause_s=0.5)
+    columns["time_s"] = np.tile(columns["time_s"][:9], 2)
+    history = LoadHistory(columns)
+    given = {"amount": 0.4, "tau_s": 0.9}
+    carried = volume(history, "creep", **given, carried=1.0)
+    np.testing.assert_array_equal(carried, volume(history, "creep", **given))
+    assert history.pause_s == np.inf
+
+
 def test_latency_shifts_a_ramp_by_its_delay():
     time = np.linspace(0.0, 4.0, 41)
     late = volume(history_of(3.0 * time, time), "latency", delay_s=0.25)[:, 0]
@@ -145,7 +203,7 @@ def test_a_hysteresis_within_its_bounds_takes_work_from_every_cycle():
                 work = 0.5 * (force_n[1:] + force_n[:-1]) @ np.diff(response)
                 assert (work > 0) == (low <= size <= high), (form.label, name, size)
             seen.add(name)
-    assert seen == {"residual", "loop", "jump", "play", "spread", "friction"}
+    assert seen == {"residual", "loop", "jump", "play", "spread", "friction", "rubbing"}
 
 
 def test_smoothed_samples_of_a_step_approach_it_by_a_geometric_series():
@@ -217,6 +275,83 @@ def test_play_lags_by_its_width_each_way():
     lag = volume(history_of(force), "hysteresis", play=-1.0, width_n=0.5)[:, 0] - 2.0 * force
     assert lag[79] == pytest.approx(-1.0)
     assert lag[-1] == pytest.approx(1.0)
+
+
+def sheared(path):
+    """The history of a shear force that follows a path (N, 2)."""
+    x, y = path.T
+    return history_of(np.full(x.size, 5.0), force_shear_x_n=x, force_shear_y_n=y)
+
+
+def friction_along(path, name, **parameters):
+    """What hysteresis of the vector adds (N, 2) to the load, for an amount of −1."""
+    history = sheared(path)
+    given = {"width_n": 0.6, name: -1.0, "isotropic": 1.0, **parameters}
+    return 0.5 * volume(history, "hysteresis", "shear", **given) - path
+
+
+def circle(radius, turns=6, per_turn=2000):
+    angle = np.linspace(0.0, 2 * np.pi * turns, turns * per_turn)
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize("name", ["play", "spread", "friction", "rubbing"])
+def test_along_one_line_friction_of_the_vector_is_that_of_an_axis(name):
+    course = np.concatenate([np.linspace(0, 2, 30), np.linspace(2, -1, 40), np.linspace(-1, 1, 20)])
+    for angle in (0.0, 0.7):
+        axis = np.array([np.cos(angle), np.sin(angle)])
+        of_vector = friction_along(course[:, None] * axis, name)
+        of_axis = friction_along(course[:, None] * np.array([1.0, 0.0]), name, isotropic=0.0)
+        np.testing.assert_allclose(of_vector, of_axis[:, :1] * axis, atol=1e-12)
+
+
+def test_a_play_that_is_dragged_round_a_circle_stays_on_a_smaller_one():
+    """A weight on a string of length w behind one who walks in a circle: r² = R² − w²."""
+    path = circle(2.0)
+    dragged = path + friction_along(path, "play")  # the load less its way ahead of the play
+    np.testing.assert_allclose(
+        np.linalg.norm(dragged[-2000:], axis=1), np.sqrt(2.0**2 - 0.6**2), rtol=2e-3
+    )
+
+
+def test_dahl_friction_round_a_circle_has_the_size_of_its_steady_state():
+    """dz/ds = t − z/c with a direction t that turns by 1/R: |z| = c / √(1 + c²/R²)."""
+    added = friction_along(circle(2.0), "friction")
+    size = np.linalg.norm(added[-2000:], axis=1)
+    np.testing.assert_allclose(size, 0.6 / np.sqrt(1.0 + 0.6**2 / 2.0**2), rtol=2e-3)
+
+
+def test_rubbing_in_proportion_to_the_load_leaves_a_wedge():
+    """Far from a turn V = k F (1 ∓ r): less on the way in, more on the way back."""
+    one = np.linspace(0.0, 6.0, 400)
+    history = history_of(np.concatenate([one, one[::-1]]))
+    given = {"rubbing": -0.1, "width_n": 0.02}
+    found = volume(history, "hysteresis", **given)[:, 0]
+    middle = slice(100, 300)
+    np.testing.assert_allclose(found[:400][middle], 2.0 * 0.9 * one[middle], rtol=1e-9)
+    np.testing.assert_allclose(found[400:][::-1][middle], 2.0 * 1.1 * one[middle], rtol=1e-9)
+
+
+def test_each_of_many_indenters_has_a_compliance_of_its_own():
+    history = history_of(
+        np.full(8, 3.0),
+        radius_mm=np.repeat([1.0, 2.0, 4.0, 6.0], 2),
+        indenter=np.repeat(["a", "b", "c", "d"], 2),
+    )
+    effect = find_effect("normal", "geometry")
+    forms = {form.label: form for form in effect.variants(history, effect.references(history))}
+    by_indenter = forms["by indenter"]
+    assert by_indenter.free == ("gain_b", "gain_c", "gain_d")
+    given = {"gain_b": 0.2, "gain_c": -0.1, "gain_d": 0.05, **by_indenter.shapes}
+    found = volume(history, "geometry", **given)[:, 0]
+    np.testing.assert_allclose(found, 6.0 * np.repeat([1.0, 1.2, 0.9, 1.05], 2), rtol=1e-12)
+    three = history_of(
+        np.full(6, 3.0),
+        radius_mm=np.repeat([1.0, 2.0, 4.0], 2),
+        indenter=np.repeat(["a", "b", "c"], 2),
+    )
+    # A parabola has any three values already.
+    assert "by indenter" not in {form.label for form in effect.variants(three, {})}
 
 
 def test_a_sharp_saturation_is_a_limit_and_a_soft_one_stays_below():

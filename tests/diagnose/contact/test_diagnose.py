@@ -323,3 +323,32 @@ def test_one_core_and_several_find_the_same(monkeypatch, n_trials):
     assert json.dumps(records[0]) == json.dumps(records[1])
     found = [names(one) for one in records[0]["channels"].values()]
     assert found == [["stiffening"], ["anisotropy"]]
+
+
+def test_memory_that_outlasts_the_pauses_is_creep_and_held_out_presses_are_predicted_with_it():
+    rng = np.random.default_rng(12)
+    parts, n, tau_s, step_s = [], 40, 5.0, 1e-3
+    for trial, (peak, pause_s) in enumerate(rng.uniform([3.0, 0.5], [9.0, 3.0], (24, 2))):
+        start = parts[-1]["time_s"].iloc[-1] + pause_s if parts else 0.0
+        phase = np.linspace(0.0, 4.0, n)
+        force = np.interp(phase, [0.0, 0.8, 3.0, 4.0], [0.0, peak, peak, 0.0])
+        parts.append(
+            pd.DataFrame({"trial": trial, "time_s": start + phase, "force_normal_n": force})
+        )
+    frame = pd.concat(parts, ignore_index=True)
+    time = np.arange(0.0, frame["time_s"].iloc[-1] + step_s, step_s)
+    force = np.interp(time, frame["time_s"], frame["force_normal_n"])
+    memory = np.zeros(time.size)
+    for k in range(1, time.size):  # Euler steps, without regard for presses
+        memory[k] = memory[k - 1] + step_s / tau_s * (force[k - 1] - memory[k - 1])
+    clean = frame["force_normal_n"] + 0.2 * np.interp(frame["time_s"], time, memory)
+    frame["volume_mm3"] = 5.0 * clean + rng.normal(0.0, 0.2, len(frame))
+    diagnosis = diagnose({name: frame[name].to_numpy() for name in frame})
+    found = diagnosis_record(diagnosis)["channels"]["normal"]
+    assert names(found) == ["creep"]
+    values = {p: one["value"] for p, one in found["effects"][0]["parameters"].items()}
+    assert values["carried"] == 1.0
+    assert values["tau_s"] == pytest.approx(tau_s, rel=0.1)
+    assert found["error_after"]["rmse"] == pytest.approx(0.2, rel=0.06)
+    volume, _ = diagnosis.law.predict(frame)
+    assert np.sqrt(np.mean((volume - 5.0 * clean) ** 2)) < 0.03
