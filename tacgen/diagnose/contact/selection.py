@@ -417,7 +417,7 @@ class CandidateSets:
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
             return False
-        worth = rest.loss - full.loss
+        worth = self.worth(full, member)
         # Several that were chosen together would all have to be due to chance.
         together = n_names > 1 and len(full.members) > 1
         alpha = self.rules.clear_alpha if together else self.rules.alpha
@@ -426,10 +426,19 @@ class CandidateSets:
             uncorrected, _ = self.p_value(full, member)
             if of_trials or not self.is_clear(rest, worth, uncorrected):
                 return False
-        most = max(self.without(full, one).loss for one in full.members) - full.loss
-        # A set that hardly determines its parameters may have any cross-validated loss.
-        most = min(most, self.fitted((), self.linear).loss - full.loss)
-        return worth >= self.rules.least_share_of_rival * most
+        return worth >= self.rules.least_share_of_rival * self.most_worth(full)
+
+    def worth(self, full: FittedSet, member: Candidate) -> float:
+        """What ``member`` explains beside the others."""
+        return self.without(full, member).loss - full.loss
+
+    def most_worth(self, full: FittedSet) -> float:
+        """What the member explains that explains most, at most all there is.
+
+        A set that hardly determines its parameters may have any cross-validated loss.
+        """
+        most = max(self.worth(full, one) for one in full.members)
+        return min(most, self.fitted((), self.linear).loss - full.loss)
 
 
 class Selection:
@@ -584,10 +593,15 @@ class Selection:
         return fitted
 
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
-        """``fitted`` less members that corrections of the others' forms replace, weakest first."""
+        """``fitted`` less members that corrections of the others' forms replace, weakest first.
+
+        What explains more than ``most_mismatch`` of what another does is no error of its form.
+        """
         sets = self.sets
-        by_worth = sorted(fitted.members, key=lambda member: sets.without(fitted, member).loss)
+        by_worth = sorted(fitted.members, key=lambda member: sets.worth(fitted, member))
         for member in by_worth[:-1]:
+            if sets.worth(fitted, member) > self.rules.most_mismatch * sets.most_worth(fitted):
+                break
             rest = sets.without(fitted, member)
             if not sets.is_worth(self._refined(rest), self._refined(fitted)):
                 return self._without_mismatch(self._pruned(rest))
