@@ -8,7 +8,7 @@ from tacgen.contact.effects import base
 
 FREE_RECOVERING, FREE_HELD = base.free_amounts("recovering", 6), base.free_amounts("held", 6)
 TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
-LONGEST_TAU = 5.0  # in durations of a trial
+LONGEST_TAU, LONGEST_CARRIED = 5.0, 50.0  # in durations of a trial
 LEAST_CARRIED = 0.2  # τ in pauses between trials: of faster ones nothing is left
 
 
@@ -18,14 +18,14 @@ def _apply(
     """Load plus one or two Prony terms, and corrections.
 
     A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew, from the
-    start of the trial, or with ``carried`` 1 from that of the session;
-    with ``recovery`` 0 it adds amount·F(t)(1 − exp(−t/τ)), t since the trial's contact began,
-    which is gone with the load; in between, a share of each. Corrections are amounts of each
-    kind for six τ at even ratios from ``shortest_s`` to ``longest_s``.
+    start of the trial, or with ``carried`` 1 from that of the session; with ``recovery`` 0 it adds
+    amount·F(t)(1 − exp(−t/τ)), which is gone with the load, t since the trial's load began, or with
+    ``since_press`` 1 since its normal force did; in between, a share of each. Corrections are
+    amounts of each kind for six τ at even ratios from ``shortest_s`` to ``longest_s``.
 
     Source: Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
     """
-    recovery = p["recovery"]
+    recovery, begins = p["recovery"], "normal" if p["since_press"] == 1.0 else channel
     terms = [(p[tau], recovery * p[one], (1.0 - recovery) * p[one]) for one, tau in TERMS]
     free = [
         (p[one.name], p[other.name]) for one, other in zip(FREE_RECOVERING, FREE_HELD, strict=True)
@@ -40,15 +40,19 @@ def _apply(
             if p["carried"] != 0.0:
                 result += p["carried"] * recovering * history.left_over(channel, tau)
         if with_load != 0.0:
-            grown = -np.expm1(-history.time_since_contact_s(channel) / tau)
+            grown = -np.expm1(-history.time_since_contact_s(begins) / tau)
             result += with_load * load * grown[:, None]
     return result
 
 
 def _tau_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
-    """Slower than sampling and faster than some trials: else it is no creep that a log shows."""
+    """Slower than sampling and faster than some trials: else it is no creep that a log shows.
+
+    What is carried from trial to trial shows over the session.
+    """
     duration_s = history.trial_duration_s
-    return max(4.0 * history.sample_period_s, 0.02 * duration_s), LONGEST_TAU * duration_s
+    longest = LONGEST_CARRIED if p["carried"] == 1.0 else LONGEST_TAU
+    return max(4.0 * history.sample_period_s, 0.02 * duration_s), longest * duration_s
 
 
 def _amount_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
@@ -64,12 +68,18 @@ def _references(history: base.LoadHistory) -> dict[str, float]:
     return {"shortest_s": history.sample_period_s, "longest_s": longest_s}
 
 
-def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
+def _variants(
+    history: base.LoadHistory, references: base.Parameters, channel: base.Channel
+) -> tuple[base.Variant, ...]:
     duration = max(history.trial_duration_s, 4 * history.sample_period_s)
-    recovering = {"recovery": 1.0}
-    kinds = [("recovering", recovering), ("with the load", {"recovery": 0.0})]
+    taus = [share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5)]
+    recovering, held = {"recovery": 1.0}, {"recovery": 0.0}
+    kinds = [("recovering", recovering, taus), ("with the load", held, taus)]
+    if channel == "shear":
+        kinds.append(("with the load, since the press", {**held, "since_press": 1.0}, taus))
     if history.pause_s < LONGEST_TAU * duration:
-        kinds.append(("recovering between presses too", {**recovering, "carried": 1.0}))
+        slow = [tau for tau in (*taus, 6.0 * duration) if tau > LEAST_CARRIED * history.pause_s]
+        kinds.append(("recovering between presses too", {**recovering, "carried": 1.0}, slow))
     single = [
         base.variant(
             f"{kind}, tau {tau:.3g} s",
@@ -77,9 +87,8 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
             {"tau_s": tau, **shape},
             fitted=("tau_s",),
         )
-        for tau in (share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5))
-        for kind, shape in kinds
-        if "carried" not in shape or tau > LEAST_CARRIED * history.pause_s
+        for kind, shape, own in kinds
+        for tau in own
     ]
     double = [
         base.variant(
@@ -88,7 +97,7 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
             {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration, **shape},
             fitted=("tau_s", "tau_2_s"),
         )
-        for kind, shape in kinds
+        for kind, shape, _ in kinds
     ]
     return (*single, *double)
 
@@ -107,13 +116,14 @@ for _channel in base.CHANNELS:
                 base.shape("tau_2_s", 1e-3, 1e5, 10.0, "s", _tau_bounds),
                 base.shape("recovery", 0.0, 1.0, 1.0),
                 base.shape("carried", 0.0, 1.0, 0.0),
+                base.shape("since_press", 0.0, 1.0, 0.0),
                 *FREE_RECOVERING,
                 *FREE_HELD,
                 base.reference("shortest_s", "s"),
                 base.reference("longest_s", "s"),
             ),
             apply=partial(_apply, channel=_channel),
-            variants=_variants,
+            variants=partial(_variants, channel=_channel),
             references=_references,
             shown_against="time_in_trial_s",
             separated_by={

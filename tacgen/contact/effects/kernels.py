@@ -132,36 +132,38 @@ def dahl(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatAr
 
 @njit(cache=True)
 def play_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
-    """The play operator of vectors (N, C): a ball of radius ``width`` drags what is in it along.
+    """The play operator of vectors (N, 2): a ball of radius ``width`` drags what is in it along.
 
     Source: Visintin 1994, Differential Models of Hysteresis, ch. III: vector play.
     """
     result = np.empty(values.shape)
     for k in range(starts.size - 1):
-        state = np.zeros(values.shape[1])
+        x = y = 0.0
         for i in range(starts[k], starts[k + 1]):
-            away = values[i] - state
-            size = np.sqrt((away**2).sum())
+            ahead_x, ahead_y = values[i, 0] - x, values[i, 1] - y
+            size = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
             if size > width:
-                state += away * (1.0 - width / size)
-            result[i] = state
+                x += ahead_x * (1.0 - width / size)
+                y += ahead_y * (1.0 - width / size)
+            result[i, 0], result[i, 1] = x, y
     return result
 
 
 @njit(cache=True)
 def dahl_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
-    """Dahl's friction of vectors (N, C), along the way: dz = dx − |dx|·z/width."""
+    """Dahl's friction of vectors (N, 2), along the way: dz = dx − |dx|·z/width."""
     result = np.empty(values.shape)
     for k in range(starts.size - 1):
-        state = np.zeros(values.shape[1])
+        x = y = 0.0
         result[starts[k]] = 0.0
         for i in range(starts[k] + 1, starts[k + 1]):
-            step = values[i] - values[i - 1]
-            size = np.sqrt((step**2).sum())
+            step_x, step_y = values[i, 0] - values[i - 1, 0], values[i, 1] - values[i - 1, 1]
+            size = np.sqrt(step_x * step_x + step_y * step_y)
             if size > 0.0:
-                end = width / size * step
-                state = end + (state - end) * np.exp(-size / width)
-            result[i] = state
+                end_x, end_y = width / size * step_x, width / size * step_y
+                decay = np.exp(-size / width)
+                x, y = end_x + (x - end_x) * decay, end_y + (y - end_y) * decay
+            result[i, 0], result[i, 1] = x, y
     return result
 
 

@@ -94,6 +94,18 @@ def test_memory_does_not_pass_from_one_trial_to_the_next():
     np.testing.assert_allclose(both, np.concatenate([alone, alone]), rtol=1e-9)
 
 
+@pytest.mark.parametrize("since_press", [0.0, 1.0])
+def test_creep_of_a_shear_that_begins_later_is_timed_from_it_or_from_the_press(since_press):
+    time = np.linspace(0.0, 6.0, 61)
+    pull = np.where(time >= 2.0, 1.5, 0.0)
+    history = history_of(np.full(61, 5.0), time, force_shear_x_n=pull, force_shear_y_n=0 * pull)
+    given = {"amount": 0.3, "tau_s": 1.7, "recovery": 0.0, "since_press": since_press}
+    found = volume(history, "creep", "shear", **given)[:, 0]
+    since = time - (0.0 if since_press else 2.0)
+    expected = 2.0 * pull * (1.0 + 0.3 * (1.0 - np.exp(-since / 1.7)))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
 def presses(*parts, pause_s):
     """Columns of presses of these forces, 0.1 s from sample to sample, so far apart."""
     counts = [len(part) for part in parts]
