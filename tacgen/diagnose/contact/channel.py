@@ -155,8 +155,8 @@ class ChannelSamples:
     """Every sample of one channel, from which rows are averaged.
 
     ``columns`` (N,) each are a press log's, finite where they are used; ``precision`` (N,), in the
-    history's order, is 0 where a sample sticks out of its trial. ``session`` is the history of the
-    whole log, if the columns are a part of it.
+    history's order, is 0 where a sample sticks out of its trial. ``session`` holds the samples of the
+    whole log, if these are a part of it.
     """
 
     def __init__(
@@ -164,10 +164,11 @@ class ChannelSamples:
         columns: Columns,
         channel: Channel,
         rules: SelectionRules = DEFAULT_RULES,
-        session: LoadHistory | None = None,
+        session: "ChannelSamples | None" = None,
     ) -> None:
         self.columns, self.channel, self.rules = columns, channel, rules
-        self.history = history = LoadHistory(columns, session)
+        self.history = history = LoadHistory(columns)
+        self._session = session
         target, load = self._target(history), history.load(channel)
         # Smoothed, since weights that follow a sample's own noise would bias every fit.
         parts = [moving_mean(np.ascontiguousarray(axis), history.starts, 4) for axis in load.T]
@@ -208,7 +209,8 @@ class ChannelSamples:
                 columns[name] = ordered[edges]
             else:
                 columns[name] = np.add.reduceat(ordered * share, edges) / total
-        thinned = LoadHistory(columns, history.session)
+        session = self._session.thinned(rows).history if self._session else None
+        thinned = LoadHistory(columns, session)
         return ChannelData(
             self.channel,
             self.rules,

@@ -207,9 +207,10 @@ class _Channel:
 
     def _split(self, out: BoolArray) -> tuple[ChannelSamples, ChannelSamples]:
         """Samples to fit, and those of the rows ``out``."""
-        session = self.every.history
         kept, held = (
-            ChannelSamples(heldout.select(self._columns, rows), self._channel, self._rules, session)
+            ChannelSamples(
+                heldout.select(self._columns, rows), self._channel, self._rules, self.every
+            )
             for rows in (~out, out)
         )
         return kept, held
