@@ -155,8 +155,8 @@ class ChannelSamples:
     """Every sample of one channel, from which rows are averaged.
 
     ``columns`` (N,) each are a press log's, finite where they are used; ``precision`` (N,), in the
-    history's order, is 0 where a sample sticks out of its trial. ``session`` holds the samples of the
-    whole log, if these are a part of it.
+    history's order, is 0 where a sample sticks out of its trial. ``session`` are the samples of
+    the whole log, if these are a part of it.
     """
 
     def __init__(

@@ -105,8 +105,9 @@ class ChannelDiagnosis:
             )
         left = ", ".join(d.covariate for d in self.unexplained)
         if self.verdict == "effect_found":
-            with_it = "" if self.is_scored_otherwise else "with it, "
-            return f"{what} lacks {names}: {with_it}{error} ({floor_words})."
+            with_them = "with it, " if len(self.effect_names) == 1 else "with them, "
+            with_them = "" if self.is_scored_otherwise else with_them
+            return f"{what} lacks {names}: {with_them}{error} ({floor_words})."
         if names:
             return f"{what} lacks {names} ({error}), and something that follows {left} is left."
         return (

@@ -400,3 +400,18 @@ def test_the_first_press_shows_all_of_conditioning_and_a_late_one_none():
     assert worn[0] == pytest.approx(4.0 * 0.7)
     assert worn[2] == pytest.approx(4.0 * (1 - 0.3 * np.exp(-1.0)))
     assert worn[-1] == pytest.approx(4.0, rel=1e-6)
+
+
+def test_a_step_of_temperature_is_half_done_at_its_place_and_over_far_from_it():
+    celsius = np.array([10.0, 24.0, 25.0, 40.0])
+    history = history_of(np.full(4, 3.0), temperature_c=celsius)
+    given = {"reference_c": 22.0, "step": 0.2, "step_at_c": 2.0, "step_width_c": 1.0}
+    found = volume(history, "temperature", **given)[:, 0]
+    expected = 6.0 * np.array([0.8, 1.0, 1.0 + 0.2 * np.tanh(1.0), 1.2])
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_a_gain_that_settles_approaches_its_end_exponentially():
+    time = np.linspace(0.0, 100.0, 11)
+    found = volume(history_of(np.full(11, 3.0), time), "drift", settling=-0.3, over=0.25)[:, 0]
+    np.testing.assert_allclose(found, 6.0 * (1.0 - 0.3 * (1.0 - np.exp(-time / 25.0))), rtol=1e-12)
