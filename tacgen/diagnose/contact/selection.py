@@ -11,6 +11,7 @@ compete on the same terms, so that they are not taken for an effect.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -595,15 +596,18 @@ class Selection:
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` less members that corrections of the others' forms replace, weakest first.
 
-        What explains more than ``most_mismatch`` of what another does is no error of its form.
+        What explains more than ``most_mismatch`` of what another does is an error of that one's
+        form only where the corrections explain more than it did.
         """
-        sets = self.sets
-        by_worth = sorted(fitted.members, key=lambda member: sets.worth(fitted, member))
-        for member in by_worth[:-1]:
-            if sets.worth(fitted, member) > self.rules.most_mismatch * sets.most_worth(fitted):
-                break
+        if len(fitted.members) < 2:
+            return fitted
+        sets, corrected = self.sets, self._refined(fitted)
+        least = self.rules.most_mismatch * sets.most_worth(fitted)
+        for member in sorted(fitted.members, key=partial(sets.worth, fitted))[:-1]:
             rest = sets.without(fitted, member)
-            if not sets.is_worth(self._refined(rest), self._refined(fitted)):
+            without = self._refined(rest)
+            is_other = sets.worth(fitted, member) > least and not sets.is_worth(fitted, without)
+            if not is_other and not sets.is_worth(without, corrected):
                 return self._without_mismatch(self._pruned(rest))
         return fitted
 
