@@ -65,7 +65,7 @@ class SelectionRules:
     parameter_price: float = 0.002  # share by which one parameter more must be better
     min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
     correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
-    most_mismatch: float = 0.1  # of what another explains: more is seldom an error of that one's form
+    most_mismatch: float = 0.1  # of what another explains: more is seldom its form's error
     least_share_of_rival: float = 0.02  # of what another explains: less is that one's model error
     confusable_in_se: float = 2.0  # lead below which a rival is reported as confusable
 
