@@ -71,7 +71,7 @@ def _residual_figure(channel: Mapping[str, Any], found: ChannelDiagnosis) -> Fig
     figure, grid = plots.new_figure(9.0, height_in, len(shown), 2, sharey=True)
     figure.set_layout_engine(None)  # one for any labels costs as much time as drawing does
     top, bottom = 1.0 - 0.3 / height_in, 0.5 / height_in
-    figure.subplots_adjust(0.095, bottom, 0.99, top, wspace=0.04, hspace=0.42)
+    figure.subplots_adjust(0.095, bottom, 0.975, top, wspace=0.06, hspace=0.42)
     noise = channel["noise_floor"]["rmse"] or 0.0
     for column, fit in enumerate((found.base, found.final)):
         residual = _residual(found, fit)
