@@ -2,6 +2,7 @@
 
     python -m validation.blind.evaluate --cases 40 --classes single pair clean unlisted --seed 0
     python -m validation.blind.evaluate --only normal:creep shear:slip --strength 1.5 2
+    python -m validation.blind.evaluate --source independent --classes single clean --cases 20
 
 Each case is written as CSV, less a fifth of its trials, and read and diagnosed as ``tacgen
 diagnose contact`` does; what is found is compared with what was put in, and the law is tried on
@@ -17,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import read_press_log
 from validation.blind.blind_forms import ALL_NORMAL, ALL_SHEAR, ALL_UNLISTED
 from validation.blind.generator import Case, draw_case
+from validation.blind.independent.generator import draw_case as draw_independent_case
 
 Wanted = list[tuple[str, float]]
 INSEPARABLE = {
@@ -37,6 +39,11 @@ INSEPARABLE = {
     for pair in (("drift", "conditioning"), ("stiffening", "saturation"), ("slip", "saturation"))
 }
 """Pairs that are one thing in a log: both follow the order of the presses, or bend the curve."""
+SOURCES: dict[str, Callable[..., Case]] = {
+    "blind": draw_case,
+    "independent": draw_independent_case,
+}
+"""Generators of logs; each draws the effects of the same lists in forms of its own."""
 CLASSES = ("single", "pair", "cross", "clean", "unlisted", "triple")
 N_EFFECTS = {"single": 1, "pair": 2, "triple": 3}
 LEAST_REACHED = 0.9
@@ -168,9 +175,11 @@ def ratios(case: Case, diagnosis: dict[str, Any]) -> dict[str, dict[str, float]]
     return found
 
 
-def evaluate(kind: str, seed: int, wanted: dict[str, Wanted]) -> dict[str, Any]:
+def evaluate(
+    kind: str, seed: int, wanted: dict[str, Wanted], source: str = "blind"
+) -> dict[str, Any]:
     """One case: what was put in, what was said, what is wrong, and the error's ratios."""
-    case = draw_case(seed, normal=wanted.get("normal", ()), shear=wanted.get("shear", ()))
+    case = SOURCES[source](seed, normal=wanted.get("normal", ()), shear=wanted.get("shear", ()))
     start = time.process_time()
     said, wrong, measured = {}, {}, {}
     try:
@@ -235,6 +244,7 @@ def summary(results: list[dict[str, Any]]) -> str:
 def main() -> int:
     """Run, print a line a wrong case, and the summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--source", default="blind", choices=SOURCES, help="what makes the logs")
     parser.add_argument("--cases", type=int, default=20, help="cases a class")
     parser.add_argument("--classes", nargs="+", default=list(CLASSES), choices=CLASSES)
     parser.add_argument("--only", nargs="+", help="channel:effect, all of them in every case")
@@ -244,7 +254,7 @@ def main() -> int:
     arguments = parser.parse_args()
     results = []
     for kind, seed, wanted in cases(arguments):
-        result = evaluate(kind, seed, wanted)
+        result = evaluate(kind, seed, wanted, arguments.source)
         if not result["reached"]:
             continue
         results.append(result)
