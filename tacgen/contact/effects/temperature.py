@@ -32,7 +32,7 @@ def _within_the_log(history: base.LoadHistory, p: base.Parameters) -> tuple[floa
 
 
 def _width_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
-    """From a sharp step to what can hardly be told from a line."""
+    """From a sharp step to one three times as wide as the temperatures spread: nearly a line."""
     spread = max(float(np.nanstd(history.column("temperature_c"))), 1e-6)
     return 0.2 * spread, 3.0 * spread
 
