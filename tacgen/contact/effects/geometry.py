@@ -17,7 +17,7 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     relative = p["amount"] * bend + p["curvature"] * bend**2
     for name, value in p.items():
         if name.startswith("gain_") and history.has("indenter"):
-            relative = np.where(history.text("indenter") == name[5:], value, relative)
+            relative = np.where(history.is_text("indenter", name[5:]), value, relative)
     return base.with_gain(load, relative)
 
 

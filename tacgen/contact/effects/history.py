@@ -1,8 +1,8 @@
 """The load history of a press log, or of one simulated grasp, as the effects see it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,7 @@ from tacgen.contact.effects import kernels
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import ContactError
 
+Made = TypeVar("Made")
 Channel = Literal["normal", "shear"]
 CHANNELS: tuple[Channel, ...] = ("normal", "shear")
 
@@ -51,6 +52,7 @@ class LoadHistory:
         self._reversals: dict[Channel, tuple[NDArray[np.int64], BoolArray]] = {}
         self._since_contact: dict[Channel, FloatArray] = {}
         self._kept: dict[str, tuple[FloatArray, dict[float, FloatArray]]] = {}
+        self._made: dict[Hashable, Any] = {}
         self._left_over: dict[tuple[Channel, float], FloatArray] = {}
         self.session = session or self
         trial = arrays["trial"][self.order]
@@ -83,6 +85,17 @@ class LoadHistory:
     def text(self, name: str) -> NDArray[np.str_]:
         """A text column (N,), sorted."""
         return self._columns[name][self.order].astype(str)
+
+    def is_text(self, name: str, text: str) -> BoolArray:
+        """Where a text column is ``text`` (N,)."""
+        return self.once((name, text), lambda: np.asarray(self.text(name) == text))
+
+    def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """What ``make`` returned for ``key`` when it was first asked for; not to be changed."""
+        if key not in self._made:
+            self._made[key] = make()
+        made: Made = self._made[key]
+        return made
 
     def unsorted(self, values: FloatArray) -> FloatArray:
         """``values`` (N, …) back in the order of the rows that were given."""

@@ -47,7 +47,7 @@ class Where:
     def holds(self, history: LoadHistory) -> BoolArray:
         """Whether each sample (N,) is in it; those of a trial without a number are not."""
         if self.equals:
-            return np.asarray(history.text(self.column) == self.equals)
+            return history.is_text(self.column, self.equals)
         values = history.means_of_trials(self.column)[history.trial_index]
         return np.asarray((values > self.above) & (values <= self.up_to))
 

@@ -7,7 +7,7 @@ in B has no share of the noise, be it of the volume or of the force. Sums of suc
 the place of every sum of squares that is judged.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -64,7 +64,7 @@ class ChannelData:
     @property
     def few_trials(self) -> bool:
         """Whether units are parts of trials."""
-        return self.history.n_trials < self.rules.min_trials_as_units
+        return self.n_units > np.unique(self.unit_trial).size
 
     @property
     def row_unit(self) -> NDArray[np.int64]:
@@ -80,10 +80,24 @@ class ChannelData:
         trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
         return trial
 
+    def with_parts_of(self, trials: NDArray[np.int64]) -> "ChannelData":
+        """The same rows, with parts of these ``trials`` (numbers in order) as units.
+
+        As many parts as in a log of the fewest trials that are folds.
+        """
+        trial = self.history.trial_index[self.pairs[0]]
+        first = np.searchsorted(trial, np.arange(self.history.n_trials + 1))
+        count = np.diff(first)[trial]
+        n_parts = int(np.ceil(self.rules.min_units / self.rules.min_trials_as_folds))
+        part = (np.arange(trial.size) - first[trial]) * n_parts // np.maximum(count, 1)
+        numbers = trial * n_parts + np.where(np.isin(trial, trials), part, 0)
+        return replace(self, pair_unit=np.unique(numbers, return_inverse=True)[1].astype(np.int64))
+
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
         count, n_trials = self.rules.n_folds, self.history.n_trials
-        if n_trials < self.rules.min_trials_as_folds:
+        few = n_trials < self.rules.min_trials_as_units
+        if n_trials < self.rules.min_trials_as_folds or (self.few_trials and not few):
             return np.arange(self.n_units) % min(count, self.n_units)
         return self.unit_trial % min(count, n_trials)
 
@@ -129,7 +143,7 @@ class ChannelData:
         Products of the halves have one sign where it is; of n of normal noise the sum is 0, give or
         take π/(2√n) of the sum of their sizes.
         """
-        a, b, _ = self.halves(self.reduce(self.history.load(self.channel)))
+        a, b = self.halves(self.reduce(self.history.load(self.channel)))
         least = min(0.5, _CHANCES * 0.5 * np.pi / np.sqrt(a.size))
         return bool(a @ b > least * np.abs(a * b).sum())
 
@@ -143,12 +157,11 @@ class ChannelData:
         one = np.ones((self.history.n_samples, 1))
         return np.stack([self.reduce(one * axis) for axis in np.eye(self.n_outputs)], axis=1)
 
-    def halves(self, reduced: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-        """Rows A and B of ``reduced`` (N·C, …), each (M·C, …), and the unit of each."""
+    def halves(self, reduced: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows A and B of ``reduced`` (N·C, …), each (M·C, …), the outputs of a row together."""
         shaped = reduced.reshape(-1, self.n_outputs, *reduced.shape[1:])
         flat = (-1, *reduced.shape[1:])
-        unit = np.repeat(self.pair_unit, self.n_outputs)
-        return shaped[self.pairs[0]].reshape(flat), shaped[self.pairs[1]].reshape(flat), unit
+        return shaped[self.pairs[0]].reshape(flat), shaped[self.pairs[1]].reshape(flat)
 
 
 class ChannelSamples:

@@ -42,9 +42,12 @@ class Covariate:
 
     def basis(self, data: ChannelData) -> list[FloatArray]:
         """Functions of the covariate, each (N,)."""
+        return data.history.once(self, lambda: self._basis(data))
+
+    def _basis(self, data: ChannelData) -> list[FloatArray]:
         if self.kind == "levels":
-            text = data.history.text(self.column)
-            return [(text == level).astype(np.float64) for level in self.levels]
+            held = (data.history.is_text(self.column, level) for level in self.levels)
+            return [one.astype(np.float64) for one in held]
         values = data.history.column(self.column)
         if self.kind == "oscillation":
             phase = 2.0 * np.pi * self.frequency_hz * (values - self.center)

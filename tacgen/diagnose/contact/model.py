@@ -167,7 +167,7 @@ def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
         open_ = np.flatnonzero(np.abs(best.jacobian).max(axis=0) > 0)
         if not open_.size:
             return best
-        a, b, _ = data.halves(np.column_stack([best.jacobian[:, open_], best.residual]))
+        a, b = data.halves(np.column_stack([best.jacobian[:, open_], best.residual]))
         prior = best.prior[:, [*open_, -1]]
         gram = 0.5 * (a.T @ b + b.T @ a + prior.T @ prior)
         scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))

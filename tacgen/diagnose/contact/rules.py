@@ -56,6 +56,7 @@ class SelectionRules:
     clear_share: float = 0.5  # of the remaining structure: then clear_alpha suffices
     clear_alpha: float = 0.02  # before correction; after it, of each of several found together
     few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
+    order_alpha: float = 0.05  # chance that what few trials show falls on them: one in twenty
     max_members: int = 5  # of a channel's model
 
     min_trials_of_part: int = 4  # in a part of the log to which an effect is confined, and outside
@@ -65,7 +66,7 @@ class SelectionRules:
     parameter_price: float = 0.002  # share by which one parameter more must be better
     min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
     correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
-    most_mismatch: float = 0.1  # of what another explains: more is seldom its form's error
+    most_mismatch: float = 0.1  # of what another explains: more is no error of that one's form
     least_share_of_rival: float = 0.02  # of what another explains: less is that one's model error
     confusable_in_se: float = 2.0  # lead below which a rival is reported as confusable
 

@@ -32,11 +32,11 @@ def unit_grams(
     Otherwise of products within the halves, on the same scale.
     """
     size = columns.shape[1]
-    shaped = columns.reshape(-1, data.n_outputs, size)
-    bounds = np.searchsorted(data.pair_unit, np.arange(data.n_units + 1))
+    halves = data.halves(columns)
+    bounds = data.n_outputs * np.searchsorted(data.pair_unit, np.arange(data.n_units + 1))
     grams = np.empty((data.n_units, size, size))
     for gram, (i, j) in zip(grams, pairwise(bounds), strict=True):
-        a, b = (shaped[rows[i:j]].reshape(-1, size) for rows in data.pairs)
+        a, b = (half[i:j] for half in halves)
         if between_halves:
             products = a.T @ b
             gram[:] = 0.5 * (products + products.T)
@@ -213,7 +213,7 @@ def shuffle_p_values(
     test = _Test(grams, base, shuffled, rules)
     within = test
     if parts_of_trials:
-        grams = _without_gains(grams, base[0], shuffled.trial, rules)
+        grams = without_gains(grams, base[0], shuffled.trial, rules)
         within = _Test(grams, base, shuffled, rules)
     shapes = [test.shapes(group, ([base[0]], ones)) for group in groups]
     gains = [shape or ([base[0]] if parts_of_trials else ()) for shape in shapes]
@@ -247,7 +247,7 @@ def _p_of_each(
     return p_values
 
 
-def _without_gains(
+def without_gains(
     grams: FloatArray, response: int, trial: NDArray[np.int64], rules: SelectionRules
 ) -> FloatArray:
     """``grams`` (U, P, P) of columns less, in each ``trial`` (U,), their share of the response.

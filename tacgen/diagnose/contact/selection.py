@@ -15,6 +15,7 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, all_effects
 from tacgen.contact.effects.base import Parameters
@@ -370,6 +371,25 @@ class CandidateSets:
         p_values = found.corrected(1 if few else n_names, n_names)
         return float(max(*p_values, *_search_p_values(fresh))), bool(found.of_trials[0])
 
+    def with_gains_of(self, fitted: FittedSet, trials: NDArray[np.int64]) -> FittedSet:
+        """``fitted`` with its losses where each of ``trials`` has a compliance of its own."""
+        unit_trial = self.data.unit_trial
+        grams, _, base = scores.fit_grams(self.data, fitted.fit, [])
+        left = scores.without_gains(grams, base[0], unit_trial, self.rules)[:, -1, -1]
+        losses = np.where(np.isin(unit_trial, trials), left, fitted.unit_losses)
+        return replace(fitted, unit_losses=losses)
+
+    def p_of_order(self, full: FittedSet, member: Candidate) -> float:
+        """The p that a member, as it is fitted, acts by chance in the trials that are off.
+
+        By the order of the trials alone; 1 if in each it does what another compliance would.
+        """
+        rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
+        does = full.fit.model.law_response(self.data) - rest.model.law_response(self.data)
+        fitted = Candidate(member.name, self.data.reduce(does)[:, None])
+        found = self._shuffle_p_values(rest, [fitted], [""])
+        return 1.0 if found.of_trials[0] else float(found.permuted[0])
+
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
 
@@ -449,7 +469,9 @@ class Selection:
         self, data: ChannelData, rng: np.random.Generator, *, session_clock: bool = True
     ) -> None:
         self.data, self.rules = data, data.rules
+        self._rng, self._session_clock = rng, session_clock
         self.sets = CandidateSets(data, rng, session_clock=session_clock)
+        self._sets_of: dict[str, CandidateSets] = {}  # in which what few trials show was found
 
     def run(self) -> Attribution:
         """Choose, and describe each member and its runners-up."""
@@ -473,7 +495,7 @@ class Selection:
             if found is None:
                 break
             current = found
-        named = self._without_mismatch(self._pruned(current))
+        named = self._with_one_of_few_trials(self._without_mismatch(self._pruned(current)))
         return Attribution(base, named, self._refined(named), ranking=ranking)
 
     def _extended(
@@ -572,6 +594,39 @@ class Selection:
                 return best if sets.score(best) < sets.score(current) else None
         return None
 
+    def _with_one_of_few_trials(self, current: FittedSet) -> FittedSet:
+        """``current`` with an effect that a few trials show, if they hold most of what is left.
+
+        Without them such an effect is not seen, so that parts of them are held out instead.
+        """
+        sets, rules, data = self.sets, self.rules, self.data
+        full = len(current.members) >= rules.max_members
+        if full or data.few_trials or current.loss < rules.few_min_gain * sets.total(current):
+            return current
+        worst = np.argsort(-current.unit_losses)[: rules.min_trials_of_part - 1]
+        if current.unit_losses[worst].sum() < rules.clear_share * current.loss:
+            return current
+        worst = data.unit_trial[worst]
+        parts = CandidateSets(
+            data.with_parts_of(worst), self._rng, session_clock=self._session_clock
+        )
+        start = parts.fitted(current.members, current.fit.model)
+        pool = [(one, gain) for one, gain in parts.pool(start) if one.is_effect]
+        found = [parts.add(start, [one]) for one in _worth_a_fit(pool, 0.0)]
+        gains = parts.with_gains_of(start, worst)
+        found = [
+            one
+            for one in found
+            if parts.is_worth(start, one)
+            and gains.loss - one.loss > rules.min_gain * parts.total(one)
+            and parts.p_of_order(one, one.members[-1]) <= rules.order_alpha
+        ]
+        if not found:
+            return current
+        best = min(found, key=parts.score)
+        self._sets_of[best.members[-1].label] = parts
+        return sets.fitted(best.members, best.fit.model)
+
     def _swapped(self, fitted: FittedSet, *, tested: bool = True) -> FittedSet:
         """Exchange members, and their variants, for others as long as held-out trials gain.
 
@@ -596,18 +651,17 @@ class Selection:
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` less members that corrections of the others' forms replace, weakest first.
 
-        What explains more than ``most_mismatch`` of what another does is an error of that one's
-        form only where the corrections explain more than it did.
+        What explains more than ``most_mismatch`` of what another does is no error of its form.
         """
-        if len(fitted.members) < 2:
+        sets = self.sets
+        most = self.rules.most_mismatch * sets.most_worth(fitted) if fitted.members else 0.0
+        small = [one for one in fitted.members if sets.worth(fitted, one) <= most]
+        if not small:
             return fitted
-        sets, corrected = self.sets, self._refined(fitted)
-        least = self.rules.most_mismatch * sets.most_worth(fitted)
-        for member in sorted(fitted.members, key=partial(sets.worth, fitted))[:-1]:
+        corrected = self._refined(fitted)
+        for member in sorted(small, key=partial(sets.worth, fitted)):
             rest = sets.without(fitted, member)
-            without = self._refined(rest)
-            is_other = sets.worth(fitted, member) > least and not sets.is_worth(fitted, without)
-            if not is_other and not sets.is_worth(without, corrected):
+            if not sets.is_worth(self._refined(rest), corrected):
                 return self._without_mismatch(self._pruned(rest))
         return fitted
 
@@ -639,10 +693,13 @@ class Selection:
             rows.setdefault(candidate.name, (candidate.label, gain, float(p)))
         return tuple(rows.values())
 
-    def _described(self, final: FittedSet) -> tuple[Chosen, ...]:
-        described = []
-        sets, least_lead = self.sets, self.rules.confusable_in_se
-        for member in final.members:
+    def _described(self, named: FittedSet) -> tuple[Chosen, ...]:
+        described, least_lead = [], self.rules.confusable_in_se
+        for member in named.members:
+            parts = self._sets_of.get(member.label)
+            sets = parts or self.sets
+            final = sets.fitted(named.members, named.fit.model)
+            p_value = parts.p_of_order(final, member) if parts else sets.p_value(final, member)[0]
             rest = sets.without(final, member)
             others = [one for one in sets.pool(rest) if one[0].name not in final.names]
             # A linearised gain says little here: fitted, another may predict as well as the member.
@@ -652,7 +709,7 @@ class Selection:
             chosen = Chosen(
                 member,
                 gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
-                p_value=sets.p_value(final, member)[0],
+                p_value=p_value,
                 confusable=tuple(dict.fromkeys(close)),
             )
             if rivals:

@@ -352,3 +352,38 @@ def test_memory_that_outlasts_the_pauses_is_creep_and_held_out_presses_are_predi
     assert found["error_after"]["rmse"] == pytest.approx(0.2, rel=0.06)
     volume, _ = diagnosis.law.predict(frame)
     assert np.sqrt(np.mean((volume - 5.0 * clean) ** 2)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "expected"),
+    [
+        (lambda volume, force: np.minimum(volume, 41.0), ["saturation"]),
+        (lambda volume, force: np.where(force.max() == 6.0, 0.9 * volume, volume), []),
+        (lambda volume, force: np.where(force.max() == 10.0, 0.9 * volume, volume), []),
+    ],
+    ids=["limit", "an ordinary press is off", "the hardest press is off"],
+)
+def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(spoiled, expected):
+    """Without that press the limit is not seen, so that the choice cannot hold it out."""
+    rng = np.random.default_rng(7)
+    peaks = np.append(rng.uniform(3.0, 8.0, 38), [6.0, 10.0])[rng.permutation(40)]
+    force = peaks[:, None] * np.interp(
+        np.linspace(0.0, 3.0, 60), [0.0, 1.0, 2.0, 3.0], [0, 1, 1, 0]
+    )
+    clean = np.stack([spoiled(5.0 * press, press) for press in force])
+    log = {
+        "trial": np.repeat(np.arange(40), 60),
+        "time_s": (4.0 * np.arange(40)[:, None] + np.linspace(0.0, 3.0, 60)).ravel(),
+        "force_normal_n": force.ravel(),
+        "volume_mm3": (clean + rng.normal(0.0, 0.3, clean.shape)).ravel(),
+    }
+    diagnosis = diagnose(log)
+    found = diagnosis_record(diagnosis)["channels"]["normal"]
+    assert names(found) == expected
+    if expected:
+        assert found["effects"][0]["p_value"] <= DEFAULT_RULES.order_alpha
+        assert found["effects"][0]["parameters"]["limit_mm3"]["value"] == pytest.approx(
+            41.0, rel=0.01
+        )
+        volume, _ = diagnosis.law.predict(log)
+        assert np.sqrt(np.mean((volume - clean.ravel()) ** 2)) < 0.1

@@ -168,8 +168,8 @@ def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
         kept = fold_of_row != fold
         rows = np.vstack([x[kept], precision[:2, :2]])
         weights = np.linalg.lstsq(rows, np.append(y[kept], [0.0, 0.0]), rcond=None)[0]
-        a, b, unit = data.halves(y - x @ weights)
-        slow = np.bincount(unit, a * b, minlength=data.n_units)[data.folds() == fold]
+        a, b = data.halves(y - x @ weights)
+        slow = np.bincount(data.pair_unit, a * b, minlength=data.n_units)[data.folds() == fold]
         np.testing.assert_allclose(losses[data.folds() == fold], slow, rtol=1e-4, atol=1e-6)
 
 

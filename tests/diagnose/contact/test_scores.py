@@ -376,6 +376,6 @@ def test_trials_in_which_the_halves_disagree_have_no_gain_beyond_their_size():
     grams = np.repeat(products, 3).reshape(2, 3, 1) * np.ones((2, 3, 3))
     information = scores.trial_information(grams, 0)
     np.testing.assert_array_equal(information, [3.0, 3.0])
-    left = scores._without_gains(grams, 0, np.arange(2), RULES)
+    left = scores.without_gains(grams, 0, np.arange(2), RULES)
     assert np.isfinite(left).all()
     assert np.abs(left).max() == pytest.approx(4.0 * (1.0 + 4.0 / 3.0) ** 2)
