@@ -53,7 +53,6 @@ class LoadHistory:
         self._since_contact: dict[Channel, FloatArray] = {}
         self._kept: dict[str, tuple[FloatArray, dict[float, FloatArray]]] = {}
         self._made: dict[Hashable, Any] = {}
-        self._left_over: dict[tuple[Channel, float], FloatArray] = {}
         self.session = session or self
         trial = arrays["trial"][self.order]
         edges = np.flatnonzero(trial[1:] != trial[:-1]) + 1
@@ -176,16 +175,19 @@ class LoadHistory:
 
     def left_over(self, channel: Channel, tau_s: float) -> FloatArray:
         """What such a low-pass of a channel's force still has (N, C) of the trials before."""
-        key = channel, tau_s
-        if key not in self._left_over:
-            if len(self._left_over) >= max(LEAST_KEPT, NUMBERS_KEPT // max(self.n_samples, 1)):
-                self._left_over.clear()
-            session = self.session
-            trial = np.searchsorted(session.trial[session.starts[:-1]], self.trial)
-            since_s = self.time_s - session.time_s[session.starts[trial]]
-            left = session._left_at_starts(channel, tau_s)[trial]
-            self._left_over[key] = left * np.exp(-since_s / tau_s)[:, None]
-        return self._left_over[key]
+        return self._keep(
+            f"left over of {channel}",
+            self.load(channel),
+            tau_s,
+            lambda _: self._left_over(channel, tau_s),
+        )
+
+    def _left_over(self, channel: Channel, tau_s: float) -> FloatArray:
+        session = self.session
+        trial = np.searchsorted(session.trial[session.starts[:-1]], self.trial)
+        since_s = self.time_s - session.time_s[session.starts[trial]]
+        left = session._left_at_starts(channel, tau_s)[trial]
+        return np.asarray(left * np.exp(-since_s / tau_s)[:, None])
 
     def _left_at_starts(self, channel: Channel, tau_s: float) -> FloatArray:
         trials, rows, starts = self._in_time

@@ -12,6 +12,16 @@ from tacgen.core.arrays import BoolArray, FloatArray
 
 
 @njit(cache=True)
+def _passed(state: float, before: float, value: float, step_s: float, tau_s: float) -> float:
+    """The q of τ q' = value − q a step after it was ``state``, the value linear meanwhile."""
+    if step_s <= 0.0:
+        return state
+    decay: float = np.exp(-step_s / tau_s)
+    lag = (value - before) / step_s * tau_s
+    return value - lag + (state - before + lag) * decay
+
+
+@njit(cache=True)
 def low_pass(
     values: FloatArray, time_s: FloatArray, starts: NDArray[np.int64], tau_s: float, from_rest: bool
 ) -> FloatArray:
@@ -25,12 +35,8 @@ def low_pass(
         state = 0.0 if from_rest else values[first]
         result[first] = state
         for i in range(first + 1, stop):
-            step = time_s[i] - time_s[i - 1]
-            if step > 0.0:
-                decay = np.exp(-step / tau_s)
-                lag = (values[i] - values[i - 1]) / step * tau_s
-                state = values[i] - lag + (state - values[i - 1] + lag) * decay
-            result[i] = state
+            step_s = time_s[i] - time_s[i - 1]
+            state = result[i] = _passed(state, values[i - 1], values[i], step_s, tau_s)
     return result
 
 
@@ -47,11 +53,8 @@ def left_over(
     for k in range(starts.size - 2):
         state, last = result[k], starts[k + 1] - 1
         for i in range(starts[k] + 1, last + 1):
-            step = time_s[i] - time_s[i - 1]
-            if step > 0.0:
-                decay = np.exp(-step / tau_s)
-                lag = (values[i] - values[i - 1]) / step * tau_s
-                state = values[i] - lag + (state - values[i - 1] + lag) * decay
+            step_s = time_s[i] - time_s[i - 1]
+            state = _passed(state, values[i - 1], values[i], step_s, tau_s)
         pause_s = time_s[last + 1] - time_s[last]
         result[k + 1] = state * np.exp(-pause_s / tau_s) if pause_s >= 0.0 else 0.0
     return result
