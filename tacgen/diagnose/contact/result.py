@@ -268,6 +268,12 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
         if term.effect.where and term.effect.in_simulation:
             what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
             notes.append(f"{what} {_in_simulation(term.effect.where)}")
+    for chosen in found.attribution.chosen:
+        if chosen.trials:
+            trials = " and ".join(map(str, chosen.trials))
+            which = f"trial {trials} shows" if len(chosen.trials) == 1 else f"trials {trials} show"
+            effect = chosen.candidate.name.replace("_", " ")
+            notes.append(f"{name} channel: only {which} {effect}; press more often like that")
     tried = found.scored_effects or found.effect_names
     if tried and found.n_test > 0 and found.after.rmse > found.before.rmse:
         effects = " and ".join(tried).replace("_", " ")

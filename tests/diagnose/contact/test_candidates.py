@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tacgen.contact.effects import all_effects
+from tacgen.diagnose.contact.candidate_sets import CandidateSets
 from tacgen.diagnose.contact.candidates import confounded, log_covariates
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import Model
-from tacgen.diagnose.contact.selection import CandidateSets
 from tests.contact.effects.test_registry import press_columns
 from validation.blind.localised import one_log
 

@@ -382,6 +382,9 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
     assert names(found) == expected
     if expected:
         assert found["effects"][0]["p_value"] <= DEFAULT_RULES.order_alpha
+        hardest = int(np.argmax(peaks))
+        note = f"normal channel: only trial {hardest} shows saturation; press more often like that"
+        assert note in diagnosis.notes
         assert found["effects"][0]["parameters"]["limit_mm3"]["value"] == pytest.approx(
             41.0, rel=0.01
         )
