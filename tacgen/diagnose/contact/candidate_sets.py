@@ -333,13 +333,22 @@ class CandidateSets:
         p_values = found.corrected(1 if few else n_names, n_names)
         return float(max(*p_values, *_search_p_values(fresh))), bool(found.of_trials[0])
 
-    def with_gains_of(self, fitted: FittedSet, trials: NDArray[np.int64]) -> FittedSet:
-        """``fitted`` with its losses where each of ``trials`` has a compliance of its own."""
+    def worst_trials(self, fitted: FittedSet) -> NDArray[np.int64]:
+        """The trials with most of what is left, too few to tell an effect from chance."""
+        losses = np.bincount(self.data.unit_trial, fitted.unit_losses)
+        return np.argsort(-losses)[: self.rules.min_trials_of_part - 1]
+
+    def is_more_than_gains(self, rest: FittedSet, full: FittedSet) -> bool:
+        """Whether ``full`` explains more than a gain of each of the worst trials of ``rest`` would.
+
+        A press that is merely off is no effect.
+        """
         unit_trial = self.data.unit_trial
-        grams, _, base = scores.fit_grams(self.data, fitted.fit, [])
+        grams, _, base = scores.fit_grams(self.data, rest.fit, [])
         left = scores.without_gains(grams, base[0], unit_trial, self.rules)[:, -1, -1]
-        losses = np.where(np.isin(unit_trial, trials), left, fitted.unit_losses)
-        return replace(fitted, unit_losses=losses)
+        is_worst = np.isin(unit_trial, self.worst_trials(rest))
+        with_gains = float(np.where(is_worst, left, rest.unit_losses).sum())
+        return with_gains - full.loss > self.rules.min_gain * self.total(full)
 
     def trials_of(self, full: FittedSet, rest: FittedSet) -> tuple[int, ...]:
         """Numbers of the trials in which ``full`` is better than ``rest`` by a tenth of all."""
@@ -402,10 +411,14 @@ class CandidateSets:
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
 
+        Nor may a gain of each of the worst trials do as well, unless there are hardly others.
+
         ``n_names`` is how many names it was chosen from.
         """
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
+            return False
+        if not self.data.few_trials and not self.is_more_than_gains(rest, full):
             return False
         worth = self.worth(full, member)
         # Several that were chosen together would all have to be due to chance.

@@ -195,22 +195,21 @@ class Selection:
         full = len(current.members) >= rules.max_members
         if full or data.few_trials or current.loss < rules.few_min_gain * sets.total(current):
             return current
-        worst = np.argsort(-current.unit_losses)[: rules.min_trials_of_part - 1]
-        if current.unit_losses[worst].sum() < rules.clear_share * current.loss:
+        worst = sets.worst_trials(current)
+        of_worst = current.unit_losses[np.isin(data.unit_trial, worst)].sum()
+        if of_worst < rules.clear_share * current.loss:
             return current
-        worst = data.unit_trial[worst]
         parts = CandidateSets(
             data.with_parts_of(worst), self._rng, session_clock=self._session_clock
         )
         start = parts.fitted(current.members, current.fit.model)
         pool = [(one, gain) for one, gain in parts.pool(start) if one.is_effect]
         found = [parts.add(start, [one]) for one in _worth_a_fit(pool, 0.0)]
-        gains = parts.with_gains_of(start, worst)
         found = [
             one
             for one in found
             if parts.is_worth(start, one)
-            and gains.loss - one.loss > rules.min_gain * parts.total(one)
+            and parts.is_more_than_gains(start, one)
             and parts.p_of_order(one, one.members[-1]) <= rules.order_alpha
         ]
         if not found:
