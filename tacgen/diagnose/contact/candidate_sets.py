@@ -347,8 +347,7 @@ class CandidateSets:
         grams, _, base = scores.fit_grams(self.data, rest.fit, [])
         left = scores.without_gains(grams, base[0], unit_trial, self.rules)[:, -1, -1]
         is_worst = np.isin(unit_trial, self.worst_trials(rest))
-        with_gains = float(np.where(is_worst, left, rest.unit_losses).sum())
-        return with_gains - full.loss > self.rules.min_gain * self.total(full)
+        return full.loss < float(np.where(is_worst, left, rest.unit_losses).sum())
 
     def trials_of(self, full: FittedSet, rest: FittedSet) -> tuple[int, ...]:
         """Numbers of the trials in which ``full`` is better than ``rest`` by a tenth of all."""
