@@ -349,13 +349,6 @@ class CandidateSets:
         is_worst = np.isin(unit_trial, self.worst_trials(rest))
         return full.loss < float(np.where(is_worst, left, rest.unit_losses).sum())
 
-    def trials_of(self, full: FittedSet, rest: FittedSet) -> tuple[int, ...]:
-        """Numbers of the trials in which ``full`` is better than ``rest`` by a tenth of all."""
-        history = self.data.history
-        gain = np.bincount(self.data.unit_trial, rest.unit_losses - full.unit_losses)
-        shown = history.trial[history.starts[np.flatnonzero(gain >= 0.1 * gain.sum())]]
-        return tuple(map(int, shown))
-
     def p_of_order(self, full: FittedSet, member: Candidate) -> float:
         """The p that a member, as it is fitted, acts by chance in the trials that are off.
 

@@ -80,6 +80,12 @@ class ChannelData:
         trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
         return trial
 
+    def trials_with(self, amounts: FloatArray) -> tuple[int, ...]:
+        """Numbers of the trials that have a tenth or more of the ``amounts`` (U,) of units."""
+        of_trials = np.bincount(self.unit_trial, amounts)
+        rows = self.history.starts[np.flatnonzero(of_trials >= 0.1 * of_trials.sum())]
+        return tuple(map(int, self.history.trial[rows]))
+
     def with_parts_of(self, trials: NDArray[np.int64]) -> "ChannelData":
         """The same rows, with parts of these ``trials`` (numbers in order) as units.
 

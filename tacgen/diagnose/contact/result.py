@@ -274,6 +274,11 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
             which = f"trial {trials} shows" if len(chosen.trials) == 1 else f"trials {trials} show"
             effect = chosen.candidate.name.replace("_", " ")
             notes.append(f"{name} channel: only {which} {effect}; press more often like that")
+    if (trial := _trial_that_is_off(found)) is not None:
+        notes.append(
+            f"{name} channel: most of what the law leaves is in trial {trial}; look whether "
+            "something went wrong there, or press more often like that"
+        )
     tried = found.scored_effects or found.effect_names
     if tried and found.n_test > 0 and found.after.rmse > found.before.rmse:
         effects = " and ".join(tried).replace("_", " ")
@@ -301,6 +306,19 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
             "them"
         )
     return notes
+
+
+def _trial_that_is_off(found: ChannelDiagnosis) -> int | None:
+    """The one trial that holds most of what the law leaves, if that is much; no effect shows it."""
+    data, losses, rules = found.data, found.attribution.final.unit_losses, found.data.rules
+    left = float(losses.sum())
+    is_much = left >= rules.few_min_gain * (data.noise_loss + left)
+    if data.few_trials or not is_much or any(one.trials for one in found.attribution.chosen):
+        return None
+    worst = int(np.argmax(losses))
+    if losses[worst] < rules.clear_share * left:
+        return None
+    return int(data.history.trial[data.history.starts[data.unit_trial[worst]]])
 
 
 def _column_note(data: ChannelData, column: str) -> str:

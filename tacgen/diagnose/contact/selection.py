@@ -302,7 +302,7 @@ class Selection:
                 gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
                 p_value=p_value,
                 confusable=tuple(dict.fromkeys(close)),
-                trials=parts.trials_of(final, rest) if parts else (),
+                trials=sets.data.trials_with(rest.unit_losses - final.unit_losses) if parts else (),
             )
             if rivals:
                 margin = float(np.sqrt(sets.total(rivals[0]) / sets.total(final))) - 1.0

@@ -380,6 +380,9 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
     diagnosis = diagnose(log)
     found = diagnosis_record(diagnosis)["channels"]["normal"]
     assert names(found) == expected
+    is_left = "normal channel: most of what the law leaves is in trial"
+    off = [note for note in diagnosis.notes if note.startswith(is_left)]
+    assert len(off) == (not expected)
     if expected:
         assert found["effects"][0]["p_value"] <= DEFAULT_RULES.order_alpha
         hardest = int(np.argmax(peaks))
