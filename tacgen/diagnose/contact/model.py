@@ -207,7 +207,9 @@ class StandardErrors:
 def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     """Errors that hold for samples that are correlated within a trial (or part of one).
 
-    Source: Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor.
+    Where few trials determine a parameter these are too small: then those of independent rows.
+    Source: Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor;
+    Angrist & Pischke 2009, Mostly Harmless Econometrics, § 8.1: the larger of both.
     """
     space = _Space(data, fit.model)
     rows = np.repeat(data.row_unit, data.n_outputs)
@@ -217,7 +219,9 @@ def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
     factor = data.n_units / max(data.n_units - fit.jacobian.shape[1], 1)
     covariance = factor * inverse @ (sums.T @ sums) @ inverse
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * space.natural_scale(space.start)
+    independent = fit.loss / max(fit.residual.size - fit.jacobian.shape[1], 1) * inverse
+    variance = np.maximum(np.diag(covariance), np.diag(independent))
+    spread = np.sqrt(np.maximum(variance, 0.0)) * space.natural_scale(space.start)
     effects: dict[str, dict[str, float]] = {term.name: {} for term in fit.model.terms}
     for (index, name, *_), error in zip(space.slots, spread[1:], strict=False):
         effects[fit.model.terms[index].name][name] = float(error)

@@ -388,8 +388,10 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
         hardest = int(np.argmax(peaks))
         note = f"normal channel: only trial {hardest} shows saturation; press more often like that"
         assert note in diagnosis.notes
-        assert found["effects"][0]["parameters"]["limit_mm3"]["value"] == pytest.approx(
-            41.0, rel=0.01
-        )
+        limit = found["effects"][0]["parameters"]["limit_mm3"]
+        # One trial says all of it: its error is that of a mean of the samples at the limit.
+        at_limit = int((clean[hardest] == 41.0).sum())
+        assert limit["stderr"] == pytest.approx(0.3 / np.sqrt(at_limit), rel=0.2)
+        assert limit["value"] == pytest.approx(41.0, abs=3.0 * limit["stderr"])
         volume, _ = diagnosis.law.predict(log)
         assert np.sqrt(np.mean((volume - clean.ravel()) ** 2)) < 0.1
