@@ -176,7 +176,7 @@ class LoadHistory:
     def left_over(self, channel: Channel, tau_s: float) -> FloatArray:
         """What such a low-pass of a channel's force still has (N, C) of the trials before."""
         return self._keep(
-            f"left over of {channel}",
+            f"low-pass before the trial, {channel}",
             self.load(channel),
             tau_s,
             lambda _: self._left_over(channel, tau_s),

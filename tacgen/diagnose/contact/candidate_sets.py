@@ -404,7 +404,6 @@ class CandidateSets:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
 
         Nor may a gain of each of the worst trials do as well, unless there are hardly others.
-
         ``n_names`` is how many names it was chosen from.
         """
         rest = self.without(full, member)
