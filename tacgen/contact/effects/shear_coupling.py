@@ -5,6 +5,8 @@ import numpy as np
 from tacgen.contact.effects import base
 
 CURVE = base.Curve("curve", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2))
+LEAKED = base.Curve("leaked", (0.1, 0.2, 0.4, 0.6, 0.8, 1.0))
+"""Of |F_s|: the share of it that is added, as its size has it."""
 MIN_SHEAR_SHARE = 0.01
 """A shear force below this share of the normal one is the gauge's misalignment."""
 
@@ -17,7 +19,8 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
     relative = p["ratio"] * scaled ** p["exponent"] + CURVE(scaled, p)
     if p["size"] != 0.0:
         relative = relative + p["size"] * (shear / p["reference_n"]) ** p["exponent"]
-    leak = p["leak"] * shear + history.force_shear_n @ np.array([p["leak_x"], p["leak_y"]])
+    share = p["leak"] + LEAKED(shear / p["reference_n"], p)
+    leak = share * shear + history.force_shear_n @ np.array([p["leak_x"], p["leak_y"]])
     return np.asarray(base.with_gain(load, relative) + leak[:, None])
 
 
@@ -44,6 +47,7 @@ base.register(
             *(base.amount(name, -3.0, 3.0) for name in ("leak", "leak_x", "leak_y")),
             base.shape("exponent", 0.5, 4.0, 2.0),
             *CURVE.parameters,
+            *LEAKED.parameters,
             base.reference("ratio_reference", "1"),
             base.reference("reference_n", "N"),
             base.reference("floor_n", "N"),

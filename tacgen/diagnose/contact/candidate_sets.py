@@ -59,10 +59,7 @@ class FittedSet:
 
     def lead_in_se(self, other: "FittedSet") -> float:
         """By how many standard errors over units it predicts better than ``other``."""
-        difference = other.unit_losses - self.unit_losses
-        return float(difference.sum()) / (
-            float(difference.std() * np.sqrt(difference.size)) + 1e-300
-        )
+        return _sum_in_se(other.unit_losses - self.unit_losses)
 
 
 Pool = list[tuple[Candidate, float]]
@@ -73,13 +70,14 @@ class CandidateSets:
     """Fits and cross-validates sets of candidates on one channel, and tests their members.
 
     ``rng`` is for the shuffles of its tests; ``session_clock`` says whether ``time_s`` runs on
-    from trial to trial.
+    from trial to trial. ``of_few_trials`` is the name of a member that only a few trials show.
     """
 
     def __init__(
         self, data: ChannelData, rng: np.random.Generator, *, session_clock: bool = True
     ) -> None:
         self.data, self.rules = data, data.rules
+        self.of_few_trials = ""
         rules, few = self.rules, data.few_trials
         self.effects: list[Effect] = [
             e
@@ -98,7 +96,8 @@ class CandidateSets:
         self._oscillations: list[Covariate] = []
         self._folds = data.folds()
         n_shuffles = rules.few_shuffles if few else rules.n_shuffles
-        self._shuffled = scores.shuffles(data.unit_trial, n_shuffles, rng)
+        shuffled = scores.shuffles(data.unit_trial, n_shuffles, rng)
+        self._shuffled = shuffled if few else shuffled.of_trials
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._p_values: dict[tuple[tuple[str, ...], str, int], tuple[float, bool]] = {}
         self._parts = [] if few else parts_of(data)
@@ -268,6 +267,8 @@ class CandidateSets:
         candidates: Sequence[Candidate],
         families: Sequence[str],
         shuffled: scores.Shuffles | None = None,
+        *,
+        parts_of_trials: bool = False,
     ) -> scores.PValues:
         ones = Candidate("", self.data.ones)
         grams, groups, base = self._grams(fit, [*candidates, ones])
@@ -279,7 +280,7 @@ class CandidateSets:
             groups[-1],
             self.rules,
             families,
-            parts_of_trials=self.data.few_trials,
+            parts_of_trials=parts_of_trials or self.data.few_trials,
         )
 
     def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
@@ -357,7 +358,7 @@ class CandidateSets:
         rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
         does = full.fit.model.law_response(self.data) - rest.model.law_response(self.data)
         fitted = Candidate(member.name, self.data.reduce(does)[:, None])
-        found = self._shuffle_p_values(rest, [fitted], [""])
+        found = self._shuffle_p_values(rest, [fitted], [""], parts_of_trials=True)
         return 1.0 if found.of_trials[0] else float(found.permuted[0])
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
@@ -370,6 +371,22 @@ class CandidateSets:
             return []
         found = best_local(self.data, rest.fit, effects, self._parts, most)
         return [self.add(rest, [one]) for one in found]
+
+    def row_losses(self, fitted: FittedSet) -> FloatArray:
+        """Held-out losses (U,) of rows, noise included: what single ones show is among them."""
+        design = np.column_stack([fitted.fit.jacobian, fitted.fit.residual])
+        of_rows = scores.unit_grams(self.data, design, between_halves=False)
+        training = scores.unit_grams(self.data, design)
+        columns, ridge = [range(design.shape[1] - 1)], self.rules.ridge_at_fit
+        (losses,) = scores.cv_losses(of_rows, self._folds, columns, ridge, training)
+        return np.asarray(losses)
+
+    def is_told_by_rows(self, one: FittedSet, other: FittedSet) -> bool:
+        """Whether halves do not tell ``one`` from ``other``, and rows say that it is better."""
+        least = self.rules.confusable_in_se
+        if other.lead_in_se(one) >= least:
+            return False
+        return _sum_in_se(self.row_losses(other) - self.row_losses(one)) > least
 
     def total(self, fitted: FittedSet) -> float:
         """Held-out sum of squares, the noise included."""
@@ -391,14 +408,36 @@ class CandidateSets:
             return False
         return gain > self._min_gain * self.total(larger)
 
-    def is_clear(self, without: FittedSet, gain: float, p_value: float) -> bool:
-        """Whether ``gain`` over ``without`` is so large that an uncorrected p of flips is enough.
+    def is_clear(self, full: FittedSet, member: Candidate) -> bool:
+        """Whether ``member`` gains so much that the p of its gains, uncorrected, is enough.
 
-        Flips of a dozen trials go no lower than ``clear_alpha``.
+        Scores beside what several strong effects leave are too unequal for flips of their signs.
         """
-        rules = self.rules
-        least = max(rules.clear_share * without.loss, rules.few_min_gain * self.total(without))
-        return not self.data.few_trials and p_value <= rules.clear_alpha and gain > least
+        rules, rest = self.rules, self.without(full, member)
+        least = max(rules.clear_share * rest.loss, rules.few_min_gain * self.total(rest))
+        is_large = not self.data.few_trials and rest.loss - full.loss > least
+        return is_large and self.p_of_gains(full, member) <= rules.clear_alpha
+
+    def p_of_gains(self, full: FittedSet, member: Candidate) -> float:
+        """The p, by a sign for each trial, of what ``member`` gains when trials are held out."""
+        gains = self.without(full, member).unit_losses - full.unit_losses
+        sums = self._shuffled.signs @ gains
+        p_value = float((sums >= sums[0] * (1.0 - 1e-9)).mean())
+        return float(max(p_value, *_search_p_values([member])))
+
+    def is_shown_by_few(self, full: FittedSet, member: Candidate) -> bool:
+        """Whether a few trials, parts of which are held out, show ``member``.
+
+        It explains most of what is left, more than a gain of each of them would, and that it acts
+        in those trials and not in others is not by chance.
+        """
+        rules, rest = self.rules, self.without(full, member)
+        least = max(rules.clear_share * rest.loss, rules.few_min_gain * self.total(full))
+        return (
+            rest.loss - full.loss > least
+            and self.is_more_than_gains(rest, full)
+            and self.p_of_order(full, member) <= rules.order_alpha
+        )
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
@@ -406,6 +445,8 @@ class CandidateSets:
         Nor may a gain of each of the worst trials do as well, unless there are hardly others.
         ``n_names`` is how many names it was chosen from.
         """
+        if member.name == self.of_few_trials:
+            return self.is_shown_by_few(full, member)
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
             return False
@@ -416,10 +457,8 @@ class CandidateSets:
         together = n_names > 1 and len(full.members) > 1
         alpha = self.rules.clear_alpha if together else self.rules.alpha
         p_value, of_trials = self.p_value(full, member, n_names)
-        if p_value > alpha:
-            uncorrected, _ = self.p_value(full, member)
-            if of_trials or not self.is_clear(rest, worth, uncorrected):
-                return False
+        if p_value > alpha and (of_trials or not self.is_clear(full, member)):
+            return False
         return worth >= self.rules.least_share_of_rival * self.most_worth(full)
 
     def worth(self, full: FittedSet, member: Candidate) -> float:
@@ -433,6 +472,11 @@ class CandidateSets:
         """
         most = max(self.worth(full, one) for one in full.members)
         return min(most, self.fitted((), self.linear).loss - full.loss)
+
+
+def _sum_in_se(values: FloatArray) -> float:
+    """The sum of ``values`` (U,) of units in its standard errors."""
+    return float(values.sum()) / (float(values.std() * np.sqrt(values.size)) + 1e-300)
 
 
 def _search_p_values(candidates: Sequence[Candidate]) -> FloatArray:

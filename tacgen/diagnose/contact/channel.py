@@ -63,8 +63,8 @@ class ChannelData:
 
     @property
     def few_trials(self) -> bool:
-        """Whether units are parts of trials."""
-        return self.n_units > np.unique(self.unit_trial).size
+        """Whether all units are parts of trials, since trials are few."""
+        return self.history.n_trials < self.rules.min_trials_as_units
 
     @property
     def row_unit(self) -> NDArray[np.int64]:
@@ -102,8 +102,8 @@ class ChannelData:
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
         count, n_trials = self.rules.n_folds, self.history.n_trials
-        few = n_trials < self.rules.min_trials_as_units
-        if n_trials < self.rules.min_trials_as_folds or (self.few_trials and not few):
+        some_are_parts = self.n_units > n_trials and not self.few_trials
+        if n_trials < self.rules.min_trials_as_folds or some_are_parts:
             return np.arange(self.n_units) % min(count, self.n_units)
         return self.unit_trial % min(count, n_trials)
 

@@ -18,7 +18,7 @@ class SelectionRules:
     min_samples_of_trial: int = 4  # what two halves of two rows need
     min_samples: int = 12  # what second differences need
     rows_per_trial: int = 60  # averaged to while choosing: more change no choice
-    min_rows: int = 1200  # in all where trials are few
+    min_rows: int = 4800  # in all where trials are few
     refit_rows_per_trial: int = 250  # in the last fit, whose parameters the law gets
     gp_rows_per_trial: int = 30  # that the Gaussian process sees
     min_trials_as_units: int = 16  # with fewer, parts of trials are what tests resample
@@ -53,8 +53,8 @@ class SelectionRules:
     # When an effect is kept
     alpha: float = 0.01  # chance of a first false effect, over all candidates together
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
-    clear_share: float = 0.5  # of the remaining structure: then clear_alpha suffices
-    clear_alpha: float = 0.02  # before correction; after it, of each of several found together
+    clear_share: float = 0.5  # of the remaining structure: then the gains' own p suffices
+    clear_alpha: float = 0.02  # of those gains; corrected, of each of several found together
     few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
     order_alpha: float = 0.05  # chance that what few trials show falls on them: one in twenty
     max_members: int = 5  # of a channel's model
@@ -66,9 +66,9 @@ class SelectionRules:
     parameter_price: float = 0.002  # share by which one parameter more must be better
     min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
     correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
-    most_mismatch: float = 0.1  # of what another explains: more is no error of that one's form
+    most_mismatch: float = 0.3  # of what another explains: more is no error of that one's form
     least_share_of_rival: float = 0.02  # of what another explains: less is that one's model error
-    confusable_in_se: float = 2.0  # lead below which a rival is reported as confusable
+    confusable_in_se: float = 2.0  # lead below which a rival is confusable; rows tell by more
 
     # How much is looked at
     fitted_share: float = 0.85  # of the best linearised gain: what promises less is fitted later

@@ -63,7 +63,7 @@ class Selection:
         self.data, self.rules = data, data.rules
         self._rng, self._session_clock = rng, session_clock
         self.sets = CandidateSets(data, rng, session_clock=session_clock)
-        self._sets_of: dict[str, CandidateSets] = {}  # in which what few trials show was found
+        self._ranking: tuple[tuple[str, float, float], ...] = ()
 
     def run(self) -> Attribution:
         """Choose, and describe each member and its runners-up."""
@@ -71,13 +71,22 @@ class Selection:
         return replace(found, chosen=self._described(found.named))
 
     def choose(self) -> Attribution:
+        """Search; where a few trials show one effect more, search again beside it."""
+        base = self.sets.fitted((), self.sets.linear)
+        found = self._searched(base)
+        if more := self._with_one_of_few_trials(found):
+            found = self._searched(more)
+        named = self._without_mismatch(self._told_by_rows(found))
+        return Attribution(base, named, self._refined(named), ranking=self._ranking)
+
+    def _searched(self, current: FittedSet) -> FittedSet:
         """Select forward, swap and drop; where nothing is significant, look deeper."""
-        sets, ranking = self.sets, tuple[tuple[str, float, float], ...]()
-        base = current = sets.fitted((), sets.linear)
+        sets = self.sets
+        base = sets.fitted((), sets.linear)
         while len(current.members) < self.rules.max_members:
             pool = sets.pool(current, new_oscillations=True)
             p_values = sets.p_values(current.fit, [candidate for candidate, _ in pool])
-            ranking = ranking or self._ranking(current, pool, p_values)
+            self._ranking = self._ranking or self._ranked(current, pool, p_values)
             pairs = self._with_pair(current, pool)
             found = self._extended(current, pool, pairs, p_values)
             if found is not None:
@@ -87,8 +96,7 @@ class Selection:
             if found is None:
                 break
             current = found
-        named = self._with_one_of_few_trials(self._without_mismatch(self._pruned(current)))
-        return Attribution(base, named, self._refined(named), ranking=ranking)
+        return self._pruned(current)
 
     def _extended(
         self,
@@ -186,37 +194,32 @@ class Selection:
                 return best if sets.score(best) < sets.score(current) else None
         return None
 
-    def _with_one_of_few_trials(self, current: FittedSet) -> FittedSet:
+    def _with_one_of_few_trials(self, current: FittedSet) -> FittedSet | None:
         """``current`` with an effect that a few trials show, if they hold most of what is left.
 
-        Without them such an effect is not seen, so that parts of them are held out instead.
+        Without them such an effect is not seen, so that parts of them are held out from then on.
         """
         sets, rules, data = self.sets, self.rules, self.data
         full = len(current.members) >= rules.max_members
         if full or data.few_trials or current.loss < rules.few_min_gain * sets.total(current):
-            return current
+            return None
         worst = sets.worst_trials(current)
         of_worst = current.unit_losses[np.isin(data.unit_trial, worst)].sum()
         if of_worst < rules.clear_share * current.loss:
-            return current
+            return None
         parts = CandidateSets(
             data.with_parts_of(worst), self._rng, session_clock=self._session_clock
         )
         start = parts.fitted(current.members, current.fit.model)
         pool = [(one, gain) for one, gain in parts.pool(start) if one.is_effect]
         found = [parts.add(start, [one]) for one in _worth_a_fit(pool, 0.0)]
-        found = [
-            one
-            for one in found
-            if parts.is_worth(start, one)
-            and parts.is_more_than_gains(start, one)
-            and parts.p_of_order(one, one.members[-1]) <= rules.order_alpha
-        ]
+        found = [one for one in found if parts.is_shown_by_few(one, one.members[-1])]
         if not found:
-            return current
+            return None
         best = min(found, key=parts.score)
-        self._sets_of[best.members[-1].label] = parts
-        return sets.fitted(best.members, best.fit.model)
+        parts.of_few_trials = best.members[-1].name
+        self.sets = parts
+        return best
 
     def _swapped(self, fitted: FittedSet, *, tested: bool = True) -> FittedSet:
         """Exchange members, and their variants, for others as long as held-out trials gain.
@@ -239,6 +242,25 @@ class Selection:
             fitted = best
         return fitted
 
+    def _told_by_rows(self, fitted: FittedSet) -> FittedSet:
+        """Exchange members for effects that single rows tell from them, where halves do not.
+
+        What acts on every other row, as a limit does in quick presses, is not between the halves.
+        """
+        sets = self.sets
+        for member in fitted.members:
+            rest = sets.without(fitted, member)
+            pool = [one for one in sets.pool(rest) if one[0].is_effect]
+            rivals = [sets.add(rest, [o]) for o in _worth_a_fit(pool, self.rules.fitted_share)]
+            better = [
+                one
+                for one in rivals
+                if sets.is_told_by_rows(one, fitted)
+                and sets.p_value(one, one.members[-1])[0] <= self.rules.alpha
+            ]
+            fitted = min(better, key=lambda one: sets.row_losses(one).sum(), default=fitted)
+        return fitted
+
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` less members that corrections of the others' forms replace, weakest first.
 
@@ -257,12 +279,16 @@ class Selection:
         return fitted
 
     def _refined(self, fitted: FittedSet) -> FittedSet:
-        """``fitted`` with the form of every member corrected where held-out trials gain."""
-        for member in fitted.members:
-            if member.effect is not None and member.effect.free_amounts:
-                trial = self.sets.corrected(fitted, member.effect)
-                gain = (fitted.loss - trial.loss) / self.sets.total(fitted)
-                fitted = trial if gain > self.rules.min_swap_gain else fitted
+        """``fitted`` with the forms of members corrected where held-out trials gain, most first."""
+        sets, left = self.sets, [one.effect for one in fitted.members if one.effect is not None]
+        while left := [effect for effect in left if effect.free_amounts]:
+            tried = [sets.corrected(fitted, effect) for effect in left]
+            best = int(np.argmin([one.loss for one in tried]))
+            gain = (fitted.loss - tried[best].loss) / sets.total(fitted)
+            if gain <= self.rules.min_swap_gain:
+                return fitted
+            fitted = tried[best]
+            del left[best]
         return fitted
 
     def _pruned(self, fitted: FittedSet, n_names: int = 1) -> FittedSet:
@@ -273,7 +299,7 @@ class Selection:
             fitted = min(rests, key=lambda rest: rest.loss)
         return fitted
 
-    def _ranking(
+    def _ranked(
         self, current: FittedSet, pool: Pool, p_values: FloatArray
     ) -> tuple[tuple[str, float, float], ...]:
         """(label, gain of held-out RMSE, p) of the best variant of each name, best first."""
@@ -285,12 +311,11 @@ class Selection:
         return tuple(rows.values())
 
     def _described(self, named: FittedSet) -> tuple[Chosen, ...]:
-        described, least_lead = [], self.rules.confusable_in_se
+        sets, described, least_lead = self.sets, [], self.rules.confusable_in_se
+        final = sets.fitted(named.members, named.fit.model)
         for member in named.members:
-            parts = self._sets_of.get(member.label)
-            sets = parts or self.sets
-            final = sets.fitted(named.members, named.fit.model)
-            p_value = parts.p_of_order(final, member) if parts else sets.p_value(final, member)[0]
+            of_few = member.name == sets.of_few_trials
+            p_value = sets.p_of_order(final, member) if of_few else sets.p_value(final, member)[0]
             rest = sets.without(final, member)
             others = [one for one in sets.pool(rest) if one[0].name not in final.names]
             # A linearised gain says little here: fitted, another may predict as well as the member.
@@ -302,7 +327,9 @@ class Selection:
                 gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
                 p_value=p_value,
                 confusable=tuple(dict.fromkeys(close)),
-                trials=sets.data.trials_with(rest.unit_losses - final.unit_losses) if parts else (),
+                trials=(
+                    sets.data.trials_with(rest.unit_losses - final.unit_losses) if of_few else ()
+                ),
             )
             if rivals:
                 margin = float(np.sqrt(sets.total(rivals[0]) / sets.total(final))) - 1.0

@@ -117,6 +117,23 @@ def test_a_curve_recovers_a_shape_that_no_power_has():
     np.testing.assert_allclose(response[:, 0], K_N * force * (1 + bend(force / 9.0)), rtol=0.006)
 
 
+def test_a_force_that_leaks_from_shear_by_any_law_is_recovered():
+    """V = k (F_n + 0.05 |F_s|^1.4): added, and no multiple of the shear force."""
+    rng = np.random.default_rng(11)
+    columns = presses(lambda f, *_: f, 0.0, 11)
+    shear = columns["force_normal_n"] * rng.uniform(0.1, 0.6, N_TRIALS).repeat(N_SAMPLES)
+    angle = rng.uniform(0.0, 2.0 * np.pi, N_TRIALS).repeat(N_SAMPLES)
+    columns["force_shear_x_n"] = shear * np.cos(angle)
+    columns["force_shear_y_n"] = shear * np.sin(angle)
+    leaked = K_N * 0.05 * shear**1.4
+    columns["volume_mm3"] += leaked + 0.05 * rng.normal(size=shear.size)
+    data, fit = free_fit(columns, "shear_coupling")
+    found = fit.model.law_response(data) - fit.model.compliance * data.history.load("normal")
+    slope = fit.model.compliance - K_N  # what a compliance takes of it
+    expected = leaked - slope * columns["force_normal_n"]
+    assert np.sqrt(np.mean((found[:, 0] - expected) ** 2)) < 0.04 * np.sqrt(np.mean(leaked**2))
+
+
 @pytest.mark.parametrize(
     ("weights", "seed", "corrected", "share"),
     [([0.4, 0.0, 0.2], 5, True, 0.1), *(([0.0, 0.3, 0.0], seed, False, 1.0) for seed in (5, 6, 8))],
