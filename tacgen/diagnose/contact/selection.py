@@ -264,7 +264,8 @@ class Selection:
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` less members that corrections of the others' forms replace, weakest first.
 
-        What explains more than ``most_mismatch`` of what another does is no error of its form.
+        What explains more than ``most_mismatch`` of what another does is no error of its form, nor
+        is what explains more than such corrections do.
         """
         sets = self.sets
         most = self.rules.most_mismatch * sets.most_worth(fitted) if fitted.members else 0.0
@@ -274,7 +275,8 @@ class Selection:
         corrected = self._refined(fitted)
         for member in sorted(small, key=partial(sets.worth, fitted)):
             rest = sets.without(fitted, member)
-            if not sets.is_worth(self._refined(rest), corrected):
+            instead = self._refined(rest)
+            if instead.loss < fitted.loss and not sets.is_worth(instead, corrected):
                 return self._without_mismatch(self._pruned(rest))
         return fitted
 

@@ -314,6 +314,8 @@ def test_a_form_that_promises_most_and_then_fails_hides_no_weaker_one(monkeypatc
         (13030025, "normal", {"saturation": 1.0}),
         # What a few-parameter form of hysteresis leaves looks like stiffening and an offset.
         (13060052, "normal", {"hysteresis": 1.0, "saturation": 1.0}),
+        # What corrections of hysteresis explain less well than stiffening without any.
+        (14070016, "normal", {"hysteresis": 2.0, "stiffening": 1.0, "zero_offset": 2.0}),
     ],
 )
 def test_blind_logs_whose_causes_hid_each_other(seed, channel, wanted):
