@@ -4,9 +4,17 @@ import numpy as np
 
 from tacgen.contact.effects import base, kernels
 
+STEPS = (-2, -1, 1, 2, 3, 4)
+"""Delays of the load that correct a form, in samples of the log."""
+ECHOES = base.free_amounts("echo", len(STEPS))
+
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
-    """F(t − delay), then a first-order lag, or samples that software smooths."""
+    """F(t − delay), then a first-order lag, or samples that software smooths.
+
+    Corrections are shares of the load so many samples before or after, in the place of as much of
+    the load itself: together any short response to an impulse.
+    """
     times, starts = history.time_s, history.starts
     values = np.ascontiguousarray(load[:, 0])
     if p["delay_s"] != 0.0:
@@ -15,7 +23,15 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
         values = kernels.low_pass(values, times, starts, p["lag_s"], False)
     if p["smoothing_s"] > 0.0:
         values = kernels.smoothed(values, times, starts, p["smoothing_s"])
+    for steps, echo in zip(STEPS, ECHOES, strict=True):
+        if p[echo.name] != 0.0:
+            then = kernels.delayed(load[:, 0], times, starts, steps * p["sample_s"])
+            values = values + p[echo.name] * (then - load[:, 0])
     return values[:, None]
+
+
+def _references(history: base.LoadHistory) -> dict[str, float]:
+    return {"sample_s": history.sample_period_s}
 
 
 def _bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
@@ -33,7 +49,10 @@ base.register(
             base.amount("delay_s", -2.0, 2.0, "s", bounds=_bounds),
             base.amount("lag_s", 0.0, 2.0, "s", bounds=_bounds),
             base.amount("smoothing_s", 0.0, 2.0, "s", bounds=_bounds),
+            base.reference("sample_s", "s"),
+            *ECHOES,
         ),
+        references=_references,
         apply=_apply,
         variants=lambda history, references: (
             # Small: from sample to sample the force is a line, of other slopes before and after.

@@ -6,6 +6,7 @@ import pytest
 from tacgen.contact.effects import LoadHistory, Variant, find_effect
 from tacgen.contact.effects.history import REQUIRED
 from tacgen.contact.effects.hysteresis import PLAY_WIDTHS
+from tacgen.contact.effects.latency import ECHOES
 from tacgen.contact.law import ContactLaw, FittedEffect, load_law, respond, save_law
 from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import scores
@@ -132,6 +133,23 @@ def test_a_force_that_leaks_from_shear_by_any_law_is_recovered():
     slope = fit.model.compliance - K_N  # what a compliance takes of it
     expected = leaked - slope * columns["force_normal_n"]
     assert np.sqrt(np.mean((found[:, 0] - expected) ** 2)) < 0.04 * np.sqrt(np.mean(leaked**2))
+
+
+def test_a_mean_of_samples_is_recovered_as_a_response_to_an_impulse():
+    """Half of the present load, and shares of those of one and two samples before."""
+    rng = np.random.default_rng(13)
+    columns = presses(lambda f, *_: f, 0.0, 13)
+    for rows in np.split(np.arange(columns["trial"].size), N_TRIALS):
+        columns["time_s"][rows] = columns["time_s"][rows[0]] + 0.1 * np.arange(N_SAMPLES)
+        force = 5.0 + np.cumsum(rng.normal(0.0, 0.3, N_SAMPLES))
+        one, two = (np.append(np.full(k, force[0]), force[:-k]) for k in (1, 2))
+        columns["force_normal_n"][rows] = force
+        columns["volume_mm3"][rows] = K_N * (0.5 * force + 0.3 * one + 0.2 * two)
+    columns["volume_mm3"] += 0.02 * rng.normal(size=columns["trial"].size)
+    _, fit = free_fit(columns, "latency")
+    values = fit.model.terms[0].values
+    found = [values[echo.name] for echo in ECHOES]
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.3, 0.2, 0.0, 0.0], atol=0.01)
 
 
 @pytest.mark.parametrize(
