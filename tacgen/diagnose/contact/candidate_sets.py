@@ -432,11 +432,12 @@ class CandidateSets:
         in those trials and not in others is not by chance.
         """
         rules, rest = self.rules, self.without(full, member)
-        least = max(rules.clear_share * rest.loss, rules.few_min_gain * self.total(full))
+        gain, p_value = rest.loss - full.loss, self.p_of_order(full, member)
+        least = rules.min_gain if p_value <= rules.alpha else rules.few_min_gain
         return (
-            rest.loss - full.loss > least
+            p_value <= rules.order_alpha
+            and gain > max(rules.clear_share * rest.loss, least * self.total(full))
             and self.is_more_than_gains(rest, full)
-            and self.p_of_order(full, member) <= rules.order_alpha
         )
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:

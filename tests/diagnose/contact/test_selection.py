@@ -310,6 +310,8 @@ def test_a_form_that_promises_most_and_then_fails_hides_no_weaker_one(monkeypatc
         (13070013, "shear", {"anisotropy": 2.0, "normal_coupling": 2.0, "slip": 2.0}),
         # Two presses slip, by far more than all the others creep.
         (13070018, "shear", {"creep": 1.0, "anisotropy": 1.0, "slip": 2.0}),
+        # A few presses reach the limit, in the order of their loads.
+        (14240018, "normal", {"saturation": 2.0}),
         # A limit that cuts single samples of quick presses.
         (13030025, "normal", {"saturation": 1.0}),
         # What a few-parameter form of hysteresis leaves looks like stiffening and an offset.
