@@ -282,8 +282,9 @@ class Selection:
 
     def _refined(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` with the forms of members corrected where held-out trials gain, most first."""
-        sets, left = self.sets, [one.effect for one in fitted.members if one.effect is not None]
-        while left := [effect for effect in left if effect.free_amounts]:
+        sets, effects = self.sets, [one.effect for one in fitted.members]
+        left = [effect for effect in effects if effect is not None and effect.free_amounts]
+        while left:
             tried = [sets.corrected(fitted, effect) for effect in left]
             best = int(np.argmin([one.loss for one in tried]))
             gain = (fitted.loss - tried[best].loss) / sets.total(fitted)
