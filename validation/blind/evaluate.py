@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,19 @@ from validation.blind.generator import Case, draw_case
 from validation.blind.independent.generator import draw_case as draw_independent_case
 
 Wanted = list[tuple[str, float]]
+
+
+def draw_few_trials(
+    seed: int,
+    *,
+    normal: Sequence[tuple[str, float]] = (),
+    shear: Sequence[tuple[str, float]] = (),
+) -> Case:
+    """A log of the first generator with 12 to 19 trials, of which the tool gets 10 to 16."""
+    n_trials = int(np.random.default_rng([seed, 7]).integers(12, 20))
+    return draw_case(seed, normal=normal, shear=shear, n_trials=n_trials)
+
+
 INSEPARABLE = {
     frozenset(pair)
     for pair in (("drift", "conditioning"), ("stiffening", "saturation"), ("slip", "saturation"))
@@ -41,6 +54,7 @@ INSEPARABLE = {
 """Pairs that are one thing in a log: both follow the order of the presses, or bend the curve."""
 SOURCES: dict[str, Callable[..., Case]] = {
     "blind": draw_case,
+    "few": draw_few_trials,
     "independent": draw_independent_case,
 }
 """Generators of logs; each draws the effects of the same lists in forms of its own."""

@@ -402,11 +402,17 @@ class CandidateSets:
         return fitted.loss + price * self.total(fitted)
 
     def is_worth(self, smaller: FittedSet, larger: FittedSet) -> bool:
-        """Whether the larger set's gain on held-out units is large."""
-        gain = smaller.loss - larger.loss
-        if self.data.few_trials and gain < self.rules.clear_share * smaller.loss:
+        """Whether the larger set's gain on held-out units is large.
+
+        Where trials are few, it is also of most of what is left, or of nearly every trial.
+        """
+        rules, gain = self.rules, smaller.loss - larger.loss
+        if gain <= self._min_gain * self.total(larger):
             return False
-        return gain > self._min_gain * self.total(larger)
+        is_most = gain >= rules.clear_share * smaller.loss
+        return (
+            not self.data.few_trials or is_most or self.p_of_gains(smaller, larger) <= rules.alpha
+        )
 
     def is_clear(self, full: FittedSet, member: Candidate) -> bool:
         """Whether ``member`` gains so much that the p of its gains, uncorrected, is enough.
@@ -416,14 +422,13 @@ class CandidateSets:
         rules, rest = self.rules, self.without(full, member)
         least = max(rules.clear_share * rest.loss, rules.few_min_gain * self.total(rest))
         is_large = not self.data.few_trials and rest.loss - full.loss > least
-        return is_large and self.p_of_gains(full, member) <= rules.clear_alpha
+        p_search = float(_search_p_values([member])[0])
+        return is_large and max(self.p_of_gains(rest, full), p_search) <= rules.clear_alpha
 
-    def p_of_gains(self, full: FittedSet, member: Candidate) -> float:
-        """The p, by a sign for each trial, of what ``member`` gains when trials are held out."""
-        gains = self.without(full, member).unit_losses - full.unit_losses
-        sums = self._shuffled.signs @ gains
-        p_value = float((sums >= sums[0] * (1.0 - 1e-9)).mean())
-        return float(max(p_value, *_search_p_values([member])))
+    def p_of_gains(self, smaller: FittedSet, larger: FittedSet) -> float:
+        """The p, by a sign for each trial, of what ``larger`` gains when trials are held out."""
+        sums = self._shuffled.of_trials.signs @ (smaller.unit_losses - larger.unit_losses)
+        return float((sums >= sums[0] * (1.0 - 1e-9)).mean())
 
     def is_shown_by_few(self, full: FittedSet, member: Candidate) -> bool:
         """Whether a few trials, parts of which are held out, show ``member``.

@@ -161,11 +161,27 @@ def test_the_p_of_gains_in_so_many_trials_is_that_of_all_signs_alike(monkeypatch
     full = creep_and_offset(sets)
     gains = np.zeros(N_TRIALS)
     gains[3 : 3 + n_gaining] = 1.0
-    with_losses(sets, monkeypatch, full, creep=full.unit_losses + gains)
+    rest = replace(full, unit_losses=full.unit_losses + gains)
     expected = 0.5**n_gaining
     error = np.sqrt(expected * (1 - expected) / sets.rules.n_shuffles)
-    p_value = sets.p_of_gains(full, full.members[0])
-    assert p_value == pytest.approx(expected, abs=4.0 * error + 0.001)
+    assert sets.p_of_gains(rest, full) == pytest.approx(expected, abs=4.0 * error + 0.001)
+
+
+@pytest.mark.parametrize(
+    ("share", "n_gaining", "worth"),
+    [(0.55, 1, True), (0.45, 6, False), (0.45, 7, True), (0.45, N_TRIALS, True)],
+)
+def test_in_few_trials_an_effect_explains_most_or_gains_in_seven(share, n_gaining, worth):
+    """2⁻⁶ is above ``alpha``, 2⁻⁷ below; signs are of whole trials, whatever their parts are."""
+    sets = selection_of_creep_and_offset(min_trials_as_units=99).sets
+    assert sets.data.few_trials
+    assert sets.data.n_units > sets.data.unit_trial.max() + 1
+    left = 10.0 * sets.data.noise_loss
+    gains = (sets.data.unit_trial < n_gaining).astype(float)
+    losses = np.full(sets.data.n_units, left / sets.data.n_units)
+    full = replace(creep_and_offset(sets), unit_losses=losses * (1.0 - share))
+    rest = replace(full, unit_losses=full.unit_losses + share * left * gains / gains.sum())
+    assert sets.is_worth(rest, full) is worth
 
 
 @pytest.mark.parametrize(
@@ -310,6 +326,8 @@ def test_a_form_that_promises_most_and_then_fails_hides_no_weaker_one(monkeypatc
         (13070013, "shear", {"anisotropy": 2.0, "normal_coupling": 2.0, "slip": 2.0}),
         # Two presses slip, by far more than all the others creep.
         (13070018, "shear", {"creep": 1.0, "anisotropy": 1.0, "slip": 2.0}),
+        # Of ten presses all gain, though by less than what is left.
+        (14000041, "shear", {"anisotropy": 0.5}),
         # A few presses reach the limit, in the order of their loads.
         (14240018, "normal", {"saturation": 2.0}),
         # A limit that cuts single samples of quick presses.
