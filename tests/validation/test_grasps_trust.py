@@ -5,7 +5,7 @@ import pytest
 
 from tacgen.diagnose.grasps.hypotheses import candidates_for
 from tacgen.diagnose.grasps.model_comparison import Cause, Explanation, Posterior, interpolated
-from validation.grasps.trust import CASES, Trial, judged, summary_of, wrong_values
+from validation.grasps.trust import CASES, Trial, judged, judged_undecided, summary_of, wrong_values
 
 CANDIDATES = {one.parameter.key: one for one in candidates_for(("cup",))}
 
@@ -53,6 +53,19 @@ def test_a_product_must_hold_all_causes_and_be_the_true_one(truth, expected):
 def test_nothing_named_is_right_where_nothing_is_wrong():
     assert judged(on_a_ridge(p_value=0.5), {}, ("cup",)) == "right"
     assert judged(on_a_ridge(p_value=0.5), {"mass": 1.4}, ("cup",)) == "missed"
+
+
+@pytest.mark.parametrize(
+    ("truth", "expected"),
+    [
+        ({"grip_force": 0.8, "mass": 0.8 / 0.56}, "confounded"),
+        ({"grip_force": 0.8, "mass": 1.1}, "undecided"),
+        ({"mass": 1 / 0.56}, "undecided"),  # alone it compensates nothing
+        ({"grip_force": 0.8, "center_of_mass": 18.0}, "undecided"),
+    ],
+)
+def test_where_nothing_is_named_a_product_of_all_causes_must_be_stated(truth, expected):
+    assert judged_undecided(on_a_ridge(p_value=0.5), truth, ("cup",)) == expected
 
 
 def test_every_pair_is_a_case_and_half_of_the_values_are_the_other_way_round():

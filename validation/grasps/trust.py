@@ -36,12 +36,12 @@ from tacgen.diagnose.grasps.rules import RULES
 from tacgen.objects import load_object
 
 SETS: tuple[tuple[tuple[str, ...], int], ...] = (
-    (("sugar_box",), 101),
-    (("tomato_soup_can",), 102),
-    (("rubiks_cube",), 104),
-    (("sugar_box", "mustard_bottle"), 106),
-    (("mustard_bottle",), 103),
-    (("flat_screwdriver",), 105),
+    (("sugar_box",), 111),
+    (("tomato_soup_can",), 112),
+    (("rubiks_cube",), 113),
+    (("sugar_box", "mustard_bottle"), 114),
+    (("mustard_bottle",), 115),
+    (("flat_screwdriver",), 116),
 )
 """Objects and seed of each set of configurations; what is an object's is wrong in the first."""
 N_GRASPS = 60
@@ -70,7 +70,8 @@ class Trial:
     """One diagnosis: the causes, what was named, and with what each was reported as confounded.
 
     ``result`` is ``right``, ``confounded`` (all causes are named or reported as confounded with
-    what is named, nothing else is named, and the product of the confounded ones is the true one),
+    what is named, nothing else is named, and the product of the confounded ones is the true one;
+    or nothing is named, and the true product of all of them is stated as all that is known),
     ``alternative`` (neither, but exactly the causes, at their values, are among what is reported as
     also possible), ``undecided`` (nothing is named, because too few labels differ, and the
     diagnosis reports so), ``missed`` (a cause is not mentioned) or ``false`` (something named has
@@ -172,6 +173,7 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
         comparison = refine(simulations, declared, labels)
         found = posterior(comparison, labels, rng)
         diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, (), rng)
+        stated = found.products if diagnosis.undecided else ()
         yield Trial(
             "+".join(objects),
             names,
@@ -179,8 +181,10 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
             min(changed, default=LEAST_CHANGED) >= LEAST_CHANGED,
             tuple(cause.name for cause in found.found),
             tuple(round(cause.value, 4) for cause in found.found),
-            tuple(found.confusable_with(own) for own in found.found),
-            "undecided" if names and diagnosis.undecided else judged(found, wrong, objects),
+            tuple(found.confusable_with(own) for own in found.found or stated),
+            judged_undecided(found, wrong, objects)
+            if names and diagnosis.undecided
+            else judged(found, wrong, objects),
             diagnosis.rate_before,
             diagnosis.rate_after,
             all(_has_true_value(cause, wrong) for cause in found.found),
@@ -248,15 +252,32 @@ def _judged_by_names(found: Posterior, truth: dict[str, float], objects: Sequenc
         return "missed"
     if all(is_true(group[0]) for group in groups) and len(groups) == len(truth):
         return "right"
-    for cause in found.found:
-        total = 0.0
-        parts = [(cause, 1.0)]
-        parts += [(one.other, one.exponent) for one in found.shared(cause) if is_true(one.other)]
-        for part, exponent in {one.name: (one, power) for one, power in parts}.values():
-            total += exponent * _true_coordinate(part, truth)
-        if abs(total - cause.coordinate) > DEVIATIONS * cause.deviation:
-            return "false"
-    return "confounded"
+    known = all(_is_true_product(found, cause, truth, objects) for cause in found.found)
+    return "confounded" if known else "false"
+
+
+def judged_undecided(found: Posterior, truth: dict[str, float], objects: Sequence[str]) -> str:
+    """The result where nothing is named: several causes may be reported to compensate."""
+    for cause in found.products:
+        group = [cause, *(one.other for one in found.shared(cause) if one.is_product)]
+        mentioned = {one.name for one in group if _is_true(one, truth, objects)}
+        is_whole = len(truth) > 1 and mentioned == set(truth)
+        if is_whole and _is_true_product(found, cause, truth, objects):
+            return "confounded"
+    return "undecided"
+
+
+def _is_true_product(
+    found: Posterior, cause: Cause, truth: dict[str, float], objects: Sequence[str]
+) -> bool:
+    """Whether what the labels determine of ``cause`` and what it shares this with is true."""
+    total, parts = 0.0, [(cause, 1.0)]
+    for one in found.shared(cause):
+        if _is_true(one.other, truth, objects):
+            parts.append((one.other, one.exponent))
+    for part, exponent in {one.name: (one, power) for one, power in parts}.values():
+        total += exponent * _true_coordinate(part, truth)
+    return abs(total - cause.coordinate) <= DEVIATIONS * cause.deviation
 
 
 def summary_of(trials: Sequence[Trial]) -> str:

@@ -562,23 +562,40 @@ class Posterior:
                 found.append(one)
         return tuple(found)
 
-    def shared(self, cause: Cause) -> tuple[Shared, ...]:
-        """What a found ``cause`` is confounded with, the likeliest first.
+    @cached_property
+    def products(self) -> tuple[Cause, ...]:
+        """Where nothing is found: factors that the labels determine only in products with others.
 
-        Those by other names that the labels do not exclude, and beside which the cause lies
-        ``RULES.ridge_widening`` times its error from its estimate or farther, root mean square.
+        One cause a product, the likeliest, alone; ``shared`` has the others.
+        """
+        leading, named = list[Cause](), set[str]()
+        for one in self.by_hypothesis() if not self.found else ():
+            (cause,) = one.causes
+            others = {both.other.name for both in self.shared(cause) if both.is_product}
+            if others and cause.name not in named:
+                leading.append(cause)
+                named |= {cause.name, *others}
+        return tuple(leading)
+
+    def shared(self, cause: Cause) -> tuple[Shared, ...]:
+        """What a ``cause`` that is found, or the likeliest of its name, is confounded with.
+
+        The likeliest first: those by other names that the labels do not exclude, and beside which
+        the cause lies ``RULES.ridge_widening`` times its error from its estimate or farther, root
+        mean square.
         Where both are correlated, the precision matrix less the prior's gives the one combination
         that the labels determine; a shift that may be to either side is taken to that of ``cause``.
         """
         found: dict[str, Shared] = {}
-        k = self.best.causes.index(cause)
-        alone = np.sqrt(self.best.covariance[k, k])
+        smaller = next(one for one in self.explanations if cause in one.causes)
+        k = smaller.causes.index(cause)
+        alone = np.sqrt(smaller.covariance[k, k])
         for one in self.explanations:
-            added = [own for own in one.causes if own.candidate not in self.best.candidates]
-            if len(added) != 1 or not self.best.candidates < one.candidates:
+            added = [own for own in one.causes if own.candidate not in smaller.candidates]
+            if len(added) != 1 or not smaller.candidates < one.candidates:
                 continue
             weight = RULES.cause_odds * added[0].candidate.weight
-            if one.gain - np.log(weight) < self.best.gain - RULES.excluding_gain:
+            if one.gain - np.log(weight) < smaller.gain - RULES.excluding_gain:
                 continue
             order = [own.candidate for own in one.causes]
             pair = [order.index(cause.candidate), order.index(added[0].candidate)]

@@ -101,7 +101,7 @@ class GraspDiagnosis:
                 f"Of {n} labels, {before} {'differs' if before == 1 else 'differ'} from the "
                 "simulation, too few to name a cause: even if nothing is wrong, some cause looks "
                 f"as likely as here in {100 * self.posterior.p_value:.1f} % of cases. "
-                f"Most probable: {possible}.{few}"
+                f"Most probable: {possible}.{self._compensating()}{few}"
             )
         followed = ", ".join(self.dependences)
         follow = f" follow {followed}" if followed else " follow none of the known columns"
@@ -143,6 +143,14 @@ class GraspDiagnosis:
             text += f", and {more} more in the report" if more > 0 else ""
         share = 100 * posterior.found_probability
         return f" This explanation is {share:.0f} % probable{text}." if text else ""
+
+    def _compensating(self) -> str:
+        """The products that the labels determine where nothing is named, in words."""
+        return "".join(
+            f" These labels determine only {self._described(cause)}; its parts may be wrong "
+            "together, where they compensate."
+            for cause in self.posterior.products
+        )
 
     def ridge(self, cause: Cause) -> str:
         """The product of factors that the labels determine, such as ``grip_force ÷ mass of cup``.
@@ -312,6 +320,10 @@ def diagnosis_record(
         "p_value": posterior.p_value,
         "critical_gain": finite(posterior.critical_gain),
         "probability": posterior.found_probability,
+        "products": [
+            {"ridge": diagnosis.ridge(cause), "value": cause.value, "stderr": cause.stderr}
+            for cause in (posterior.products if diagnosis.undecided else ())
+        ],
         "alternatives": [
             {
                 "causes": [

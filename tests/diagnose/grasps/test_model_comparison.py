@@ -439,6 +439,28 @@ def test_too_few_other_labels_name_nothing_and_the_likeliest_explanations_are_st
     assert agreed.sentence == "The simulation reproduces all 60 labels."
 
 
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_what_may_compensate_is_stated_where_nothing_is_named(factor):
+    """Heavier and gripped harder: but for two flips, the labels are those of the declared."""
+    grasps = Grasps(2, count=60)
+    labels = grasps.labels(mass_factor=factor, force_scale=factor, flips=2, seed=1)
+    comparison = grasps.comparison(KEYS[:3])
+    found = posterior(comparison, labels, np.random.default_rng(0))
+    simulated = (grasps.margin() > 0).astype(int)
+    rng = np.random.default_rng(0)
+    diagnosis = diagnose_labels(comparison, labels, found, simulated, {}, [], rng)
+    assert diagnosis.undecided
+    (cause,) = found.products
+    assert {cause.name, *(one.other.name for one in found.shared(cause))} == RATIO
+    assert abs(cause.coordinate) < 3 * cause.deviation
+    for one in found.shared(cause):  # as wide as the priors leave what is true
+        assert abs(np.log(factor)) < 3 * min(one.cause.deviation, one.other.deviation)
+    channel = diagnosis_record(diagnosis, {"block": BLOCK})["channels"]["grasp"]
+    (product,) = channel["products"]
+    assert f"determine only {product['ridge']} at " in diagnosis.sentence
+    assert product["value"] == pytest.approx(1.0, abs=3 * product["stderr"])
+
+
 def test_a_ridge_is_written_in_words_and_numbers():
     grasps = Grasps(2)
     labels, comparison = grasps.labels("mass_factor", 1.4), grasps.comparison(KEYS[:2])
