@@ -158,7 +158,7 @@ class GraspDiagnosis:
         Empty where the cause is no factor, or shares what is known with none.
         """
         text = ""
-        for one in self._product(cause).values():
+        for one in sorted(self._product(cause).values(), key=lambda one: one.exponent < 0):
             power = f"{abs(one.exponent):.1f}"
             power = "" if power == "1.0" else f"^{power}"
             text += f" {'×' if one.exponent > 0 else '÷'} {one.other.candidate.title}{power}"

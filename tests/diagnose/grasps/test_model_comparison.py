@@ -458,6 +458,7 @@ def test_what_may_compensate_is_stated_where_nothing_is_named(factor):
     channel = diagnosis_record(diagnosis, {"block": BLOCK})["channels"]["grasp"]
     (product,) = channel["products"]
     assert f"determine only {product['ridge']} at " in diagnosis.sentence
+    assert "×" not in product["ridge"].partition("÷")[2]  # what is multiplied first
     assert product["value"] == pytest.approx(1.0, abs=3 * product["stderr"])
 
 
