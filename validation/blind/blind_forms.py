@@ -52,13 +52,10 @@ def hysteresis_bouc_wen(load: Floats, trial: Trial, amplitude: float, p: Constan
 
 
 def hysteresis_branch(load: Floats, trial: Trial, amplitude: float, p: Constants) -> Floats:
-    """Another power of the load on the way back from the trial's greatest load."""
+    """Another power of the load on the way back from its greatest so far."""
     size = np.hypot.reduce(load, axis=1)
-    apex = int(len(size) - 1 - np.argmax(size[::-1]))
-    result = load.copy()
-    back = np.clip(size[apex:] / max(size[apex], 1e-9), 1e-9, 1.0)
-    result[apex:] = load[apex:] * (back ** (-0.5 * amplitude))[:, None]
-    return result
+    share = np.clip(size / np.maximum(np.maximum.accumulate(size), 1e-9), 1e-9, 1.0)
+    return load * (share ** (-0.5 * amplitude))[:, None]
 
 
 def latency_lag(load: Floats, trial: Trial, amplitude: float, p: Constants) -> Floats:

@@ -112,8 +112,8 @@ class CandidateSets:
             columns, plain = range(fit.jacobian.shape[1]), grams[:, -1, -1]
             training, ridge = None, self.rules.ridge_at_fit
             if fit.prior.any():
-                # Many similar columns: between the halves they are nearly singular.
-                training = scores.unit_grams(self.data, design, between_halves=False)
+                # Many similar columns: between neighbours they are nearly singular.
+                training = scores.unit_grams(self.data, design, of_neighbours=False)
                 prior = 0.5 * fit.prior.T @ fit.prior
                 training, ridge = np.concatenate([training, prior[None]]), self.rules.ridge
             losses = scores.cv_losses(grams, self._folds, [columns], ridge, training)
@@ -375,14 +375,14 @@ class CandidateSets:
     def row_losses(self, fitted: FittedSet) -> FloatArray:
         """Held-out losses (U,) of rows, noise included: what single ones show is among them."""
         design = np.column_stack([fitted.fit.jacobian, fitted.fit.residual])
-        of_rows = scores.unit_grams(self.data, design, between_halves=False)
+        of_rows = scores.unit_grams(self.data, design, of_neighbours=False)
         training = scores.unit_grams(self.data, design)
         columns, ridge = [range(design.shape[1] - 1)], self.rules.ridge_at_fit
         (losses,) = scores.cv_losses(of_rows, self._folds, columns, ridge, training)
         return np.asarray(losses)
 
     def is_told_by_rows(self, one: FittedSet, other: FittedSet) -> bool:
-        """Whether halves do not tell ``one`` from ``other``, and rows say that it is better."""
+        """Whether neighbours do not tell ``one`` from ``other``, and rows say that it is better."""
         least = self.rules.confusable_in_se
         if other.lead_in_se(one) >= least:
             return False
@@ -433,17 +433,15 @@ class CandidateSets:
     def is_shown_by_few(self, full: FittedSet, member: Candidate) -> bool:
         """Whether a few trials, parts of which are held out, show ``member``.
 
-        It explains most of what is left, more than a gain of each of them would, and that it acts
-        in those trials and not in others is not by chance.
+        It explains more than a gain of each of them would, that it acts in those trials and not in
+        others is not by chance, and where that is less than sure, it explains most of what is left.
         """
         rules, rest = self.rules, self.without(full, member)
         gain, p_value = rest.loss - full.loss, self.p_of_order(full, member)
-        least = rules.min_gain if p_value <= rules.alpha else rules.few_min_gain
-        return (
-            p_value <= rules.order_alpha
-            and gain > max(rules.clear_share * rest.loss, least * self.total(full))
-            and self.is_more_than_gains(rest, full)
-        )
+        least = rules.min_gain * self.total(full)
+        if p_value > rules.alpha:
+            least = max(rules.clear_share * rest.loss, rules.few_min_gain * self.total(full))
+        return p_value <= rules.order_alpha and gain > least and self.is_more_than_gains(rest, full)
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.

@@ -1,10 +1,10 @@
-"""One channel of a press log, thinned, weighed and split into halves for fitting.
+"""One channel of a press log, thinned and weighed for fitting.
 
 The force is measured with noise too, and a fit that takes it as exact finds curvature near 0 N
-and a compliance that seems to vanish where there is no load. So neighbouring rows are put into
-two halves, A and B, whose noise is independent: a product of what is seen in A and what is left
-in B has no share of the noise, be it of the volume or of the force. Sums of such products take
-the place of every sum of squares that is judged.
+and a compliance that seems to vanish where there is no load. But the noise of neighbouring rows
+is independent: a product of what is seen in the one and what is left in the other has no share of
+the noise, be it of the volume or of the force. Sums of such products take the place of every sum
+of squares that is judged.
 """
 
 from dataclasses import dataclass, replace
@@ -35,9 +35,9 @@ class ChannelData:
     ``target`` (N, C) is the measured volume (C = 1) or shear motion (C = 2) in the history's order;
     ``noise`` the standard deviation of one sample's noise, from the high-frequency content;
     ``n_samples`` how many samples of the log the rows were averaged from; ``weight`` (N,) the
-    number of samples times their relative precision, 0 for what sticks out of its trial. ``pairs``
-    (2, M) are rows of half A and of half B, neighbours in the same trial, and ``pair_unit`` (M,)
-    the unit (trial, or part of one where trials are few) that each pair belongs to.
+    number of samples times their relative precision, 0 for what sticks out of its trial. ``first``
+    (M,) are the rows that another of their trial follows, and ``pair_unit`` (M,) the unit (trial,
+    or part of one where trials are few) that each such pair belongs to, ascending.
     """
 
     channel: Channel
@@ -48,7 +48,7 @@ class ChannelData:
     noise: float
     n_samples: int
     weight: FloatArray
-    pairs: NDArray[np.int64]
+    first: NDArray[np.int64]
     pair_unit: NDArray[np.int64]
 
     @property
@@ -70,14 +70,15 @@ class ChannelData:
     def row_unit(self) -> NDArray[np.int64]:
         """The unit of each row (N,)."""
         unit = np.zeros(self.history.n_samples, dtype=np.int64)
-        unit[self.pairs] = self.pair_unit
+        unit[self.first + 1] = self.pair_unit
+        unit[self.first] = self.pair_unit
         return unit
 
     @property
     def unit_trial(self) -> NDArray[np.int64]:
         """The trial of each unit (U,)."""
         trial = np.zeros(self.n_units, dtype=np.int64)
-        trial[self.pair_unit] = self.history.trial_index[self.pairs[0]]
+        trial[self.pair_unit] = self.history.trial_index[self.first]
         return trial
 
     def trials_with(self, amounts: FloatArray) -> tuple[int, ...]:
@@ -91,7 +92,7 @@ class ChannelData:
 
         As many parts as in a log of the fewest trials that are folds.
         """
-        trial = self.history.trial_index[self.pairs[0]]
+        trial = self.history.trial_index[self.first]
         first = np.searchsorted(trial, np.arange(self.history.n_trials + 1))
         count = np.diff(first)[trial]
         n_parts = int(np.ceil(self.rules.min_units / self.rules.min_trials_as_folds))
@@ -138,18 +139,18 @@ class ChannelData:
 
     @property
     def least_loss(self) -> float:
-        """How far below 0 chance takes a sum of products between halves, of noise a row long."""
-        deviation = self.noise_loss / np.sqrt(self.pairs.shape[1] * self.n_outputs)
+        """How far below 0 chance takes a sum of products of neighbours, of noise a row long."""
+        deviation = self.noise_loss / np.sqrt(self.first.size * self.n_outputs)
         return -self.rules.negative_loss_in_sd * float(deviation)
 
     @property
     def is_loaded(self) -> bool:
         """Whether the load is more than noise of the force: else no compliance can be fitted.
 
-        Products of the halves have one sign where it is; of n of normal noise the sum is 0, give or
+        Products of neighbours have one sign where it is; of n of normal noise the sum is 0, give or
         take π/(2√n) of the sum of their sizes.
         """
-        a, b = self.halves(self.reduce(self.history.load(self.channel)))
+        a, b = self.neighbours(self.reduce(self.history.load(self.channel)))
         least = min(0.5, _CHANCES * 0.5 * np.pi / np.sqrt(a.size))
         return bool(a @ b > least * np.abs(a * b).sum())
 
@@ -163,11 +164,11 @@ class ChannelData:
         one = np.ones((self.history.n_samples, 1))
         return np.stack([self.reduce(one * axis) for axis in np.eye(self.n_outputs)], axis=1)
 
-    def halves(self, reduced: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rows A and B of ``reduced`` (N·C, …), each (M·C, …), the outputs of a row together."""
+    def neighbours(self, reduced: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Both rows of each pair of ``reduced`` (N·C, …), each (M·C, …): outputs stay together."""
         shaped = reduced.reshape(-1, self.n_outputs, *reduced.shape[1:])
         flat = (-1, *reduced.shape[1:])
-        return shaped[self.pairs[0]].reshape(flat), shaped[self.pairs[1]].reshape(flat)
+        return shaped[self.first].reshape(flat), shaped[self.first + 1].reshape(flat)
 
 
 class ChannelSamples:
@@ -255,19 +256,17 @@ def linear_compliance(load: FloatArray, target: FloatArray) -> float:
 def _pairs(
     starts: NDArray[np.int64], rules: SelectionRules
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Neighbouring rows of each trial, which of the two is A in turn, and the unit of each."""
+    """The rows (M,) that another of their trial follows, and the unit (M,) of each such pair."""
     n_trials = starts.size - 1
     few = n_trials < rules.min_trials_as_units
     parts = int(np.ceil(rules.min_units / max(n_trials, 1))) if few else 1
-    lefts, units = [], []
-    for trial, (first, stop) in enumerate(pairwise(starts)):
-        lefts.append(np.arange(first, stop - 1, 2, dtype=np.int64))
-        count = lefts[-1].size
+    firsts, units = [], []
+    for trial, (start, stop) in enumerate(pairwise(starts)):
+        firsts.append(np.arange(start, stop - 1, dtype=np.int64))
+        count = firsts[-1].size
         units.append(trial * parts + np.arange(count) * parts // max(count, 1))
-    left = np.concatenate(lefts)
-    swap = np.arange(left.size) % 2
     unit = np.unique(np.concatenate(units), return_inverse=True)[1].astype(np.int64)
-    return np.stack([left + swap, left + 1 - swap]), unit
+    return np.concatenate(firsts), unit
 
 
 def noise_and_weight(

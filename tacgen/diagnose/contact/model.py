@@ -158,7 +158,7 @@ def as_it_is(data: ChannelData, model: Model) -> Fit:
 def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
     """The fit with the bias removed that noise of the force puts on least squares.
 
-    Each Gauss-Newton step solves the normal equations of products between the halves, as
+    Each Gauss-Newton step solves the normal equations of products of neighbouring rows, as
     instrumental variables do; a step that leads out of the neighbourhood is not taken.
     """
     space = _Space(data, fit.model)
@@ -167,9 +167,9 @@ def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:
         open_ = np.flatnonzero(np.abs(best.jacobian).max(axis=0) > 0)
         if not open_.size:
             return best
-        a, b = data.halves(np.column_stack([best.jacobian[:, open_], best.residual]))
+        a, b = data.neighbours(np.column_stack([best.jacobian[:, open_], best.residual]))
         prior = best.prior[:, [*open_, -1]]
-        gram = 0.5 * (a.T @ b + b.T @ a + prior.T @ prior)
+        gram = 0.25 * (a.T @ b + b.T @ a) + 0.5 * prior.T @ prior
         scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
         if np.linalg.eigvalsh(gram[:-1, :-1] / np.outer(scale, scale))[0] < 1e-6:
             return best

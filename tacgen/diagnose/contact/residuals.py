@@ -81,7 +81,7 @@ def dependences(
             blocks[name] = np.stack([data.reduce(f) for f in functions], axis=1)
     if not blocks:
         return ()
-    # Corrections stay as fitted: between the halves, their similar columns are nearly singular.
+    # Corrections stay as fitted: between neighbours, their similar columns are nearly singular.
     own = replace(fit, jacobian=fit.jacobian[:, ~fit.prior[:, :-1].any(axis=0)])
     grams, (*groups, ones), base = scores.fit_grams(data, own, [*blocks.values(), data.ones])
     shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)

@@ -14,8 +14,8 @@ class SelectionRules:
     *few* means fewer than ``min_trials_as_units`` trials to fit.
     """
 
-    # Rows, halves and units
-    min_samples_of_trial: int = 4  # what two halves of two rows need
+    # Rows, neighbours and units
+    min_samples_of_trial: int = 4  # two pairs of neighbours and two second differences
     min_samples: int = 12  # what second differences need
     rows_per_trial: int = 60  # averaged to while choosing: more change no choice
     min_rows: int = 4800  # in all where trials are few
@@ -66,7 +66,6 @@ class SelectionRules:
     parameter_price: float = 0.002  # share by which one parameter more must be better
     min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
     correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
-    most_mismatch: float = 0.3  # of what another explains: more is no error of that one's form
     least_share_of_rival: float = 0.02  # of what another explains: less is that one's model error
     confusable_in_se: float = 2.0  # lead below which a rival is confusable; rows tell by more
 

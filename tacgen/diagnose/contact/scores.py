@@ -2,8 +2,8 @@
 
 Everything here works on Gram matrices (U, P, P) of a design's columns, one for each unit (a
 trial), whose last column is the residual: no sample is touched again, so that hundreds of
-candidates and pairs cost milliseconds. The products are between the two halves of the data
-(`channel`), so that a loss is what is left of structure, without the noise.
+candidates and pairs cost milliseconds. The products are of neighbouring rows (`channel`), so that
+a loss is what is left of structure, without the noise.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,25 +23,24 @@ _OWN_SHARES = np.array([0.0, *np.logspace(-2, 3, 11)])
 """Variance of trials' own effects, in parts of the samples' noise at the mean information."""
 
 
-def unit_grams(
-    data: ChannelData, columns: FloatArray, *, between_halves: bool = True
-) -> FloatArray:
-    """Sums over each unit of products of ``columns`` (R, P) between the halves: (U, P, P).
+def unit_grams(data: ChannelData, columns: FloatArray, *, of_neighbours: bool = True) -> FloatArray:
+    """Sums over each unit of products of ``columns`` (R, P) of neighbouring rows: (U, P, P).
 
     Symmetrised; in the mean free of noise, and so not positive definite where a column is noise.
-    Otherwise of products within the halves, on the same scale.
+    Otherwise of products within each row. Both are half of a sum over all rows.
     """
     size = columns.shape[1]
-    halves = data.halves(columns)
-    bounds = data.n_outputs * np.searchsorted(data.pair_unit, np.arange(data.n_units + 1))
+    step = data.n_outputs
+    bounds = np.searchsorted(data.pair_unit, np.arange(data.n_units + 1))
     grams = np.empty((data.n_units, size, size))
     for gram, (i, j) in zip(grams, pairwise(bounds), strict=True):
-        a, b = (half[i:j] for half in halves)
-        if between_halves:
+        start, stop = step * data.first[i], step * (data.first[j - 1] + 1)
+        a, b = columns[start:stop], columns[start + step : stop + step]
+        if of_neighbours:
             products = a.T @ b
-            gram[:] = 0.5 * (products + products.T)
+            gram[:] = 0.25 * (products + products.T)
         else:
-            gram[:] = 0.5 * (a.T @ a + b.T @ b)
+            gram[:] = 0.25 * (a.T @ a + b.T @ b)
     return grams
 
 
@@ -108,7 +107,7 @@ def _of_one_length(
 def believable(losses: FloatArray, without: FloatArray, least: float) -> FloatArray:
     """``losses`` (S, U) of units; a set whose sum cannot be takes the losses ``without`` (U,) it.
 
-    Products between the halves are not positive definite, so that columns that are nearly the
+    Products of neighbouring rows are not positive definite, so that columns that are nearly the
     same, or that have a memory of the force's noise, can seem to leave less than chance could:
     than ``least``, or than ``without`` them.
     """

@@ -9,7 +9,6 @@ compete on the same terms, so that they are not taken for an effect.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -243,9 +242,9 @@ class Selection:
         return fitted
 
     def _told_by_rows(self, fitted: FittedSet) -> FittedSet:
-        """Exchange members for effects that single rows tell from them, where halves do not.
+        """Exchange members for effects that single rows tell from them, where neighbours do not.
 
-        What acts on every other row, as a limit does in quick presses, is not between the halves.
+        What acts on every other row, as a limit does in quick presses, is not in their products.
         """
         sets = self.sets
         for member in fitted.members:
@@ -262,23 +261,21 @@ class Selection:
         return fitted
 
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
-        """``fitted`` less members that corrections of the others' forms replace, weakest first.
-
-        What explains more than ``most_mismatch`` of what another does is no error of its form, nor
-        is what explains more than such corrections do.
-        """
+        """``fitted`` less members that corrections of the others' forms replace, best first."""
         sets = self.sets
-        most = self.rules.most_mismatch * sets.most_worth(fitted) if fitted.members else 0.0
-        small = [one for one in fitted.members if sets.worth(fitted, one) <= most]
-        if not small:
+        if len(fitted.members) < 2:
             return fitted
         corrected = self._refined(fitted)
-        for member in sorted(small, key=partial(sets.worth, fitted)):
+        found = []
+        for member in fitted.members:
             rest = sets.without(fitted, member)
             instead = self._refined(rest)
             if instead.loss < fitted.loss and not sets.is_worth(instead, corrected):
-                return self._without_mismatch(self._pruned(rest))
-        return fitted
+                found.append((instead.loss, rest))
+        if not found:
+            return fitted
+        _, rest = min(found, key=lambda one: one[0])
+        return self._without_mismatch(self._pruned(rest))
 
     def _refined(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` with the forms of members corrected where held-out trials gain, most first."""

@@ -170,7 +170,8 @@ def test_a_form_is_corrected_only_where_held_out_trials_gain(weights, seed, corr
     (term,) = found.final.fit.model.terms
     assert term.variant.label.endswith("corrected") == corrected
     assert found.final.loss <= share * found.named.loss
-    assert found.final.loss < 0.15 * data.noise_loss, "the rest is noise"
+    # Chance alone moves this by 0.03; what is left of two plays' corners is no more.
+    assert found.final.loss < 0.2 * data.noise_loss
 
 
 def test_a_corrected_law_leaves_nothing_that_a_covariate_explains():
@@ -194,7 +195,7 @@ def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
     y = data.reduce(data.target)
     design = np.column_stack([x, y])
     precision = np.diag([0.0, 50.0, 0.0])
-    within = scores.unit_grams(data, design, between_halves=False)
+    within = scores.unit_grams(data, design, of_neighbours=False)
     training = np.concatenate([within, 0.5 * precision[None] ** 2])
     between = scores.unit_grams(data, design)
     losses = scores.cv_losses(between, data.folds(), [[0, 1]], RULES.ridge, training)[0]
@@ -203,8 +204,10 @@ def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
         kept = fold_of_row != fold
         rows = np.vstack([x[kept], precision[:2, :2]])
         weights = np.linalg.lstsq(rows, np.append(y[kept], [0.0, 0.0]), rcond=None)[0]
-        a, b = data.halves(y - x @ weights)
-        slow = np.bincount(data.pair_unit, a * b, minlength=data.n_units)[data.folds() == fold]
+        a, b = data.neighbours(y - x @ weights)
+        slow = np.bincount(data.pair_unit, 0.5 * a * b, minlength=data.n_units)[
+            data.folds() == fold
+        ]
         np.testing.assert_allclose(losses[data.folds() == fold], slow, rtol=1e-4, atol=1e-6)
 
 
@@ -236,6 +239,25 @@ def test_seven_trials_suffice_for_two_clear_effects():
     data = ChannelSamples({key: c[few] for key, c in columns.items()}, "normal").thinned()
     found = Selection(data, np.random.default_rng(0)).run()
     assert {one.candidate.name for one in found.chosen} == {"creep", "zero_offset"}
+
+
+def test_a_loop_of_another_form_is_hysteresis_alone_however_much_a_second_effect_explains():
+    """A bulge at a fifth of the peak: beside one play, a stiffening explains a third as much."""
+
+    def response(force, time, knots, peak):
+        gone = np.where(time > knots[2], 1.0 - force / peak, 0.0)
+        return force + peak * np.interp(gone, [0.0, 0.8, 1.0], [0.0, 0.15, 0.0])
+
+    columns = presses(response, 0.1, 14, schedule=(0.0, 0.45, 0.5, 0.95, 1.0))
+    data = ChannelSamples(columns, "normal").thinned()
+    selection = Selection(data, np.random.default_rng(0))
+    sets = selection.sets
+    base = sets.fitted((), Model(K_N))
+    pool = {one.label: one for one, _ in sets.pool(base)}
+    labels = "hysteresis: play of 0.2 of the load", "stiffening: power -0.2"
+    both = sets.add(base, [pool[label] for label in labels])
+    assert sets.worth(both, both.members[1]) > sets.most_worth(both) / 3.0
+    assert selection._without_mismatch(both).names == {"hysteresis"}
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.15])

@@ -47,11 +47,30 @@ def test_the_compliance_is_not_diluted_by_noise_of_the_force():
     assert np.mean(free) == pytest.approx(4.0, abs=0.03)
 
 
-def test_a_loss_between_halves_holds_structure_and_no_noise():
+def test_a_loss_between_neighbours_holds_structure_and_no_noise():
     rng = np.random.default_rng(1)
     left = [grams_of(log(rng))[1][:, -1, -1].sum() for _ in range(20)]
     data, _, _ = grams_of(log(rng))
     assert abs(np.mean(left)) < 0.02 * data.noise_loss
+
+
+def test_products_are_of_every_row_with_the_next_of_its_trial():
+    """Half of their sum, by trial and both axes; within rows, the ends of a trial count half."""
+    rng = np.random.default_rng(20)
+    columns = log(rng)
+    for axis in "xy":
+        columns[f"force_shear_{axis}_n"] = 0.3 * columns["force_normal_n"]
+        columns[f"shear_{axis}_mm"] = columns[f"force_shear_{axis}_n"]
+    data = ChannelSamples(columns, "shear").thinned()
+    design = rng.normal(size=(2 * N_TRIALS * N_SAMPLES, 3))
+    rows = design.reshape(N_TRIALS, N_SAMPLES, 2, 3)
+    both = np.einsum("tnci,tncj->tij", rows[:, :-1], rows[:, 1:])
+    expected = 0.25 * (both + both.transpose(0, 2, 1))
+    np.testing.assert_allclose(scores.unit_grams(data, design), expected, atol=1e-10)
+    within = np.einsum("tnci,tncj->tnij", rows, rows)
+    expected = 0.5 * within.sum(axis=1) - 0.25 * (within[:, 0] + within[:, -1])
+    grams = scores.unit_grams(data, design, of_neighbours=False)
+    np.testing.assert_allclose(grams, expected, atol=1e-10)
 
 
 def test_the_noise_floor_is_that_of_volume_and_force_together():
@@ -335,7 +354,7 @@ def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
     np.testing.assert_array_equal(kept, [losses[0], without, without])
 
 
-def test_chance_takes_a_sum_between_halves_below_zero_as_far_as_is_said():
+def test_chance_takes_a_sum_between_neighbours_below_zero_as_far_as_is_said():
     rng = np.random.default_rng(19)
     data, _, _ = grams_of(log(rng))
     deviation = data.least_loss / -RULES.negative_loss_in_sd
@@ -370,8 +389,8 @@ def test_shuffles_that_equal_the_observed_score_but_for_rounding_count_as_reachi
     assert scores.p_of_shuffles(neg_log_p, RULES, permuted=False) == pytest.approx(p)
 
 
-def test_trials_in_which_the_halves_disagree_have_no_gain_beyond_their_size():
-    """Of few samples the products of the halves may all be negative: they say nothing then."""
+def test_trials_in_which_neighbours_disagree_have_no_gain_beyond_their_size():
+    """Of few samples the products of neighbours may all be negative: they say nothing then."""
     products = np.array([-4.0, -2.0])
     grams = np.repeat(products, 3).reshape(2, 3, 1) * np.ones((2, 3, 3))
     information = scores.trial_information(grams, 0)

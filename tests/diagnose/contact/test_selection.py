@@ -108,7 +108,7 @@ def test_a_delay_and_a_lead_are_told_before_they_are_fitted(delay_s, form, other
 
 
 def test_no_form_explains_more_than_there_is(monkeypatch):
-    """Products between the halves may leave less than nothing of what only noise tells apart."""
+    """Products of neighbours may leave less than nothing of what only noise tells apart."""
     sets = selection_of_creep_and_offset().sets
     base = sets.fitted((), sets.linear)
     losses_of = sets._cv_losses
@@ -185,6 +185,34 @@ def test_in_few_trials_an_effect_explains_most_or_gains_in_seven(share, n_gainin
 
 
 @pytest.mark.parametrize(
+    ("p_value", "gain", "rest", "shown"),
+    [
+        (0.009, 0.03, 1.0, True),
+        (0.009, 0.01, 0.01, False),
+        (0.04, 0.3, 1.0, False),
+        (0.04, 0.3, 0.5, True),
+        (0.04, 0.08, 0.1, False),
+        (0.06, 0.9, 1.0, False),
+    ],
+)
+def test_a_few_trials_show_a_little_only_where_their_order_is_no_chance(
+    monkeypatch, p_value, gain, rest, shown
+):
+    """``gain`` and ``rest`` in parts of the sum of squares with the noise."""
+    sets = selection_of_creep_and_offset().sets
+    full = creep_and_offset(sets)
+    monkeypatch.setattr(sets, "total", lambda one: 1.0)
+    monkeypatch.setattr(sets, "p_of_order", lambda *_: p_value)
+    monkeypatch.setattr(sets, "is_more_than_gains", lambda *_: True)
+    one_each = np.full(N_TRIALS, 1.0 / N_TRIALS)
+    monkeypatch.setattr(sets, "without", lambda *_: replace(full, unit_losses=rest * one_each))
+    full = replace(full, unit_losses=(rest - gain) * one_each)
+    assert sets.is_shown_by_few(full, full.members[0]) is shown
+    monkeypatch.setattr(sets, "is_more_than_gains", lambda *_: False)
+    assert not sets.is_shown_by_few(full, full.members[0])
+
+
+@pytest.mark.parametrize(
     ("of_trials", "p_of_gains", "needed"),
     [(False, 0.018, True), (False, 0.024, False), (True, 0.018, False)],
 )
@@ -200,24 +228,24 @@ def test_what_explains_most_of_what_remains_is_needed_by_its_gains(
 
 
 def test_losses_of_rows_are_those_of_a_compliance_that_is_fitted_without_each_fold():
-    """Beside the fit, a change of k is regression between the halves, held by ``ridge_at_fit``."""
+    """Beside the fit, a change of k is regression between neighbours, held by ``ridge_at_fit``."""
     sets = selection_of_creep_and_offset().sets
     data, base = sets.data, sets.fitted((), sets.linear)
-    force = [half[:, 0] for half in data.halves(base.fit.jacobian)]
-    left = data.halves(base.fit.residual)
+    force = [rows[:, 0] for rows in data.neighbours(base.fit.jacobian)]
+    left = data.neighbours(base.fit.residual)
     folds = data.folds()
     expected = np.zeros(data.n_units)
     for fold in range(folds.max() + 1):
         kept = folds[data.pair_unit] != fold
         cross = sum((force[i] * left[1 - i])[kept].sum() for i in (0, 1))
         change = cross / (2 * (force[0] * force[1])[kept].sum() * (1 + sets.rules.ridge_at_fit))
-        square = sum((left[i] - change * force[i]) ** 2 for i in (0, 1)) / 2
+        square = sum((left[i] - change * force[i]) ** 2 for i in (0, 1)) / 4
         expected += np.bincount(data.pair_unit, square * ~kept, minlength=data.n_units)
     np.testing.assert_allclose(sets.row_losses(base), expected, rtol=1e-9)
 
 
 def test_a_limit_of_every_other_row_is_told_by_rows_alone():
-    """Of the rows of a press every other is cut: halves of neighbours share nothing of it."""
+    """Of the rows of a press every other is cut: neighbours share nothing of it."""
     columns = presses(lambda force, *_: force, 0.05, 9)
     columns["volume_mm3"][1::2] = np.minimum(columns["volume_mm3"][1::2], 0.7 * K_N * 9.0)
     sets = Selection(ChannelSamples(columns, "normal").thinned(), np.random.default_rng(0)).sets
