@@ -141,7 +141,8 @@ def diagnose_grasps_command(
     before, after = findings.diagnosis.simulated_before, findings.simulated_after
     write_grasp_report(out / "report.html", record, grasps, before, after)
     common.print_result(record, findings.diagnosis.sentence, json_output)
+    found = "with what was found" if findings.diagnosis.found else "as it was: nothing was found"
     common.hand_over(
-        f"tacgen collect {out / 'recipe.yaml'} --out data   # the recipe with what was found",
+        f"tacgen collect {out / 'recipe.yaml'} --out data   # the recipe {found}",
         f"grasps for the robot that separate the explanations: {out / 'next_grasps.csv'}",
     )

@@ -173,7 +173,6 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
         comparison = refine(simulations, declared, labels)
         found = posterior(comparison, labels, rng)
         diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, (), rng)
-        stated = found.products if diagnosis.undecided else ()
         yield Trial(
             "+".join(objects),
             names,
@@ -181,7 +180,7 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
             min(changed, default=LEAST_CHANGED) >= LEAST_CHANGED,
             tuple(cause.name for cause in found.found),
             tuple(round(cause.value, 4) for cause in found.found),
-            tuple(found.confusable_with(own) for own in found.found or stated),
+            tuple(found.confusable_with(own) for own in found.found or diagnosis.products),
             judged_undecided(found, wrong, objects)
             if names and diagnosis.undecided
             else judged(found, wrong, objects),

@@ -83,6 +83,11 @@ class GraspDiagnosis:
         return self.verdict == "sufficient" and self.rate_before > 0
 
     @property
+    def products(self) -> tuple[Cause, ...]:
+        """Factors that the labels determine in products with others alone, if none is named."""
+        return self.posterior.products if self.undecided else ()
+
+    @property
     def sentence(self) -> str:
         """The verdict in a sentence or two."""
         n = len(self.real)
@@ -149,7 +154,7 @@ class GraspDiagnosis:
         return "".join(
             f" These labels determine only {self._described(cause)}; its parts may be wrong "
             "together, where they compensate."
-            for cause in self.posterior.products
+            for cause in self.products
         )
 
     def ridge(self, cause: Cause) -> str:
@@ -322,7 +327,7 @@ def diagnosis_record(
         "probability": posterior.found_probability,
         "products": [
             {"ridge": diagnosis.ridge(cause), "value": cause.value, "stderr": cause.stderr}
-            for cause in (posterior.products if diagnosis.undecided else ())
+            for cause in diagnosis.products
         ],
         "alternatives": [
             {
