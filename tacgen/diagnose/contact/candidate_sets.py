@@ -350,6 +350,15 @@ class CandidateSets:
         is_worst = np.isin(unit_trial, self.worst_trials(rest))
         return full.loss < float(np.where(is_worst, left, rest.unit_losses).sum())
 
+    def others_gain(self, rest: FittedSet, full: FittedSet) -> bool:
+        """Whether, fitted without the worst trials of ``rest``, ``full`` explains enough more."""
+        others = ~np.isin(self.data.unit_trial, self.worst_trials(rest))
+        losses = []
+        for one in (rest, full):
+            grams, _, base = scores.fit_grams(self.data, one.fit, [])
+            losses += [*scores.training_losses(grams[others].sum(axis=0), [base], self.rules.ridge)]
+        return bool(losses[0] - losses[1] > self._min_gain * self.total(full))
+
     def p_of_order(self, full: FittedSet, member: Candidate) -> float:
         """The p that a member, as it is fitted, acts by chance in the trials that are off.
 
@@ -446,7 +455,8 @@ class CandidateSets:
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
 
-        Nor may a gain of each of the worst trials do as well, unless there are hardly others.
+        Nor may a gain of each of the worst trials do as well, unless the others, too, call for it
+        or there are hardly any.
         ``n_names`` is how many names it was chosen from.
         """
         if member.name == self.of_few_trials:
@@ -454,7 +464,8 @@ class CandidateSets:
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
             return False
-        if not self.data.few_trials and not self.is_more_than_gains(rest, full):
+        shown = self.data.few_trials or self.others_gain(rest, full)
+        if not shown and not self.is_more_than_gains(rest, full):
             return False
         worth = self.worth(full, member)
         # Several that were chosen together would all have to be due to chance.
