@@ -276,7 +276,7 @@ def test_a_p_value_is_no_less_than_so_few_trials_allow():
 @pytest.mark.slow
 def test_errors_of_choices_that_differ_are_not_those_of_what_was_found():
     """Two trials: without either, another effect is found than on both."""
-    columns, _ = case([("normal", "hysteresis", 0)], strength=0.45, n_trials=2, seed=11)
+    columns, _ = case([("normal", "hysteresis", 0)], strength=0.45, n_trials=2, seed=2)
     diagnosis = diagnose(few_columns(columns))
     found = diagnosis_record(diagnosis)["channels"]["normal"]
     assert names(found)
