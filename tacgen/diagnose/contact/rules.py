@@ -15,7 +15,7 @@ class SelectionRules:
     """
 
     # Rows, neighbours and units
-    min_samples_of_trial: int = 4  # two pairs of neighbours and two second differences
+    min_samples_of_trial: int = 4  # what two second differences need
     min_samples: int = 12  # what second differences need
     rows_per_trial: int = 60  # averaged to while choosing: more change no choice
     min_rows: int = 4800  # in all where trials are few
