@@ -464,8 +464,8 @@ class CandidateSets:
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
             return False
-        shown = self.data.few_trials or self.others_gain(rest, full)
-        if not shown and not self.is_more_than_gains(rest, full):
+        shown = self.data.few_trials or self.is_more_than_gains(rest, full)
+        if not shown and not self.others_gain(rest, full):
             return False
         worth = self.worth(full, member)
         # Several that were chosen together would all have to be due to chance.
