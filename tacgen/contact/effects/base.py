@@ -18,10 +18,10 @@ from tacgen.contact.effects.where import Where as Where
 from tacgen.core.arrays import FloatArray as FloatArray
 from tacgen.core.errors import ContactError
 
-Stage = Literal["input", "elastic", "memory", "gain", "output"]
-STAGES: tuple[Stage, ...] = ("input", "elastic", "memory", "gain", "output")
-"""Where an effect acts, in this order: on the force that is read, on the elastic response, on its
-memory, on the compliance, on the volume or motion that comes out."""
+Stage = Literal["input", "memory", "elastic", "gain", "output"]
+STAGES: tuple[Stage, ...] = ("input", "memory", "elastic", "gain", "output")
+"""Where an effect acts, in this order: on the force that is read, on its memory, on the elastic
+response (to what has crept, too), on the compliance, on the volume or motion that comes out."""
 
 Role = Literal["amount", "shape", "reference"]
 Parameters: TypeAlias = Mapping[str, float]
@@ -330,6 +330,12 @@ def with_gain(load: FloatArray, relative: FloatArray) -> FloatArray:
     """``load`` (N, C) times 1 + ``relative`` (N,), never turned round; NaN counts as 0."""
     gain = np.maximum(1.0 + np.where(np.isnan(relative), 0.0, relative), MIN_GAIN)
     return np.asarray(load * gain[:, None])
+
+
+def limited(ratio: FloatArray, sharpness: float) -> FloatArray:
+    """What is left of a quantity that has a limit, by its ratio to it: (1 + ratio^s)^(−1/s)."""
+    log_ratio = np.log(np.maximum(ratio, 1e-12))
+    return np.asarray(np.exp(-np.logaddexp(0.0, sharpness * log_ratio) / sharpness))
 
 
 def varies(values: FloatArray) -> bool:

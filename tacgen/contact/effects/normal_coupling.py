@@ -22,7 +22,7 @@ base.register(
     base.Effect(
         name="normal_coupling",
         channel="shear",
-        stage="elastic",
+        stage="gain",
         about="the shear compliance changes with the normal load",
         parameters=(
             base.amount("amount", -3.0, 5.0),

@@ -14,10 +14,7 @@ def _apply(
     """V / (1 + |V/limit|^sharpness)^(1/sharpness): the limit itself for a sharp one."""
     if not np.isfinite(p["limit_mm3"]):
         return volume.copy()
-    ratio = np.maximum(np.abs(volume) / p["limit_mm3"], 1e-12)
-    sharpness = p["sharpness"]
-    damp = np.exp(-np.logaddexp(0.0, sharpness * np.log(ratio)) / sharpness)
-    return volume * damp
+    return volume * base.limited(np.abs(volume) / p["limit_mm3"], p["sharpness"])
 
 
 base.register(

@@ -5,11 +5,7 @@ import numpy as np
 from tacgen.contact.effects import base
 
 CURVE = base.Curve("curve", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2))
-
-
-def load_ratio(history: base.LoadHistory, floor_n: float) -> base.FloatArray:
-    """|F_s| / F_n (N,), with F_n no less than ``floor_n``."""
-    return history.shear_size_n / np.maximum(history.normal_smooth_n, floor_n)
+_NO_FORCE_N = 1e-9  # where nothing is pressed, nothing is dragged
 
 
 def mindlin_factor(fraction: base.FloatArray) -> base.FloatArray:
@@ -22,22 +18,29 @@ def mindlin_factor(fraction: base.FloatArray) -> base.FloatArray:
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:
-    """Mindlin's growth below μ, then a power of the ratio, and a limit of the force that acts."""
-    ratio = load_ratio(history, p["floor_n"])
+    """Mindlin's growth below μ, then a power of the ratio, and a limit of what then moves.
+
+    The ratio is that of the load, with all that has crept, and the normal force: unsmoothed, since
+    a limit that is smoothed is too low at a peak.
+    """
+    size, normal = np.hypot(*load.T), history.force_normal_n
+    ratio = size / np.maximum(normal, p["floor_n"])
     relative = p["amount"] * np.minimum(ratio / p["ratio_reference"], 2.0) ** p["exponent"]
     relative = relative + CURVE(ratio / p["ratio_reference"], p)
     if p["mindlin"] != 0.0:
         relative = relative + p["mindlin"] * (mindlin_factor(ratio / p["mu"]) - 1.0)
     if np.isfinite(p["gross_mu"]):
-        relative = (1.0 + relative) * np.minimum(1.0, p["gross_mu"] / np.maximum(ratio, 1e-9)) - 1.0
+        limit_n = p["gross_mu"] * np.maximum(normal, _NO_FORCE_N)
+        moves = np.maximum(1.0 + relative, 0.0)
+        relative = moves * base.limited(moves * size / limit_n, p["sharpness"]) - 1.0
     return base.with_gain(load, relative)
 
 
 def _references(history: base.LoadHistory) -> dict[str, float]:
     floor = 0.05 * history.normal_span_n
-    ratio = load_ratio(history, floor)
-    pressed = ratio[history.normal_smooth_n > 2 * floor]
-    high = float(np.quantile(pressed, 0.98)) if pressed.size else 1.0
+    pressed = history.normal_smooth_n > 2 * floor
+    ratio = history.shear_size_n[pressed] / history.normal_smooth_n[pressed]
+    high = float(np.quantile(ratio, 0.98)) if ratio.size else 1.0
     return {"floor_n": floor, "ratio_reference": max(high, 1e-3)}
 
 
@@ -54,8 +57,13 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
         for scale in (1.0, 1.3, 2.0)
     ]
     gross = [
-        base.variant(f"gross slip at {scale:g}", [{"gross_mu": scale * high}], scales=False)
-        for scale in (0.6, 0.8, 0.95)
+        base.variant(
+            f"gross slip at {scale:g}, sharpness {sharpness:g}",
+            [{"gross_mu": scale * high}],
+            {"sharpness": sharpness},
+            scales=False,
+        )
+        for scale, sharpness in ((0.6, 20.0), (0.8, 20.0), (0.95, 20.0), (0.8, 3.0), (1.2, 3.0))
     ]
     return (*powers, *mindlin, *gross)
 
@@ -74,6 +82,7 @@ base.register(
             base.amount(
                 "gross_mu", 0.01, np.inf, "1", np.inf, base.share_of("ratio_reference", 0.2, 4.0)
             ),
+            base.shape("sharpness", 1.5, 300.0, 300.0),
             *CURVE.parameters,
             base.reference("ratio_reference", "1"),
             base.reference("floor_n", "N"),

@@ -382,6 +382,29 @@ def test_mindlin_slip_follows_the_published_law():
     np.testing.assert_allclose(moved[inner], published[inner], rtol=1e-4)
 
 
+def test_gross_slip_holds_no_more_than_friction_at_a_peak_and_after_creep():
+    """k_s = 2 mm/N and μ = 0.5, of a ramp of the shear force up and down and of a hold."""
+    ramp = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0])
+    pressed = np.array([0.0, 2.0, 4.0, 5.0, 4.0, 2.0, 0.0])
+    history = history_of(pressed, force_shear_x_n=ramp, force_shear_y_n=np.zeros(7))
+    moved = volume(history, "slip", "shear", gross_mu=0.5)[:, 0]
+    np.testing.assert_allclose(moved, 2.0 * np.minimum(ramp, 0.5 * pressed), rtol=0.003, atol=1e-9)
+
+    held = history_of(
+        np.full(40, 5.0), force_shear_x_n=np.full(40, 2.0), force_shear_y_n=np.zeros(40)
+    )
+    creep = find_effect("shear", "creep"), {"amount": 0.5, "tau_s": 2.0}
+    slip = find_effect("shear", "slip"), {"gross_mu": 0.5}
+    both = [
+        (effect, effect.complete(effect.references(held) | given))
+        for effect, given in (slip, creep)
+    ]
+    moved = respond(held, "shear", 2.0, both)[:, 0]
+    crept = respond(held, "shear", 2.0, both[1:])[:, 0]
+    assert crept[-1] > 5.5
+    np.testing.assert_allclose(moved, np.minimum(crept, 5.0), rtol=0.003)
+
+
 def test_anisotropy_stretches_one_axis_and_shrinks_the_other():
     history = history_of(
         np.full(4, 5.0), force_shear_x_n=np.ones(4), force_shear_y_n=np.full(4, 2.0)
