@@ -226,8 +226,9 @@ class _Channel:
         rows = test.every_sample()
         kept = rows.weight > 0
         found = []
+        data = fitted.thinned(self._rules.refit_rows_per_trial)
         for fit in (attribution.base.fit, attribution.final.fit):
-            model = without_noise_bias(fitted.thinned(), fit).model
+            model = _refitted(data, fit.model).model
             residual = rows.target - model.law_response(rows)
             found.append(heldout.errors(residual[kept], rows.history.trial[kept], self._rms))
         return found[0], found[1]

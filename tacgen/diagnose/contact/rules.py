@@ -19,7 +19,7 @@ class SelectionRules:
     min_samples: int = 12  # what second differences need
     rows_per_trial: int = 60  # averaged to while choosing: more change no choice
     min_rows: int = 4800  # in all where trials are few
-    refit_rows_per_trial: int = 250  # in the last fit, whose parameters the law gets
+    refit_rows_per_trial: int = 1000  # in the last fit: software smooths samples, not means
     gp_rows_per_trial: int = 30  # that the Gaussian process sees
     min_trials_as_units: int = 16  # with fewer, parts of trials are what tests resample
     min_units: int = 36  # about so many parts of trials then

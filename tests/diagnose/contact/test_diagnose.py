@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from tacgen.cli import app
@@ -395,3 +396,23 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
         assert limit["value"] == pytest.approx(41.0, abs=3.0 * limit["stderr"])
         volume, _ = diagnosis.law.predict(log)
         assert np.sqrt(np.mean((volume - clean.ravel()) ** 2)) < 0.1
+
+
+def test_smoothing_by_software_is_fitted_to_samples_not_to_their_means():
+    """V of q += (1 − exp(−Δt/τ))(F − q), of 100 to 400 samples a trial: the law is as exact."""
+    rng, noise, k_n, tau_s = np.random.default_rng(4), 0.05, 4.0, 0.03
+    parts, exact = [], []
+    for trial in range(20):
+        n_samples, peak = (100, 300, 400)[trial % 3], rng.uniform(4.0, 9.0)
+        time = np.linspace(0.0, 4.0, n_samples)
+        force = np.interp(time, [0.0, 1.0, 2.0, 2.5, 4.0], [0.0, peak, peak, 0.0, 0.0])
+        kept = np.exp(-time[1] / tau_s)
+        exact.append(k_n * lfilter([1 - kept], [1, -kept], force))
+        number, volume = np.full(n_samples, trial), exact[-1] + noise * rng.normal(size=n_samples)
+        parts.append(np.stack([number, trial * 20.0 + time, force, volume]))
+    keys = ("trial", "time_s", "force_normal_n", "volume_mm3")
+    columns = dict(zip(keys, np.concatenate(parts, axis=1), strict=True))
+    found = diagnose({**columns, "trial": columns["trial"].astype(int)})
+    assert names(diagnosis_record(found)["channels"]["normal"]) == ["latency"]
+    error = found.law.predict(columns)[0] - np.concatenate(exact)
+    assert np.sqrt(np.mean(error**2)) < 0.2 * noise
