@@ -205,6 +205,9 @@ def respond(
                         known[key] = result
                 else:
                     result = known[key]
+    for effect, parameters in effects:
+        if effect.apply_at_end is not None:
+            result = effect.apply_at_end(result, history, parameters)
     return result
 
 

@@ -25,6 +25,7 @@ response (to what has crept, too), on the compliance, on the volume or motion th
 
 Role = Literal["amount", "shape", "reference"]
 Parameters: TypeAlias = Mapping[str, float]
+Apply: TypeAlias = Callable[[FloatArray, LoadHistory, Parameters], FloatArray]
 Bounds: TypeAlias = Callable[[LoadHistory, Parameters], tuple[float, float]]
 
 _LOGARITHMIC_UNITS = ("s", "N", "mm3", "trials")
@@ -96,10 +97,11 @@ class Variant:
 class Effect:
     """A named effect on one channel.
 
-    ``apply`` turns load (N, C), history and parameters into the changed load (N, C); ``variants``
-    gives the forms that a fit starts from, ``references`` the reference values on a history.
-    ``needs`` are columns that it cannot do without; ``is_identifiable`` says whether a history
-    varies in what it follows; with ``needs_session_clock`` it has no meaning where the clock
+    ``apply`` turns load (N, C), history and parameters into the changed load (N, C), and
+    ``apply_at_end`` what comes out of all effects, in mm³ or mm, likewise; ``variants`` gives the
+    forms that a fit starts from, ``references`` the reference values on a history. ``needs`` are
+    columns that it cannot do without; ``is_identifiable`` says whether a history varies in what
+    it follows; with ``needs_session_clock`` it has no meaning where the clock
     restarts with every trial. ``in_simulation`` is false for what belongs to the measurement (a
     gauge's zero, two clocks, the session). ``per_indenter`` allows further parameters
     ``gain_<indenter>``. ``is_of_trials`` is true of what follows the place, the indenter or the
@@ -113,8 +115,9 @@ class Effect:
     stage: Stage
     about: str
     parameters: tuple[Parameter, ...]
-    apply: Callable[[FloatArray, LoadHistory, Parameters], FloatArray]
+    apply: Apply
     variants: Callable[[LoadHistory, Parameters], tuple[Variant, ...]]
+    apply_at_end: Apply | None = None
     references: Callable[[LoadHistory], dict[str, float]] = lambda history: {}
     needs: tuple[str, ...] = ()
     needs_session_clock: bool = False
@@ -170,9 +173,11 @@ class Effect:
         if where is None:
             return self
 
-        def apply(load: FloatArray, history: LoadHistory, p: Parameters) -> FloatArray:
-            changed = self.apply(load, history, p)
-            return np.where(where.holds(history)[:, None], changed, load)
+        def within(apply: Apply) -> Apply:
+            def only_there(load: FloatArray, history: LoadHistory, p: Parameters) -> FloatArray:
+                return np.where(where.holds(history)[:, None], apply(load, history, p), load)
+
+            return only_there
 
         def variants(history: LoadHistory, references: Parameters) -> tuple[Variant, ...]:
             forms = []
@@ -187,8 +192,14 @@ class Effect:
                 for v, label, shapes in forms
             )
 
-        needs = (*self.needs, where.column)
-        return replace(self, apply=apply, variants=variants, needs=needs, where=where)
+        return replace(
+            self,
+            apply=within(self.apply),
+            apply_at_end=self.apply_at_end and within(self.apply_at_end),
+            variants=variants,
+            needs=(*self.needs, where.column),
+            where=where,
+        )
 
 
 _REGISTRY: dict[tuple[str, str], Effect] = {}

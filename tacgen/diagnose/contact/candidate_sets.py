@@ -17,7 +17,7 @@ from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate
 from tacgen.diagnose.contact.channel import ChannelData, linear_compliance
-from tacgen.diagnose.contact.covariates import HOWS, Covariate
+from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.localised import best_local, local_effects, local_p_value, parts_of
 from tacgen.diagnose.contact.model import (
     CovariateTerm,
@@ -497,4 +497,4 @@ def _sum_in_se(values: FloatArray) -> float:
 def _search_p_values(candidates: Sequence[Candidate]) -> FloatArray:
     """The p (candidates,) of an oscillation by chance in any of the searches; 0 of others."""
     found = (c.covariate.p_search if c.covariate is not None else 0.0 for c in candidates)
-    return np.array([min(_N_KINDS * len(HOWS) * p_search, 1.0) for p_search in found])
+    return np.array([min(_N_KINDS * p_search, 1.0) for p_search in found])

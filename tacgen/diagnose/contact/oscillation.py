@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TypeAlias
 
 import numpy as np
@@ -19,6 +20,8 @@ _MAX_POINTS = 1 << 17
 _POINTS_PER_PERIOD = 8  # four times what sampling needs: the peak is not missed
 _AT_ONCE = 8  # flips whose spectra are computed together: faster, and little memory
 _HARMONICS = 3  # of one that is no sine, as of what is switched on and off
+_PHASES = 8  # of half a period, of what is switched on and off
+_SLOW_PER_FAST = 5  # flips: of many frequencies, the highest peak by chance varies less
 _REFINED = 41  # frequencies between the neighbours of the best one that are tried afterwards
 
 Transform: TypeAlias = Callable[[FloatArray, int], NDArray[np.complex128]]
@@ -42,73 +45,100 @@ class _Products:
         return _Products(product, square, float((product**2 / (square + 1e-300)).sum()))
 
 
+@dataclass(frozen=True)
+class _Search:
+    """Shares (F + 1, K) that frequencies explain of the residual and of its flips.
+
+    ``rows`` (one for each output) are what a share is worked out from exactly.
+    """
+
+    how: How
+    frequencies_hz: FloatArray
+    shares: FloatArray
+    rows: list[_Products]
+
+    @property
+    def heights(self) -> FloatArray:
+        """The highest peak (F + 1,) of each, in deviations of the other flips' above their mean.
+
+        Of n numbers, a frequency explains a share above x in (1 - x)^((n - 3) / 2) of cases.
+        """
+        peaks = -np.log1p(-self.shares.max(axis=1))
+        others = np.where(np.eye(peaks.size, dtype=bool), np.nan, peaks)[:, 1:]
+        mean, deviation = np.nanmean(others, axis=1), np.nanstd(others, axis=1)
+        return np.asarray((peaks - mean) / (deviation + 1e-12))
+
+
 def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Covariate]:
     """The best frequencies for an oscillation of the compliance, and for an added one.
 
-    One is slower than every other trial, from ``min_cycles`` a session, and is sought in one number
-    a trial: few frequencies are slow, so that chance reaches less there. One is faster, up to
-    periods of a few rows. Each is offered as a sine and with harmonics. ``signs`` (F, U) flip the
-    residual of whole trials; how high the highest of all peaks then is says by how much the best
-    one must stand out.
+    One is slower than every other trial and is sought in one number a trial, as a sine and as what
+    is switched on and off: few frequencies are slow, so that chance reaches less there. One is
+    faster, up to periods of a few rows. Each is offered as a sine and with harmonics. ``signs``
+    (F, U) flip the residual of whole trials; how high the highest peak of all slow searches, or of
+    all fast ones, then is says by how much the best one must stand out.
     """
     history, rules = data.history, data.rules
     start, trial = float(history.time_s.min()), history.trial_index
     time = history.time_s - start
     session = max(float(time.max()), history.sample_period_s)
     flips = np.vstack([np.ones(signs.shape[1]), signs])[:, data.row_unit]
-    of_trials = flips[:, history.starts[:-1]]
+    of_trials, flips = flips[:, history.starts[:-1]], flips[: 1 + len(signs) // _SLOW_PER_FAST]
     middle = 0.5 * history.n_trials / session
-    slow_hz = np.arange(rules.min_cycles / session, middle, 0.5 / session)
+    slow_hz = np.arange(rules.min_cycles / session, middle, 0.25 / session)
     at_trials = np.bincount(trial, time) / np.bincount(trial)
     fast_hz, spectra = _fourier(data, time, max(middle, rules.min_cycles / session))
-    found: list[Covariate] = []
+    slow, fast = list[_Search](), list[_Search]()
     for how in HOWS:
-        rows = _products(data, fit, how)
-        trials = [one.of_trials(trial) for one in rows]
-        searches = [
-            (slow_hz, trials, of_trials, _direct(at_trials, slow_hz)),
-            (fast_hz, rows, flips, spectra),
-        ]
-        searches = [one for one in searches if one[0].size > 1]
-        for frequencies_hz, parts, signs_of_parts, transform in searches:
-            shares = _shares(parts, signs_of_parts, transform)
-            # Of n numbers, a frequency explains a share above x in (1 - x)^((n - 3) / 2) of cases.
-            peaks = -np.log1p(-shares.max(axis=1))
-            step_hz = frequencies_hz[1] - frequencies_hz[0]
-            near_hz = frequencies_hz[np.argmax(shares[0])] + step_hz * np.linspace(-1, 1, _REFINED)
-            exact = _shares(rows, flips[:1], _direct(time, near_hz))[0]
-            sine = Covariate(
-                "time_s",
-                "oscillation",
-                how,
-                center=start,
-                frequency_hz=float(near_hz[np.argmax(exact)]),
-                p_search=len(searches) * _gumbel_p(peaks[0], peaks[1:]),
-            )
-            found += [sine, replace(sine, degree=_HARMONICS)]
+        plain, weighted = _products(data, fit, how)
+        for rows in (plain, weighted):
+            trials = [one.of_trials(trial) for one in rows]
+            sines = _shares(trials, of_trials, _direct(at_trials, slow_hz))
+            switched = _switched_shares(trials, of_trials, at_trials, slow_hz)
+            slow.append(_Search(how, slow_hz, np.maximum(sines, switched), rows))
+        fast.append(_Search(how, fast_hz, _shares(weighted, flips, spectra), weighted))
+    families = [one for one in (slow, fast) if one[0].frequencies_hz.size > 1]
+    found: list[Covariate] = []
+    for how, family in product(HOWS, families):
+        highest = np.max([one.heights[1:] for one in family], axis=0)
+        search = max((one for one in family if one.how == how), key=lambda one: one.heights[0])
+        step_hz = search.frequencies_hz[1] - search.frequencies_hz[0]
+        best_hz = search.frequencies_hz[np.argmax(search.shares[0])]
+        near_hz = best_hz + step_hz * np.linspace(-1, 1, _REFINED)
+        exact = _shares(search.rows, flips[:1], _direct(time, near_hz))[0]
+        sine = Covariate(
+            "time_s",
+            "oscillation",
+            how,
+            center=start,
+            frequency_hz=float(near_hz[np.argmax(exact)]),
+            p_search=len(families) * _gumbel_p(float(search.heights[0]), highest),
+        )
+        found += [sine, replace(sine, degree=_HARMONICS)]
     return found
 
 
-def _products(data: ChannelData, fit: Fit, how: How) -> list[_Products]:
-    """Of the compliance, or, added, of each output.
+def _products(data: ChannelData, fit: Fit, how: How) -> tuple[list[_Products], list[_Products]]:
+    """Of the compliance, or, added, of each output: as they are, and with trials weighted.
 
-    Trials are weighted by information over variance, as scores are, so that those with the
-    highest loads do not outweigh the others.
+    The weight is information over variance, as scores have it: then no trial outweighs the others.
     """
     response = fit.model.law_response(data)
     size = response if how == "gain" else np.full_like(response, 0.1 * data.span)
     amplitude = data.reduce(size).reshape(-1, data.n_outputs)
     residual = fit.residual.reshape(-1, data.n_outputs)
     one_each = [slice(k, k + 1) for k in range(data.n_outputs)]
-    trial, products = data.history.trial_index, []
+    trial = data.history.trial_index
+    plain, weighted = list[_Products](), list[_Products]()
     for outputs in [slice(None)] if how == "gain" else one_each:
         column, left = amplitude[:, outputs], residual[:, outputs]
         product, square = (column * left).sum(axis=1), (column**2).sum(axis=1)
+        own = (left**2).sum(axis=1)
         whole = _Products(product, square, 0.0).of_trials(trial)
         weight = score_weights(whole.product, whole.square)[trial]
-        total = float(weight @ (left**2).sum(axis=1))
-        products.append(_Products(weight * product, weight * square, total))
-    return products
+        plain.append(_Products(product, square, float(own.sum())))
+        weighted.append(_Products(weight * product, weight * square, float(weight @ own)))
+    return plain, weighted
 
 
 def _fourier(data: ChannelData, time: FloatArray, first_hz: float) -> tuple[FloatArray, Transform]:
@@ -151,6 +181,24 @@ def _shares(parts: list[_Products], flips: FloatArray, transform: Transform) -> 
         power = power + _explained(crossed, single, double, constant[:, None], size)
         total = total + part.left - constant**2 / size
     return np.minimum(power / (total[:, None] + 1e-300), 1.0 - 1e-12)
+
+
+def _switched_shares(
+    parts: list[_Products], flips: FloatArray, time: FloatArray, frequencies_hz: FloatArray
+) -> FloatArray:
+    """As `_shares`, of what is on for half of a period and off for the other, at its best phase."""
+    best = np.zeros((len(flips), frequencies_hz.size))
+    total = sum(part.left - (flips @ part.product) ** 2 / part.square.sum() for part in parts)
+    for phase in np.arange(_PHASES) / (2 * _PHASES):
+        is_on = ((np.outer(time, frequencies_hz) + phase) % 1.0 < 0.5).astype(np.float64)
+        power = np.zeros(1)
+        for part in parts:
+            size = float(part.square.sum()) + 1e-300
+            constant, on = flips @ part.product, part.square @ is_on
+            left = (part.product * flips) @ is_on - np.outer(constant, on / size)
+            power = power + left**2 / np.maximum(on - on**2 / size, 1e-3 * size)
+        best = np.maximum(best, power / (total[:, None] + 1e-300))
+    return np.minimum(best, 1.0 - 1e-12)
 
 
 def _explained(

@@ -42,7 +42,7 @@ class SelectionRules:
     trials_per_level: int = 3  # of a text column beyond that
     min_cycles: float = 1.5  # slower within the session is a drift, not an oscillation
     rows_per_period: int = 4  # of the shortest oscillation
-    n_oscillation_flips: int = 39  # sign flips whose highest peaks show how high chance goes
+    n_oscillation_flips: int = 199  # sign flips whose highest peaks show how high chance goes
 
     # Numbers of the linear algebra
     ridge: float = 1e-8  # of the diagonal: enough for columns that are equal but for noise

@@ -112,12 +112,13 @@ class Selection:
             for (candidate, _), p in zip(pool, p_values, strict=True)
             if p <= rules.alpha
         }
-        best_single = None
-        for best in _in_turn([one for one in pool if one[0].name in significant], rules):
-            singles = [sets.add(current, [candidate]) for candidate in best]
-            singles = [one for one in singles if sets.is_needed(one, one.members[-1])]
-            if best_single := min(singles, key=sets.score, default=None):
-                break
+        singles = list[FittedSet]()
+        for promise, best in _in_turn([one for one in pool if one[0].name in significant], rules):
+            if any(promise < current.loss - single.loss for single in singles):
+                break  # what is left promises less than what was found explains
+            tried = [sets.add(current, [candidate]) for candidate in best]
+            singles += [one for one in tried if sets.is_needed(one, one.members[-1])]
+        best_single = min(singles, key=sets.score, default=None)
         for pair in sorted(pairs, key=sets.score):
             added = pair.members[len(current.members) :]
             if sets.is_worth(best_single or current, pair) and all(
@@ -156,7 +157,7 @@ class Selection:
             most = sets.score(current) - rules.min_gain * sets.total(current)
             promising = [one for one in pool if one[1] > rules.min_gain * sets.total(current)]
             tried = list(pairs)
-            for best in _in_turn(promising, rules):
+            for _, best in _in_turn(promising, rules):
                 tried += [sets.add(current, [candidate]) for candidate in best]
                 if min(map(sets.score, tried)) <= most:
                     break
@@ -339,13 +340,13 @@ class Selection:
         return tuple(described)
 
 
-def _in_turn(pool: Pool, rules: SelectionRules) -> Iterator[list[Candidate]]:
-    """What is worth a fit, then what is of the rest, and so on.
+def _in_turn(pool: Pool, rules: SelectionRules) -> Iterator[tuple[float, list[Candidate]]]:
+    """The most that is promised, and what is worth a fit; then the same of the rest, and so on.
 
     A form that promises most may fail when it is fitted: linear, it knows no bounds.
     """
     while best := _worth_a_fit(pool, rules.fitted_share):
-        yield best
+        yield max(gain for _, gain in pool), best
         tried = {(candidate.name, candidate.form) for candidate in best}
         pool = [one for one in pool if (one[0].name, one[0].form) not in tried]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.contact.effects import LoadHistory, find_effect
+from tacgen.contact.effects import LoadHistory, Where, find_effect
 from tacgen.contact.effects.base import power_shape
 from tacgen.contact.effects.kernels import delayed
 from tacgen.contact.law import respond
@@ -402,6 +402,27 @@ def test_gross_slip_holds_no_more_than_friction_at_a_peak_and_after_creep():
     crept = respond(held, "shear", 2.0, both[1:])[:, 0]
     assert crept[-1] > 5.5
     np.testing.assert_allclose(moved, np.minimum(crept, 5.0), rtol=0.003)
+
+
+def test_an_offset_of_the_gauge_is_limited_with_the_load_and_one_of_the_picture_is_not():
+    """k_n = 2 mm³/N and a sharp limit of 8 mm³."""
+    history = history_of([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    limit = find_effect("normal", "saturation"), {"limit_mm3": 8.0, "sharpness": 300.0}
+    offset = find_effect("normal", "zero_offset")
+    for given, expected in (
+        ({"force_n": 0.5}, [1.0, 3.0, 5.0, 7.0, 8.0, 8.0, 8.0]),
+        ({"volume_mm3": 1.0}, [1.0, 3.0, 5.0, 7.0, 9.0, 9.0, 9.0]),
+        ({"force_n": -0.5, "volume_mm3": 1.0}, [0.0, 2.0, 4.0, 6.0, 8.0, 9.0, 9.0]),
+    ):
+        both = [(e, e.complete(e.references(history) | p)) for e, p in (limit, (offset, given))]
+        # At the limit itself a sharpness of 300 leaves 2^(-1/300) of the load.
+        np.testing.assert_allclose(
+            respond(history, "normal", 2.0, both)[:, 0], expected, rtol=0.0025, atol=1e-9
+        )
+    part = offset.only(Where("trial", above=3.0)), offset.complete({"volume_mm3": 1.0})
+    np.testing.assert_allclose(
+        respond(history, "normal", 2.0, [part]), 2.0 * history.load("normal")
+    )
 
 
 def test_anisotropy_stretches_one_axis_and_shrinks_the_other():

@@ -73,6 +73,47 @@ def test_one_effect_is_named_and_brings_the_error_down_to_the_noise(effect, colu
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("is_of_gauge", [True, False])
+def test_an_offset_beside_slip_is_that_of_the_gauge_or_of_the_picture(is_of_gauge):
+    """Shear up to the friction limit of 0.4; the offset is before that limit, or after it."""
+    rng, n_trials, n_samples = np.random.default_rng(3), 40, 40
+    trial = np.repeat(np.arange(n_trials), n_samples)
+    phase = np.tile(np.linspace(0.0, 1.0, n_samples), n_trials)
+    force_n = rng.uniform(3.0, 8.0, n_trials)[trial] * np.minimum(4.0 * phase, 1.0)
+    angle = rng.uniform(-np.pi, np.pi, n_trials)[trial]
+    pull_n = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    pull_n *= (rng.uniform(0.1, 0.6, n_trials)[trial] * force_n * np.sin(np.pi * phase))[:, None]
+    offset_n = np.array([0.3, -0.2])
+
+    def limited(load_n):
+        size_n = np.linalg.norm(load_n, axis=1)
+        return load_n * np.minimum(1.0, 0.4 * force_n / np.maximum(size_n, 1e-9))[:, None]
+
+    moved_n = limited(pull_n + offset_n) if is_of_gauge else limited(pull_n) + offset_n
+    motion_mm = 0.05 * moved_n + 0.002 * rng.standard_normal(moved_n.shape)
+    columns = {
+        "trial": trial,
+        "time_s": 5.0 * phase + 20.0 * trial,
+        "force_normal_n": force_n,
+        "volume_mm3": 4.0 * force_n + 0.2 * rng.standard_normal(trial.size),
+        "force_shear_x_n": pull_n[:, 0],
+        "force_shear_y_n": pull_n[:, 1],
+        "shear_x_mm": motion_mm[:, 0],
+        "shear_y_mm": motion_mm[:, 1],
+    }
+    found = diagnosis_record(diagnose(columns))["channels"]["shear"]
+    assert sorted(names(found)) == ["slip", "zero_offset"]
+    assert found["error_after"]["rmse"] < 1.05 * 0.002
+    (said,) = (one["parameters"] for one in found["effects"] if one["name"] == "zero_offset")
+    of_picture = {f"motion_{axis}_mm": 0.05 * offset_n[i] for i, axis in enumerate("xy")}
+    of_gauge = {f"force_{axis}_n": offset_n[i] for i, axis in enumerate("xy")}
+    for name, value in (of_gauge if is_of_gauge else of_picture).items():
+        assert said[name]["value"] == pytest.approx(value, abs=4 * said[name]["stderr"])
+    if is_of_gauge:
+        assert not set(of_picture) & set(said)
+
+
+@pytest.mark.slow
 def test_an_effect_beside_one_five_times_as_strong_is_named():
     made, noise = case([("normal", "creep", 0)], strength=2.0)
     temperature = np.asarray(made["temperature_c"])

@@ -1,7 +1,5 @@
 """Oscillations in the session's clock are found at any period, and not where there are none."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -35,7 +33,7 @@ def log(period_s, amplitude, n_trials=30, n_samples=50, seed=0, wave=np.sin, loa
 
 def waves_in(columns):
     data = ChannelSamples(columns, "normal").thinned()
-    flips = shuffles(data.unit_trial, 40, np.random.default_rng(1)).of_trials.signs[1:]
+    flips = shuffles(data.unit_trial, 199, np.random.default_rng(1)).of_trials.signs[1:]
     return find_oscillations(data, fit_model(data, Model(K_N)), flips)
 
 
@@ -58,32 +56,6 @@ def test_a_dozen_trials_show_a_period_longer_than_a_press(period_s):
     wave = best_wave(log(period_s, 0.1, n_trials=12, seed=1))
     assert 1.0 / wave.frequency_hz == pytest.approx(period_s, rel=0.03)
     assert wave.p_search < 2e-3
-
-
-def test_in_a_dozen_trials_a_slow_wave_has_the_p_that_all_flips_of_their_gains_give():
-    """Each trial's gain from its own samples, flipped in all 2 048 ways: some are waves, too."""
-    columns, n_trials = log(80.0, 0.1, n_trials=12, seed=1), 12
-    wave = best_wave(columns)
-    assert 1.0 / wave.frequency_hz == pytest.approx(80.0, rel=0.03)
-    load, volume = (
-        columns[name].reshape(n_trials, -1) for name in ("force_normal_n", "volume_mm3")
-    )
-    gains = (load * volume).sum(axis=1) / (load**2).sum(axis=1)
-    time = (columns["time_s"] - columns["time_s"].min()).reshape(n_trials, -1)
-    flips = np.array([(1, *signs) for signs in product((1, -1), repeat=n_trials - 1)])
-    flipped = flips * (gains - gains.mean())
-    flipped = flipped - flipped.mean(axis=1, keepdims=True)
-    shares = []
-    for cycles in np.arange(1.5, 0.5 * n_trials, 0.5):
-        phase = 2.0 * np.pi * cycles * time.mean(axis=1) / time.max()
-        columns_of_wave = np.stack([np.ones(n_trials), np.cos(phase), np.sin(phase)], axis=1)
-        basis, _ = np.linalg.qr(columns_of_wave)
-        shares.append(((flipped @ basis) ** 2).sum(axis=1) / (flipped**2).sum(axis=1))
-    highest = np.max(shares, axis=0)
-    exact = np.mean(highest >= highest[0] * (1.0 - 1e-9))
-    assert exact > 0.01
-    # Of two searches; a Gumbel law of 40 flips has the tail of 2 048 within a factor of about two.
-    assert 0.4 * exact < wave.p_search / 2 < 2.5 * exact
 
 
 def on_and_off(phase):
@@ -120,15 +92,16 @@ def test_noise_alone_has_no_period_that_stands_out():
 
 
 @pytest.mark.parametrize("n_trials", [8, 12, 30])
-def test_trials_that_differ_have_no_period_that_stands_out(n_trials):
-    """Of 16 logs, the better of two waves: 0.64 below 0.02 are expected, 4 in 1 of 250 cases."""
+def test_the_p_of_the_best_wave_keeps_its_level_where_trials_differ(n_trials):
+    """Of 40 logs, 4 below 0.1 are expected, more than 10 in 1 of 500 cases; 20 below a half."""
     found = []
-    for seed in range(16):
+    for seed in range(40):
         columns = log(50.0, 0.0, n_trials=n_trials, seed=seed)
         gains = 1.0 + 0.04 * np.random.default_rng([seed, 1]).standard_normal(n_trials)
         columns["volume_mm3"] = columns["volume_mm3"] * gains[columns["trial"]]
         found.append(best_wave(columns).p_search)
-    assert sum(p < 0.02 for p in found) <= 3
+    assert sum(p < 0.1 for p in found) <= 10
+    assert 10 <= sum(p < 0.5 for p in found) <= 30
 
 
 def test_a_session_over_nights_is_no_reason_to_fail():

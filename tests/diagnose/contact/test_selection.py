@@ -334,6 +334,27 @@ def test_causes_that_hide_each_other_in_few_trials_are_found_together(monkeypatc
     assert not names()
 
 
+def test_a_form_that_explains_less_than_it_promised_hides_no_better_one(monkeypatch):
+    selection = selection_of_creep_and_offset(max_members=1)
+    sets = selection.sets
+    base = sets.fitted((), sets.linear)
+    best = {one.name: one for one, _ in reversed(sets.pool(base))}
+    creep, offset = (sets.add(base, [best[name]]) for name in ("creep", "zero_offset"))
+    worse, better = sorted((creep, offset), key=lambda one: base.loss - one.loss)
+    monkeypatch.setattr(sets, "is_needed", lambda *_: True)
+    explained = base.loss - better.loss
+    others = {one.name: one for one, _ in sets.pool(base)}
+    less = next(one for name, one in others.items() if name not in ("creep", "zero_offset"))
+    pool = [(worse.members[0], 9.0 * explained), (better.members[0], 1.01 * explained)]
+    pool.append((less, 0.5 * explained))
+    fitted = []
+    add = sets.add
+    monkeypatch.setattr(sets, "add", lambda *of: fitted.append(of[1][0].name) or add(*of))
+    extended = selection._extended(base, pool, [], np.zeros(3))
+    assert [one.label for one in extended.members] == [better.members[0].label]
+    assert less.name not in fitted
+
+
 def test_a_form_that_promises_most_and_then_fails_hides_no_weaker_one(monkeypatch):
     """A lead promises, when it is linear, what creep with an amount below 0 would do."""
     selection = selection_of_creep_and_offset(max_members=1)
