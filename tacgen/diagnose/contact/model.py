@@ -207,7 +207,8 @@ class StandardErrors:
 def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     """Errors that hold for samples that are correlated within a trial (or part of one).
 
-    Where few trials determine a parameter these are too small: then those of independent rows.
+    0 for what the fit left as it was, since a bound holds it or nothing depends on it. Where few
+    trials determine a parameter these are too small: then those of independent rows.
     Source: Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor;
     Angrist & Pischke 2009, Mostly Harmless Econometrics, § 8.1: the larger of both.
     """
@@ -216,12 +217,15 @@ def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     products = fit.jacobian * fit.residual[:, None]
     sums = np.stack([np.bincount(rows, column) for column in products.T], axis=1)
     information = fit.jacobian.T @ fit.jacobian + fit.prior[:, :-1].T @ fit.prior[:, :-1]
-    inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+    size = np.sqrt(np.diag(information))
+    is_known, size = size > 0, np.where(size > 0, size, 1.0)
+    scale = np.outer(size, size)
+    inverse = np.linalg.pinv(information / scale, rcond=1e-12, hermitian=True) / scale
     factor = data.n_units / max(data.n_units - fit.jacobian.shape[1], 1)
     covariance = factor * inverse @ (sums.T @ sums) @ inverse
     independent = fit.loss / max(fit.residual.size - fit.jacobian.shape[1], 1) * inverse
     variance = np.maximum(np.diag(covariance), np.diag(independent))
-    spread = np.sqrt(np.maximum(variance, 0.0)) * space.natural_scale(space.start)
+    spread = np.sqrt(np.maximum(variance, 0.0) * is_known) * space.natural_scale(space.start)
     effects: dict[str, dict[str, float]] = {term.name: {} for term in fit.model.terms}
     for (index, name, *_), error in zip(space.slots, spread[1:], strict=False):
         effects[fit.model.terms[index].name][name] = float(error)

@@ -104,7 +104,10 @@ def test_an_offset_beside_slip_is_that_of_the_gauge_or_of_the_picture(is_of_gaug
     found = diagnosis_record(diagnose(columns))["channels"]["shear"]
     assert sorted(names(found)) == ["slip", "zero_offset"]
     assert found["error_after"]["rmse"] < 1.05 * 0.002
-    (said,) = (one["parameters"] for one in found["effects"] if one["name"] == "zero_offset")
+    said = {one["name"]: one["parameters"] for one in found["effects"]}
+    said, limit = said["zero_offset"], said["slip"]
+    assert limit["gross_mu"]["value"] == pytest.approx(0.4, abs=4 * limit["gross_mu"]["stderr"])
+    assert limit["sharpness"]["stderr"] == 0.0, "of a sharp limit, any sharpness will do"
     of_picture = {f"motion_{axis}_mm": 0.05 * offset_n[i] for i, axis in enumerate("xy")}
     of_gauge = {f"force_{axis}_n": offset_n[i] for i, axis in enumerate("xy")}
     for name, value in (of_gauge if is_of_gauge else of_picture).items():
