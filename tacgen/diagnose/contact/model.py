@@ -207,8 +207,8 @@ class StandardErrors:
 def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
     """Errors that hold for samples that are correlated within a trial (or part of one).
 
-    0 for what the fit left as it was, since a bound holds it or nothing depends on it. Where few
-    trials determine a parameter these are too small: then those of independent rows.
+    Where few trials determine a parameter these are too small: then those of independent rows. 0
+    for what the fit left as it was, since a bound holds it or nothing depends on it.
     Source: Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor;
     Angrist & Pischke 2009, Mostly Harmless Econometrics, § 8.1: the larger of both.
     """

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import TypeAlias
 
@@ -45,6 +46,13 @@ class _Products:
         return _Products(product, square, float((product**2 / (square + 1e-300)).sum()))
 
 
+Explained: TypeAlias = Callable[[_Products, FloatArray, FloatArray, float], FloatArray]
+"""Sum of squares (F, K) that each frequency explains of one output and its flips (F, N).
+
+The other two are the flips' sums of products (F, 1) and the sum of squares of the amplitude.
+"""
+
+
 @dataclass(frozen=True)
 class _Search:
     """Shares (F + 1, K) that frequencies explain of the residual and of its flips.
@@ -57,7 +65,7 @@ class _Search:
     shares: FloatArray
     rows: list[_Products]
 
-    @property
+    @cached_property
     def heights(self) -> FloatArray:
         """The highest peak (F + 1,) of each, in deviations of the other flips' above their mean.
 
@@ -87,16 +95,18 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
     middle = 0.5 * history.n_trials / session
     slow_hz = np.arange(rules.min_cycles / session, middle, 0.25 / session)
     at_trials = np.bincount(trial, time) / np.bincount(trial)
+    phases = np.arange(_PHASES) / (2 * _PHASES)
+    waves = [_sine(_direct(at_trials, slow_hz))]
+    waves += [_switched(at_trials, slow_hz, float(phase)) for phase in phases]
     fast_hz, spectra = _fourier(data, time, max(middle, rules.min_cycles / session))
     slow, fast = list[_Search](), list[_Search]()
     for how in HOWS:
         plain, weighted = _products(data, fit, how)
         for rows in (plain, weighted):
             trials = [one.of_trials(trial) for one in rows]
-            sines = _shares(trials, of_trials, _direct(at_trials, slow_hz))
-            switched = _switched_shares(trials, of_trials, at_trials, slow_hz)
-            slow.append(_Search(how, slow_hz, np.maximum(sines, switched), rows))
-        fast.append(_Search(how, fast_hz, _shares(weighted, flips, spectra), weighted))
+            shares = np.max([_shares(trials, of_trials, wave) for wave in waves], axis=0)
+            slow.append(_Search(how, slow_hz, shares, rows))
+        fast.append(_Search(how, fast_hz, _shares(weighted, flips, _sine(spectra)), weighted))
     families = [one for one in (slow, fast) if one[0].frequencies_hz.size > 1]
     found: list[Covariate] = []
     for how, family in product(HOWS, families):
@@ -105,7 +115,7 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
         step_hz = search.frequencies_hz[1] - search.frequencies_hz[0]
         best_hz = search.frequencies_hz[np.argmax(search.shares[0])]
         near_hz = best_hz + step_hz * np.linspace(-1, 1, _REFINED)
-        exact = _shares(search.rows, flips[:1], _direct(time, near_hz))[0]
+        exact = _shares(search.rows, flips[:1], _sine(_direct(time, near_hz)))[0]
         sine = Covariate(
             "time_s",
             "oscillation",
@@ -171,55 +181,47 @@ def _direct(time: FloatArray, frequencies_hz: FloatArray) -> Transform:
     return lambda rows, order: rows @ phase**order
 
 
-def _shares(parts: list[_Products], flips: FloatArray, transform: Transform) -> FloatArray:
+def _shares(parts: list[_Products], flips: FloatArray, explained: Explained) -> FloatArray:
     """Share of the sum of squares that each frequency explains of each flip: (F, K), below 1."""
     power, total = np.zeros(1), np.zeros(1)
     for part in parts:
-        (single,), (double,) = (transform(part.square[None], order) for order in (1, 2))
-        constant, size = flips @ part.product, float(part.square.sum()) + 1e-300
-        crossed = transform(part.product * flips, 1)
-        power = power + _explained(crossed, single, double, constant[:, None], size)
+        constant, size = (flips @ part.product)[:, None], float(part.square.sum()) + 1e-300
+        power = power + explained(part, flips, constant, size)
         total = total + part.left - constant**2 / size
-    return np.minimum(power / (total[:, None] + 1e-300), 1.0 - 1e-12)
+    return np.minimum(power / (total + 1e-300), 1.0 - 1e-12)
 
 
-def _switched_shares(
-    parts: list[_Products], flips: FloatArray, time: FloatArray, frequencies_hz: FloatArray
-) -> FloatArray:
-    """As `_shares`, of what is on for half of a period and off for the other, at its best phase."""
-    best = np.zeros((len(flips), frequencies_hz.size))
-    total = sum(part.left - (flips @ part.product) ** 2 / part.square.sum() for part in parts)
-    for phase in np.arange(_PHASES) / (2 * _PHASES):
+def _sine(transform: Transform) -> Explained:
+    """What a cosine and a sine explain together, beside a constant."""
+
+    def explained(
+        part: _Products, flips: FloatArray, constant: FloatArray, size: float
+    ) -> FloatArray:
+        (single,), (double,) = (transform(part.square[None], order) for order in (1, 2))
+        crossed = transform(part.product * flips, 1)
+        cos, sin = single.real, -single.imag
+        cos_cos = 0.5 * (size + double.real) - cos**2 / size
+        sin_sin = 0.5 * (size - double.real) - sin**2 / size
+        cos_sin = -0.5 * double.imag - cos * sin / size
+        a, b = crossed.real - cos * constant / size, -crossed.imag - sin * constant / size
+        determinant = np.maximum(cos_cos * sin_sin - cos_sin**2, 1e-3 * size**2)
+        return np.asarray((sin_sin * a**2 - 2 * cos_sin * a * b + cos_cos * b**2) / determinant)
+
+    return explained
+
+
+def _switched(time: FloatArray, frequencies_hz: FloatArray, phase: float) -> Explained:
+    """What is explained, beside a constant, by what is on for half of a period and off then."""
+
+    def explained(
+        part: _Products, flips: FloatArray, constant: FloatArray, size: float
+    ) -> FloatArray:
         is_on = ((np.outer(time, frequencies_hz) + phase) % 1.0 < 0.5).astype(np.float64)
-        power = np.zeros(1)
-        for part in parts:
-            size = float(part.square.sum()) + 1e-300
-            constant, on = flips @ part.product, part.square @ is_on
-            left = (part.product * flips) @ is_on - np.outer(constant, on / size)
-            power = power + left**2 / np.maximum(on - on**2 / size, 1e-3 * size)
-        best = np.maximum(best, power / (total[:, None] + 1e-300))
-    return np.minimum(best, 1.0 - 1e-12)
+        on = part.square @ is_on
+        crossed = (part.product * flips) @ is_on - on * constant / size
+        return np.asarray(crossed**2 / np.maximum(on - on**2 / size, 1e-3 * size))
 
-
-def _explained(
-    crossed: NDArray[np.complex128],
-    single: NDArray[np.complex128],
-    double: NDArray[np.complex128],
-    constant: FloatArray,
-    size: float,
-) -> FloatArray:
-    """Sum of squares that a cosine and a sine explain together, beside a constant.
-
-    ``crossed`` is of the products with the residual, of sum ``constant``, ``single`` and
-    ``double`` are of the squares, of sum ``size``, at the frequency and at twice it.
-    """
-    cos, sin = single.real, -single.imag
-    cos_cos = 0.5 * (size + double.real) - cos**2 / size
-    sin_sin = 0.5 * (size - double.real) - sin**2 / size
-    cos_sin = -0.5 * double.imag - cos * sin / size
-    a, b = crossed.real - cos * constant / size, -crossed.imag - sin * constant / size
-    determinant = np.maximum(cos_cos * sin_sin - cos_sin**2, 1e-3 * size**2)
-    return np.asarray((sin_sin * a**2 - 2 * cos_sin * a * b + cos_cos * b**2) / determinant)
+    return explained
 
 
 def _gumbel_p(observed: float, null: FloatArray) -> float:

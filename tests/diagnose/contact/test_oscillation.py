@@ -6,7 +6,14 @@ import pytest
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.covariates import Covariate
 from tacgen.diagnose.contact.model import Model, fit_model
-from tacgen.diagnose.contact.oscillation import find_oscillations
+from tacgen.diagnose.contact.oscillation import (
+    _direct,
+    _Products,
+    _shares,
+    _sine,
+    _switched,
+    find_oscillations,
+)
 from tacgen.diagnose.contact.scores import shuffles
 
 K_N = 4.0
@@ -62,6 +69,34 @@ def on_and_off(phase):
     return np.sign(np.sin(phase))
 
 
+@pytest.mark.parametrize("wave", ["sine", "switched"])
+def test_shares_of_flipped_trials_are_those_of_weighted_least_squares(wave):
+    """A gain for each trial, of unequal information, and its flips."""
+    rng = np.random.default_rng(0)
+    time, information = np.sort(rng.uniform(0.0, 100.0, 14)), rng.uniform(0.5, 2.0, 14)
+    gain, hz = rng.normal(size=14), np.array([0.02, 0.033, 0.05])
+    flips = np.vstack([np.ones(14), rng.choice([-1.0, 1.0], (6, 14))])
+    trials = _Products(information * gain, information, float(information @ gain**2))
+    explained = _switched(time, hz, 0.125) if wave == "switched" else _sine(_direct(time, hz))
+    shares = _shares([trials], flips, explained)
+    for k, frequency_hz in enumerate(hz):
+        phase = 2.0 * np.pi * frequency_hz * time
+        square = on_and_off(phase + np.pi / 4)
+        waves = [square] if wave == "switched" else [np.cos(phase), np.sin(phase)]
+        root = np.sqrt(information)
+        constant, both = (
+            np.stack(columns, axis=1) * root[:, None]
+            for columns in ([np.ones(14)], [np.ones(14), *waves])
+        )
+        for flip, share in zip(flips, shares[:, k], strict=True):
+            of_flip = root * flip * gain
+            left = [
+                ((of_flip - basis @ np.linalg.lstsq(basis, of_flip, rcond=None)[0]) ** 2).sum()
+                for basis in (constant, both)
+            ]
+            assert share == pytest.approx(1.0 - left[1] / left[0], abs=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_switched_on_and_off_is_found_in_twenty_trials_of_unequal_loads(seed):
     waves = waves_in(log(130.0, 0.05, n_trials=20, seed=seed, wave=on_and_off, loads=0.5))
@@ -100,6 +135,7 @@ def test_the_p_of_the_best_wave_keeps_its_level_where_trials_differ(n_trials):
         gains = 1.0 + 0.04 * np.random.default_rng([seed, 1]).standard_normal(n_trials)
         columns["volume_mm3"] = columns["volume_mm3"] * gains[columns["trial"]]
         found.append(best_wave(columns).p_search)
+    assert sum(p < 0.02 for p in found[:16]) <= 3
     assert sum(p < 0.1 for p in found) <= 10
     assert 10 <= sum(p < 0.5 for p in found) <= 30
 
