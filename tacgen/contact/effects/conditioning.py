@@ -23,9 +23,10 @@ def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters)
 
 
 def _trials_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
-    """What goes on for more than a fifth of the session is a drift."""
+    """What a tenth of is left after half of the session is a drift."""
     # Trials by their numbers, those that are held out included.
-    return 0.0, max(5.0, 0.22 * (float(np.ptp(history.trial)) + 1.0))
+    half = 0.5 * (float(np.ptp(history.trial)) + 1.0)
+    return 0.0, max(5.0, half * float(np.log(10.0)) ** (-1.0 / p["power"]))
 
 
 def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[base.Variant, ...]:
@@ -36,7 +37,7 @@ def _variants(history: base.LoadHistory, references: base.Parameters) -> tuple[b
             for n in (0.5, 1.5)
         ),
         *(
-            (f"a plateau of {n:g} trials", {"trials": n, "power": 2.5}, ("trials",))
+            (f"a plateau of {n:g} trials", {"trials": n, "power": 2.5}, ("trials", "power"))
             for n in (4.0, 8.0)
         ),
     ]

@@ -98,6 +98,7 @@ class CandidateSets:
         n_shuffles = rules.few_shuffles if few else rules.n_shuffles
         shuffled = scores.shuffles(data.unit_trial, n_shuffles, rng)
         self._shuffled = shuffled if few else shuffled.of_trials
+        self._of_parts = shuffled
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._p_values: dict[tuple[tuple[str, ...], str, int], tuple[float, bool]] = {}
         self._parts = [] if few else parts_of(data)
@@ -183,17 +184,27 @@ class CandidateSets:
     def pool(self, current: FittedSet, *, new_oscillations: bool = False) -> Pool:
         """Candidates beside ``current`` and the losses that each leaves on held-out units."""
         fit, taken = current.fit, current.names
-        effects = [e for e in self.effects if e.name not in taken]
         covariates = [c for c in self._covariates if c.column not in taken]
         if "time_s" not in taken and self._session_clock:
             if new_oscillations or not self._oscillations:
                 flips = self._shuffled.of_trials.signs[1 : 1 + self.rules.n_oscillation_flips]
                 self._oscillations = find_oscillations(self.data, fit, flips)
             covariates += self._oscillations
-        found = cand.effect_candidates(self.data, fit.model, effects)
-        found += cand.covariate_candidates(self.data, fit, covariates)
+        found = self._effects_beside(current)
+        return self._by_gain(current, found + cand.covariate_candidates(self.data, fit, covariates))
+
+    def effects_pool(self, current: FittedSet) -> Pool:
+        """The effects alone of ``pool``."""
+        return self._by_gain(current, self._effects_beside(current))
+
+    def _effects_beside(self, current: FittedSet) -> list[Candidate]:
+        effects = [e for e in self.effects if e.name not in current.names]
+        return cand.effect_candidates(self.data, current.fit.model, effects)
+
+    def _by_gain(self, current: FittedSet, found: Sequence[Candidate]) -> Pool:
+        """Those of ``found`` that fit beside ``current``, and what each explains, best first."""
         found = [one for one in found if all(self._fit_beside(one, m) for m in current.members)]
-        grams, groups, base = self._grams(fit, found)
+        grams, groups, base = self._grams(current.fit, found)
         sets = [[*base, *group] for group in groups]
         gains = self._gains(current, self._cv_losses(grams, sets, current.unit_losses))
         order = np.argsort(-gains, kind="stable")
@@ -359,16 +370,22 @@ class CandidateSets:
             losses += [*scores.training_losses(grams[others].sum(axis=0), [base], self.rules.ridge)]
         return bool(losses[0] - losses[1] > self._min_gain * self.total(full))
 
-    def p_of_order(self, full: FittedSet, member: Candidate) -> float:
+    def p_of_few(self, full: FittedSet, member: Candidate) -> float:
         """The p that a member, as it is fitted, acts by chance in the trials that are off.
 
-        By the order of the trials alone; 1 if in each it does what another compliance would.
+        Of the best of all effects, that both are by chance: that it acts in those trials, by their
+        order, and that within them it has the course of what is left, by signs of their parts. 1
+        if in each trial it does what another compliance would.
+        Source: Wilkinson 1951, Psychological Bulletin 48: the larger of two p is below α with
+        chance α².
         """
         rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
         does = full.fit.model.law_response(self.data) - rest.model.law_response(self.data)
         fitted = Candidate(member.name, self.data.reduce(does)[:, None])
-        found = self._shuffle_p_values(rest, [fitted], [""], parts_of_trials=True)
-        return 1.0 if found.of_trials[0] else float(found.permuted[0])
+        parts = self._of_parts.of_blocks(self.data.memory_units(full.fit.residual))
+        found = self._shuffle_p_values(rest, [fitted], [""], parts, parts_of_trials=True)
+        larger = max(float(found.permuted[0]), float(found.flipped[0]))
+        return 1.0 if found.of_trials[0] else min(len(self.effects) * larger**2, 1.0)
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -442,15 +459,19 @@ class CandidateSets:
     def is_shown_by_few(self, full: FittedSet, member: Candidate) -> bool:
         """Whether a few trials, parts of which are held out, show ``member``.
 
-        It explains more than a gain of each of them would, that it acts in those trials and not in
-        others is not by chance, and where that is less than sure, it explains most of what is left.
+        It explains most of what is left in them, more than a gain of each of them or another
+        member's model error would, and it is not by chance that it acts there and as it does.
         """
         rules, rest = self.rules, self.without(full, member)
-        gain, p_value = rest.loss - full.loss, self.p_of_order(full, member)
-        least = rules.min_gain * self.total(full)
-        if p_value > rules.alpha:
-            least = max(rules.clear_share * rest.loss, rules.few_min_gain * self.total(full))
-        return p_value <= rules.order_alpha and gain > least and self.is_more_than_gains(rest, full)
+        is_worst = np.isin(self.data.unit_trial, self.worst_trials(rest))
+        left, of_worst = (float(one.unit_losses[is_worst].sum()) for one in (full, rest))
+        least_of_rival = rules.least_share_of_rival * self.most_worth(full)
+        return (
+            self.worth(full, member) > max(rules.min_gain * self.total(full), least_of_rival)
+            and of_worst - left > rules.clear_share * of_worst
+            and self.is_more_than_gains(rest, full)
+            and self.p_of_few(full, member) <= rules.alpha
+        )
 
     def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.

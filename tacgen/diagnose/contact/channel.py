@@ -50,6 +50,7 @@ class ChannelData:
     weight: FloatArray
     first: NDArray[np.int64]
     pair_unit: NDArray[np.int64]
+    parts_are_folds: bool = False
 
     @property
     def n_outputs(self) -> int:
@@ -97,14 +98,15 @@ class ChannelData:
         count = np.diff(first)[trial]
         n_parts = int(np.ceil(self.rules.min_units / self.rules.min_trials_as_folds))
         part = (np.arange(trial.size) - first[trial]) * n_parts // np.maximum(count, 1)
-        numbers = trial * n_parts + np.where(np.isin(trial, trials), part, 0)
-        return replace(self, pair_unit=np.unique(numbers, return_inverse=True)[1].astype(np.int64))
+        size = self.n_units + n_parts
+        numbers = trial * size + np.where(np.isin(trial, trials), part, n_parts + self.pair_unit)
+        unit = np.unique(numbers, return_inverse=True)[1].astype(np.int64)
+        return replace(self, pair_unit=unit, parts_are_folds=True)
 
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
         count, n_trials = self.rules.n_folds, self.history.n_trials
-        some_are_parts = self.n_units > n_trials and not self.few_trials
-        if n_trials < self.rules.min_trials_as_folds or some_are_parts:
+        if n_trials < self.rules.min_trials_as_folds or self.parts_are_folds:
             return np.arange(self.n_units) % min(count, self.n_units)
         return self.unit_trial % min(count, n_trials)
 

@@ -56,7 +56,6 @@ class SelectionRules:
     clear_share: float = 0.5  # of the remaining structure: then the gains' own p suffices
     clear_alpha: float = 0.02  # of those gains; corrected, of each of several found together
     few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
-    order_alpha: float = 0.05  # chance that what few trials show falls on them: one in twenty
     max_members: int = 5  # of a channel's model
 
     min_trials_of_part: int = 4  # in a part of the log to which an effect is confined, and outside

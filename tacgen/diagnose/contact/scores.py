@@ -111,7 +111,8 @@ def believable(losses: FloatArray, without: FloatArray, least: float) -> FloatAr
     same, or that have a memory of the force's noise, can seem to leave less than chance could:
     than ``least``, or than ``without`` them.
     """
-    impossible: BoolArray = ~(losses.sum(axis=1) >= min(float(without.sum()), least))
+    with np.errstate(invalid="ignore"):
+        impossible: BoolArray = ~(losses.sum(axis=1) >= min(float(without.sum()), least))
     result: FloatArray = np.where(impossible[:, None], without, losses)
     return result
 

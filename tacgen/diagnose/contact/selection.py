@@ -195,24 +195,22 @@ class Selection:
         return None
 
     def _with_one_of_few_trials(self, current: FittedSet) -> FittedSet | None:
-        """``current`` with an effect that a few trials show, if they hold most of what is left.
+        """``current`` with an effect that the few trials with most left show; None if they do not.
 
         Without them such an effect is not seen, so that parts of them are held out from then on.
         """
-        sets, rules, data = self.sets, self.rules, self.data
-        full = len(current.members) >= rules.max_members
-        if full or data.few_trials or current.loss < rules.few_min_gain * sets.total(current):
-            return None
+        sets, data = self.sets, self.data
         worst = sets.worst_trials(current)
         of_worst = current.unit_losses[np.isin(data.unit_trial, worst)].sum()
-        if of_worst < rules.clear_share * current.loss:
+        is_little = of_worst < self.rules.min_gain * sets.total(current)
+        if is_little or len(current.members) >= self.rules.max_members:
             return None
         parts = CandidateSets(
             data.with_parts_of(worst), self._rng, session_clock=self._session_clock
         )
         start = parts.fitted(current.members, current.fit.model)
-        pool = [(one, gain) for one, gain in parts.pool(start) if one.is_effect]
-        found = [parts.add(start, [one]) for one in _worth_a_fit(pool, 0.0)]
+        tried = _worth_a_fit(parts.effects_pool(start), 0.0)
+        found = [parts.add(start, [one]) for one in tried]
         found = [one for one in found if parts.is_shown_by_few(one, one.members[-1])]
         if not found:
             return None
@@ -250,8 +248,8 @@ class Selection:
         sets = self.sets
         for member in fitted.members:
             rest = sets.without(fitted, member)
-            pool = [one for one in sets.pool(rest) if one[0].is_effect]
-            rivals = [sets.add(rest, [o]) for o in _worth_a_fit(pool, self.rules.fitted_share)]
+            best = _worth_a_fit(sets.effects_pool(rest), self.rules.fitted_share)
+            rivals = [sets.add(rest, [other]) for other in best]
             better = [
                 one
                 for one in rivals
@@ -276,7 +274,7 @@ class Selection:
         if not found:
             return fitted
         _, rest = min(found, key=lambda one: one[0])
-        return self._without_mismatch(self._pruned(rest))
+        return self._without_mismatch(self._swapped(self._pruned(rest)))
 
     def _refined(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` with the forms of members corrected where held-out trials gain, most first."""
@@ -316,7 +314,7 @@ class Selection:
         final = sets.fitted(named.members, named.fit.model)
         for member in named.members:
             of_few = member.name == sets.of_few_trials
-            p_value = sets.p_of_order(final, member) if of_few else sets.p_value(final, member)[0]
+            p_value = sets.p_of_few(final, member) if of_few else sets.p_value(final, member)[0]
             rest = sets.without(final, member)
             others = [one for one in sets.pool(rest) if one[0].name not in final.names]
             # A linearised gain says little here: fitted, another may predict as well as the member.

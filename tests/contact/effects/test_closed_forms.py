@@ -445,6 +445,17 @@ def test_the_first_press_shows_all_of_conditioning_and_a_late_one_none():
     assert worn[-1] == pytest.approx(4.0, rel=1e-6)
 
 
+@pytest.mark.parametrize("power", [1.0, 2.5, 4.0])
+def test_of_a_conditioning_no_more_than_a_tenth_is_left_after_half_of_the_session(power):
+    history = LoadHistory(
+        {"trial": np.arange(40), "time_s": np.arange(40) * 9.0, "force_normal_n": np.full(40, 2.0)}
+    )
+    trials = find_effect("normal", "conditioning").parameter("trials")
+    _, longest = trials.bounds_on(history, {"power": power})
+    worn = volume(history, "conditioning", amount=1.0, trials=longest, power=power)[:, 0]
+    assert worn[20] == pytest.approx(4.0 * (1.0 + 0.1), rel=1e-9)
+
+
 def test_a_step_of_temperature_is_half_done_at_its_place_and_over_far_from_it():
     celsius = np.array([10.0, 24.0, 25.0, 40.0])
     history = history_of(np.full(4, 3.0), temperature_c=celsius)

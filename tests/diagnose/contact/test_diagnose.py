@@ -429,7 +429,7 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
     off = [note for note in diagnosis.notes if note.startswith(is_left)]
     assert len(off) == (not expected)
     if expected:
-        assert found["effects"][0]["p_value"] <= DEFAULT_RULES.order_alpha
+        assert found["effects"][0]["p_value"] <= DEFAULT_RULES.alpha
         hardest = int(np.argmax(peaks))
         note = f"normal channel: only trial {hardest} shows saturation; press more often like that"
         assert note in diagnosis.notes

@@ -185,31 +185,76 @@ def test_in_few_trials_an_effect_explains_most_or_gains_in_seven(share, n_gainin
 
 
 @pytest.mark.parametrize(
-    ("p_value", "gain", "rest", "shown"),
+    ("p_value", "of_worst", "of_all", "shown"),
     [
-        (0.009, 0.03, 1.0, True),
-        (0.009, 0.01, 0.01, False),
-        (0.04, 0.3, 1.0, False),
-        (0.04, 0.3, 0.5, True),
-        (0.04, 0.08, 0.1, False),
-        (0.06, 0.9, 1.0, False),
+        (0.009, 0.6, 0.03, True),
+        (0.011, 0.6, 0.03, False),
+        (0.009, 0.4, 0.03, False),
+        (0.009, 0.6, 0.01, False),
     ],
 )
-def test_a_few_trials_show_a_little_only_where_their_order_is_no_chance(
-    monkeypatch, p_value, gain, rest, shown
+def test_a_few_trials_show_what_explains_most_of_what_they_leave(
+    monkeypatch, p_value, of_worst, of_all, shown
 ):
-    """``gain`` and ``rest`` in parts of the sum of squares with the noise."""
+    """A share ``of_worst`` of what the worst trials leave, ``of_all`` of the sum of squares."""
     sets = selection_of_creep_and_offset().sets
     full = creep_and_offset(sets)
+    is_worst = np.arange(N_TRIALS) < DEFAULT_RULES.min_trials_of_part - 1
+    left = is_worst * (of_all / of_worst / is_worst.sum()) + 1e-6
     monkeypatch.setattr(sets, "total", lambda one: 1.0)
-    monkeypatch.setattr(sets, "p_of_order", lambda *_: p_value)
+    monkeypatch.setattr(sets, "p_of_few", lambda *_: p_value)
     monkeypatch.setattr(sets, "is_more_than_gains", lambda *_: True)
-    one_each = np.full(N_TRIALS, 1.0 / N_TRIALS)
-    monkeypatch.setattr(sets, "without", lambda *_: replace(full, unit_losses=rest * one_each))
-    full = replace(full, unit_losses=(rest - gain) * one_each)
+    monkeypatch.setattr(sets, "without", lambda *_: replace(full, unit_losses=left))
+    full = replace(full, unit_losses=left * (1.0 - of_worst))
     assert sets.is_shown_by_few(full, full.members[0]) is shown
     monkeypatch.setattr(sets, "is_more_than_gains", lambda *_: False)
     assert not sets.is_shown_by_few(full, full.members[0])
+
+
+def peaked_presses(n_trials, rng, does):
+    """Presses to 3 to 8 N: a ramp up, a hold and a ramp down each; V = 5 F of force ``does``."""
+    ramp = np.interp(np.linspace(0.0, 3.0, 60), [0.0, 1.0, 2.0, 3.0], [0, 1, 1, 0])
+    force = rng.uniform(3.0, 8.0, n_trials)[:, None] * ramp
+    volume = 5.0 * np.stack([does(press) for press in force])
+    return {
+        "trial": np.repeat(np.arange(n_trials), 60),
+        "time_s": (4.0 * np.arange(n_trials)[:, None] + np.linspace(0.0, 3.0, 60)).ravel(),
+        "force_normal_n": force.ravel(),
+        "volume_mm3": (volume + rng.normal(0.0, 0.3, volume.shape)).ravel(),
+    }
+
+
+@pytest.mark.parametrize("n_trials", [10, 30])
+def test_a_few_presses_that_bend_most_show_no_effect(n_trials):
+    """Each press has its own gain and curvature; those that bend most are any of them."""
+    for seed in range(20):
+        rng = np.random.default_rng([n_trials, seed])
+
+        def bent(f, rng=rng):
+            return f * (1.0 + rng.normal(0.0, 0.03) + f * rng.normal(0.0, 0.01))
+
+        data = ChannelSamples(peaked_presses(n_trials, rng, bent), "normal").thinned()
+        selection = Selection(data, rng)
+        base = selection.sets.fitted((), selection.sets.linear)
+        assert base.loss > 0.5 * selection.sets.total(base)
+        assert selection._with_one_of_few_trials(base) is None
+
+
+@pytest.mark.parametrize("n_trials", [11, 40])
+def test_the_limit_that_few_presses_reach_is_shown_by_them(n_trials):
+    """The two hardest; the p that a limit acts in these is one of all pairs at least."""
+    rng = np.random.default_rng(n_trials)
+    columns = peaked_presses(n_trials, rng, lambda f: f)
+    peaks = columns["force_normal_n"].reshape(n_trials, -1).max(axis=1)
+    limit = 5.0 * float(np.mean(np.sort(peaks)[-3:-1]))  # between the second and the third
+    columns["volume_mm3"] = np.where(
+        5.0 * columns["force_normal_n"] > limit, limit, 5.0 * columns["force_normal_n"]
+    ) + rng.normal(0.0, 0.3, columns["trial"].size)
+    selection = Selection(ChannelSamples(columns, "normal").thinned(), rng)
+    base = selection.sets.fitted((), selection.sets.linear)
+    found = selection._with_one_of_few_trials(base)
+    assert found.effect_names == ("saturation",)
+    assert found.fit.model.terms[0].values["limit_mm3"] == pytest.approx(limit, abs=0.5)
 
 
 @pytest.mark.parametrize(
