@@ -5,6 +5,7 @@ Processor time of one thread, the least of three rounds; reading is through h5py
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
 import sys
@@ -58,4 +59,6 @@ def _least_ms(work: Callable[[], object]) -> float:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(f"{json.dumps(compression_of(Path(sys.argv[1])))}\n")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("dataset", type=Path, help="a folder that `tacgen collect` wrote")
+    sys.stdout.write(f"{json.dumps(compression_of(parser.parse_args().dataset))}\n")

@@ -30,7 +30,7 @@ KINDS = ("single", "pair", "clean", "unlisted")
 CHANGES = ("half", "double", "removed")
 STRENGTHS = [1.5, 2.0, 3.0]
 REMOVED: dict[str, Any] = {
-    "least_share_of_rival": 0.0,
+    "least_share_of_all": 0.0,
     "parameter_price": 0.0,
     "min_gain": 0.0,
     "min_swap_gain": 0.0,

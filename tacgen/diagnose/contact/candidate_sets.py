@@ -98,7 +98,7 @@ class CandidateSets:
         n_shuffles = rules.few_shuffles if few else rules.n_shuffles
         shuffled = scores.shuffles(data.unit_trial, n_shuffles, rng)
         self._shuffled = shuffled if few else shuffled.of_trials
-        self._of_parts = shuffled
+        self._shuffled_parts = shuffled
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._p_values: dict[tuple[tuple[str, ...], str, int], tuple[float, bool]] = {}
         self._parts = [] if few else parts_of(data)
@@ -382,7 +382,7 @@ class CandidateSets:
         rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
         does = full.fit.model.law_response(self.data) - rest.model.law_response(self.data)
         fitted = Candidate(member.name, self.data.reduce(does)[:, None])
-        parts = self._of_parts.of_blocks(self.data.memory_units(full.fit.residual))
+        parts = self._shuffled_parts.of_blocks(self.data.memory_units(full.fit.residual))
         found = self._shuffle_p_values(rest, [fitted], [""], parts, parts_of_trials=True)
         larger = max(float(found.permuted[0]), float(found.flipped[0]))
         return 1.0 if found.of_trials[0] else min(len(self.effects) * larger**2, 1.0)
@@ -459,16 +459,16 @@ class CandidateSets:
     def is_shown_by_few(self, full: FittedSet, member: Candidate) -> bool:
         """Whether a few trials, parts of which are held out, show ``member``.
 
-        It explains most of what is left in them, more than a gain of each of them or another
-        member's model error would, and it is not by chance that it acts there and as it does.
+        It explains much of what is left in them, more than a gain of each of them or the model
+        errors of others would, and it is not by chance that it acts there and as it does.
         """
         rules, rest = self.rules, self.without(full, member)
         is_worst = np.isin(self.data.unit_trial, self.worst_trials(rest))
         left, of_worst = (float(one.unit_losses[is_worst].sum()) for one in (full, rest))
-        least_of_rival = rules.least_share_of_rival * self.most_worth(full)
+        of_form = rules.form_share_left * self.explained(full)
         return (
-            self.worth(full, member) > max(rules.min_gain * self.total(full), least_of_rival)
-            and of_worst - left > rules.clear_share * of_worst
+            self.worth(full, member) > max(rules.min_gain * self.total(full), of_form)
+            and of_worst - left > rules.share_of_few * of_worst
             and self.is_more_than_gains(rest, full)
             and self.p_of_few(full, member) <= rules.alpha
         )
@@ -495,19 +495,18 @@ class CandidateSets:
         p_value, of_trials = self.p_value(full, member, n_names)
         if p_value > alpha and (of_trials or not self.is_clear(full, member)):
             return False
-        return worth >= self.rules.least_share_of_rival * self.most_worth(full)
+        return worth >= self.rules.least_share_of_all * self.explained(full)
 
     def worth(self, full: FittedSet, member: Candidate) -> float:
         """What ``member`` explains beside the others."""
         return self.without(full, member).loss - full.loss
 
-    def most_worth(self, full: FittedSet) -> float:
-        """What the member explains that explains most, at most all there is.
+    def explained(self, full: FittedSet) -> float:
+        """What all members together explain.
 
-        A set that hardly determines its parameters may have any cross-validated loss.
+        What one explains beside the others may be little of it: each may do what another does.
         """
-        most = max(self.worth(full, one) for one in full.members)
-        return min(most, self.fitted((), self.linear).loss - full.loss)
+        return self.fitted((), self.linear).loss - full.loss
 
 
 def _sum_in_se(values: FloatArray) -> float:

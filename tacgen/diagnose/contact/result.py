@@ -22,6 +22,7 @@ from tacgen.report.formatting import unit_text
 
 SCHEMA = 1  # of diagnosis.json; a key that changes its meaning makes it 2
 Verdict = Literal["sufficient", "effect_found", "unexplained"]
+_CLEARLY_MORE = 1.5  # times the noise floor: what is left is no longer called little
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,11 @@ class ChannelDiagnosis:
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
             times = f"{before / floor:.2f} times the " if floor > 0 else ""
+            if before > _CLEARLY_MORE * floor:
+                return (
+                    f"{what} is off by {before:.3g} {unit} on {held}, {times}{floor_words}, and "
+                    "nothing that was looked at explains it."
+                )
             return (
                 f"{what} is sufficient: nothing that was looked at explains more of the error, "
                 f"{before:.3g} {unit} on {held}, {times}{floor_words}."

@@ -56,6 +56,7 @@ class SelectionRules:
     clear_share: float = 0.5  # of the remaining structure: then the gains' own p suffices
     clear_alpha: float = 0.02  # of those gains; corrected, of each of several found together
     few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
+    share_of_few: float = 0.3  # of what a few trials leave: so much is explained of what they show
     max_members: int = 5  # of a channel's model
 
     min_trials_of_part: int = 4  # in a part of the log to which an effect is confined, and outside
@@ -65,7 +66,7 @@ class SelectionRules:
     parameter_price: float = 0.002  # share by which one parameter more must be better
     min_swap_gain: float = 0.001  # share that an exchange of members, or a correction, must gain
     correction_share: float = 0.5  # of an effect's own size that corrections of its form may have
-    least_share_of_rival: float = 0.02  # of what another explains: less is that one's model error
+    least_share_of_all: float = 0.02  # of what all explain: less is another's model error
     confusable_in_se: float = 2.0  # lead below which a rival is confusable; rows tell by more
 
     # How much is looked at

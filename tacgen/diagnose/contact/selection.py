@@ -210,11 +210,9 @@ class Selection:
         )
         start = parts.fitted(current.members, current.fit.model)
         tried = _worth_a_fit(parts.effects_pool(start), 0.0)
-        found = [parts.add(start, [one]) for one in tried]
-        found = [one for one in found if parts.is_shown_by_few(one, one.members[-1])]
-        if not found:
+        best = min((parts.add(start, [one]) for one in tried), key=parts.score, default=start)
+        if best is start or not parts.is_shown_by_few(best, best.members[-1]):
             return None
-        best = min(found, key=parts.score)
         parts.of_few_trials = best.members[-1].name
         self.sets = parts
         return best

@@ -18,6 +18,7 @@ from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
 from tacgen.diagnose.contact.result import diagnosis_record
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
 from tests.contact.effects.test_registry import press_columns
+from tests.diagnose.contact.test_selection import peaked_presses
 from validation.contact.cases import blank_log, make_case
 
 
@@ -440,6 +441,18 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
         assert limit["value"] == pytest.approx(41.0, abs=3.0 * limit["stderr"])
         volume, _ = diagnosis.law.predict(log)
         assert np.sqrt(np.mean((volume - clean.ravel()) ** 2)) < 0.1
+
+
+@pytest.mark.parametrize(("spread", "is_off"), [(0.04, True), (0.0, False)])
+def test_a_law_that_is_off_by_more_than_noise_is_not_called_sufficient(spread, is_off):
+    """Each press has its own gain: 4 % of 15 to 40 mm3 is 2 to 5 times the noise of 0.3 mm3."""
+    rng = np.random.default_rng(8)
+    log = peaked_presses(30, rng, lambda force: force * (1.0 + spread * rng.normal()))
+    found = diagnose(log).channels["normal"]
+    assert (found.verdict, found.effect_names) == ("sufficient", ())
+    assert ("is off by" in found.sentence) is is_off
+    assert ("is sufficient" in found.sentence) is not is_off
+    assert "nothing that was looked at explains" in found.sentence
 
 
 def test_smoothing_by_software_is_fitted_to_samples_not_to_their_means():

@@ -256,7 +256,7 @@ def test_a_loop_of_another_form_is_hysteresis_alone_however_much_a_second_effect
     pool = {one.label: one for one, _ in sets.pool(base)}
     labels = "hysteresis: play of 0.2 of the load", "stiffening: power -0.2"
     both = sets.add(base, [pool[label] for label in labels])
-    assert sets.worth(both, both.members[1]) > sets.most_worth(both) / 4.0
+    assert sets.worth(both, both.members[1]) > sets.worth(both, both.members[0]) / 4.0
     assert selection._without_mismatch(both).names == {"hysteresis"}
 
 
