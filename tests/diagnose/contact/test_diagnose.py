@@ -18,7 +18,6 @@ from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
 from tacgen.diagnose.contact.result import diagnosis_record
 from tacgen.diagnose.contact.rules import DEFAULT_RULES
 from tests.contact.effects.test_registry import press_columns
-from tests.diagnose.contact.test_selection import peaked_presses
 from validation.contact.cases import blank_log, make_case
 
 
@@ -40,9 +39,11 @@ def names(channel):
 @pytest.mark.slow
 def test_a_clean_log_is_sufficient_in_both_channels():
     columns, noise = case([])
-    record = diagnosis_record(diagnose(columns))
+    diagnosis = diagnose(columns)
+    record = diagnosis_record(diagnosis)
     for channel in ("normal", "shear"):
         found = record["channels"][channel]
+        assert " is sufficient: nothing that was looked at " in diagnosis.channels[channel].sentence
         assert (found["verdict"], found["effects"], found["unexplained"]) == ("sufficient", [], [])
         assert found["noise_floor"]["rmse"] == pytest.approx(noise[channel], rel=0.1)
         assert found["error_after"]["rmse"] < 1.1 * noise[channel]
@@ -191,7 +192,7 @@ def test_errors_are_of_a_law_that_is_chosen_without_the_held_out_trials():
     assert (found.effect_names, found.scored_effects) == ((), ("stiffening",))
     assert found.after.rmse > found.before.rmse
     assert any("held-out trials do not confirm stiffening" in note for note in diagnosis.notes)
-    assert found.sentence.startswith("V = k_n F_n is sufficient")
+    assert found.sentence.startswith("V = k_n F_n is off by")
     other = diagnose(few_columns(case([("normal", "creep", 0)], strength=2.0)[0])).channels[
         "normal"
     ]
@@ -340,7 +341,8 @@ def test_an_error_far_above_the_noise_is_stated_where_nothing_explains_it():
     log["volume_mm3"] = log["volume_mm3"] * gain[log["trial"]]
     found = diagnose(log).channels["normal"]
     assert found.verdict == "sufficient"
-    times = float(found.sentence.split(", ")[-1].split(" times")[0])
+    assert found.sentence.startswith(f"V = k_n F_n is off by {found.before.rmse:.3g} mm³ on ")
+    times = float(found.sentence.split(" times the noise floor")[0].split()[-1])
     assert times == pytest.approx(found.before.rmse / found.floor, abs=0.006)
     assert times > 2.0
 
@@ -441,18 +443,6 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
         assert limit["value"] == pytest.approx(41.0, abs=3.0 * limit["stderr"])
         volume, _ = diagnosis.law.predict(log)
         assert np.sqrt(np.mean((volume - clean.ravel()) ** 2)) < 0.1
-
-
-@pytest.mark.parametrize(("spread", "is_off"), [(0.04, True), (0.0, False)])
-def test_a_law_that_is_off_by_more_than_noise_is_not_called_sufficient(spread, is_off):
-    """Each press has its own gain: 4 % of 15 to 40 mm3 is 2 to 5 times the noise of 0.3 mm3."""
-    rng = np.random.default_rng(8)
-    log = peaked_presses(30, rng, lambda force: force * (1.0 + spread * rng.normal()))
-    found = diagnose(log).channels["normal"]
-    assert (found.verdict, found.effect_names) == ("sufficient", ())
-    assert ("is off by" in found.sentence) is is_off
-    assert ("is sufficient" in found.sentence) is not is_off
-    assert "nothing that was looked at explains" in found.sentence
 
 
 def test_smoothing_by_software_is_fitted_to_samples_not_to_their_means():
