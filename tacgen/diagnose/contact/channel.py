@@ -37,7 +37,8 @@ class ChannelData:
     ``n_samples`` how many samples of the log the rows were averaged from; ``weight`` (N,) the
     number of samples times their relative precision, 0 for what sticks out of its trial. ``first``
     (M,) are the rows that another of their trial follows, and ``pair_unit`` (M,) the unit (trial,
-    or part of one where trials are few) that each such pair belongs to, ascending.
+    or part of one where trials are few) that each such pair belongs to, ascending;
+    ``parts_are_folds`` says whether parts of a trial may be held out while others are fitted to.
     """
 
     channel: Channel
@@ -89,7 +90,7 @@ class ChannelData:
         return tuple(map(int, self.history.trial[rows]))
 
     def with_parts_of(self, trials: NDArray[np.int64]) -> "ChannelData":
-        """The same rows, with parts of these ``trials`` (numbers in order) as units.
+        """The same rows, with parts of these ``trials`` (numbers in order) as units and folds.
 
         As many parts as in a log of the fewest trials that are folds.
         """
