@@ -1,35 +1,44 @@
 # Everything runs in .venv, which `setup` makes from the lock files; `demo` needs no extra.
-PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c 'import venv' 2>/dev/null && echo $$p && break; done)
-BIN := .venv/bin
-BASE := .venv/.base
-READY := .venv/.ready
+# The newest Python that can make it; another one: make PYTHON=python3.11 (with a VENV of its own).
+VENV ?= .venv
+PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
+	$$p scripts/check_python.py 2>/dev/null && echo $$p && exit; done; echo python3)
+BIN := $(VENV)/bin
+BASE := $(VENV)/.base
+READY := $(VENV)/.ready
+PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 # A test process is one core's work: libraries that start threads in each slow one another down.
 # One more than cores, since some tests wait for processes of their own.
 # Tests start many processes, which shall not compile the package each.
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
 	$(BIN)/python -m pytest -n $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1))) --dist worksteal
 
-.PHONY: setup demo network test test-fast coverage slowest check format docs bench trust lock clean
+.PHONY: setup demo network test test-fast coverage slowest check format docs docs-serve bench trust \
+	lock clean
 
 setup: $(READY)
 
 $(BASE): pyproject.toml requirements.lock
-	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint requirements.lock --editable .
-	touch $@
+	@$(PYTHON) scripts/check_python.py
+	@echo "Setting up $(VENV) with $$($(PYTHON) --version): some 400 MB to download"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) --upgrade pip
+	@$(PIP) --constraint requirements.lock --editable .
+	@touch $@
 
 $(READY): $(BASE) requirements-learn.lock
-	$(BIN)/python -m pip install --quiet -r requirements.lock -r requirements-learn.lock
-	touch $@
+	@echo "Adding the tools of development and every extra; PyTorch with CUDA is 2.5 GB of it" \
+		"(a CPU build of the same version, where pip finds one, 0.2 GB)"
+	@$(PIP) -r requirements.lock -r requirements-learn.lock
+	@touch $@
 
 demo: $(BASE)
-	$(BIN)/tacgen collect quickstart --out out/quickstart --workers 2
+	$(BIN)/tacgen collect quickstart --out out/quickstart
 	@echo "Look at out/quickstart/index.html"
 
 network: setup
-	$(BIN)/tacgen collect stability --out out/stability --workers 2
-	$(BIN)/tacgen train train_single_small --data out/stability --out out/network --workers 2
+	$(BIN)/tacgen collect stability --out out/stability
+	$(BIN)/tacgen train train_single_small --data out/stability --out out/network
 	@echo "Ask it: .venv/bin/tacgen predict out/network IMAGE... --object cup"
 
 test: setup
@@ -55,7 +64,10 @@ format: setup
 
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
-	@echo "Look at out/site/index.html"
+	@echo "Look at it with \`make docs-serve\`; opened as files, its pages have no search"
+
+docs-serve: docs
+	$(BIN)/python -m http.server --bind 127.0.0.1 --directory out/site 8000
 
 bench: setup
 	$(BIN)/tacgen bench
@@ -64,8 +76,8 @@ trust: setup
 	$(BIN)/python -m validation.contact
 
 lock: setup
-	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --extra mujoco --extra view --extra docs --universal --python-version 3.10 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --extra parquet --extra view --extra docs --universal --python-version 3.11 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock
 	@echo "requirements-learn.lock pins torch by hand: its CPU and CUDA builds share a version"
 
 clean:
-	rm -rf .venv build dist *.egg-info out
+	rm -rf $(VENV) build dist *.egg-info out

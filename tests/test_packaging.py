@@ -14,7 +14,7 @@ def test_the_lock_file_pins_every_dependency():
         for line in (ROOT / lock).read_text(encoding="utf-8").splitlines()
     }
     tables = re.findall(
-        r"^(?:dependencies|learn|cluster|mujoco|docs|dev) = \[(.*?)\]", PYPROJECT, re.M | re.S
+        r"^(?:dependencies|learn|parquet|cluster|docs|dev) = \[(.*?)\]", PYPROJECT, re.M | re.S
     )
     assert len(tables) == 6
     named = {

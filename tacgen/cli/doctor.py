@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacgen.core.errors import PhysicsError
+from tacgen.physics.settings import engine_of
 
 MIN_FREE_GB = 2.0  # some 3000 grasps of eight frames of 320×240 px, at 80 kB a compressed frame
 GL_PROBE_TIMEOUT_S = 60.0
@@ -36,8 +37,8 @@ def examine(folder: Path = Path()) -> list[Finding]:
     """Check this machine; ``folder`` is where datasets would go."""
     return [
         _python(),
+        _engine(),
         _pybullet(),
-        _extra("mujoco", "mujoco", "physics: {engine: mujoco}, also without PyBullet"),
         _gl_platform("EGL", "egl", "a GPU driver with libEGL (Debian: libegl1)"),
         _gl_platform("OSMesa", "osmesa", "Debian: libosmesa6, and PyOpenGL 3.1.4 or newer"),
         _cores(),
@@ -48,9 +49,9 @@ def examine(folder: Path = Path()) -> list[Finding]:
 
 
 def _python() -> Finding:
-    ok = (3, 10) <= sys.version_info[:2] <= (3, 11)
-    fix = "" if ok else "PyBullet ships wheels for 3.10 and 3.11; use MuJoCo with others"
-    return Finding("python", ok, False, ".".join(map(str, sys.version_info[:3])), fix)
+    ok = sys.version_info[:2] >= (3, 11)
+    fix = "" if ok else "tacgen needs Python 3.11 or newer"
+    return Finding("python", ok, True, ".".join(map(str, sys.version_info[:3])), fix)
 
 
 def _pybullet() -> Finding:
@@ -60,9 +61,17 @@ def _pybullet() -> Finding:
         load_bullet()
     except PhysicsError as error:
         problem, _, fix = str(error).partition("; ")
-        needed = importlib.util.find_spec("mujoco") is None
-        return Finding("pybullet", False, needed, problem, fix)
-    return Finding("pybullet", True, True, f"{importlib.metadata.version('pybullet')}, with numpy")
+        return Finding("pybullet", False, False, problem, fix)
+    return Finding("pybullet", True, False, f"{importlib.metadata.version('pybullet')}, with numpy")
+
+
+def _engine() -> Finding:
+    """What simulates recipes that name no engine."""
+    name = engine_of("auto")
+    if importlib.util.find_spec(name) is None:
+        return Finding("engine", False, True, "no MuJoCo and no PyBullet", "`pip install mujoco`")
+    detail = f"{name} {importlib.metadata.version(name)}, in recipes that name none"
+    return Finding("engine", True, True, detail)
 
 
 def _gl_platform(name: str, platform: str, fix: str) -> Finding:
@@ -80,7 +89,7 @@ def _gl_platform(name: str, platform: str, fix: str) -> Finding:
 
 def _cores() -> Finding:
     cores = len(os.sched_getaffinity(0))
-    return Finding("cores", True, False, f"{cores}; `--workers {cores}` uses them all")
+    return Finding("cores", True, False, f"{cores}, all used unless --workers says otherwise")
 
 
 def _disk(folder: Path) -> Finding:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, Recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import ClusterError, TacgenError
+from tacgen.core.optional_dependencies import missing_extra
 from tacgen.dataset import DatasetFolder
 
 EXECUTORS = ("local", "slurm")
@@ -177,11 +177,8 @@ def require_executor(executor: str) -> None:
     problems = []
     if executor not in EXECUTORS:
         problems.append(f"--executor {executor}: give {' or '.join(EXECUTORS)}")
-    if find_spec("submitit") is None:
-        problems.append(
-            "batch jobs need submitit, not installed here; install it with "
-            "`pip install 'tacgen[cluster]'` (in a checkout: `make setup`)"
-        )
+    if problem := missing_extra("cluster", "batch jobs need"):
+        problems.append(problem)
     if executor == "slurm":
         missing = [name for name in ("sbatch", "srun", "squeue") if shutil.which(name) is None]
         if missing:

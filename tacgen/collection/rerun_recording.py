@@ -15,6 +15,7 @@ from tacgen.collection.scene import FINGER_COLOR, FINGER_MM, PAD_COLOR, PAD_MM, 
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import atomic_path
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import GraspConfig
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.reader import Dataset
@@ -34,11 +35,9 @@ def write_recording(root: Path, index: int, path: Path) -> None:
 
     Raises ``DatasetError`` if Rerun is not installed or there is no such executed grasp.
     """
-    try:
-        import rerun as rr
-    except ImportError as error:
-        msg = "--rerun needs the viewer; install it with `pip install 'tacgen[view]'`"
-        raise DatasetError(msg) from error
+    require_extra("view", "--rerun needs", DatasetError)
+    import rerun as rr
+
     dataset = Dataset(root, partial=True)
     sample = dataset.read(index)
     if not sample.pads:

@@ -44,10 +44,12 @@ from tacgen.physics.margins import (
 from tacgen.physics.recorder import Recorder, frame_end_steps
 from tacgen.physics.settings import (
     PAD_NAMES,
+    EngineChoice,
     EngineName,
     FrameRequest,
     PhysicsSettings,
     RobotName,
+    engine_of,
     force_problem,
 )
 
@@ -74,13 +76,13 @@ class GraspSimulator:
     not have the robot, or PyBullet lacks numpy.
     """
 
-    def __init__(self, robot: RobotName = "wsg50", engine: EngineName = "pybullet") -> None:
-        for what, name, known in (("robot", robot, RobotName), ("engine", engine, EngineName)):
+    def __init__(self, robot: RobotName = "wsg50", engine: EngineChoice = "auto") -> None:
+        for what, name, known in (("robot", robot, RobotName), ("engine", engine, EngineChoice)):
             if name not in get_args(known):
                 msg = f"{what} {name!r} is not known; known: {', '.join(get_args(known))}"
                 raise PhysicsError(msg)
-        self.engine = engine
-        self.world: Engine = import_module(_ENGINES[engine]).Engine(robot)
+        self.engine = engine_of(engine)
+        self.world: Engine = import_module(_ENGINES[self.engine]).Engine(robot)
 
     def __enter__(self) -> "GraspSimulator":
         self.world.__enter__()

@@ -4,6 +4,7 @@ import math
 from typing import Annotated, Literal
 
 from pydantic import (
+    AfterValidator,
     ConfigDict,
     Field,
     NonNegativeFloat,
@@ -13,10 +14,12 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 
+from tacgen.core.errors import PhysicsError
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
 RobotName = Literal["wsg50", "ur5e_wsg50"]
 EngineName = Literal["pybullet", "mujoco"]
+EngineChoice = Literal["auto", "pybullet", "mujoco"]
 Pads = Literal["left", "right", "both"]
 PAD_NAMES = ("left", "right")
 SMALLEST_DOME_RADIUS_MM = 20.0
@@ -26,7 +29,7 @@ ITERATIONS_PER_FORCE_RATIO = 0.5
 MOST_ITERATIONS = 500  # what that block needs; a bound on the time of a grasp
 
 
-_CONFIG = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+_CONFIG = ConfigDict(extra="forbid", use_attribute_docstrings=True, validate_default=True)
 
 
 def force_problem(force_n: float, limit_n: float) -> str:
@@ -39,6 +42,19 @@ def force_problem(force_n: float, limit_n: float) -> str:
     return ""
 
 
+def engine_of(choice: EngineChoice) -> EngineName:
+    """The engine that ``choice`` means here: ``auto`` is PyBullet where it can be imported."""
+    if choice != "auto":
+        return choice
+    from tacgen.physics.world import load_bullet  # which needs the settings below
+
+    try:
+        load_bullet()
+    except PhysicsError:
+        return "mujoco"
+    return "pybullet"
+
+
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class PhysicsSettings:
     """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure.
@@ -46,8 +62,9 @@ class PhysicsSettings:
     Raises pydantic's ``ValidationError``, which lists every figure that cannot be.
     """
 
-    engine: EngineName = "pybullet"
-    """The physics engine; ``mujoco`` simulates the ``wsg50`` alone, and runs on every Python."""
+    engine: Annotated[EngineChoice, AfterValidator(engine_of)] = "auto"
+    """The physics engine. ``auto`` is PyBullet where it can be imported (it has wheels up to
+    Python 3.11), otherwise MuJoCo; ``tacgen recipe show`` and the dataset state which it was."""
     time_step_s: PositiveFloat = 1 / 480
     """The engine's time step."""
     solver_iterations: PositiveInt = 100

@@ -79,8 +79,8 @@ def load_bullet() -> ModuleType:
     except ImportError as error:
         msg = (
             f"PyBullet cannot be imported ({error}); install it with `pip install pybullet` under "
-            "Python 3.10 or 3.11, for which it ships wheels, or simulate in MuJoCo: "
-            "`pip install 'tacgen[mujoco]'` and `physics: {engine: mujoco}`"
+            "Python 3.11, the last with wheels of it, or simulate in MuJoCo: "
+            "`physics: {engine: mujoco}`"
         )
         raise PhysicsError(msg) from error
     return require_numpy(pybullet)
@@ -106,7 +106,7 @@ def require_numpy(bullet: ModuleType) -> ModuleType:
         msg = (
             "PyBullet was built without numpy (pybullet.isNumpyEnabled() is 0); with numpy "
             "installed, run `pip install --force-reinstall --no-cache-dir pybullet` under "
-            "Python 3.10 or 3.11, for which numpy-enabled wheels exist"
+            "Python 3.11, the last with wheels that have it"
         )
         raise PhysicsError(msg)
     return bullet

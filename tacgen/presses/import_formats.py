@@ -18,6 +18,7 @@ from tacgen.core.columns import csv_problem
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_folder
 from tacgen.core.images import encode_png
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.safe_io import check_archive, read_rgb
 from tacgen.presses.press_folder import COORDINATES
 
@@ -178,6 +179,7 @@ def _parquet_presses(source: Path, radius_mm: float) -> Iterator[Press]:
         raise PressError(msg)
     number = 0
     for file in files:
+        require_extra("parquet", f"{file}: reading Parquet needs", PressError)
         table = pd.read_parquet(file)
         missing = [name for name in ("image", "indenter") if name not in table]
         if missing:

@@ -22,6 +22,7 @@ from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.columns import DEPTH_CURVES, PRESS_LOG, PRESSES, csv_problem, similar_columns
 from tacgen.core.errors import PressError, require_known
 from tacgen.core.files import sha256_of
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import frozen_array
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
@@ -224,6 +225,7 @@ def _csv(path: Path) -> tuple[list[str], list[Cells]]:
 def _parquet(path: Path) -> tuple[list[str], list[Cells]]:
     import pandas as pd  # 60 MB and 0.3 s, which a log in CSV does without
 
+    require_extra("parquet", f"{path}: reading Parquet needs", PressError)
     frame = pd.read_parquet(path)
     known = frame.notna()
     columns = list[Cells]()

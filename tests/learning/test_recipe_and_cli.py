@@ -6,7 +6,8 @@ import sys
 import pytest
 import yaml
 
-from tacgen import cli, learning
+from tacgen import cli
+from tacgen.core import optional_dependencies
 from tacgen.core.errors import TacgenError
 from tacgen.core.resources import packaged
 from tacgen.learning.training_recipe import load_train_recipe
@@ -86,9 +87,11 @@ def test_wrong_input_is_one_message_and_exit_2(toy, tmp_path, monkeypatch, capsy
 
 
 def test_a_missing_extra_is_named_with_its_fix(monkeypatch, capsys, tmp_path):
-    present = learning.find_spec
+    present = optional_dependencies.find_spec
     monkeypatch.setattr(
-        learning, "find_spec", lambda name: None if name in ("torch", "sklearn") else present(name)
+        optional_dependencies,
+        "find_spec",
+        lambda name: None if name in ("torch", "sklearn") else present(name),
     )
     assert run_cli(monkeypatch, "eval", tmp_path, "--data", tmp_path) == 2
     said = capsys.readouterr().err

@@ -27,7 +27,6 @@ FRICTIONS = (0.2, 0.4, 0.8)
 
 @pytest.fixture(scope="module")
 def simulator() -> Iterator[GraspSimulator]:
-    pytest.importorskip("mujoco", reason="needs `pip install 'tacgen[mujoco]'`")
     with GraspSimulator("wsg50", "mujoco") as opened:
         yield opened
 
@@ -157,18 +156,18 @@ class TestEngine:
             grasp(simulator, block(), settings=PhysicsSettings())
 
     def test_an_unknown_engine(self) -> None:
-        with pytest.raises(PhysicsError, match="known: pybullet, mujoco"):
+        with pytest.raises(PhysicsError, match="known: auto, pybullet, mujoco"):
             GraspSimulator("wsg50", "bullet")  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("missing", "engine", "code"), [
-    ("pybullet", "mujoco", 0), ("pybullet", "pybullet", 2), ("mujoco", "mujoco", 2),
+    ("pybullet", "mujoco", 0), ("pybullet", "auto", 0), ("pybullet", "pybullet", 2),
+    ("mujoco", "mujoco", 2),
 ])  # fmt: skip
 def test_collect_needs_its_own_engine_alone(
     missing: str, engine: str, code: int, tmp_path: Path
 ) -> None:
-    pytest.importorskip("mujoco", reason="needs `pip install 'tacgen[mujoco]'`")
     (tmp_path / "hidden").mkdir()
     (tmp_path / "hidden" / f"{missing}.py").write_text("raise ImportError('hidden')\n")
     (tmp_path / "recipe.yaml").write_text(

@@ -13,9 +13,9 @@ import pandas as pd
 
 from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.files import atomic_folder
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset.disk import disk_errors
-from tacgen.dataset.export.lerobot import write_lerobot
 from tacgen.dataset.export.real_grasps import write_images, write_real_grasps
 from tacgen.dataset.export.robomimic import write_robomimic
 from tacgen.dataset.export.webdataset import write_webdataset
@@ -25,6 +25,15 @@ from tacgen.dataset.schema import SPLITS
 Writer = Callable[[Dataset, pd.DataFrame, Path], str]
 """Takes the dataset, the chosen grasps (a row each: index, object, label, split, …) and an empty
 folder; returns a few words on what it wrote."""
+
+
+def write_lerobot(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
+    """Write each of the chosen grasps as an episode; needs the extra ``parquet``."""
+    require_extra("parquet", "--format lerobot needs", DatasetError)
+    from tacgen.dataset.export import lerobot
+
+    return lerobot.write_lerobot(dataset, grasps, folder)
+
 
 FORMATS: Mapping[str, Writer] = {
     "lerobot": write_lerobot,

@@ -43,8 +43,8 @@ class Engine:
             self._mujoco: Any = import_module("mujoco")
         except ImportError as error:
             msg = (
-                f"MuJoCo cannot be imported ({error}); install it with `pip install "
-                "'tacgen[mujoco]'`, or simulate in PyBullet: `physics: {engine: pybullet}`"
+                f"MuJoCo cannot be imported ({error}); install it with `pip install mujoco`, or "
+                "simulate in PyBullet: `physics: {engine: pybullet}`"
             )
             raise PhysicsError(msg) from error
 
