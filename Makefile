@@ -26,10 +26,13 @@ $(BASE): pyproject.toml requirements.lock
 	@$(PIP) --constraint requirements.lock --editable .
 	@touch $@
 
-$(READY): $(BASE) requirements-learn.lock
-	@echo "Adding the tools of development and every extra; PyTorch with CUDA is 2.5 GB of it" \
-		"(a CPU build of the same version, where pip finds one, 0.2 GB)"
-	@$(PIP) -r requirements.lock -r requirements-learn.lock
+# LEARN= leaves PyTorch and the tests that need it out.
+LEARN ?= requirements-learn.lock
+
+$(READY): $(BASE) $(LEARN)
+	@echo "Adding the tools of development and every extra but PyTorch: some 300 MB to download"
+	@$(if $(LEARN),echo "and PyTorch: 2.5 GB with CUDA (4.7 GB installed), 0.2 GB for a CPU build")
+	@$(PIP) -r requirements.lock $(addprefix -r ,$(LEARN))
 	@touch $@
 
 demo: $(BASE)

@@ -8,6 +8,7 @@ import typer
 from typer import Argument, Option
 
 from tacgen.cli import common
+from tacgen.cli.common import quoted
 
 ReportOption = Annotated[Path | None, Option(help="Folder for a report (HTML).")]
 TableOutput = Annotated[Path, Option("--out", help="Table file to write (table.npz).")]
@@ -40,10 +41,10 @@ def import_(
             format_name, source, out, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
         )
         count, notes, kind = len(found.presses), found.notes, "presses"
-        follow = f"tacgen calibrate lookup {out} --out table.npz"
+        follow = f"tacgen calibrate lookup {quoted(out)} --out table.npz"
     else:
         count, notes = import_grasps(format_name, source, out)
-        kind, follow = "grasps", f"tacgen eval RUN --real {out}"
+        kind, follow = "grasps", f"tacgen eval RUN --real {quoted(out)}"
     common.note(notes)
     record = {"folder": str(out), "format": format_name, kind: count, "notes": list(notes)}
     common.print_result(record, f"{out}: {count} {kind}", json_output)
@@ -77,8 +78,8 @@ def calibrate_lookup(
     common.print_result(command.lookup_record(made, used), text, json_output)
     common.hand_over(
         *common.table_lines(out),
-        f"tacgen calibrate score {out} OTHER_PRESSES",
-        f"tacgen read IMAGE --sensor SENSOR --table {out} --out readings",
+        f"tacgen calibrate score {quoted(out)} OTHER_PRESSES",
+        f"tacgen read IMAGE --sensor SENSOR --table {quoted(out)} --out readings",
     )
 
 
@@ -98,7 +99,9 @@ def calibrate_score(
     )
     common.warn([*command.warning_lines(used), *command.contrast_warning(score)])
     common.print_result(score.as_dict(), command.score_text(score), json_output)
-    common.hand_over(f"tacgen diagnose optics {presses} --table {table} --out optics")
+    common.hand_over(
+        f"tacgen diagnose optics {quoted(presses)} --table {quoted(table)} --out optics"
+    )
 
 
 @common.calibrate_app.command("import")
@@ -164,7 +167,7 @@ def calibrate_contact(
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
     measured = log if not images else save_log or out.with_suffix(".csv")
-    follow_up = [f"tacgen diagnose contact {measured} --out diagnosis"]
+    follow_up = [f"tacgen diagnose contact {quoted(measured)} --out diagnosis"]
     common.hand_over(*common.contact_lines(out), *([] if is_depth_table(measured) else follow_up))
 
 
@@ -174,7 +177,7 @@ def friction(
     real: common.RealGraspsOption,
     out: common.ResultsOption,
     mu: Annotated[str, Option(help="Coefficients to try: start:stop:step.")] = "0:1:0.05",
-    workers: common.WorkersOption = 2,
+    workers: common.WorkersOption = common.AUTO,
     write_objects: Annotated[
         bool, Option("--write-objects", help="Also write object.yaml files with the fitted μ.")
     ] = False,
@@ -204,7 +207,7 @@ def friction(
         common.IN_RECIPE,
         "objects:",
         *(f"  - {{name: {name}, friction: {fit.mu:g}}}" for name, fit in fits.items()),
-        f"tacgen diagnose grasps {real} --recipe {recipe} --out diagnosis",
+        f"tacgen diagnose grasps {quoted(real)} --recipe {quoted(recipe)} --out diagnosis",
     )
 
 
@@ -248,7 +251,7 @@ def rig(
     for path in run_rig(loaded, out):
         typer.echo(str(path))
     commands = {
-        "images": [f"tacgen calibrate lookup {out}/presses --out table.npz"],
-        "log": [f"tacgen calibrate contact {out}/press_log.csv --out contact.yaml"],
+        "images": [f"tacgen calibrate lookup {quoted(out)}/presses --out table.npz"],
+        "log": [f"tacgen calibrate contact {quoted(out)}/press_log.csv --out contact.yaml"],
     }
     common.hand_over(*commands.get(loaded.output, commands["images"] + commands["log"]))

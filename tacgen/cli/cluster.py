@@ -9,6 +9,7 @@ import typer
 from typer import Argument, Option
 
 from tacgen.cli import common
+from tacgen.cli.common import quoted
 from tacgen.core.errors import ClusterError
 
 COMMAND_SETTINGS: dict[str, Any] = {"time_min": 480, "mem_gb": 16.0, "cpus_per_task": 4}
@@ -85,7 +86,7 @@ def submit(
         submitted = submission.submit_command(work, out, _run_command, executor, section)
         record = {"folder": submitted.folder, "executor": executor, "job": submitted.jobs[0]}
         common.print_record(record, json_output)
-    common.hand_over(f"tacgen status {out}")
+    common.hand_over(f"tacgen status {quoted(out)}")
     if wait:
         if is_recipe:
             found = submission.wait_for(out)
@@ -118,4 +119,4 @@ def status(
     else:
         found = states.status(folder)
         common.print_result(found.as_dict(), states.status_text(found), json_output)
-        common.hand_over(f"tacgen inspect {folder}")
+        common.hand_over(f"tacgen inspect {quoted(folder)}")

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ from typer.core import TyperGroup
 from tacgen.core.errors import DatasetError
 from tacgen.core.progress import LOG, is_quiet
 from tacgen.core.resources import object_folders, packaged
+from tacgen.core.workers import available_cores
 
 CALIBRATION = "Calibration and diagnosis"
 DATASETS = "Datasets"
@@ -142,7 +144,24 @@ BallRadiusOption = Annotated[
 MarkerPitchOption = Annotated[
     float | None, Option(help="Spacing of the markers whose summed motion the log holds, mm.")
 ]
-WorkersOption = Annotated[int, Option(min=1, help="Number of parallel processes.")]
+
+
+def _workers(given: str) -> int:
+    """The number of processes; states it where none is given."""
+    if given == "auto":
+        count = available_cores()
+        note([f"{count} worker processes, one for each core (--workers)"])
+        return count
+    if not given.isdecimal() or int(given) < 1:
+        msg = f"{given!r} is not a number of processes; give 1 or more, or auto"
+        raise typer.BadParameter(msg)
+    return int(given)
+
+
+AUTO: Any = "auto"
+WorkersOption = Annotated[
+    int, Option(parser=_workers, metavar="N", help="Parallel processes; auto: one for each core.")
+]
 JsonFlag = Annotated[bool, Option("--json", help="Print the result as JSON on standard output.")]
 
 
@@ -174,6 +193,11 @@ def note(lines: Iterable[object]) -> None:
     """Print notes on standard error, unless ``-q`` is given."""
     if not is_quiet():
         warn(lines, "note")
+
+
+def quoted(word: object) -> str:
+    """``word`` as it stands in a line to paste into a shell."""
+    return shlex.quote(str(word))
 
 
 def hand_over(*lines: str) -> None:

@@ -9,13 +9,14 @@ import typer
 from typer import Option
 
 from tacgen.cli import common
+from tacgen.cli.common import quoted
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
 def collect(
     recipe: common.RecipeArgument,
     out: Annotated[Path, Option(help="Folder of the dataset; a stopped collection resumes.")],
-    workers: common.WorkersOption = 1,
+    workers: common.WorkersOption = common.AUTO,
     shard: Annotated[
         str, Option(help="I/N: only part I of N (from 0); auto: the part of this job-array task.")
     ] = "0/1",
@@ -59,7 +60,15 @@ def collect(
     common.warn(not_executed_lines(summary))
     if none_executed(summary):
         raise typer.Exit(1)
-    common.hand_over(f"tacgen inspect {out}", f"tacgen train train_single --data {out} --out run")
+    common.hand_over(
+        f"tacgen view {quoted(out)}   # the gallery, {out / 'index.html'}",
+        f"tacgen inspect {quoted(out)}",
+        _train_line(out),
+    )
+
+
+def _train_line(data: Path) -> str:
+    return f"tacgen train train_single_small --data {quoted(data)} --out run"
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
@@ -72,14 +81,14 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
 
     rows = grid_rows(plan_recipe(load_recipe(recipe)))
     common.print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
-    common.hand_over(f"tacgen collect {recipe} --out data")
+    common.hand_over(f"tacgen collect {quoted(recipe)} --out data")
 
 
 @common.app.command("compare-engines", rich_help_panel=common.DATASETS)
 def compare_engines(
     recipe: common.RecipeArgument,
     out: Annotated[Path | None, Option(help="Folder for grasps.csv and comparison.json.")] = None,
-    workers: common.WorkersOption = 1,
+    workers: common.WorkersOption = common.AUTO,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -104,6 +113,7 @@ def compare_engines(
     differing = found[~found["agree"]].drop(columns="agree").set_index("index").round(3)
     blocks = [f"grasp {index}\n{row.to_string()}\n" for index, row in differing.iterrows()]
     common.print_result(result, [*blocks, counts.to_string()], json_output)
+    common.hand_over(f"tacgen collect {quoted(recipe)} --out data")
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
@@ -115,9 +125,7 @@ def inspect(folder: common.DatasetArgument, json_output: common.JsonFlag = False
     common.print_result(summary, summary_text(summary), json_output)
     if none_executed(summary):
         raise typer.Exit(1)
-    common.hand_over(
-        f"tacgen verify {folder}", f"tacgen train train_single --data {folder} --out run"
-    )
+    common.hand_over(f"tacgen verify {quoted(folder)}", _train_line(folder))
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
@@ -146,7 +154,7 @@ def verify(
     common.print_result(found.as_dict(), text, json_output)
     if found.problems:
         raise typer.Exit(1)
-    common.hand_over(f"tacgen train train_single --data {folder} --out run")
+    common.hand_over(_train_line(folder))
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
@@ -156,7 +164,7 @@ def merge(folder: common.DatasetArgument) -> None:
 
     lines = DatasetFolder(folder).merge()
     typer.echo(f"{folder}/manifest.jsonl: {len(lines)} shards")
-    common.hand_over(f"tacgen verify {folder}")
+    common.hand_over(f"tacgen verify {quoted(folder)}")
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
@@ -210,7 +218,7 @@ def view(
         recording = folder / f"grasp-{grasp or 0:05d}.rrd"
         write_recording(folder, grasp or 0, recording)
         typer.echo(str(recording))
-        common.hand_over(f"rerun {recording}")
+        common.hand_over(f"rerun {quoted(recording)}")
         if not no_browser:
             subprocess.run([sys.executable, "-m", "rerun", str(recording)], check=False)
         return
@@ -221,7 +229,9 @@ def view(
         msg = f"{page}: there is no gallery; `tacgen collect` writes it when it has finished"
         raise DatasetError(msg)
     typer.echo(str(page))
-    common.hand_over(f"tacgen verify {folder}" if grasp is None else f"tacgen view {folder}")
+    common.hand_over(
+        f"tacgen verify {quoted(folder)}" if grasp is None else f"tacgen view {quoted(folder)}"
+    )
     if not no_browser:
         webbrowser.open(page.resolve().as_uri())
 
@@ -238,4 +248,4 @@ def render(
 
     outcome = write_gif(load_recipe(recipe), grasp, out)
     typer.echo(f"{out}: grasp {grasp}, {outcome}")
-    common.hand_over(f"tacgen collect {recipe} --out data")
+    common.hand_over(f"tacgen collect {quoted(recipe)} --out data")

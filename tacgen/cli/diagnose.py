@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from tacgen.cli import common
+from tacgen.cli.common import quoted
 
 if TYPE_CHECKING:
     from tacgen.diagnose.contact.result import Diagnosis
@@ -122,7 +123,7 @@ def diagnose_grasps_command(
     real: common.RealGraspsArgument,
     recipe: Annotated[str, Option(help="Recipe that describes the robot's set-up.")],
     out: common.ResultsOption,
-    workers: common.WorkersOption = 2,
+    workers: common.WorkersOption = common.AUTO,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Find simulation parameters that explain why real grasps ended differently than simulated."""
@@ -143,6 +144,6 @@ def diagnose_grasps_command(
     common.print_result(record, findings.diagnosis.sentence, json_output)
     found = "with what was found" if findings.diagnosis.found else "as it was: nothing was found"
     common.hand_over(
-        f"tacgen collect {out / 'recipe.yaml'} --out data   # the recipe {found}",
+        f"tacgen collect {quoted(out / 'recipe.yaml')} --out data   # the recipe {found}",
         f"grasps for the robot that separate the explanations: {out / 'next_grasps.csv'}",
     )

@@ -6,7 +6,13 @@ from typing import Annotated, Literal
 from typer import Argument, Option
 
 from tacgen.cli import common
+from tacgen.cli.common import quoted
 from tacgen.core.errors import LearningError
+
+DeviceOption = Annotated[
+    Literal["auto", "cpu", "cuda"] | None,
+    Option(help="Device, in place of the training recipe's training.device."),
+]
 
 
 @common.app.command(rich_help_panel=common.NETWORKS)
@@ -14,7 +20,8 @@ def train(
     recipe: Annotated[str, Argument(help="Training recipe: YAML, or a shipped one's name.")],
     data: Annotated[Path, Option(help="Dataset that `tacgen collect` wrote.")],
     out: Annotated[Path, Option(help="Folder of the run; an interrupted training is resumed.")],
-    workers: Annotated[int, Option(min=1, help="Models to train in parallel.")] = 1,
+    workers: common.WorkersOption = common.AUTO,
+    device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Train networks that predict from tactile images whether a grasp will hold."""
@@ -25,9 +32,10 @@ def train(
     from tacgen.learning.scores import training_lines
     from tacgen.learning.train import train as train_models
 
-    summary = train_models(load_train_recipe(recipe), data, out, workers=workers)
+    loaded = load_train_recipe(recipe)
+    summary = train_models(loaded, data, out, workers=workers, device=device)
     common.print_result(summary, training_lines(summary), json_output)
-    common.hand_over(f"tacgen eval {out} --data {data}")
+    common.hand_over(f"tacgen eval {quoted(out)} --data {quoted(data)}")
 
 
 @common.app.command("eval", rich_help_panel=common.NETWORKS)
@@ -42,6 +50,7 @@ def evaluate(
             "position (no image) of each training grasp in --data."
         ),
     ] = None,
+    device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Test a run on simulated or real grasps; once both are tested, prints the sim-to-real gap."""
@@ -57,7 +66,7 @@ def evaluate(
             raise LearningError(msg)
         scores = baseline_scores(SimulatedGrasps(data).table)
         common.print_result(scores, baseline_lines(scores), json_output)
-        common.hand_over(f"tacgen train train_single --data {data} --out run")
+        common.hand_over(f"tacgen train train_single_small --data {quoted(data)} --out run")
         return
     if run is None:
         msg = "eval: give the RUN to test, a folder that `tacgen train --out` made"
@@ -65,10 +74,10 @@ def evaluate(
     from tacgen.learning.evaluate import evaluate as evaluate_run
     from tacgen.learning.scores import evaluation_lines
 
-    result = evaluate_run(run, data, real)
+    result = evaluate_run(run, data, real, device=device)
     common.print_result(result, evaluation_lines(result), json_output)
-    on_real = [f"tacgen eval {run} --real REAL_GRASPS"] if real is None else []
-    common.hand_over(*on_real, f"tacgen predict {run} IMAGE …")
+    on_real = [f"tacgen eval {quoted(run)} --real REAL_GRASPS"] if real is None else []
+    common.hand_over(*on_real, f"tacgen predict {quoted(run)} IMAGE …")
 
 
 @common.app.command(rich_help_panel=common.NETWORKS)
@@ -84,6 +93,7 @@ def predict(
     background: Annotated[
         Path | None, Option(help="Image of your gel at rest; else that of the training data.")
     ] = None,
+    device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Predict from your own images the probability that each grasp will hold."""
@@ -94,10 +104,10 @@ def predict(
     from tacgen.learning.predictor import Predictor, predict_files
 
     at_rest = None if background is None else read_rgb(background)
-    rows = predict_files(Predictor(run, object_name, at_rest), images)
+    rows = predict_files(Predictor(run, object_name, at_rest, device=device), images)
     lines = [f"{row['probability']:.3f}  {row['images']}" for row in rows]
     common.print_result(rows, lines, json_output)
-    common.hand_over(f"tacgen eval {run} --real REAL_GRASPS   # how often it is right")
+    common.hand_over(f"tacgen eval {quoted(run)} --real REAL_GRASPS   # how often it is right")
 
 
 @common.app.command(rich_help_panel=common.NETWORKS)
@@ -112,7 +122,7 @@ def study(
     contact: Annotated[Path | None, Option(help="contact.yaml, for rows that use it.")] = None,
     row: Annotated[list[str] | None, Option(help="Run this row only; may be repeated.")] = None,
     quick: Annotated[bool, Option("--quick", help="Run the study's reduced version.")] = False,
-    workers: common.WorkersOption = 1,
+    workers: common.WorkersOption = common.AUTO,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Collect, train and test every variant of a study; writes a table (Markdown, HTML, JSON)."""

@@ -18,7 +18,7 @@ def doctor(json_output: common.JsonFlag = False) -> None:
     common.print_result([asdict(finding) for finding in findings], map(str, findings), json_output)
     if any(finding.needed and not finding.ok for finding in findings):
         raise typer.Exit(1)
-    common.hand_over("tacgen collect quickstart --out data --workers 2")
+    common.hand_over("tacgen collect quickstart --out data")
 
 
 @common.app.command(rich_help_panel=common.MACHINE)

@@ -13,11 +13,12 @@ from pydantic import BaseModel
 from typer import Argument
 
 from tacgen.cli import common
+from tacgen.cli.common import quoted
 from tacgen.core.errors import RecipeError, require_known
 
 PROJECT_FILES = {
     "recipe.yaml": "recipe.yaml",
-    "object.yaml": "objects/block/object.yaml",
+    "object.yaml": "objects/ball/object.yaml",
     "README.md": "README.md",
 }
 """Files of a new project, by the template of each."""
@@ -51,7 +52,7 @@ def recipe_show(recipe: common.RecipeArgument, json_output: common.JsonFlag = Fa
     text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None)
     common.print_result(settings, text.rstrip("\n"), json_output)
     options = {"collect": "--out data", "train": "--data data --out run"}
-    common.hand_over(f"tacgen {name} {recipe} {options.get(name, f'--out {name}')}")
+    common.hand_over(f"tacgen {name} {quoted(recipe)} {options.get(name, f'--out {name}')}")
 
 
 @common.recipe_app.command("schema")
@@ -99,4 +100,4 @@ def init(name: Annotated[str, Argument(help="Name of the project and of its new 
         (folder / target).parent.mkdir(parents=True, exist_ok=True)
         (folder / target).write_text(text.replace("PROJECT", folder.name), encoding="utf-8")
         typer.echo(folder / target)
-    common.hand_over(f"cd {folder}", "tacgen collect recipe.yaml --out data --workers 2")
+    common.hand_over(f"cd {quoted(folder)}", "tacgen collect recipe.yaml --out data")

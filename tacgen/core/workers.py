@@ -132,7 +132,7 @@ def map_in_processes(
 
     Raises ``TacgenError`` if a process is killed.
     """
-    count = min(len(items), processes or _cores())
+    count = min(len(items), processes or available_cores())
     possible = method == "spawn" or sys.platform == "linux"
     # A daemon may have no children of its own, and one of these processes has a core to itself.
     is_child = bool(_pool_task) or multiprocessing.current_process().daemon
@@ -199,7 +199,8 @@ def _run_task(item: Any) -> Any:
     return _pool_task["task"](item)
 
 
-def _cores() -> int:
+def available_cores() -> int:
+    """Cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -158,13 +159,19 @@ def _merge(below: YamlSource, above: YamlSource) -> None:
                 lay(target[key], value, here)
                 continue
             target[key] = value
-            for origin in [path for path in below.origins if path[: len(here)] == here]:
-                del below.origins[origin]
-            below.origins.update(
-                {path: at for path, at in above.origins.items() if path[: len(here)] == here}
-            )
+            replaced.add(here)
 
+    def is_replaced(path: KeyPath) -> bool:
+        return any(path[: n + 1] in replaced for n in range(len(path)))
+
+    replaced: set[KeyPath] = set()
     lay(below.data, above.data, ())
+    for path in list(filter(is_replaced, below.origins)):
+        del below.origins[path]
+    below.origins.update({p: at for p, at in above.origins.items() if is_replaced(p)})
+
+
+MOST_PROBLEMS = 50  # that one message describes
 
 
 def validate(
@@ -180,7 +187,10 @@ def validate(
     try:
         checked = model.model_validate(source.data)
     except ValidationError as error:
-        problems = [_describe(source, model, details) for details in error.errors()]
+        found = error.errors()
+        problems = [_describe(source, model, details) for details in found[:MOST_PROBLEMS]]
+        if len(found) > MOST_PROBLEMS:
+            problems.append(f"{source.path}: {len(found) - MOST_PROBLEMS} further problems")
         raise error_type.from_problems(problems) from None
     set_folders(checked, lambda key_path: source.origin(key_path)[0].parent)
     return checked
@@ -308,10 +318,14 @@ def _written_path(data: Any, location: tuple[str | int, ...]) -> KeyPath:
     return tuple(path)
 
 
+@cache
+def _schema(model: type[BaseModel]) -> dict[str, Any]:
+    return model.model_json_schema()
+
+
 def _field_names(model: type[BaseModel], key_path: KeyPath) -> list[str]:
     """The keys a model knows at ``key_path``; empty if they are not known."""
-    schema = model.model_json_schema()
-    part = schema
+    part = schema = _schema(model)
     for key in key_path:
         if isinstance(key, str):
             written = json.dumps(part.get("properties", {}).get(key))

@@ -10,19 +10,17 @@ from tacgen.core.errors import LearningError
 from tacgen.learning.training_recipe import TrainingOptions
 
 
-def choose_device(options: TrainingOptions) -> str:
-    """The device that the recipe asks for: ``cuda`` or ``cpu``.
+def choose_device(options: TrainingOptions, device: str | None = None) -> str:
+    """``device``, or the one that the recipe asks for: ``cuda`` or ``cpu``.
 
-    Raises ``LearningError`` if it asks for a GPU and there is none.
+    Raises ``LearningError`` if it is a GPU and there is none.
     """
-    has_gpu = torch.cuda.is_available()
-    if options.device == "cuda" and not has_gpu:
-        msg = (
-            "training.device: cuda, but torch finds no GPU here; "
-            "set training.device: auto, or install torch for your GPU"
-        )
+    asked, has_gpu = device or options.device, torch.cuda.is_available()
+    if asked == "cuda" and not has_gpu:
+        given = "--device cuda" if device else "training.device: cuda"
+        msg = f"{given}, but torch finds no GPU here; ask for auto, or install torch for your GPU"
         raise LearningError(msg)
-    return "cuda" if has_gpu and options.device != "cpu" else "cpu"
+    return "cuda" if has_gpu and asked != "cpu" else "cpu"
 
 
 @contextlib.contextmanager

@@ -33,7 +33,9 @@ _AUROC_NOTE = (
 )
 
 
-def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> dict[str, Any]:
+def evaluate(
+    run: Path, data: Path | None = None, real: Path | None = None, *, device: str | None = None
+) -> dict[str, Any]:
     """Test the models of ``run`` on the test grasps of a dataset, or on real grasps.
 
     Writes ``eval.json`` and ``eval.html`` into the run, and the same figures as
@@ -56,7 +58,7 @@ def evaluate(run: Path, data: Path | None = None, real: Path | None = None) -> d
     source_name = "sim" if real is None else "real"
     unseen, about_unseen = unseen_tests(plan, source, where)
     notes += about_unseen
-    test = _Test(folder, plan, recipe, source, where, choose_device(recipe.training), notes)
+    test = _Test(folder, plan, recipe, source, where, choose_device(recipe.training, device), notes)
     with exact_torch(recipe.training.threads):
         predictions, cards = test.predict_all(unseen)
     result = _summary(predictions, cards, source_name, where, notes)

@@ -38,10 +38,11 @@ class Predictor:
         run: Path | str,
         object_name: str | None = None,
         background_rgb: NDArray[np.uint8] | None = None,
+        device: str | None = None,
     ) -> None:
         folder = RunFolder(run)
         options = folder.recipe().training
-        self._device, self._threads = choose_device(options), options.threads
+        self._device, self._threads = choose_device(options, device), options.threads
         name = _model_for(folder.plan()["models"], object_name, str(run))
         network, card, reference = load_model(folder.model(name).model_path)
         self._network, self.spec, self._card = network.to(self._device), card.input, card

@@ -14,6 +14,9 @@ from tacgen.learning.grasps import GraspSource, GraspTable, SimulatedGrasps
 from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
 MIN_OF_A_CLASS = 2  # grasps of each outcome to fit to; fewer teach a network nothing about it
+FEW_OF_A_CLASS = 20
+"""Fewer grasps of an outcome to fit to than this are warned of. The paper's smallest training set,
+50 grasps of an object, has some 25 of each."""
 _STREAM_SUBSET, _STREAM_VALIDATION = 0, 1  # keep the random numbers of one seed apart
 
 
@@ -51,6 +54,18 @@ def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[Mode
             problems.append(f"{where}: {error}")
     LearningError.raise_if(problems)
     return plans
+
+
+def few_grasps_warning(plan: ModelPlan, table: GraspTable) -> str:
+    """What a model has too little of to learn from; empty if it has enough."""
+    failures, successes = np.bincount(table.label[plan.fit_rows], minlength=2).tolist()
+    if min(failures, successes) >= FEW_OF_A_CLASS:
+        return ""
+    return (
+        f"{plan.name}: {successes} successes and {failures} failures to train on; a network seldom "
+        f"learns from fewer than {FEW_OF_A_CLASS} of each. Collect more grasps (`sample`), or a "
+        "wider range of forces"
+    )
 
 
 def unseen_tests(

@@ -22,7 +22,7 @@ from tacgen.learning.predictions import predict
 from tacgen.learning.reports import write_training_report
 from tacgen.learning.run_folder import SCHEMA, RunFolder
 from tacgen.learning.scores import score
-from tacgen.learning.splits import ModelPlan, class_weights, plan_models
+from tacgen.learning.splits import ModelPlan, class_weights, few_grasps_warning, plan_models
 from tacgen.learning.training_recipe import TrainRecipe
 
 INFLUENTIAL = ("torch", "transformers", "numpy", "opencv-python-headless")  # on the weights
@@ -32,14 +32,16 @@ NO_WEIGHTS_WARNING = (
 )
 
 
-def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> dict[str, Any]:
+def train(
+    recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1, device: str | None = None
+) -> dict[str, Any]:
     """Train every model of ``recipe`` on the training grasps of ``data`` into the folder ``out``.
 
     A run that was stopped resumes after its last complete epoch. ``workers`` models are trained at
     a time, which changes no bit of them; ``models`` of the result has an entry for each. Raises
     ``TacgenError`` if the dataset, the recipe or the folder cannot be used, or the loss diverges.
     """
-    device = choose_device(recipe.training)
+    device = choose_device(recipe.training, device)
     source = SimulatedGrasps(data, recipe.input.pad)
     kind, options, n_frames = recipe.model.kind, recipe.input, source.n_frames
     spec = InputSpec(
@@ -53,6 +55,8 @@ def train(recipe: TrainRecipe, data: Path, out: Path, *, workers: int = 1) -> di
     plans = plan_models(recipe, source.table, str(data))
     for plan in plans:
         check_source(spec, source, plan.fit_rows, str(data))
+        if warning := few_grasps_warning(plan, source.table):
+            print_status(f"warning: {warning}")
     run = RunFolder(out)
     if run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved()):
         print_status(f"{out}: resumes the run that is there")

@@ -160,7 +160,7 @@ def test_a_new_project_collects_at_once(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run("init", "demo")
     recipe = tmp_path / "demo/recipe.yaml"
-    shorter = recipe.read_text().replace("sample: 24", "sample: 3")
+    shorter = recipe.read_text().replace("sample: 100", "sample: 3")
     assert shorter != recipe.read_text()
     recipe.write_text(shorter)
     done = run("collect", "demo/recipe.yaml", "--out", "data", "--workers", "2")

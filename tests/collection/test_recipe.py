@@ -261,3 +261,15 @@ def test_metres_and_degrees_are_suspected(folder):
     text = str(caught.value)
     assert "grid.z_mm is at most 0.06 mm above the table; if it is in metres, times 1000" in text
     assert "grid.yaw_rad is up to 90 rad, more than a turn; if it is in degrees, divide" in text
+
+
+def test_thousands_of_unknown_keys_are_counted_not_described(tmp_path):
+    path = tmp_path / "r.yaml"
+    keys = "".join(f"key{k}: {k}\n" for k in range(4000))
+    path.write_text(f"name: x\nobjects: [cup]\nextends: quickstart\n{keys}")
+    with pytest.raises(RecipeError) as caught:
+        load_recipe(path)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 51
+    assert lines[0].startswith(f"{path}:4: key0 is not a known key")
+    assert lines[-1].endswith("3950 further problems")

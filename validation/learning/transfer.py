@@ -123,11 +123,11 @@ def run(name: str, folder: Path, recipe: str, seed: int, workers: int) -> None:
     trained = folder / f"{name}_{recipe}_{seed}"
     chosen = load_train_recipe(recipe).model_copy(update={"seed": seed})
     train(chosen, data, trained, workers=1)
-    for where in ({"data": data}, {"real": real}):
-        scores = evaluate(trained, **where)
+    for where, tested in (("data", (data, None)), ("real", (None, real))):
+        scores = evaluate(trained, *tested)
         row = (scores[key] for key in ("accuracy", "balanced_accuracy", "auroc"))
         cells = " | ".join(f"{value:.3f}" for value in row)
-        print(f"| {recipe} | {seed} | {name} | {next(iter(where))} | {scores['n']} | {cells} |")  # noqa: T201
+        print(f"| {recipe} | {seed} | {name} | {where} | {scores['n']} | {cells} |")  # noqa: T201
 
 
 def main() -> None:
