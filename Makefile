@@ -31,7 +31,7 @@ LEARN ?= requirements-learn.lock
 
 $(READY): $(BASE) $(LEARN)
 	@echo "Adding the tools of development and every extra but PyTorch: some 300 MB to download"
-	@$(if $(LEARN),echo "and PyTorch: 2.5 GB with CUDA (4.7 GB installed), 0.2 GB for a CPU build")
+	@$(if $(LEARN),echo "and PyTorch: 2.5 GB with CUDA or 0.2 GB for a CPU build")
 	@$(PIP) -r requirements.lock $(addprefix -r ,$(LEARN))
 	@touch $@
 

@@ -152,7 +152,7 @@ def test_init_writes_a_project_once(tmp_path, monkeypatch):
     assert "cd demo\n  tacgen collect recipe.yaml" in made.stderr
     assert "exists already" in str(run("init", "demo").exception)
     monkeypatch.chdir(tmp_path / "demo")
-    assert len(run("grid", "recipe.yaml").stdout.splitlines()) == 49
+    assert len(run("grid", "recipe.yaml").stdout.splitlines()) == 201
 
 
 @pytest.mark.slow
