@@ -5,11 +5,22 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from tacgen.core.optional_dependencies import missing_extra
 from tacgen.core.workers import start_early
 
 MEASURED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 hypothesis.settings.register_profile("repeatable", derandomize=True)
 hypothesis.settings.load_profile("repeatable")
+NEED_LEARN = ("learning/*", "study/*", "validation/test_others.py")
+HAS_LEARN = not missing_extra("learn", "")
+collect_ignore_glob = [] if HAS_LEARN else list(NEED_LEARN)
+
+
+def pytest_report_header() -> str:
+    """What is left out where the networks' packages are missing."""
+    return "" if HAS_LEARN else f"the extra `learn` is missing; not tested: {', '.join(NEED_LEARN)}"
+
+
 LONGEST = ("test_docs.py", "test_slurm.py")
 
 

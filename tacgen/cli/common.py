@@ -147,11 +147,8 @@ MarkerPitchOption = Annotated[
 
 
 def _workers(given: str) -> int:
-    """The number of processes; states it where none is given."""
     if given == "auto":
-        count = available_cores()
-        note([f"{count} worker processes, one for each core (--workers)"])
-        return count
+        return available_cores()
     if not given.isdecimal() or int(given) < 1:
         msg = f"{given!r} is not a number of processes; give 1 or more, or auto"
         raise typer.BadParameter(msg)

@@ -40,7 +40,7 @@ from types import ModuleType
 from typing import Any, Literal, TypeVar
 
 from tacgen.core.errors import TacgenError
-from tacgen.core.progress import LOG
+from tacgen.core.progress import LOG, print_status
 
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 ONE_THREAD = dict.fromkeys((*_POOLS, "VECLIB_MAXIMUM_THREADS"), "1")
@@ -218,11 +218,12 @@ def run_tasks(
     """
     if not tasks:
         return
-    progress = _Progress(deque(tasks))
+    progress, count = _Progress(deque(tasks)), min(workers, len(tasks))
+    print_status(f"{count} worker process{'es' if count > 1 else ''}")
     start_early(_module_of(make_job))
     crew: list[_Worker] = []
     try:
-        crew += [_start(make_job) for _ in range(min(workers, len(tasks)))]
+        crew += [_start(make_job) for _ in range(count)]
         while progress.queue or any(worker.task >= 0 for worker in crew):
             for worker in crew:
                 if worker.task < 0 and progress.queue:

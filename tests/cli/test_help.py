@@ -61,5 +61,6 @@ def test_the_version_is_an_option():
     ],
 )
 def test_eval_says_what_it_needs(arguments, words):
+    pytest.importorskip("torch")
     run = CliRunner().invoke(app, ["eval", *arguments])
     assert words in f"{run.output}{run.exception}"

@@ -366,7 +366,7 @@ def test_one_core_and_several_find_the_same(monkeypatch, n_trials):
     made, _ = case(effects, 3.0, n_trials=n_trials, n_samples=30)
     records = []
     for cores in (1, 3):
-        monkeypatch.setattr(workers, "_cores", lambda cores=cores: cores)
+        monkeypatch.setattr(workers, "available_cores", lambda cores=cores: cores)
         records.append(diagnosis_record(diagnose(made)))
     assert json.dumps(records[0]) == json.dumps(records[1])
     found = [names(one) for one in records[0]["channels"].values()]
