@@ -191,6 +191,16 @@ def export(
     if result["not_executed"]:
         text += f"; {result['not_executed']} grasps that were not executed are not exported"
     common.print_result(result, text, json_output)
+    common.hand_over(_NEXT_BY_FORMAT[format_name].format(quoted(out)))
+
+
+_NEXT_BY_FORMAT = {
+    "lerobot": "in Python, with lerobot: LeRobotDataset(repo_id='local', root='{}')",
+    "images": "tacgen predict RUN {}/images/*",
+    "webdataset": "in Python, with webdataset: WebDataset of the .tar files in {}",
+    "robomimic": "python -m robomimic.scripts.get_dataset_info --dataset {}/grasps.hdf5",
+    "real-grasps": "tacgen friction RECIPE --real {} --out friction",
+}
 
 
 @common.app.command(rich_help_panel=common.DATASETS)

@@ -38,6 +38,7 @@ def objects_show(
     if out is not None:
         write_picture(obj, out)
     common.print_result(facts, facts_text(facts), json_output)
+    common.hand_over(common.IN_RECIPE, f"objects: [{obj.name}]")
 
 
 @common.objects_app.command("add")
@@ -77,6 +78,6 @@ def objects_add(
     common.print_result(facts, facts_text(facts), json_output)
     common.hand_over(
         f"look at {folder / 'picture.png'}",
-        "in a recipe in this folder:",
+        common.IN_RECIPE,
         f"objects: [{added.object.name}]",
     )
