@@ -41,6 +41,7 @@ def examine(folder: Path = Path()) -> list[Finding]:
         _pybullet(),
         _gl_platform("EGL", "egl", "a GPU driver with libEGL (Debian: libegl1)"),
         _gl_platform("OSMesa", "osmesa", "Debian: libosmesa6, and PyOpenGL 3.1.4 or newer"),
+        _compiled(),
         _cores(),
         _disk(folder),
         _extra("torch", "learn", "networks"),
@@ -85,6 +86,15 @@ def _gl_platform(name: str, platform: str, fix: str) -> Finding:
     except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
         return Finding(name, False, False, "not available", fix)
     return Finding(name, True, False, "works")
+
+
+def _compiled() -> Finding:
+    from tacgen.core.compiled import TEMPORARY_FOLDER
+
+    if TEMPORARY_FOLDER:
+        fix = "set NUMBA_CACHE_DIR to a folder that can be written"
+        return Finding("compiled", False, False, "kept for one command only", fix)
+    return Finding("compiled", True, False, "kept from run to run")
 
 
 def _cores() -> Finding:

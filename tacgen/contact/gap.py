@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_map_mm
@@ -19,6 +18,7 @@ from tacgen.contact.raster import (
     whole_mesh,
 )
 from tacgen.core.arrays import FloatArray
+from tacgen.core.compiled import njit
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
 

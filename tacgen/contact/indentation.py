@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.contact.raster import Float64
+from tacgen.core.compiled import njit
 from tacgen.core.errors import ContactError
 
 

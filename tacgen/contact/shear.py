@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.contact.raster import Float64
+from tacgen.core.compiled import njit
 from tacgen.core.records import Markers, Sensor
 
 SHEAR_DECAY_PER_MM2 = 0.0805

@@ -2,7 +2,7 @@
 
 import gc
 
-from numba import njit
+from tacgen.core.compiled import njit
 
 njit()(lambda: None)()
 gc.freeze()  # what is imported stays: no worker searches it for unreachable objects

@@ -5,8 +5,9 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from tacgen.core.compiled import njit
 
 _BITS = 12  # 4096 quantiles of the normal distribution: finer than a grey level's rounding
 _LEVELS = 1 << _BITS

@@ -2,17 +2,17 @@
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.compiled import njit
 from tacgen.core.records import Mesh
 
 LIGHTS = ((0.45, 0.55, 0.7, 0.75), (-0.7, 0.1, 0.7, 0.45))
 """Direction towards each light in view axes (right, up, towards the viewer), and its strength."""
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _nearest_face(
     points: np.ndarray, faces: np.ndarray, height: int, width: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -46,7 +46,7 @@ def _nearest_face(
     return depth, face
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _mean_of_samples(colors: np.ndarray, sample: np.ndarray, picture: np.ndarray) -> None:
     """Fill ``picture`` (H, W, 3) with the means of the ``colors`` (n, 3) of 2 × 2 samples each."""
     for row in range(picture.shape[0]):

@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from tacgen.core.compiled import njit
 from tacgen.optics.smooth import COARSEST, Gaussian, Window, aligned, grown
 
 PYRAMID_SIGMA_MM = (0.236, 0.1033, 0.059, 0.0325)

@@ -4,10 +4,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.compiled import njit
 
 INK_TRANSMISSION = 0.25  # share of the light that a dot reflects
 

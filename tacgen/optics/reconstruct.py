@@ -11,13 +11,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter, label
 from scipy.spatial import cKDTree
 
 from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.compiled import njit
 from tacgen.optics.deform import deform
 from tacgen.optics.table import LookupTable, contact_at, features
 

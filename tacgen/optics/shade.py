@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from tacgen.core.compiled import njit
 from tacgen.optics.smooth import Window, copy_row
 from tacgen.optics.table import N_FEATURES, LookupTable
 from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places

@@ -4,8 +4,9 @@ import math
 from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from tacgen.core.compiled import njit
 
 Window = tuple[int, int, int, int]
 """Half-open rectangle of pixels: top, bottom, left, right."""

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.compiled import njit
 from tacgen.core.records import ContactPatch, SlipMargin, frozen_array
 from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 from tacgen.physics.contacts import Contacts

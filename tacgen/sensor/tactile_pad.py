@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
@@ -11,6 +10,7 @@ from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
 from tacgen.core.arrays import FloatArray
+from tacgen.core.compiled import njit
 from tacgen.core.records import ContactPatch, Mesh, Sensor
 from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer

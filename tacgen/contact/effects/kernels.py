@@ -5,10 +5,10 @@ trial k is rows ``starts[k]`` to ``starts[k + 1]``; no state passes from one tri
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.compiled import njit
 
 
 @njit(cache=True)

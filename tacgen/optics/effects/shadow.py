@@ -6,10 +6,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.compiled import njit
 from tacgen.optics.effects import effect as base
 from tacgen.optics.table import Leds, LookupTable, leds_of_table
 
