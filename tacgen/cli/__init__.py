@@ -26,6 +26,8 @@ def main() -> None:
         if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
             continue  # as `nohup` wants
         signal.signal(number, _interrupt)
+    signal.signal(signal.SIGALRM, _interrupt)
+    sys.unraisablehook = _raise_again
     try:
         app()
     except TacgenError as error:
@@ -47,3 +49,11 @@ def _stop(message: str, exit_code: int) -> None:
 
 def _interrupt(_signal: int, _frame: object) -> None:
     raise Interrupted
+
+
+def _raise_again(ignored: "sys.UnraisableHookArgs") -> None:
+    """What a signal raises amid a callback of C code is dropped there: raise it once more."""
+    if isinstance(ignored.exc_value, Interrupted):
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+    else:
+        sys.__unraisablehook__(ignored)

@@ -20,9 +20,11 @@ import ctypes
 import itertools
 import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import traceback
@@ -32,7 +34,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
@@ -140,8 +142,15 @@ def map_in_processes(
         return [task(item) for item in items]
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context(method)
-    pool = ProcessPoolExecutor(count, context, initializer=_set_task, initargs=(task,))
-    with _without_opencv_threads(), pool:
+    with contextlib.ExitStack() as stack:
+        begin = partial(_set_task, task)
+        if method == "spawn":
+            # In a file: a process that is killed as it starts leaves nobody to read a long pipe.
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="tacgen-task-"))
+            begin = partial(_load_task, Path(folder) / "task.pickle")
+            begin.args[0].write_bytes(pickle.dumps(task))
+        stack.enter_context(_without_opencv_threads())
+        pool = stack.enter_context(ProcessPoolExecutor(count, context, initializer=begin))
         try:
             with _signals_held():
                 results = pool.map(_run_task, items)  # starts the processes
@@ -150,7 +159,7 @@ def map_in_processes(
             # Leaving the block waits for results that nobody will look at.
             for child in set(multiprocessing.active_children()) - others:
                 child.terminate()
-            if not isinstance(error, BrokenProcessPool):
+            if not isinstance(error, (BrokenProcessPool, BrokenPipeError)):
                 raise
             fix = "run the same command again with fewer --workers, it resumes where it can"
             msg = f"a worker process was killed, perhaps because memory ran out; {fix}"
@@ -192,7 +201,12 @@ def _set_task(task: Callable[[Any], Any]) -> None:
             signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent acts on it
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)
+    _end_with_the_supervisor()
     _pool_task["task"] = task
+
+
+def _load_task(path: Path) -> None:
+    _set_task(pickle.loads(path.read_bytes()))
 
 
 def _run_task(item: Any) -> Any:
@@ -433,11 +447,18 @@ def start_early(*modules: str) -> None:
     if len(os.fsencode(folder)) > LONGEST_FOLDER:
         msg = f"{folder}: too long a path for a socket; set TMPDIR to a shorter one, such as /tmp"
         raise TacgenError(msg)
-    preload = ["tacgen.core.rare_collections", *modules, "tacgen.core.compiler_start"]
+    first = ("tacgen.core.end_quietly", "tacgen.core.rare_collections")
+    preload = [*first, *modules, "tacgen.core.compiler_start"]
     multiprocessing.get_context("forkserver").set_forkserver_preload(preload)
     _remover(folder)
-    with _for_workers():
-        forkserver.ensure_running()
+    resource_tracker.ensure_running()  # which takes the block below away
+    # The process that is copied would otherwise print where Ctrl-C struck its imports.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        with _for_workers():
+            forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @lru_cache(maxsize=1)

@@ -291,3 +291,80 @@ def test_copies_of_this_process_wait_for_no_thread_of_opencv():
         assert cv2.getNumThreads() == 2
     finally:
         cv2.setNumThreads(before)
+
+
+def wait_long(number: int) -> int:
+    time.sleep(600)
+    return number
+
+
+class Heavy:
+    """A task that is longer than a pipe holds."""
+
+    def __init__(self) -> None:
+        self.data = bytes(1_000_000)
+
+    def __call__(self, number: int) -> int:
+        return wait_long(number)
+
+
+MAPS = """
+import sys
+from tacgen.core.workers import map_in_processes
+from tests.core.test_workers import Heavy
+if __name__ == "__main__":
+    try:
+        map_in_processes(Heavy(), [0, 1], 2, method=sys.argv[1])
+    except Exception as error:
+        print(type(error).__name__, error)
+"""
+
+
+def children_of(pid: int, method: str) -> list[int]:
+    """The mapped processes, not the one that removes semaphores."""
+    found = []
+    for child in map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()):
+        time.sleep(0.01)  # a copy still has its parent's name
+        with contextlib.suppress(OSError):
+            name = Path(f"/proc/{child}/cmdline").read_bytes()
+            wanted = b"spawn_main" in name if method == "spawn" else b"maps.py" in name
+            found += [child] if wanted else []
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_mapped_process_killed_as_it_starts_ends_the_command(method, tmp_path):
+    (tmp_path / "maps.py").write_text(MAPS)
+    with subprocess.Popen(
+        [sys.executable, str(tmp_path / "maps.py"), method],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as run:
+        while not (found := children_of(run.pid, method)):
+            assert run.poll() is None
+            time.sleep(0.002)
+        os.kill(found[0], signal.SIGKILL)
+        said, _ = run.communicate(timeout=30)
+    assert "a worker process was killed" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_mapped_processes_end_with_a_killed_command(method, tmp_path):
+    (tmp_path / "maps.py").write_text(MAPS)
+    run = subprocess.Popen(
+        [sys.executable, str(tmp_path / "maps.py"), method],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+    )
+    while len(found := children_of(run.pid, method)) < 2:
+        assert run.poll() is None
+        time.sleep(0.01)
+    time.sleep(3.0)  # they import numpy and begin
+    run.kill()
+    run.wait()
+    deadline = time.monotonic() + 5
+    while any(Path(f"/proc/{child}/cmdline").exists() for child in found):
+        assert time.monotonic() < deadline, "orphans"
+        time.sleep(0.05)

@@ -1,0 +1,72 @@
+"""Ctrl-C at any moment: exit code 130 at once, one line, and nothing left running."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.dataset.conftest import collect_toy, make_spec
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE_S = 10.0  # of a loaded machine; a fifth of a second on an idle one
+
+
+def processes_of(session: int) -> list[int]:
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(int(folder.name))
+    return found
+
+
+def interrupted(arguments: list[str], after_s: float, folder: Path) -> tuple[int, str]:
+    """Exit code and standard error of a command that gets Ctrl-C after ``after_s``."""
+    errors = folder / "stderr.txt"
+    with errors.open("w") as stream:
+        run = subprocess.Popen(
+            [sys.executable, "-m", "tacgen", *arguments],
+            cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stdout=subprocess.DEVNULL, stderr=stream, start_new_session=True,
+        )  # fmt: skip
+    time.sleep(after_s)
+    os.killpg(run.pid, signal.SIGINT)
+    code = run.wait(timeout=PATIENCE_S)
+    deadline = time.monotonic() + PATIENCE_S
+    while left := processes_of(run.pid):
+        assert time.monotonic() < deadline, left
+        time.sleep(0.05)
+    return code, errors.read_text()
+
+
+@pytest.mark.slow
+def test_collect_ends_whenever_it_is_interrupted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    # From 0.3 s on: before, Python itself is starting, which no program can mend.
+    for k, after_s in enumerate([0.3, 0.5, *rng.uniform(0.3, 4.0, 6)]):
+        code, said = interrupted(["collect", "quickstart", "--out", f"d{k}"], after_s, tmp_path)
+        assert code == 130, said
+        assert "Traceback" not in said, said
+        assert said.splitlines()[-1].startswith("tacgen: interrupted")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["robomimic", "images"])
+def test_exports_end_whenever_they_are_interrupted(layout: str, tmp_path: Path) -> None:
+    data = collect_toy(tmp_path / "data", make_spec(n_grasps=400, shard_size=50)).root
+    for k, after_s in enumerate((1.0, 1.3, 1.6)):
+        arguments = ["export", str(data), "--format", layout, "--out", f"e{k}"]
+        code, said = interrupted(arguments, after_s, tmp_path)
+        if code == 0:
+            continue  # it had finished
+        assert code == 130, said
+        assert "Traceback" not in said, said
+        assert [path.name for path in tmp_path.glob(f"*e{k}*")] == []
