@@ -13,12 +13,11 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 
+from tacgen.core.records import PADS, PadName
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
-RobotName = Literal["wsg50", "ur5e_wsg50"]
 EngineName = Literal["pybullet", "mujoco"]
-Pads = Literal["left", "right", "both"]
-PAD_NAMES = ("left", "right")
+Pads = Literal[PadName, "both"]
 SMALLEST_DOME_RADIUS_MM = 20.0
 """A dome must be wider than the pad, whose half diagonal is 15.3 mm."""
 ITERATIONS_PER_FORCE_RATIO = 0.5
@@ -47,7 +46,7 @@ class PhysicsSettings:
     """
 
     engine: EngineName = "pybullet"
-    """The physics engine; ``mujoco`` simulates the ``wsg50`` alone, and runs on every Python."""
+    """The physics engine; ``mujoco`` runs on every Python."""
     time_step_s: PositiveFloat = 1 / 480
     """The engine's time step."""
     solver_iterations: PositiveInt = 100
@@ -113,7 +112,7 @@ class PhysicsSettings:
     @property
     def sensing_pads(self) -> tuple[str, ...]:
         """Names of the pads that carry a sensor."""
-        return PAD_NAMES if self.tactile_pads == "both" else (self.tactile_pads,)
+        return PADS if self.tactile_pads == "both" else (self.tactile_pads,)
 
     def iterations_for(self, force_n: float, mass_kg: float) -> int:
         """Solver iterations for ``force_n`` on an object of ``mass_kg``.
