@@ -64,7 +64,7 @@ def _points(recipe: Recipe, entry: ObjectEntry, number: int) -> Sequence[tuple[f
     own, common = entry.grid or Grid(), recipe.grid
     ranges = read_description(entry.object_folder()).grasp_ranges
     axes = [getattr(own, axis) or getattr(common, axis) or getattr(ranges, axis) for axis in AXES]
-    if problem := force_problem(max(axes[0]), recipe.robot.max_force_n):
+    if problem := force_problem(max(axes[0]), recipe.robot.largest_force_n):
         msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
         raise RecipeError(msg)
     yaw = own.yaw_rad if entry.grid and "yaw_rad" in own.model_fields_set else common.yaw_rad

@@ -243,7 +243,7 @@ def check_forces(recipe: Recipe, real: RealGrasps) -> None:
 
     Raises ``DatasetError``, listing each with its fix.
     """
-    table, most_n = real.folder / "grasps.csv", recipe.robot.max_force_n
+    table, most_n = real.folder / "grasps.csv", recipe.robot.largest_force_n
     problems = [
         f"{table}: grasp {grasp.grasp_id!r}: force_n {problem}"
         for grasp in real.grasps
@@ -330,7 +330,7 @@ def _grasp_job(
     law = contact_law(recipe.contact)
     indenter = Indenter(load_sensor(recipe.sensor, needs_table=False), recipe.contact.camera)
     first_item = np.cumsum([0, *(len(changes) + 1 for _, changes in tasks)])
-    with GraspSimulator(recipe.robot.name, recipe.physics.engine) as simulator:
+    with GraspSimulator(recipe.robot.spec(), recipe.physics.engine) as simulator:
 
         def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Outcome]:
             config, changes = tasks[task]

@@ -47,10 +47,10 @@ class GraspPipeline:
     """
 
     def __init__(self, recipe: Recipe) -> None:
-        self.recipe = recipe
+        self.recipe, self._settings = recipe, recipe.physics_settings
         self._law = contact_law(recipe.contact)
         self._pad = tactile_pad(recipe)
-        self.simulator = GraspSimulator(recipe.robot.name, recipe.physics.engine)
+        self.simulator = GraspSimulator(recipe.robot.spec(), recipe.physics.engine)
         self._object = lru_cache(maxsize=4)(recipe_object)
 
     def __enter__(self) -> "GraspPipeline":
@@ -80,7 +80,7 @@ class GraspPipeline:
             self.simulator,
             grasped,
             config,
-            recipe.physics_settings,
+            self._settings,
             frames=recipe.frames,
             patch_of=patch_of,
         )
@@ -124,7 +124,8 @@ class GraspPipeline:
         pads = {pad: self._pad_sample(grasp, pad, frame, noise) for pad in trace.frames if executed}
         picture = None
         if self.recipe.dataset.scene_pictures:
-            picture = grasp_picture(grasp.grasped, grasp.config, trace, frame)
+            gripper = self.simulator.robot.gripper
+            picture = grasp_picture(grasp.grasped, grasp.config, trace, frame, gripper)
         return GraspSample(
             config=planned.config,
             seed=planned.seed,

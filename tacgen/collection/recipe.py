@@ -1,5 +1,6 @@
 """Recipes: one YAML a job, checked whole before anything runs."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from pydantic import (
 
 from tacgen.core.columns import unit_problems
 from tacgen.core.config import Axis, Located, Section, as_named
-from tacgen.core.errors import ObjectError, RecipeError
+from tacgen.core.errors import ObjectError, PhysicsError, RecipeError
 from tacgen.core.files import sha256_of_content
 from tacgen.core.resources import (
     contact_law_path,
@@ -30,7 +31,8 @@ from tacgen.core.resources import (
 )
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
-from tacgen.physics.settings import FrameRequest, PhysicsSettings, force_problem
+from tacgen.physics.robots import RobotSpec, load_robot
+from tacgen.physics.settings import FrameRequest, Pads, PhysicsSettings, force_problem
 from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 
@@ -85,15 +87,30 @@ ObjectByName = Annotated[
 """An object in a recipe: its name, or an :class:`ObjectEntry`."""
 
 
-class Robot(Section):
+class Robot(Located):
     """The robot that grasps."""
 
-    name: Literal["wsg50", "ur5e_wsg50"] = "wsg50"
-    """A WSG-50 gripper alone, or on a UR5e arm."""
-    max_force_n: PositiveFloat = 40.0
-    """Largest force of a finger."""
-    tactile_pads: Literal["left", "right", "both"] = "left"
+    path_key: ClassVar[str] = "name"
+
+    name: str = "wsg50"
+    """A gripper (one of ``recipes/grippers``, or the path of a YAML file), which floats; with
+    ``ur5e_`` before its name it is on a UR5e arm."""
+    max_force_n: PositiveFloat | None = None
+    """Largest force of a finger; the gripper's own if not given."""
+    tactile_pads: Pads = "left"
     """Fingers that carry a sensor."""
+
+    def spec(self) -> RobotSpec:
+        """The robot of that name.
+
+        Raises ``PhysicsError`` if there is none, ``RecipeError`` if its gripper's file is wrong.
+        """
+        return load_robot(self.name, beside=self.folder)
+
+    @property
+    def largest_force_n(self) -> float:
+        """Largest force of a finger."""
+        return self.max_force_n or self.spec().gripper.force_range_n[1]
 
 
 class Contact(Located):
@@ -268,7 +285,9 @@ class Recipe(Section):
     def physics_settings(self) -> PhysicsSettings:
         """The settings of the simulation, with what the section ``robot`` says of the gripper."""
         return replace(
-            self.physics, max_force_n=self.robot.max_force_n, tactile_pads=self.robot.tactile_pads
+            self.physics,
+            max_force_n=self.robot.largest_force_n,
+            tactile_pads=self.robot.tactile_pads,
         )
 
     def resolved(self) -> dict[str, Any]:
@@ -297,9 +316,9 @@ def load_recipe(name: str | Path) -> Recipe:
     >>> recipe.name, recipe.sensor.name
     ('quickstart', 'gelsight')
     """
-    return load_checked(
-        Recipe, name, _unknown_names, _repeated_objects, _values_out_of_range, _arm_without_engine
-    )
+    recipe = load_checked(Recipe, name, _unknown_names, _repeated_objects, _values_out_of_range)
+    robot = recipe.robot.model_copy(update={"max_force_n": recipe.robot.largest_force_n})
+    return recipe.model_copy(update={"robot": robot})
 
 
 def known_objects(recipe: Recipe) -> tuple[str, ...]:
@@ -334,6 +353,10 @@ def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
             hint = unknown_object_hint(entry.name, object_folders(entry.folder))
             yield source.problem(("objects", i), f"= {entry.name!r} is not an object here{hint}")
     yield from sensor_problems(recipe.sensor, source)
+    try:
+        recipe.robot.spec()
+    except (PhysicsError, RecipeError) as error:
+        yield source.problem(("robot", "name"), f": {error}")
 
 
 def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
@@ -341,15 +364,11 @@ def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     return source.repeated("objects", names, "keep one, or make two recipes")
 
 
-def _arm_without_engine(recipe: Recipe, source: YamlSource) -> Iterable[str]:
-    if recipe.physics.engine == "mujoco" and recipe.robot.name != "wsg50":
-        fix = "set `robot: {name: wsg50}` or `physics: {engine: pybullet}`"
-        yield source.problem(
-            ("physics", "engine"), f"= mujoco has the floating gripper alone; {fix}"
-        )
-
-
 def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+    try:
+        limit_n = recipe.robot.largest_force_n
+    except (PhysicsError, RecipeError):  # which is a problem of its own
+        limit_n = math.inf
     grids: dict[KeyPath, Grid | None] = {("grid",): recipe.grid}
     grids |= {("objects", i, "grid"): entry.grid for i, entry in enumerate(recipe.objects)}
     for key_path, grid in grids.items():
@@ -359,5 +378,5 @@ def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
             if problem := unit_problems(name, np.array(getattr(grid, name) or ())):
                 yield source.problem((*key_path, name), f"is {problem}")
         for k, force_n in enumerate(grid.force_n or ()):
-            if problem := force_problem(force_n, recipe.robot.max_force_n):
+            if problem := force_problem(force_n, limit_n):
                 yield source.problem((*key_path, "force_n", k), problem)

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
-from tacgen.collection.scene import FINGER_COLOR, FINGER_MM, PAD_COLOR, PAD_MM, pose_matrix
+from tacgen.collection.scene import finger_boxes, pose_matrix
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import atomic_path
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.core.records import GraspConfig
+from tacgen.core.records import PADS, GraspConfig
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.schema import PADS
+from tacgen.physics.gripper import GripperSpec
 from tacgen.sensor.description import load_sensor
 
 EYE_MM = (120.0, -180.0, 90.0)  # from the pads' centre: object and fingers fill the view
@@ -57,16 +57,8 @@ def write_recording(root: Path, index: int, path: Path) -> None:
     every = max(1, max(sensor.shape_px) // GEL_POINTS)
     x_mm, y_mm = np.meshgrid(*(axis[::every] for axis in pixel_centers_mm(sensor)))
     rest_mm, triangles = gel_map_mm(sensor)[::every, ::every], _grid_triangles(*x_mm.shape)
-    # A pad lies behind its gel, which faces +z, and its finger behind the pad and upwards, −y.
-    behind_mm, above_mm = PAD_MM[0] + FINGER_MM[0] / 2, (FINGER_MM[2] - PAD_MM[2]) / 2
-    fingers = rr.Boxes3D(
-        sizes=[(y, z, x) for x, y, z in (PAD_MM, FINGER_MM)],
-        centers=[(0.0, 0.0, -PAD_MM[0] / 2), (0.0, -above_mm, -behind_mm)],
-        colors=[PAD_COLOR, FINGER_COLOR],
-        fill_mode="solid",
-    )
-    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
-    half_turn[:2, 3] = 2 * grasp.config.x_mm, 2 * grasp.config.y_mm
+    gripper = pipeline.simulator.robot.gripper
+    sensing = next(iter(imprints))
     surface = grasp.grasped.surface
     mesh = rr.Mesh3D(
         vertex_positions=surface.vertices_mm,
@@ -79,7 +71,7 @@ def write_recording(root: Path, index: int, path: Path) -> None:
         stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log("scene/object", mesh, static=True)
         for finger in PADS:
-            stream.log(f"scene/{finger}/finger", fingers, static=True)
+            stream.log(f"scene/{finger}/finger", _drawn_finger(gripper, finger), static=True)
         for k, time_s in enumerate(dataset.time_s):
             stream.set_time("time", duration=float(time_s))
             world_object = pose_matrix(grasp.trace.object_pose[k])
@@ -99,11 +91,33 @@ def write_recording(root: Path, index: int, path: Path) -> None:
                 for name, force_n in zip(FORCES, forces_n, strict=True):
                     stream.log(f"forces/{pad}/{name}", rr.Scalars(force_n))
             for finger in PADS:
-                # Without a sensor on it, a finger is where half a turn takes the other one.
-                other = half_turn @ poses[f"scene/{next(iter(imprints))}"]
+                other = _other_pad(
+                    gripper, grasp.config, poses[f"scene/{sensing}"], sensing, finger
+                )
                 poses.setdefault(f"scene/{finger}", other)
             for name, pose in poses.items():
                 stream.log(name, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+
+
+def _other_pad(
+    gripper: GripperSpec, config: GraspConfig, pose: NDArray[np.float64], pad: str, other: str
+) -> NDArray[np.float64]:
+    """Where the ``other`` gel is if that of ``pad`` is at ``pose``: half a turn away."""
+    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    half_turn[:2, 3] = 2 * config.x_mm, 2 * config.y_mm
+    turned = half_turn @ pose
+    turned[:3, :3] = pose[:3, :3] @ gripper.side(pad).gel_axes.T @ gripper.side(other).gel_axes
+    return turned
+
+
+def _drawn_finger(gripper: GripperSpec, pad: str) -> Any:
+    """Boxes in the frame of its gel."""
+    import rerun as rr
+
+    sizes, centers, colors = zip(*finger_boxes(gripper, pad), strict=True)
+    axes = gripper.side(pad).gel_axes
+    in_gel = {"sizes": sizes @ np.abs(axes), "centers": centers @ axes}
+    return rr.Boxes3D(**in_gel, colors=colors, fill_mode="solid")
 
 
 def _layout(config: GraspConfig, pads: Sequence[str]) -> Any:

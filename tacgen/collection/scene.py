@@ -4,43 +4,41 @@ Shaded by tacgen's own rasteriser rather than by GL, so that a shard holds the s
 machine.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 
-from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
+from tacgen.core.records import PADS, GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.objects.meshes import from_manifold
 from tacgen.objects.shading import shaded_view
 from tacgen.physics import frames
-from tacgen.physics.gripper import FINGER_THICKNESS_MM, PAD_DEPTH_MM, PAD_HEIGHT_MM, PAD_WIDTH_MM
+from tacgen.physics.gripper import GripperSpec
 
 PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
 
 PAD_COLOR, FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
-# Along the gripper's x, y and z.
-PAD_MM = (PAD_DEPTH_MM, PAD_WIDTH_MM, PAD_HEIGHT_MM)
-# The fingers are cut off above, so that the object fills the picture.
-FINGER_MM = (FINGER_THICKNESS_MM, PAD_WIDTH_MM, 75.0)
+_FINGER_TOP_MM = 65.5  # above the pads' centre, where fingers are cut off: objects fill the picture
 _TABLE_RADIUS_MM = 78.0
 
 Part = tuple[NDArray[np.float64], NDArray[np.int32], tuple[int, int, int]]
 
 
 def grasp_picture(
-    grasped: GraspObject, config: GraspConfig, trace: GraspTrace, frame: int
+    grasped: GraspObject, config: GraspConfig, trace: GraspTrace, frame: int, gripper: GripperSpec
 ) -> NDArray[np.uint8]:
     """The scene at one frame, (h, w, 3) uint8; the object at rest where nothing was executed."""
     pose = np.eye(4)
-    openings_mm = (55.0, 55.0)
+    openings_mm = dict.fromkeys(PADS, gripper.stroke_mm / 2)
     if trace.frames and len(trace.object_pose):
         pose = pose_matrix(trace.object_pose[frame])
-        openings_mm = _openings_mm(config, trace, pose, frame)
+        openings_mm |= _openings_mm(config, trace, pose, frame)
     vertices = grasped.surface.vertices_mm @ pose[:3, :3].T + pose[:3, 3]
     parts: list[Part] = [(vertices, grasped.surface.faces, grasped.color_rgb)]
-    parts += [_table(), *_gripper(config, openings_mm)]
+    parts += [_table(), *_gripper(gripper, config, openings_mm)]
     return _shade(parts)
 
 
@@ -51,8 +49,8 @@ def pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _openings_mm(
     config: GraspConfig, trace: GraspTrace, object_pose: NDArray[np.float64], frame: int
-) -> tuple[float, float]:
-    """Distance of the left and the right gel from the gripper's centre, along the closing axis.
+) -> dict[str, float]:
+    """Distance of each gel from the gripper's centre, along the closing axis.
 
     A pad without a sensor stands as far out as the other: the fingers move symmetrically.
     """
@@ -62,8 +60,7 @@ def _openings_mm(
     for pad, loads in trace.frames.items():
         gel_origin = object_pose @ np.linalg.inv(loads[frame].pose_gel_object)[:, 3]
         found[pad] = abs(float((gel_origin[:3] - center) @ along))
-    left = found.get("left", found.get("right", 55.0))
-    return left, found.get("right", left)
+    return dict.fromkeys(PADS, min(found.values())) | found if found else found
 
 
 @lru_cache(maxsize=1)
@@ -73,21 +70,37 @@ def _table() -> Part:
     return mesh.vertices_mm, mesh.faces, _TABLE_COLOR
 
 
-def _gripper(config: GraspConfig, openings_mm: tuple[float, float]) -> list[Part]:
-    """Two fingers with their pads; the left one is on the −x side."""
+def _gripper(
+    gripper: GripperSpec, config: GraspConfig, openings_mm: Mapping[str, float]
+) -> list[Part]:
+    """Two fingers with their pads."""
     turn, (corners, faces) = frames.rotation_about_z(config.yaw_rad), _unit_box()
     center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
-    finger_z = (FINGER_MM[2] - PAD_HEIGHT_MM) / 2
     parts = []
-    for side, opening_mm in zip((-1.0, 1.0), openings_mm, strict=True):
-        pad_x = side * (opening_mm + PAD_DEPTH_MM / 2)
-        finger_x = side * (opening_mm + PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2)
-        for extents, place, color in (
-            (PAD_MM, (pad_x, 0.0, 0.0), PAD_COLOR),
-            (FINGER_MM, (finger_x, 0.0, finger_z), FINGER_COLOR),
-        ):
-            parts.append(((corners * extents + place) @ turn.T + center_mm, faces, color))
+    for pad, opening_mm in openings_mm.items():
+        opened_mm = np.array([gripper.side(pad).side * opening_mm, 0.0, 0.0])
+        for extents, place, color in finger_boxes(gripper, pad):
+            vertices = (corners * extents + (place + opened_mm)) @ turn.T + center_mm
+            parts.append((vertices, faces, color))
     return parts
+
+
+def finger_boxes(
+    gripper: GripperSpec, pad: str
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int, int]]]:
+    """Extents (3,), middle (3,) and colour of the pad and its finger, drawn as wide as the pad.
+
+    Along the gripper's axes, from the middle of the gel's surface.
+    """
+    size = gripper.pad
+    pad_mm = np.array([size.depth_mm, size.width_mm, size.height_mm])
+    boxes = [(pad_mm, np.array([gripper.side(pad).side * pad_mm[0] / 2, 0.0, 0.0]), PAD_COLOR)]
+    for half_mm, middle_mm in gripper.finger_boxes_mm(pad):
+        low_mm, high_mm = middle_mm - half_mm, middle_mm + half_mm
+        low_mm[1], high_mm[1] = -pad_mm[1] / 2, pad_mm[1] / 2
+        high_mm[2] = min(high_mm[2], _FINGER_TOP_MM)
+        boxes.append((high_mm - low_mm, (high_mm + low_mm) / 2, FINGER_COLOR))
+    return boxes
 
 
 @lru_cache(maxsize=1)

@@ -8,10 +8,14 @@ the gel towards the object. Poses are 4×4 homogeneous matrices with translation
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
+
+PadName = Literal["left", "right"]
+"""Names of a gripper's pads."""
+PADS: tuple[str, ...] = get_args(PadName)
 
 Status = Literal["executed", "unreachable", "no_contact", "crashed"]
 FailureMode = Literal["", "translational_slip", "rotational_slip"]

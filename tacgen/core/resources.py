@@ -30,6 +30,11 @@ def sensor_path(name: str, *, beside: Path | None = None) -> Path:
     return _find_yaml(name, "recipes/sensors", "sensor", beside)
 
 
+def gripper_path(name: str, *, beside: Path | None = None) -> Path:
+    """The YAML file of the gripper ``name``, found the same way in ``recipes/grippers``."""
+    return _find_yaml(name, "recipes/grippers", "gripper", beside)
+
+
 def contact_law_path(name: str, *, beside: Path | None = None) -> Path:
     """The ``contact.yaml`` that a recipe names, found the same way."""
     return _find_yaml(name, "recipes", "contact law", beside)

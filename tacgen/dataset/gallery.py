@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import write_text
 from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
+from tacgen.core.records import PADS
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import DatasetSpec, GraspSample, rgb_at_load
-from tacgen.dataset.schema import PADS
 from tacgen.dataset.summary import summarize
 from tacgen.report.page import templates
 

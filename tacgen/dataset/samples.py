@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.records import FailureMode, GraspConfig, Sensor, SlipMargin, Status
-from tacgen.dataset.schema import PADS
+from tacgen.core.records import PADS, FailureMode, GraspConfig, Sensor, SlipMargin, Status
 
 
 @dataclass(frozen=True, slots=True)

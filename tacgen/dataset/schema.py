@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 FORMAT_VERSION = 1
-PADS = ("left", "right")
 SPLITS = ("train", "test")
 STATUSES = ("executed", "unreachable", "no_contact", "crashed")
 FAILURE_MODES = ("", "translational_slip", "rotational_slip")

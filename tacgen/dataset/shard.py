@@ -17,12 +17,12 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
+from tacgen.core.records import PADS
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
 from tacgen.dataset.schema import (
     CONFIDENCE,
     FORMAT_VERSION,
     NOISE_AT_LOAD,
-    PADS,
     ArraySpec,
     Layout,
 )

@@ -16,6 +16,7 @@ from pydantic import (
 
 from tacgen.core.config import Section
 from tacgen.core.files import sha256_of_content
+from tacgen.core.records import PadName
 from tacgen.core.yaml_source import YamlSource, load_checked
 
 MIN_INPUT_PX, MAX_INPUT_PX = 32, 2048
@@ -44,7 +45,7 @@ class ModelOptions(Section):
 class InputOptions(Section):
     """The network's input."""
 
-    pad: Literal["left", "right"] | None = None
+    pad: PadName | None = None
     """The pad whose images are used; the dataset's first if not given."""
     size_px: Annotated[tuple[int, int], AfterValidator(_input_size)] = (120, 160)
     """Height and width to which images are resized."""

@@ -9,14 +9,13 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.objects.shading import depth_view, view_axes
-from tacgen.physics.gripper import STROKE_MM
+from tacgen.physics.gripper import default_gripper
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import ball_of
 
 MARGIN_MM = 5.0  # to either side between open pads and the object
-PAD_MM = (20.0, 16.0)  # width and height of the sensing surface
-LOWEST_PAD_MM = 10.5  # height of the pad's centre at which its lower edge clears the table
-MIN_FORCE_N, MAX_FORCE_N = 1.0, 40.0
+TABLE_CLEARANCE_MM = 1.0  # of the pads' lower edge
+MIN_FORCE_N = 1.0  # below it light objects slip
 GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad
 TOUCH_RASTER_MM = 0.2  # a touch is found to half of it
@@ -38,15 +37,17 @@ def suggest_ranges(
 
     Returns the values by axis, and notes on what could not be satisfied.
     """
-    notes = []
+    notes, gripper = [], default_gripper()
+    most_n = gripper.force_range_n[1]
+    lowest_mm = gripper.below_mm + TABLE_CLEARANCE_MM
     threshold = mass_kg * STANDARD_GRAVITY_M_S2 / (2 * max(friction, 0.05))
-    clipped = np.clip([share * threshold for share in THRESHOLD_SHARES], MIN_FORCE_N, MAX_FORCE_N)
+    clipped = np.clip([share * threshold for share in THRESHOLD_SHARES], MIN_FORCE_N, most_n)
     forces = tuple(dict.fromkeys(float(f"{force:.2g}") for force in clipped))
-    if threshold > MAX_FORCE_N:
-        notes.append(f"slips below {threshold:.0f} N, more than the gripper's {MAX_FORCE_N:.0f} N")
+    if threshold > most_n:
+        notes.append(f"slips below {threshold:.0f} N, more than the gripper's {most_n:.0f} N")
 
     low, high = surface.vertices_mm.min(axis=0), surface.vertices_mm.max(axis=0)
-    heights = _distinct(max(LOWEST_PAD_MM, float(share * high[2])) for share in (0.25, 0.5, 0.75))
+    heights = _distinct(max(lowest_mm, float(share * high[2])) for share in (0.25, 0.5, 0.75))
     sides = _distinct(float(share * (high[1] - low[1]) / 2) for share in (-0.4, 0.0, 0.4))
     z_mm = tuple(z for z in heights if graspable(surface, 0.0, z))
     if not z_mm:
@@ -83,7 +84,7 @@ def _patch_mm2(surface: Mesh, azimuth_deg: float, z_mm: float) -> float:
     """Area within the gel's reach of a pad at that height; 0 if the object is too wide."""
     depth = _pad_view(surface, azimuth_deg, 0.0, z_mm)
     nearest = float(depth.max())
-    if not np.isfinite(nearest) or nearest > (STROKE_MM - MARGIN_MM) / 2:
+    if not np.isfinite(nearest) or nearest > (default_gripper().stroke_mm - MARGIN_MM) / 2:
         return 0.0
     return float((depth >= nearest - GEL_REACH_MM).sum() * RASTER_MM**2)
 
@@ -110,7 +111,8 @@ def facet_note(surface: Mesh) -> str:
 def graspable(surface: Mesh, y_mm: float, z_mm: float) -> bool:
     """Whether both pads, centred there, meet the object and it fits between them."""
     reach = [_pad_view(surface, azimuth_deg, y_mm, z_mm).max() for azimuth_deg in (0.0, 180.0)]
-    return bool(np.isfinite(reach).all() and sum(reach) <= STROKE_MM - MARGIN_MM)
+    widest_mm = default_gripper().stroke_mm - MARGIN_MM
+    return bool(np.isfinite(reach).all() and sum(reach) <= widest_mm)
 
 
 def touch_error_mm(
@@ -155,8 +157,9 @@ def _touch_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: flo
 def _pad_view(
     mesh: Mesh, azimuth_deg: float, y_mm: float, z_mm: float, raster_mm: float = RASTER_MM
 ) -> FloatArray:
-    """Heights of a mesh towards a pad, over its window; −inf where there is nothing."""
-    size_px = (int(PAD_MM[1] / raster_mm), int(PAD_MM[0] / raster_mm))
+    """Heights of a mesh towards a pad, over all of it; −inf where there is nothing."""
+    pad = default_gripper().pad
+    size_px = (int(pad.height_mm / raster_mm), int(pad.width_mm / raster_mm))
     center_mm = np.array([0.0, y_mm, z_mm])
     return depth_view(mesh, view_axes(azimuth_deg, 0.0), center_mm, size_px, raster_mm)[0]
 

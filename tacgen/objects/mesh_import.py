@@ -17,7 +17,7 @@ from tacgen.core.records import Mesh, frozen_array
 from tacgen.objects.load import MAX_FILE_BYTES
 from tacgen.objects.meshes import from_manifold, hull, to_manifold, volume_mm3
 from tacgen.physics.frames import rotation_about_z
-from tacgen.physics.gripper import STROKE_MM
+from tacgen.physics.gripper import default_gripper
 
 UP_AXES = ("x", "y", "z")
 FORMATS = ("obj", "stl", "ply", "glb")
@@ -63,10 +63,10 @@ def import_surface(
     low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
     footprint = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     placed = Mesh(frozen_array(mesh.vertices_mm - footprint), mesh.faces)
-    size = high - low
-    if size[0] > STROKE_MM:
+    size, stroke_mm = high - low, default_gripper().stroke_mm
+    if size[0] > stroke_mm:
         notes.append(
-            f"{size[0]:.0f} mm along x, more than the gripper's {STROKE_MM:.0f} mm: "
+            f"{size[0]:.0f} mm along x, more than the gripper's {stroke_mm:.0f} mm: "
             "grasp it where it is narrower, or with yaw_rad: [1.5708]"
         )
     if len(mesh.faces) > MANY_TRIANGLES:
@@ -123,7 +123,7 @@ def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray[Any
 
 
 def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> None:
-    size = np.ptp(vertices_mm, axis=0)
+    size, stroke_mm = np.ptp(vertices_mm, axis=0), default_gripper().stroke_mm
     problem = ""
     if size.min() <= 0:
         problem = "flat; give a solid object"
@@ -132,9 +132,9 @@ def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> N
             f"too small; if the mesh is in metres, pass --scale {1000 * scale:g}, "
             f"if in inches, --scale {25.4 * scale:g}"
         )
-    elif size.max() > LARGEST_MM or size.min() > STROKE_MM:
+    elif size.max() > LARGEST_MM or size.min() > stroke_mm:
         problem = (
-            f"too large for a gripper that opens {STROKE_MM:.0f} mm; "
+            f"too large for a gripper that opens {stroke_mm:.0f} mm; "
             f"if the mesh is in µm, pass --scale {0.001 * scale:g}, else check the scale"
         )
     if problem:

@@ -1,4 +1,4 @@
-"""Simulated grasps in PyBullet: robots, object bodies, phases, labels and slip margins."""
+"""Simulated grasps in PyBullet or MuJoCo: robots, bodies, phases, labels and slip margins."""
 
 from tacgen.physics.grasp import GraspSimulator, run_grasp
 from tacgen.physics.settings import FrameRequest, PhysicsSettings

@@ -12,11 +12,9 @@ import numpy as np
 
 from tacgen.core.records import GraspConfig, GraspObject
 from tacgen.core.units import M_PER_MM, MM_PER_M
-from tacgen.physics.bodies import ObjectBody
-from tacgen.physics.gripper import PAD_HEIGHT_MM, STROKE_MM
-from tacgen.physics.robots import GripperTarget, Robot
+from tacgen.physics.engine import PALM, Engine, GripperTarget, Robot
+from tacgen.physics.gripper import GripperSpec
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.physics.world import World
 
 WAYPOINT_SPACING_MM = 6.0
 """Between points that are checked for collisions: half a finger's thickness."""
@@ -34,9 +32,9 @@ def grasp_target(config: GraspConfig, settings: PhysicsSettings) -> GripperTarge
 
 
 def approach(
-    world: World,
+    world: Engine,
     robot: Robot,
-    body: ObjectBody,
+    gripper: GripperSpec,
     obj: GraspObject,
     target: GripperTarget,
     settings: PhysicsSettings,
@@ -45,21 +43,22 @@ def approach(
 
     Returns why the robot cannot get there, or nothing.
     """
-    lowest_mm = target.z_m * MM_PER_M - PAD_HEIGHT_MM / 2
+    below_mm = gripper.below_mm
+    lowest_mm = target.z_m * MM_PER_M - below_mm
     if lowest_mm < 0:
         return (
             f"the pads would reach {-lowest_mm:.1f} mm into the table; "
-            f"grasp at z_mm = {PAD_HEIGHT_MM / 2:g} or higher"
+            f"grasp at z_mm = {below_mm:g} or higher"
         )
     robot.fingers.place(0.0)
     top_mm = max(float(part.vertices_mm[:, 2].max()) for part in obj.collision)
-    above_m = max(target.z_m, (top_mm + PAD_HEIGHT_MM / 2 + ABOVE_MM) * M_PER_MM)
+    above_m = max(target.z_m, (top_mm + below_mm + ABOVE_MM) * M_PER_MM)
     reasons = []
     for corners in _ways(target, above_m):
-        reason = _first_obstacle(world, robot, body, corners)
+        reason = _first_obstacle(world, robot, gripper.stroke_mm, corners)
         if not reason:
             # Near the object, symmetrically, so that closing takes little time.
-            found = world.distances(robot.body, body.body, STROKE_MM * M_PER_MM)
+            found = world.distances(gripper.stroke_mm * M_PER_MM)
             near_m = min((distance for _, distance in found), default=0.0)
             robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))
             return ""
@@ -88,22 +87,22 @@ def _waypoints(corners: Sequence[GripperTarget]) -> Iterator[GripperTarget]:
 
 
 def _first_obstacle(
-    world: World, robot: Robot, body: ObjectBody, corners: Sequence[GripperTarget]
+    world: Engine, robot: Robot, stroke_mm: float, corners: Sequence[GripperTarget]
 ) -> str:
     """Why the gripper cannot go along the way, or nothing; it stays at the way's end."""
     for waypoint in _waypoints(corners):
         reason = robot.place(waypoint)
         if reason:
             return reason
-        met = world.distances(robot.body, body.body, 0.0)
+        met = world.distances(0.0)
         if met:
             height = f"with the pads {waypoint.z_m * MM_PER_M:.0f} mm above the table"
-            if {link for link, _ in met} == {robot.palm}:
+            if {part for part, _ in met} == {PALM}:
                 return (
                     f"the palm meets the object {height}; the object is too tall, grasp it higher"
                 )
             return (
                 f"the open fingers meet the object {height}; the object is wider there than the "
-                f"stroke of {STROKE_MM:g} mm"
+                f"stroke of {stroke_mm:g} mm"
             )
     return ""

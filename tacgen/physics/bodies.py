@@ -5,8 +5,9 @@ import numpy as np
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspObject
 from tacgen.core.units import M_PER_MM
+from tacgen.physics.engine import Place
 from tacgen.physics.frames import pose, quaternion_from_rotation
-from tacgen.physics.world import HULL_MARGIN_MM, Collides, Link, World, link_arguments
+from tacgen.physics.world import HULL_MARGIN_MM, BulletLink, Collides, World, link_arguments
 
 OBJECT_FRICTION = 1.0
 """Bullet multiplies the coefficients of two bodies: the pads and the table carry the real ones."""
@@ -38,7 +39,7 @@ class ObjectBody:
             # that the object stands where it should.
             hull, raised_m = world.hull_shape(parts, enclosing=True), HULL_MARGIN_MM * M_PER_MM
             fixed = world.bullet.JOINT_FIXED
-            standing = [Link(-1, fixed, shape=hull, position_m=(0.0, 0.0, raised_m))]
+            standing = [BulletLink(-1, fixed, shape=hull, position_m=(0.0, 0.0, raised_m))]
         self.body = world.bullet.createMultiBody(
             obj.mass_kg,
             world.hull_shape(parts),
@@ -56,12 +57,12 @@ class ObjectBody:
         else:
             world.collide(self.body, -1, Collides.GRIPPER | Collides.TABLE)
 
-    def inertial_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def inertial_position(self) -> Place:
         """Position (m) of the centre of mass and quaternion of the principal axes."""
         position, quaternion = self._world.bullet.getBasePositionAndOrientation(self.body)
         return position, quaternion
 
-    def velocity(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def velocity(self) -> Place:
         """Linear velocity (m/s) of the centre of mass and angular velocity (rad/s), world axes."""
         linear, angular = self._world.bullet.getBaseVelocity(self.body)
         return linear, angular

@@ -1,4 +1,4 @@
-"""From PyBullet's contact points to the loads on a pad; pure functions of recorded snapshots.
+"""From contact points to the loads on a pad; pure functions of recorded snapshots.
 
 Inside, lengths are in metres and axes are the world's; the frames that come out are in mm, N and
 the gel frame.
@@ -6,19 +6,21 @@ the gel frame.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.core.records import ContactFrame
+from tacgen.core.arrays import FloatArray
+from tacgen.core.records import PADS, ContactFrame
 from tacgen.core.units import MM_PER_M
-from tacgen.physics.frames import GEL_AXES_IN_GRIPPER, PAD_SIDE, Pose, inverse, pose, rotation_of
+from tacgen.physics.engine import ContactPoint
+from tacgen.physics.frames import Pose, inverse, pose, rotation_of
+from tacgen.physics.gripper import Pad
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the object and the gripper are at one step, as PyBullet gave it.
+    """Where the object and the gripper are at one step, as the engine gave it.
 
     ``object_position_m`` is the centre of mass, ``object_quaternion`` the principal axes.
     """
@@ -32,77 +34,47 @@ class Placement:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot(Placement):
-    """All that is kept of one step: nothing is computed while the simulation runs.
+    """All that is kept of one step: nothing is computed while the simulation runs."""
 
-    ``contacts`` are the tuples of ``getContactPoints``.
-    """
-
-    contacts: tuple[tuple[Any, ...], ...]
+    contacts: tuple[ContactPoint, ...]
     object_angular_velocity: tuple[float, ...]
     pad_distance_m: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """Contact points on the object: (n,) other body and link, (n, 3) points, normals, forces.
+    """Contact points on the object: (n,) what touches it, (n, 3) points, normals, forces.
 
     Normals point into the object; ``force_n`` is the whole force on the object.
     """
 
-    body: IntArray
-    link: IntArray
+    part: NDArray[np.str_]
     point_m: FloatArray
     normal: FloatArray
     normal_force_n: FloatArray
     force_n: FloatArray
 
-    def of(self, body: int, link: int) -> "Contacts":
-        """Those with one link of another body."""
-        keep = (self.body == body) & (self.link == link)
+    def of(self, part: str) -> "Contacts":
+        """Those of one part."""
+        keep = self.part == part
         return Contacts(*(getattr(self, column.name)[keep] for column in fields(self)))
 
 
-def object_contacts(raw: Sequence[tuple[Any, ...]], object_body: int) -> Contacts:
-    """Contact points of ``object_body``, from unfiltered ``getContactPoints``.
-
-    Unfiltered matters: with a filter PyBullet may swap the two bodies and turn the normal, but
-    not the friction, whose sign is then lost. As it comes, both act on the first body.
-    """
-    rows, others = [], []
-    for contact in raw:
-        if contact[1] == object_body:
-            sign, other = 1.0, (contact[2], contact[4])
-        elif contact[2] == object_body:
-            sign, other = -1.0, (contact[1], contact[3])
-        else:
-            continue
-        others.append(other)
-        point = contact[5] if sign > 0 else contact[6]
-        rows.append(
-            (*point, *contact[7], *contact[9:11], *contact[11], contact[12], *contact[13], sign)
-        )
-    table = np.array(rows, dtype=np.float64).reshape(-1, 16)
-    other_ids = np.array(others, dtype=np.int64).reshape(-1, 2)
-    sign_column = table[:, 15:]
-    normal = sign_column * table[:, 3:6]
-    friction = sign_column * (table[:, 7:8] * table[:, 8:11] + table[:, 11:12] * table[:, 12:15])
-    return Contacts(
-        body=other_ids[:, 0],
-        link=other_ids[:, 1],
-        point_m=table[:, :3],
-        normal=normal,
-        normal_force_n=table[:, 6],
-        force_n=table[:, 6:7] * normal + friction,
-    )
+def contacts_of(points: Sequence[ContactPoint]) -> Contacts:
+    """The points as arrays."""
+    rows = [(*p.point_m, *p.normal, p.normal_force_n, *p.force_n) for p in points]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 10)
+    parts = np.array([point.part for point in points], dtype=np.str_)
+    return Contacts(parts, table[:, :3], table[:, 3:6], table[:, 6], table[:, 7:])
 
 
-def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
+def mean_contacts(window: Sequence[Snapshot]) -> Contacts:
     """The contact points of all steps of ``window``, each with its share of the mean force.
 
     The first of several snapshots serves only to compute accelerations.
     """
     steps = window[1:] if len(window) > 1 else window
-    contacts = object_contacts([c for step in steps for c in step.contacts], object_body)
+    contacts = contacts_of([point for step in steps for point in step.contacts])
     return replace(
         contacts,
         normal_force_n=contacts.normal_force_n / len(steps),
@@ -114,13 +86,12 @@ def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
 class Bodies:
     """What a snapshot's numbers belong to.
 
-    ``spinning_friction_m`` maps each pad to the moment about its normal that Bullet lets it
-    resist, for each newton; ``inertial`` is the object's inertial frame in its own frame.
+    ``pads`` are the gripper's by name; ``spinning_friction_m`` maps each to the moment about its
+    normal that the engine lets it resist, for each newton; ``inertial`` is the object's inertial
+    frame in its own frame.
     """
 
-    object_body: int
-    robot_body: int
-    pad_links: Mapping[str, int]
+    pads: Mapping[str, Pad]
     principal_moments_kg_m2: FloatArray
     inertial: Pose
     spinning_friction_m: Mapping[str, float]
@@ -138,10 +109,10 @@ def object_pose(snapshot: Placement, bodies: Bodies) -> Pose:
     return inertial @ inverse(bodies.inertial)
 
 
-def gel_pose(snapshot: Snapshot, pad: str) -> Pose:
-    """The gel frame of ``pad`` in the world."""
-    distance_m = snapshot.pad_distance_m[0 if pad == "left" else 1]
-    in_gripper = pose(GEL_AXES_IN_GRIPPER[pad], [PAD_SIDE[pad] * distance_m, 0.0, 0.0])
+def gel_pose(snapshot: Snapshot, bodies: Bodies, name: str) -> Pose:
+    """The gel frame of the pad ``name`` in the world."""
+    pad, distance_m = bodies.pads[name], snapshot.pad_distance_m[PADS.index(name)]
+    in_gripper = pose(pad.gel_axes, [pad.side * distance_m, 0.0, 0.0])
     return gripper_pose(snapshot) @ in_gripper
 
 
@@ -150,13 +121,13 @@ def contact_frames(
 ) -> dict[str, ContactFrame]:
     """The load on each of ``pads`` at the end of ``window``, forces averaged over its steps."""
     last = window[-1]
-    contacts = mean_contacts(window, bodies.object_body)
+    contacts = mean_contacts(window)
     spins = _spinning_moments_n_m(window, contacts, bodies)
     object_in_world = object_pose(last, bodies)
     frames = {}
     for pad in pads:
-        gel = gel_pose(last, pad)
-        own = contacts.of(bodies.robot_body, bodies.pad_links[pad])
+        gel = gel_pose(last, bodies, pad)
+        own = contacts.of(pad)
         on_gel = -own.force_n @ gel[:3, :3]
         at = (own.point_m - gel[:3, 3]) @ gel[:3, :3]
         force = on_gel.sum(axis=0)
@@ -189,10 +160,7 @@ def _spinning_moments_n_m(
     last = window[-1]
     axis = gripper_pose(last)[:3, 0]
     center = np.array(last.object_position_m)
-    normals = {
-        pad: float(contacts.of(bodies.robot_body, link).normal_force_n.sum())
-        for pad, link in bodies.pad_links.items()
-    }
+    normals = {pad: float(contacts.of(pad).normal_force_n.sum()) for pad in bodies.pads}
     total = sum(normals.values())
     if total <= 0:
         return dict.fromkeys(normals, 0.0)

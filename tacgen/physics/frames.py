@@ -1,4 +1,4 @@
-"""Rigid transforms, and where the gel frames lie on the gripper.
+"""Rigid transforms.
 
 The gripper frame has its origin midway between the pads' centres, x along the closing direction
 and z up; at yaw 0 it is parallel to the world. Inside this part of tacgen lengths are in metres.
@@ -11,15 +11,6 @@ import numpy as np
 from tacgen.core.arrays import FloatArray
 
 Pose = FloatArray
-
-GEL_AXES_IN_GRIPPER = {
-    "left": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
-    "right": np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
-}
-"""Columns are the gel's x, y, z in the gripper frame: y (image rows) down, z towards the object."""
-
-PAD_SIDE = {"left": -1.0, "right": 1.0}
-"""On which side of the gripper's centre a pad is, along the gripper's x."""
 
 
 def rotation_of(quaternion_xyzw: Sequence[float] | FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from importlib import import_module
 from typing import get_args
 
 import numpy as np
@@ -13,6 +12,7 @@ from tacgen.core.errors import PhysicsError
 from tacgen.core.records import (
     LABEL_NOT_EXECUTED,
     LABEL_SUCCESS,
+    PADS,
     ContactFrame,
     ContactPatch,
     GraspConfig,
@@ -24,15 +24,14 @@ from tacgen.core.records import (
 from tacgen.core.units import M_PER_MM, PUBLISHED_K_N_MM3_PER_N
 from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
-from tacgen.physics.bullet import Engine
 from tacgen.physics.contacts import (
     Bodies,
     Placement,
     Snapshot,
     contact_frames,
-    object_contacts,
+    contacts_of,
 )
-from tacgen.physics.gripper import STROKE_MM
+from tacgen.physics.engine import TABLE, Engine
 from tacgen.physics.margins import (
     Capacity,
     TorsionLimit,
@@ -42,13 +41,12 @@ from tacgen.physics.margins import (
     torsion_limit,
 )
 from tacgen.physics.recorder import Recorder, frame_end_steps
+from tacgen.physics.robots import RobotSpec, load_robot
 from tacgen.physics.settings import (
-    PAD_NAMES,
     EngineChoice,
     EngineName,
     FrameRequest,
     PhysicsSettings,
-    RobotName,
     engine_of,
     force_problem,
 )
@@ -60,11 +58,23 @@ STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that
 PatchOf = Callable[[ContactFrame], ContactPatch]
 """The patch in which a gel presses on the object at a pad's pose and normal force."""
 
-_ENGINES: dict[EngineName, str] = {
-    "pybullet": "tacgen.physics.bullet",
-    "mujoco": "tacgen.physics.mujoco",
+
+def _pybullet(robot: RobotSpec) -> Engine:
+    from tacgen.physics import bullet  # an engine that is not used need not be installed
+
+    return bullet.Engine(robot)
+
+
+def _mujoco(robot: RobotSpec) -> Engine:
+    from tacgen.physics import mujoco  # as above
+
+    return mujoco.Engine(robot)
+
+
+_ENGINES: dict[EngineName, Callable[[RobotSpec], Engine]] = {
+    "pybullet": _pybullet,
+    "mujoco": _mujoco,
 }
-"""The module of each engine; its ``Engine`` is a class like PyBullet's."""
 
 
 class GraspSimulator:
@@ -72,17 +82,19 @@ class GraspSimulator:
 
     A grasp's trace depends on its arguments alone, not on the grasps before it.
 
-    Raises ``PhysicsError`` if the robot or the engine is unknown, the engine is missing or does
-    not have the robot, or PyBullet lacks numpy.
+    ``robot`` is the name of a gripper, which floats, or ``ur5e_`` and the name of a gripper.
+
+    Raises ``PhysicsError`` if the robot or the engine is unknown, the engine is missing, or
+    PyBullet lacks numpy.
     """
 
-    def __init__(self, robot: RobotName = "wsg50", engine: EngineChoice = "auto") -> None:
-        for what, name, known in (("robot", robot, RobotName), ("engine", engine, EngineChoice)):
-            if name not in get_args(known):
-                msg = f"{what} {name!r} is not known; known: {', '.join(get_args(known))}"
-                raise PhysicsError(msg)
+    def __init__(self, robot: str | RobotSpec = "wsg50", engine: EngineChoice = "auto") -> None:
+        if engine not in get_args(EngineChoice):
+            msg = f"engine {engine!r} is not known; known: {', '.join(get_args(EngineChoice))}"
+            raise PhysicsError(msg)
+        self.robot = load_robot(robot) if isinstance(robot, str) else robot
         self.engine = engine_of(engine)
-        self.world: Engine = import_module(_ENGINES[self.engine]).Engine(robot)
+        self.world = _ENGINES[self.engine](self.robot)
 
     def __enter__(self) -> "GraspSimulator":
         self.world.__enter__()
@@ -141,17 +153,15 @@ class _Grasp:
         self.obj, self.config, self.settings = obj, config, settings
         self.patch_of = patch_of
         self.note = ""
-        self.world = simulator.world
+        self.world, self.gripper = simulator.world, simulator.robot.gripper
         self.body, self.robot = self.world.build(obj, settings, config.force_n)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
         self.bodies = Bodies(
-            object_body=self.body.body,
-            robot_body=self.robot.body,
-            pad_links=self.robot.fingers.links,
+            pads=self.gripper.sides,
             principal_moments_kg_m2=self.body.principal_moments_kg_m2,
             inertial=self.body.inertial,
-            spinning_friction_m=dict.fromkeys(PAD_NAMES, 0.0),
+            spinning_friction_m=dict.fromkeys(PADS, 0.0),
             time_step_s=settings.time_step_s,
         )
 
@@ -159,11 +169,14 @@ class _Grasp:
         """Approach, close, hold, lift, label."""
         settings = self.settings
         target = grasp_target(self.config, settings)
-        reason = approach(self.world, self.robot, self.body, self.obj, target, settings)
+        reason = approach(self.world, self.robot, self.gripper, self.obj, target, settings)
         reason = reason or self.robot.prepare_lift(settings.lift_mm * M_PER_MM)
         if reason:
             return self._not_executed("unreachable", reason)
-        self.recorder = Recorder(self.world, self.robot, self.body, settings, self.frame_ends)
+        stroke_m = self.gripper.stroke_mm * M_PER_MM
+        self.recorder = Recorder(
+            self.world, self.robot, self.body, stroke_m, settings, self.frame_ends
+        )
         reason = self._close()
         if reason:
             return self._not_executed("no_contact", reason)
@@ -188,10 +201,10 @@ class _Grasp:
             return "no force is delivered of the one commanded, so the fingers do not close"
         speed_m_s = settings.closing_speed_mm_s * M_PER_MM
         fingers.drive(speed_m_s, force_n)
-        half_m = STROKE_MM / 2 * M_PER_MM
+        half_m = self.gripper.stroke_mm / 2 * M_PER_MM
         limit_s = (half_m - min(fingers.travel_m())) / speed_m_s + settings.settle_limit_s
         steady = 0
-        touched = dict.fromkeys(PAD_NAMES, 0.0)
+        touched = dict.fromkeys(PADS, 0.0)
         for _ in range(self._steps(limit_s) // CHUNK_STEPS):
             recorder.advance(CHUNK_STEPS)
             if sum(recorder.pad_distance_m()) <= 0:
@@ -208,26 +221,21 @@ class _Grasp:
         return ""
 
     def _pad_forces_n(self) -> dict[str, float]:
-        body = self.robot.body
-        # Of ``getContactPoints``: 1 and 2 are the bodies, 9 the normal force.
-        own = [c for c in self.world.contacts() if (c[1] == body or c[2] == body) and c[9] > 0]
+        own = [p for p in self.world.contacts() if p.part != TABLE and p.normal_force_n > 0]
         if not own:  # as most of the time
-            return dict.fromkeys(PAD_NAMES, 0.0)
+            return dict.fromkeys(PADS, 0.0)
         axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
-        contacts = object_contacts(own, self.body.body)
+        contacts = contacts_of(own)
         along_n = contacts.force_n @ axis
-        return {
-            pad: abs(float(along_n[contacts.link == link].sum()))
-            for pad, link in self.robot.fingers.links.items()
-        }
+        return {pad: abs(float(along_n[contacts.part == pad].sum())) for pad in PADS}
 
     def _load_pads(self, grasped: Sequence[Snapshot]) -> Capacity:
         """Set the torsion that the pads can hold beside the weight."""
-        loads = contact_frames(grasped, self.bodies, PAD_NAMES)
+        loads = contact_frames(grasped, self.bodies, PADS)
         torsion = {pad: self._torsion_limit(load) for pad, load in loads.items()}
         capacity = outcome.capacity_of(grasped, self.bodies, self.obj, self.settings, torsion)
         spinning_m = [mm * M_PER_MM for mm in capacity.spinning_mm]
-        by_pad = dict(zip(self.bodies.pad_links, spinning_m, strict=True))
+        by_pad = dict(zip(self.bodies.pads, spinning_m, strict=True))
         self.bodies = replace(self.bodies, spinning_friction_m=by_pad)
         self.robot.fingers.set_spinning_friction(by_pad, capacity.friction_share)
         return capacity

@@ -1,197 +1,216 @@
-"""The WSG-50 with gel pads: its geometry, and the fingers that both robots share.
+"""Parallel grippers with tactile pads, by name: the YAML files of ``recipes/grippers``."""
 
-The hand's link frame is the gripper frame (``frames.py``). Finger positions count from the full
-opening towards the middle. Bullet's lengths are metres.
-"""
-
-from collections.abc import Mapping, Sequence
+import math
 from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, model_validator
 
+from tacgen.core.arrays import FloatArray
+from tacgen.core.config import Section
+from tacgen.core.errors import PhysicsError
+from tacgen.core.records import PADS
+from tacgen.core.resources import gripper_path
 from tacgen.core.units import M_PER_MM
-from tacgen.physics.frames import PAD_SIDE
-from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
-from tacgen.physics.world import HULL_MARGIN_MM, Collides, Link, World, link_arguments
+from tacgen.core.yaml_source import read_yaml, validate
 
-STROKE_MM = 110.0  # largest opening. Source: Weiss Robotics, WSG 50 data sheet
-HAND_MASS_KG = 1.2  # Source: Weiss Robotics, WSG 50 data sheet
-FINGER_MASS_KG = 0.15  # a finger with its sensor; assumed
-
-PAD_WIDTH_MM, PAD_HEIGHT_MM = 24.0, 19.0
-"""A GelSight's window of 18.9 × 14.2 mm (640 × 480 at 0.0295 mm/px) and 2.5 mm around it."""
-PAD_DEPTH_MM = 6.0  # from the dome's top to the finger; assumed
+PAD_MARGIN_MM = 1.0
+"""The pads' vertices lie inside their surface by the margin that Bullet adds around hulls."""
 PAD_PITCH_MM = 2.0  # of the vertices on the dome: chords of a 30 mm dome lie 17 µm inside it
-FINGER_THICKNESS_MM = 12.0  # assumed
-FINGER_LENGTH_MM = 150.0
-"""From the pad's centre to the palm; assumed, so that tall objects can be held low."""
-STEM_HEIGHT_MM = FINGER_LENGTH_MM + PAD_HEIGHT_MM / 2
-STEM_HALF_EXTENTS_MM = (FINGER_THICKNESS_MM / 2, PAD_WIDTH_MM / 2 - 1.0, STEM_HEIGHT_MM / 2)
-STEM_CENTER_MM = (PAD_DEPTH_MM + FINGER_THICKNESS_MM / 2, 0.0, (STEM_HEIGHT_MM - PAD_HEIGHT_MM) / 2)
-"""Of the finger behind the right pad, from the dome's top."""
-PALM_HALF_EXTENTS_MM = (73.0, 25.0, 35.0)  # of the gripper's housing; assumed
+
+_Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+_Axis = tuple[Literal[-1, 0, 1], Literal[-1, 0, 1], Literal[-1, 0, 1]]
+_Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Box(Section):
+    """A part of the gripper that can meet the object, along the gripper's axes."""
+
+    size_mm: tuple[_Length, _Length, _Length]
+    """Extents along x (the closing direction), y and z (up)."""
+    center_mm: _Triple
+    """Its middle; of a finger's box from the top of its pad's dome, x away from the object."""
+
+    @property
+    def half_and_center_mm(self) -> tuple[FloatArray, FloatArray]:
+        """Half extents (3,) and centre (3,)."""
+        return np.array(self.size_mm) / 2, np.array(self.center_mm)
+
+
+class Pad(Section):
+    """Where a pad is and how its sensor is mounted, in the gripper's frame."""
+
+    side: Literal[-1, 1]
+    """On which side of the gripper's centre it is, along x."""
+    gel_x: _Axis
+    """Direction of the image's columns."""
+    gel_y: _Axis
+    """Direction of the image's rows."""
+
+    @property
+    def gel_axes(self) -> FloatArray:
+        """Columns (3, 3) are the gel's x, y and z, which looks at the object."""
+        x, y = np.array(self.gel_x, dtype=np.float64), np.array(self.gel_y, dtype=np.float64)
+        return np.stack([x, y, np.cross(x, y)], axis=1)
+
+    @model_validator(mode="after")
+    def _looks_at_the_object(self) -> "Pad":
+        axes = self.gel_axes
+        if not np.array_equal(axes.T @ axes, np.eye(3)) or axes[0, 2] != -self.side:
+            msg = (
+                f"gel_x = {list(self.gel_x)}, gel_y = {list(self.gel_y)}: their cross product is "
+                f"to look at the object, along [{-self.side}, 0, 0]"
+            )
+            raise ValueError(msg)
+        return self
+
+
+class _Pads(Section):
+    """The gripper's two pads; the left one is sampled where one alone has a sensor."""
+
+    left: Pad
+    """The pad called left."""
+    right: Pad
+    """The pad called right."""
+
+    @model_validator(mode="after")
+    def _face_each_other(self) -> "_Pads":
+        if self.left.side == self.right.side:
+            msg = f"both pads have the side {self.left.side}; one is at -1, the other at 1"
+            raise ValueError(msg)
+        return self
+
+
+class _PadSize(Section):
+    """The pad that collides, a dome cut to a rectangle."""
+
+    width_mm: _Length
+    """Along the gripper's y."""
+    height_mm: _Length
+    """Along the gripper's z."""
+    depth_mm: _Length
+    """From the dome's top to the finger."""
+
+
+class _Finger(Section):
+    """A finger with its sensor."""
+
+    mass_kg: PositiveFloat
+    """Mass."""
+    boxes: tuple[Box, ...] = Field(min_length=1)
+    """What can meet the object beside the pad."""
+
+
+class _Hand(Section):
+    """The gripper without its fingers."""
+
+    mass_kg: PositiveFloat
+    """Mass."""
+    box: Box
+    """Its housing, above the fingers."""
+    flange_height_mm: NonNegativeFloat
+    """Height of the flange by which an arm carries it."""
+
+
+class GripperSpec(Section):
+    """A parallel gripper with a tactile pad on each finger.
+
+    Its frame has its origin midway between the pads' centres, x along the closing direction and
+    z up.
+    """
+
+    name: str
+    """Name of the gripper."""
+    source: str
+    """Where its figures are from."""
+    stroke_mm: _Length
+    """Largest opening between the pads."""
+    force_range_n: tuple[NonNegativeFloat, _Length]
+    """Least and largest force of a finger."""
+    hand: _Hand
+    """The gripper without its fingers."""
+    finger: _Finger
+    """Each finger."""
+    pad: _PadSize
+    """Each pad."""
+    pads: _Pads
+    """Where the pads are."""
+
+    def side(self, pad: str) -> Pad:
+        """The pad of that name."""
+        found: Pad = getattr(self.pads, pad)
+        return found
+
+    @property
+    def below_mm(self) -> float:
+        """How far the pads and fingers reach below the pads' centre."""
+        boxes = [box.half_and_center_mm for box in self.finger.boxes]
+        lowest_mm = [float(half_mm[2] - center_mm[2]) for half_mm, center_mm in boxes]
+        return max(self.pad.height_mm / 2, *lowest_mm)
+
+    @property
+    def sides(self) -> dict[str, Pad]:
+        """Both pads by name."""
+        return {pad: self.side(pad) for pad in PADS}
+
+    def pad_vertices_m(self, pad: str, dome_radius_mm: float) -> "_Vertices":
+        """Vertices of the convex ``pad``, whose dome's top is at the origin.
+
+        Raises ``PhysicsError`` if the dome is narrower than the pad.
+        """
+        size = self.pad.width_mm, self.pad.height_mm, self.pad.depth_mm
+        if (least_mm := math.hypot(size[0], size[1]) / 2) >= dome_radius_mm - PAD_MARGIN_MM:
+            msg = (
+                f"physics.pad_dome_radius_mm = {dome_radius_mm:g} is less than the pad of "
+                f"{self.name!r} needs; set {math.ceil(least_mm + PAD_MARGIN_MM) + 1} or more"
+            )
+            raise PhysicsError(msg)
+        return _pad_vertices_m(float(self.side(pad).side), *size, dome_radius_mm)
+
+    def finger_boxes_mm(self, pad: str) -> list[tuple[FloatArray, FloatArray]]:
+        """Half extents (3,) and centre (3,) of the boxes of the finger that carries ``pad``."""
+        mirror = np.array([self.side(pad).side, 1.0, 1.0])
+        boxes = [box.half_and_center_mm for box in self.finger.boxes]
+        return [(half_mm, mirror * center_mm) for half_mm, center_mm in boxes]
+
+
+_Vertices = tuple[tuple[float, float, float], ...]
+
+
+def load_gripper(path: Path) -> GripperSpec:
+    """The gripper that a YAML file describes.
+
+    Raises ``RecipeError`` if it is wrong.
+    """
+    return validate(GripperSpec, read_yaml(path))
+
+
+@lru_cache(maxsize=1)
+def default_gripper() -> GripperSpec:
+    """The shipped gripper for which ranges of an object's grasps are proposed."""
+    return load_gripper(gripper_path("wsg50"))
 
 
 @lru_cache(maxsize=8)
-def pad_vertices_m(side: float, dome_radius_mm: float) -> tuple[tuple[float, float, float], ...]:
-    """Vertices of the convex pad whose dome's top is at the origin and looks away from ``side``.
+def _pad_vertices_m(
+    side: float, width_mm: float, height_mm: float, depth_mm: float, dome_radius_mm: float
+) -> _Vertices:
+    """Vertices that lie ``PAD_MARGIN_MM`` inside the pad.
 
-    They lie ``HULL_MARGIN_MM`` inside it, where Bullet's margin puts its surface. Made once,
-    because PyBullet never releases the sequence of vertices that it is given.
+    Made once, because PyBullet never releases the sequence of vertices that it is given.
     """
-    half_y, half_z = PAD_WIDTH_MM / 2 - HULL_MARGIN_MM, PAD_HEIGHT_MM / 2 - HULL_MARGIN_MM
+    half_y, half_z = width_mm / 2 - PAD_MARGIN_MM, height_mm / 2 - PAD_MARGIN_MM
     y, z = np.meshgrid(_symmetric_range(half_y), _symmetric_range(half_z), indexing="ij")
-    drop = dome_radius_mm - np.sqrt((dome_radius_mm - HULL_MARGIN_MM) ** 2 - y**2 - z**2)
+    drop = dome_radius_mm - np.sqrt((dome_radius_mm - PAD_MARGIN_MM) ** 2 - y**2 - z**2)
     front = np.stack([side * drop, y, z], axis=-1).reshape(-1, 3)
-    back = side * (PAD_DEPTH_MM - HULL_MARGIN_MM)
+    back = side * (depth_mm - PAD_MARGIN_MM)
     rim = np.array([[back, y, z] for y in (-half_y, half_y) for z in (-half_z, half_z)])
     vertices = np.concatenate([front, rim]) * M_PER_MM
     return tuple((x, y, z) for x, y, z in vertices.tolist())
 
 
-def _symmetric_range(half: float) -> np.ndarray:
+def _symmetric_range(half: float) -> FloatArray:
     """Values over [−half, half] about ``PAD_PITCH_MM`` apart, 0 among them."""
     return np.linspace(-half, half, 2 * int(np.ceil(half / PAD_PITCH_MM)) + 1)
-
-
-def create_body(world: World, links: Sequence[Link], base_position_m: Sequence[float]) -> int:
-    """A body of ``links`` on a base that is fixed to the world."""
-    body = world.bullet.createMultiBody(0.0, basePosition=base_position_m, **link_arguments(links))
-    for link in range(-1, len(links)):
-        world.set_surface(body, link, friction=0.0)
-        world.collide(body, link, Collides.GRIPPER)
-    return int(body)
-
-
-def finger_links(world: World, settings: PhysicsSettings, hand: int) -> list[Link]:
-    """The fingers and their stems, to be added right after the link ``hand`` that carries them.
-
-    Each stem follows its finger: PyBullet numbers links depth first, whatever it is given.
-    """
-    links: list[Link] = []
-    create_shape = world.bullet.createCollisionShape
-    x_mm, y_mm, z_mm = STEM_CENTER_MM
-    for side in (PAD_SIDE[pad] for pad in PAD_NAMES):
-        finger = hand + 1 + len(links)
-        vertices_m = pad_vertices_m(side, settings.pad_dome_radius_mm)
-        links.append(
-            Link(
-                parent=hand,
-                joint_type=world.bullet.JOINT_PRISMATIC,
-                mass_kg=FINGER_MASS_KG,
-                shape=create_shape(world.bullet.GEOM_MESH, vertices=vertices_m),
-                position_m=(side * STROKE_MM / 2 * M_PER_MM, 0.0, 0.0),
-                axis=(-side, 0.0, 0.0),
-            )
-        )
-        links.append(
-            Link(
-                parent=finger,
-                joint_type=world.bullet.JOINT_FIXED,
-                shape=_box(world, STEM_HALF_EXTENTS_MM),
-                position_m=(side * x_mm * M_PER_MM, y_mm * M_PER_MM, z_mm * M_PER_MM),
-            )
-        )
-    return links
-
-
-def palm_link(world: World, hand: int) -> Link:
-    """The body of the gripper above the fingers, fixed to the link ``hand``."""
-    return Link(
-        parent=hand,
-        joint_type=world.bullet.JOINT_FIXED,
-        shape=_box(world, PALM_HALF_EXTENTS_MM),
-        position_m=(0.0, 0.0, (FINGER_LENGTH_MM + PALM_HALF_EXTENTS_MM[2]) * M_PER_MM),
-    )
-
-
-def _box(world: World, half_extents_mm: Sequence[float]) -> int:
-    half_extents_m = [half * M_PER_MM for half in half_extents_mm]
-    return int(world.bullet.createCollisionShape(world.bullet.GEOM_BOX, halfExtents=half_extents_m))
-
-
-class Fingers:
-    """The two fingers of a body in which ``finger_links`` follow the link ``hand``.
-
-    Each is driven by a motor of its own until the lift, so that both pads press with the
-    commanded force even where the table would take up a difference; then the jaws are coupled,
-    as the WSG-50's are, so that the grasp cannot drift sideways.
-    """
-
-    COUPLING_FORCE_N = 1000.0
-    """Far above any pad's force, so that the jaws move as one."""
-
-    def __init__(self, world: World, body: int, hand: int) -> None:
-        self._world = world
-        self._body = body
-        self.links = {"left": hand + 1, "right": hand + 3}
-
-    def set_surface(self, settings: PhysicsSettings, friction: float) -> None:
-        """Friction and compliance of the pads against an object whose own friction is 1."""
-        for link in self.links.values():
-            self._world.set_surface(self._body, link, friction=friction * settings.pad_friction)
-            if settings.pad_stiffness_n_mm > 0:
-                self._world.bullet.changeDynamics(
-                    self._body,
-                    link,
-                    contactStiffness=settings.pad_stiffness_n_mm / M_PER_MM,
-                    contactDamping=settings.pad_damping_n_s_mm / M_PER_MM,
-                )
-
-    def set_spinning_friction(
-        self, spinning_friction_m: Mapping[str, float], friction_share: float
-    ) -> None:
-        """Moment about its normal that each pad resists, for each newton of force.
-
-        A touch that Bullet keeps but does not find again in a step would hold the coefficients of
-        its first moment, so the pads' touches are found anew.
-        """
-        for pad, link in self.links.items():
-            self._world.bullet.changeDynamics(
-                self._body, link, spinningFriction=spinning_friction_m[pad]
-            )
-            self._world.collide(self._body, link, Collides.GRIPPER)  # also drops its touches
-
-    def place(self, travel_m: float) -> None:
-        """Put both fingers ``travel_m`` in from the full opening, at rest."""
-        for link in self.links.values():
-            self._world.bullet.resetJointState(self._body, link, travel_m, 0.0)
-
-    def drive(self, speed_m_s: float, force_n: float) -> None:
-        """Close at ``speed_m_s``, pressing with ``force_n`` at most."""
-        for link in self.links.values():
-            self._world.bullet.setJointMotorControl2(
-                self._body,
-                link,
-                self._world.bullet.VELOCITY_CONTROL,
-                targetVelocity=speed_m_s,
-                force=force_n,
-            )
-
-    def couple(self) -> None:
-        """From now on the fingers move by equal amounts, about where they are."""
-        bullet = self._world.bullet
-        left_m, right_m = self.travel_m()
-        gear = bullet.createConstraint(
-            self._body,
-            self.links["left"],
-            self._body,
-            self.links["right"],
-            bullet.JOINT_GEAR,
-            (1.0, 0.0, 0.0),
-            (0.0, 0.0, 0.0),
-            (0.0, 0.0, 0.0),
-        )
-        bullet.changeConstraint(
-            gear,
-            gearRatio=-1.0,
-            maxForce=self.COUPLING_FORCE_N,
-            relativePositionTarget=left_m - right_m,
-            erp=0.2,
-        )
-
-    def travel_m(self) -> tuple[float, float]:
-        """How far the left and the right finger are in from the full opening."""
-        state = self._world.bullet.getJointState
-        left, right = (state(self._body, link)[0] for link in self.links.values())
-        return left, right

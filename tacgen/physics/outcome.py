@@ -98,15 +98,15 @@ def capacity_of(
     torsion: Mapping[str, TorsionLimit],
 ) -> Capacity:
     """What the pads can hold, by the contact forces at the moment of grasp; ``torsion`` by pad."""
-    contacts = mean_contacts(grasped, bodies.object_body)
+    contacts = mean_contacts(grasped)
     last = grasped[-1]
     return grasp_capacity(
-        [contacts.of(bodies.robot_body, link) for link in bodies.pad_links.values()],
+        [contacts.of(pad) for pad in bodies.pads],
         closing_axis=gripper_pose(last)[:3, 0],
         center_of_mass_m=np.array(last.object_position_m),
         mass_kg=obj.mass_kg,
         friction=obj.friction * settings.pad_friction,
-        torsion=[torsion[pad] for pad in bodies.pad_links],
+        torsion=[torsion[pad] for pad in bodies.pads],
         success_turn_rad=settings.success_turn_rad,
     )
 
@@ -126,7 +126,7 @@ def motion_of(start: Snapshot, lifted: Sequence[Placement], bodies: Bodies, pad:
     in_gripper = np.linalg.inv(grippers) @ inertial @ inverse(bodies.inertial)
     left_m, right_m = start.pad_distance_m
     between_pads = np.array([(right_m - left_m) / 2, 0.0, 0.0, 1.0])
-    gel_axes = gripper_pose(start)[:3, :3].T @ gel_pose(start, pad)[:3, :2]
+    gel_axes = gripper_pose(start)[:3, :3].T @ gel_pose(start, bodies, pad)[:3, :2]
     return Motion(
         time_s=np.array([snapshot.step for snapshot in lifted]) * bodies.time_step_s,
         rise_mm=(inertial[:, 2, 3] - inertial[0, 2, 3]) * MM_PER_M,

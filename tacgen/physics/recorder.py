@@ -2,13 +2,9 @@
 
 from collections.abc import Sequence
 
-from tacgen.core.units import M_PER_MM
-from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.contacts import Placement, Snapshot
-from tacgen.physics.gripper import STROKE_MM
-from tacgen.physics.robots import Robot
+from tacgen.physics.engine import Body, Engine, Robot
 from tacgen.physics.settings import FrameRequest, PhysicsSettings
-from tacgen.physics.world import World
 
 
 def frame_end_steps(request: FrameRequest, time_step_s: float) -> list[int]:
@@ -24,15 +20,17 @@ class Recorder:
 
     def __init__(
         self,
-        world: World,
+        world: Engine,
         robot: Robot,
-        body: ObjectBody,
+        body: Body,
+        stroke_m: float,
         settings: PhysicsSettings,
         frame_ends: Sequence[int],
     ) -> None:
         self._world = world
         self._robot = robot
         self._body = body
+        self._half_stroke_m = stroke_m / 2
         self._average = settings.contact_average_steps
         self.frame_ends = frame_ends
         steps = {step for end in frame_ends for step in range(max(0, end - self._average), end + 1)}
@@ -61,8 +59,7 @@ class Recorder:
     def pad_distance_m(self) -> tuple[float, float]:
         """How far the left and the right pad now are from the gripper's middle."""
         left_m, right_m = self._robot.fingers.travel_m()
-        half_m = STROKE_MM / 2 * M_PER_MM
-        return half_m - left_m, half_m - right_m
+        return self._half_stroke_m - left_m, self._half_stroke_m - right_m
 
     def snapshot(self) -> Snapshot:
         """The world now."""

@@ -1,142 +1,102 @@
-"""The robots that carry the gripper: a floating WSG-50, and one on the flange of a UR5e."""
+"""The robots that carry a gripper: none, which floats, and a UR5e. The same for every engine."""
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from pathlib import Path
 
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.errors import PhysicsError, RecipeError
+from tacgen.core.resources import gripper_path
 from tacgen.core.units import M_PER_MM, MM_PER_M
 from tacgen.physics import ur5e
-from tacgen.physics.frames import Pose, inverse, pose, quaternion_from_rotation, rotation_about_z
-from tacgen.physics.gripper import (
-    FINGER_LENGTH_MM,
-    HAND_MASS_KG,
-    PALM_HALF_EXTENTS_MM,
-    Fingers,
-    create_body,
-    finger_links,
-    palm_link,
-)
-from tacgen.physics.settings import PhysicsSettings, RobotName
-from tacgen.physics.world import Link, World
+from tacgen.physics.engine import Fingers, GripperTarget, Joints, Link, Place, Robot, Vector
+from tacgen.physics.frames import Pose, inverse, pose, rotation_about_z
+from tacgen.physics.gripper import GripperSpec, load_gripper
+from tacgen.physics.settings import PhysicsSettings
 
 AXIS_FORCE_N = 2000.0
 """Of the floating gripper's vertical axis: far more than any grasp, so that it follows."""
-SAME_SPEED_M_S = 1e-9
-"""Commands this close are one: a float's rounding along the lift's constant part."""
 BASE_POSITION_M = (-0.5, 0.0, 0.0)  # of the arm: the object is well within its reach of 850 mm
-FLANGE_HEIGHT_M = (FINGER_LENGTH_MM + 2 * PALM_HALF_EXTENTS_MM[2]) * M_PER_MM
-"""Of the flange above the pads' centre."""
-FLANGE_IN_GRIPPER = pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, FLANGE_HEIGHT_M))
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)  # the quaternion of no rotation
 ELBOW_UP_RAD = np.array([0.2699, -1.6352, -1.9463, -1.1309, 1.5708, -1.3009])
 """Joint angles that hold the gripper, pointing down, 100 mm above the middle of the table."""
 LINK_RADIUS_M = 0.05  # of the rods in place of the links, whose inertia is not published
 POSITION_GAIN = 0.2
 """Share of a joint's position error that a step corrects; PyBullet's own default is 0.1."""
 LIFT_KNOT_MM = 10.0  # between solved joint angles of the lift: a spline goes through them
-FLOATING_HAND = 0  # numbers of the links
-ARM_JOINTS = tuple(range(6))
-ARM_HAND = 6
-
-
-@dataclass(frozen=True, slots=True)
-class GripperTarget:
-    """Where the gripper frame shall be: pointing down, turned by ``yaw_rad`` about z."""
-
-    x_m: float
-    y_m: float
-    z_m: float
-    yaw_rad: float
 
 
 class FloatingGripper:
-    """The gripper alone, on a vertical axis: the fast robot."""
+    """The gripper alone, on a vertical axis: the fast robot; every place can be reached."""
 
-    def __init__(self, world: World, settings: PhysicsSettings) -> None:
-        self._world = world
-        hand = Link(-1, world.bullet.JOINT_PRISMATIC, HAND_MASS_KG)
-        fingers = finger_links(world, settings, FLOATING_HAND)
-        links = [hand, *fingers, palm_link(world, FLOATING_HAND)]
-        self.body = create_body(world, links, (0.0, 0.0, 0.0))
-        self.palm = len(links) - 1
-        self.fingers = Fingers(world, self.body, FLOATING_HAND)
+    def __init__(
+        self, gripper: GripperSpec, settings: PhysicsSettings, joints: Joints, fingers: Fingers
+    ) -> None:
+        self._joints, self.fingers = joints, fingers
+        self._step_s = settings.time_step_s
+
+    @staticmethod
+    def links(gripper: GripperSpec) -> list[Link]:
+        """The hand alone; the axis follows so closely that heights need no correction."""
+        moments = _box_moments(gripper)
+        place = np.eye(4), gripper.hand.mass_kg, (0.0, 0.0, 0.0), moments
+        return [Link("slide", *place, force_limit=AXIS_FORCE_N)]
 
     def place(self, target: GripperTarget) -> str:
-        """Put the gripper at ``target`` at rest; every place can be reached."""
-        bullet = self._world.bullet
-        self._base = (target.x_m, target.y_m, 0.0)
+        """Put the gripper at ``target``, at rest."""
         self._quaternion = (0.0, 0.0, math.sin(target.yaw_rad / 2), math.cos(target.yaw_rad / 2))
-        bullet.resetBasePositionAndOrientation(self.body, self._base, self._quaternion)
-        bullet.resetJointState(self.body, FLOATING_HAND, target.z_m, 0.0)
+        self._base, self._z_m = (target.x_m, target.y_m, 0.0), target.z_m
+        self._joints.place((self._base, self._quaternion), [target.z_m])
         return ""
 
     def prepare_lift(self, lift_m: float) -> str:
         """Hold the present height from now on."""
-        self._speed_m_s = math.inf
         self.command_lift(0.0, 0.0)
         return ""
 
     def command_lift(self, height_m: float, speed_m_s: float) -> None:
-        """Move up at ``speed_m_s``; the axis follows so closely that heights need no correction."""
-        if abs(speed_m_s - self._speed_m_s) < SAME_SPEED_M_S:
-            return
-        self._speed_m_s = speed_m_s
-        self._world.bullet.setJointMotorControl2(
-            self.body,
-            FLOATING_HAND,
-            self._world.bullet.VELOCITY_CONTROL,
-            targetVelocity=speed_m_s,
-            force=AXIS_FORCE_N,
-        )
+        """Move up at ``speed_m_s``."""
+        self._joints.drive([self._z_m + height_m - speed_m_s * self._step_s], [speed_m_s])
 
-    def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Position (m) and quaternion of the gripper frame in the world."""
-        height_m = self._world.bullet.getJointState(self.body, FLOATING_HAND)[0]
-        return (self._base[0], self._base[1], height_m), self._quaternion
+    def gripper_position(self) -> Place:
+        """The gripper frame."""
+        return (*self._base[:2], *self._joints.positions()), self._quaternion
 
 
 class ArmWithGripper:
     """The gripper on the flange of a UR5e, whose own links collide with nothing."""
 
-    def __init__(self, world: World, settings: PhysicsSettings) -> None:
-        self._world = world
-        hand_in_flange = inverse(FLANGE_IN_GRIPPER)
-        hand = Link(
-            parent=ARM_HAND - 1,
-            joint_type=world.bullet.JOINT_FIXED,
-            mass_kg=HAND_MASS_KG,
-            position_m=_position(ur5e.link_transform(5) @ hand_in_flange),
-            quaternion=_quaternion(ur5e.link_transform(5) @ hand_in_flange),
-            center_of_mass_m=(0.0, 0.0, FLANGE_HEIGHT_M - PALM_HALF_EXTENTS_MM[2] * M_PER_MM),
-        )
-        fingers, palm = finger_links(world, settings, ARM_HAND), palm_link(world, ARM_HAND)
-        links = [*self._arm_links(), hand, *fingers, palm]
-        self.body = create_body(world, links, BASE_POSITION_M)
-        self.palm = len(links) - 1
-        self.fingers = Fingers(world, self.body, ARM_HAND)
-        for link, inertia in enumerate([*_arm_inertias(), _hand_inertia()]):
-            world.bullet.changeDynamics(self.body, link, localInertiaDiagonal=inertia)
+    def __init__(
+        self, gripper: GripperSpec, settings: PhysicsSettings, joints: Joints, fingers: Fingers
+    ) -> None:
+        self._joints, self.fingers = joints, fingers
         self._step_s = settings.time_step_s
+        self._flange_in_gripper = _flange_in_gripper(gripper)
         self._joints_rad = ELBOW_UP_RAD
 
-    def _arm_links(self) -> list[Link]:
+    @staticmethod
+    def links(gripper: GripperSpec) -> list[Link]:
         """Each link's frame turns with its joint; the published frames stand at its far end."""
         links = []
-        for joint in ARM_JOINTS:
+        for joint in range(6):
             before = np.eye(4) if joint == 0 else ur5e.link_transform(joint - 1)
             center = ur5e.link_transform(joint) @ [*ur5e.LINK_CENTER_OF_MASS_M[joint], 1.0]
             links.append(
                 Link(
-                    parent=joint - 1,
-                    joint_type=self._world.bullet.JOINT_REVOLUTE,
-                    mass_kg=ur5e.LINK_MASS_KG[joint],
-                    position_m=_position(before),
-                    quaternion=_quaternion(before),
-                    center_of_mass_m=tuple(center[:3].tolist()),
+                    "hinge",
+                    before,
+                    ur5e.LINK_MASS_KG[joint],
+                    tuple(center[:3].tolist()),
+                    _rod_moments(joint),
+                    position_gain=POSITION_GAIN,
+                    force_limit=ur5e.JOINT_TORQUE_LIMIT_N_M[joint],
                 )
             )
+        hand = ur5e.link_transform(5) @ inverse(_flange_in_gripper(gripper))
+        center_m = tuple(mm * M_PER_MM for mm in gripper.hand.box.center_mm)
+        links.append(Link("fixed", hand, gripper.hand.mass_kg, center_m, _box_moments(gripper)))
         return links
 
     def place(self, target: GripperTarget) -> str:
@@ -147,8 +107,7 @@ class ArmWithGripper:
             place = f"x_mm = {x_mm:.0f}, y_mm = {y_mm:.0f}, z_mm = {z_mm:.0f}"
             return f"the arm does not reach {place}, yaw_rad = {target.yaw_rad:.2f}"
         self._joints_rad, self._target = joints, target
-        for joint, angle in zip(ARM_JOINTS, joints.tolist(), strict=True):
-            self._world.bullet.resetJointState(self.body, joint, angle, 0.0)
+        self._joints.place((BASE_POSITION_M, UPRIGHT), joints.tolist())
         return ""
 
     def _inverse(self, target: GripperTarget, seed_rad: FloatArray) -> FloatArray | None:
@@ -156,7 +115,7 @@ class ArmWithGripper:
             rotation_about_z(target.yaw_rad),
             np.array([target.x_m, target.y_m, target.z_m]) - BASE_POSITION_M,
         )
-        return ur5e.inverse_kinematics(gripper @ FLANGE_IN_GRIPPER, seed_rad)
+        return ur5e.inverse_kinematics(gripper @ self._flange_in_gripper, seed_rad)
 
     def prepare_lift(self, lift_m: float) -> str:
         """Hold still, and lay out the joint angles of a straight lift."""
@@ -179,52 +138,70 @@ class ArmWithGripper:
     def command_lift(self, height_m: float, speed_m_s: float) -> None:
         """Move along the path, each joint at the speed that brings it there in a step."""
         now_m = height_m - speed_m_s * self._step_s
-        self._world.bullet.setJointMotorControlArray(
-            self.body,
-            ARM_JOINTS,
-            self._world.bullet.POSITION_CONTROL,
-            targetPositions=self._path(now_m).tolist(),
-            targetVelocities=(self._path_slope(now_m) * speed_m_s).tolist(),
-            positionGains=[POSITION_GAIN] * 6,
-            velocityGains=[1.0] * 6,
-            forces=ur5e.JOINT_TORQUE_LIMIT_N_M,
-        )
+        speeds = (self._path_slope(now_m) * speed_m_s).tolist()
+        self._joints.drive(self._path(now_m).tolist(), speeds)
 
-    def gripper_position(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Position (m) and quaternion of the gripper frame in the world."""
-        state = self._world.bullet.getLinkState(self.body, ARM_HAND, computeForwardKinematics=1)
-        return state[4], state[5]
+    def gripper_position(self) -> Place:
+        """The gripper frame."""
+        return self._joints.hand()
 
 
-Robot: TypeAlias = FloatingGripper | ArmWithGripper
-"""A body in the world that carries the gripper; a further one has the same methods."""
-ROBOTS: dict[RobotName, type[Robot]] = {"wsg50": FloatingGripper, "ur5e_wsg50": ArmWithGripper}
+_ROBOTS: dict[str, type[FloatingGripper | ArmWithGripper]] = {
+    "ur5e_": ArmWithGripper,
+    "": FloatingGripper,
+}
+"""By what stands before the gripper's name in the robot's; the empty one comes last."""
 
 
-def _position(matrix: Pose) -> tuple[float, float, float]:
-    x, y, z = matrix[:3, 3].tolist()
-    return x, y, z
+@dataclass(frozen=True, slots=True)
+class RobotSpec:
+    """A gripper and what carries it."""
+
+    kind: type[FloatingGripper | ArmWithGripper]
+    gripper: GripperSpec
+
+    def links(self) -> list[Link]:
+        """The links that carry the hand, which is the last."""
+        return self.kind.links(self.gripper)
+
+    def mounted(self, settings: PhysicsSettings, joints: Joints, fingers: Fingers) -> Robot:
+        """The robot with the joints and fingers that an engine has built."""
+        return self.kind(self.gripper, settings, joints, fingers)
 
 
-def _quaternion(matrix: Pose) -> tuple[float, float, float, float]:
-    x, y, z, w = quaternion_from_rotation(matrix[:3, :3]).tolist()
-    return x, y, z, w
+def load_robot(name: str, *, beside: Path | None = None) -> RobotSpec:
+    """The robot ``name``: that of a gripper, which floats, or ``ur5e_`` and that of a gripper.
+
+    A gripper's file may also lie in the folder ``beside``.
+
+    Raises ``PhysicsError`` if there is no such gripper, ``RecipeError`` if its file is wrong.
+    """
+    prefix = next(prefix for prefix in _ROBOTS if name.startswith(prefix))
+    try:
+        path = gripper_path(name.removeprefix(prefix), beside=beside)
+    except RecipeError as error:
+        msg = f"robot {name!r} is not known: {error}, after `ur5e_` where the arm carries it"
+        raise PhysicsError(msg) from None
+    return RobotSpec(_ROBOTS[prefix], load_gripper(path))
 
 
-def _arm_inertias() -> list[tuple[float, float, float]]:
-    """Principal moments (kg m²) of each link as a solid rod as long as the link."""
-    moments = []
-    for joint, mass_kg in enumerate(ur5e.LINK_MASS_KG):
-        length_m = max(abs(ur5e.A_M[joint]), abs(ur5e.D_M[joint]))
-        across = mass_kg * (3 * LINK_RADIUS_M**2 + length_m**2) / 12
-        along = mass_kg * LINK_RADIUS_M**2 / 2
-        lies_along_x = abs(ur5e.A_M[joint]) > abs(ur5e.D_M[joint])
-        moments.append((along, across, across) if lies_along_x else (across, across, along))
-    return moments
+def _flange_in_gripper(gripper: GripperSpec) -> Pose:
+    height_m = gripper.hand.flange_height_mm * M_PER_MM
+    return pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, height_m))
 
 
-def _hand_inertia() -> tuple[float, float, float]:
-    """Principal moments (kg m²) of the gripper's body as a solid box."""
-    x, y, z = (2 * half * M_PER_MM for half in PALM_HALF_EXTENTS_MM)
-    per_kg = HAND_MASS_KG / 12
+def _rod_moments(joint: int) -> Vector:
+    """Principal moments (kg m²) of a link as a solid rod as long as the link."""
+    mass_kg = ur5e.LINK_MASS_KG[joint]
+    length_m = max(abs(ur5e.A_M[joint]), abs(ur5e.D_M[joint]))
+    across = mass_kg * (3 * LINK_RADIUS_M**2 + length_m**2) / 12
+    along = mass_kg * LINK_RADIUS_M**2 / 2
+    lies_along_x = abs(ur5e.A_M[joint]) > abs(ur5e.D_M[joint])
+    return (along, across, across) if lies_along_x else (across, across, along)
+
+
+def _box_moments(gripper: GripperSpec) -> Vector:
+    """Principal moments (kg m²) of the hand as a solid box."""
+    x, y, z = (mm * M_PER_MM for mm in gripper.hand.box.size_mm)
+    per_kg = gripper.hand.mass_kg / 12
     return per_kg * (y**2 + z**2), per_kg * (x**2 + z**2), per_kg * (x**2 + y**2)

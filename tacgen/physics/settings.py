@@ -15,13 +15,12 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import PhysicsError
+from tacgen.core.records import PADS, PadName
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 
-RobotName = Literal["wsg50", "ur5e_wsg50"]
 EngineName = Literal["pybullet", "mujoco"]
 EngineChoice = Literal["auto", "pybullet", "mujoco"]
-Pads = Literal["left", "right", "both"]
-PAD_NAMES = ("left", "right")
+Pads = Literal[PadName, "both"]
 SMALLEST_DOME_RADIUS_MM = 20.0
 """A dome must be wider than the pad, whose half diagonal is 15.3 mm."""
 ITERATIONS_PER_FORCE_RATIO = 0.5
@@ -130,7 +129,7 @@ class PhysicsSettings:
     @property
     def sensing_pads(self) -> tuple[str, ...]:
         """Names of the pads that carry a sensor."""
-        return PAD_NAMES if self.tactile_pads == "both" else (self.tactile_pads,)
+        return PADS if self.tactile_pads == "both" else (self.tactile_pads,)
 
     def iterations_for(self, force_n: float, mass_kg: float) -> int:
         """Solver iterations for ``force_n`` on an object of ``mass_kg``.

@@ -1,16 +1,16 @@
-"""One PyBullet client, rebuilt for every grasp so that grasps are independent."""
+"""A PyBullet client, and what bodies in it are made of. Lengths are in metres."""
 
 import contextlib
 import hashlib
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import Mesh
 from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
+from tacgen.physics.engine import ContactPoint, Vector
 from tacgen.physics.settings import PhysicsSettings
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
@@ -33,26 +34,25 @@ NO_TURN = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
 class Collides(IntFlag):
     """What a link can touch: things that share a flag."""
 
-    NOTHING = 0
     GRIPPER = 1
     TABLE = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class BulletLink:
     """One link for ``createMultiBody``; ``parent`` is the index of a link, −1 for the base."""
 
     parent: int
     joint_type: int
     mass_kg: float = 0.0
     shape: int = -1
-    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, float, float, float] = NO_TURN
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    center_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    position_m: Vector = (0.0, 0.0, 0.0)
+    quaternion: Vector = NO_TURN
+    axis: Vector = (0.0, 0.0, 1.0)
+    center_of_mass_m: Vector = (0.0, 0.0, 0.0)
 
 
-def link_arguments(links: Sequence[Link]) -> dict[str, Any]:
+def link_arguments(links: Sequence[BulletLink]) -> dict[str, Any]:
     """The links as arguments of ``createMultiBody``."""
     return {
         "linkMasses": [link.mass_kg for link in links],
@@ -142,7 +142,7 @@ class World:
             raise PhysicsError(msg)
         return self._client
 
-    def __enter__(self) -> "World":
+    def __enter__(self) -> Self:
         # Not `pybullet_utils.bullet_client`: that prints a line for every client.
         self._client = _Client(self._module)
         if not self._client.isConnected():
@@ -186,15 +186,6 @@ class World:
         step = self.bullet.stepSimulation
         for _ in range(count):
             step()
-
-    def contacts(self) -> tuple[tuple[Any, ...], ...]:
-        """All contact points of the last step."""
-        return tuple(self.bullet.getContactPoints())
-
-    def distances(self, robot: int, body: int, limit_m: float) -> list[tuple[int, float]]:
-        """Links of the robot and how near they are to the object, within ``limit_m``."""
-        points = self.bullet.getClosestPoints(robot, body, limit_m, linkIndexB=-1)
-        return [(point[3], point[8]) for point in points]
 
     def hull_shape(self, parts: Sequence[Mesh], *, enclosing: bool = False) -> int:
         """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.
@@ -245,6 +236,38 @@ class World:
         )
         if link == -1:
             self.bullet.changeDynamics(body, link, collisionMargin=0.0)
+
+
+def contact_points(
+    raw: Iterable[Sequence[Any]], body: int, part_of: Callable[[int, int], str]
+) -> tuple[ContactPoint, ...]:
+    """Contact points on ``body``, from unfiltered ``getContactPoints``.
+
+    ``part_of`` names what touches it by body and link; those that it calls "" are left out.
+
+    Unfiltered matters: with a filter PyBullet may swap the two bodies and turn the normal, but
+    not the friction, whose sign is then lost. As it comes, both act on the first body.
+    """
+    points = []
+    for _, first, second, first_link, second_link, on_first, on_second, *acting in raw:
+        if first == body:
+            sign, point, part = 1.0, on_first, part_of(second, second_link)
+        elif second == body:
+            sign, point, part = -1.0, on_second, part_of(first, first_link)
+        else:
+            continue
+        if not part:
+            continue
+        (x, y, z), _, push_n, along_n, (ax, ay, az), across_n, (bx, by, bz) = acting
+        normal = sign * x, sign * y, sign * z
+        friction_n = (
+            sign * (along_n * ax + across_n * bx),
+            sign * (along_n * ay + across_n * by),
+            sign * (along_n * az + across_n * bz),
+        )
+        force_n = tuple(push_n * n + f for n, f in zip(normal, friction_n, strict=True))
+        points.append(ContactPoint(part, point, normal, push_n, force_n))
+    return tuple(points)
 
 
 def ball_of(part: Mesh) -> tuple[FloatArray, float] | None:

@@ -13,8 +13,8 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh
 from tacgen.core.units import MM_PER_M
-from tacgen.physics.contacts import object_contacts
 from tacgen.physics.frames import inverse, pose, rotation_of
+from tacgen.physics.world import contact_points
 
 SPHERE_SUBDIVISIONS = 6  # 82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm
 SECTIONS = 512  # around a cylinder or capsule: on 20 mm of radius its facets are within 0.4 µm
@@ -132,13 +132,14 @@ class PyBulletContacts(EngineContacts):
 
     def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
         raw = self._bullet.getContactPoints(physicsClientId=self._client)
-        points: list[FloatArray] = [np.zeros((0, 3))]
-        forces: list[FloatArray] = [np.zeros((0, 3))]
-        for body, _ in self._objects:
-            touching = object_contacts(raw, body).of(self._body, self._link)
-            points.append(touching.point_m)
-            forces.append(-touching.force_n)
-        return np.concatenate(points), np.concatenate(forces)
+        gel = self._body, self._link
+        touching = [
+            point
+            for number, _ in self._objects
+            for point in contact_points(raw, number, lambda *it: "gel" if it == gel else "")
+        ]
+        points, forces = [p.point_m for p in touching], [p.force_n for p in touching]
+        return np.array(points).reshape(-1, 3), -np.array(forces).reshape(-1, 3)
 
 
 class MujocoContacts(EngineContacts):

@@ -39,10 +39,11 @@ def test_grasps_near_slipping_count_apart() -> None:
 
 
 @pytest.mark.slow
-def test_a_grid_in_both_engines(tmp_path: Path) -> None:
+@pytest.mark.parametrize("robot", ["wsg50", "ur5e_wsg50"])
+def test_a_grid_in_both_engines(robot: str, tmp_path: Path) -> None:
     pytest.importorskip("pybullet", reason="PyBullet has no wheel for this Python")
     recipe, out = tmp_path / "recipe.yaml", tmp_path / "out"
-    recipe.write_text(RECIPE)
+    recipe.write_text(f"{RECIPE}robot: {{name: {robot}, tactile_pads: both}}\n")
     arguments = ["compare-engines", str(recipe), "--out", str(out), "--json"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output

@@ -11,6 +11,7 @@ from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.config import Axis
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
+from tacgen.physics.robots import RobotSpec
 from tacgen.sensor.description import load_sensor
 
 AXIS = TypeAdapter(Axis)
@@ -153,7 +154,9 @@ def test_the_resolved_recipe_is_itself_a_recipe(folder):
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_shipped_recipe_loads(path):
-    assert load_recipe(path).name == path.stem
+    recipe = load_recipe(path)
+    assert recipe.name == path.stem
+    assert isinstance(recipe.robot.spec(), RobotSpec)  # which every engine has
 
 
 @pytest.mark.parametrize("path", SENSORS, ids=lambda path: path.stem)

@@ -12,7 +12,7 @@ from tacgen.collection.recipe import load_recipe
 from tacgen.collection.rerun_recording import write_recording
 from tacgen.collection.run import collect
 from tacgen.core.errors import DatasetError
-from tacgen.dataset.schema import PADS
+from tacgen.core.records import PADS
 from tests.small_world import write_world
 
 INDEX = 1

@@ -5,6 +5,7 @@ import numpy as np
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.core.records import ContactFrame, GraspConfig, GraspTrace
 from tacgen.objects import load_object
+from tacgen.physics.gripper import default_gripper
 
 BOX = load_object("sugar_box")
 CONFIG = GraspConfig(0, "sugar_box", 5.0, 0.0, 0.0, 90.0)
@@ -28,24 +29,26 @@ def coloured(picture):
 
 
 def test_the_picture_has_its_size_and_shows_the_object():
-    picture = grasp_picture(BOX, CONFIG, trace(), 0)
+    picture = grasp_picture(BOX, CONFIG, trace(), 0, default_gripper())
     assert picture.shape == (*PICTURE_PX, 3)
     assert picture.dtype == np.uint8
     assert coloured(picture).mean() > 0.05
 
 
 def test_the_same_grasp_gives_the_same_picture():
-    first, second = (grasp_picture(BOX, CONFIG, trace(), 0) for _ in range(2))
+    first, second = (grasp_picture(BOX, CONFIG, trace(), 0, default_gripper()) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
 def test_an_object_that_moved_is_seen_elsewhere():
     def middle(object_x_mm):
-        return np.argwhere(coloured(grasp_picture(BOX, CONFIG, trace(object_x_mm), 0))).mean(axis=0)
+        return np.argwhere(
+            coloured(grasp_picture(BOX, CONFIG, trace(object_x_mm), 0, default_gripper()))
+        ).mean(axis=0)
 
     assert np.linalg.norm(middle(40.0) - middle(0.0)) > 3
 
 
 def test_a_grasp_that_was_not_executed_shows_the_object_at_rest():
     none = GraspTrace(CONFIG, "no_contact", -1, "", {}, np.zeros((0, 7)), 0.0, 0.0)
-    assert coloured(grasp_picture(BOX, CONFIG, none, 0)).any()
+    assert coloured(grasp_picture(BOX, CONFIG, none, 0, default_gripper())).any()

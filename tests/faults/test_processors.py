@@ -7,9 +7,11 @@ import signal
 import subprocess
 import sys
 from functools import partial
+from typing import get_args
 
 import pytest
 
+from tacgen.physics.settings import EngineName
 from tests.small_world import write_world
 
 from .conftest import digests
@@ -37,8 +39,13 @@ randomize: {friction_relative: 0.1, center_of_mass_mm: 1.0, position_mm: 0.5, ya
 """
 
 
-def collected(folder, variables):
-    (folder / "processors.yaml").write_text(RECIPE)
+@pytest.fixture(scope="module", params=get_args(EngineName))
+def engine(request):
+    return request.param
+
+
+def collected(folder, engine, variables):
+    (folder / "processors.yaml").write_text(f"{RECIPE}physics: {{engine: {engine}}}\n")
     command = [sys.executable, "-m", "tacgen", "collect", "processors.yaml", "--out", "data"]
     run = subprocess.run(
         command, cwd=folder, env=os.environ | variables, capture_output=True, timeout=300
@@ -50,16 +57,16 @@ def collected(folder, variables):
 
 
 @pytest.fixture(scope="module")
-def usual(tmp_path_factory):
+def usual(engine, tmp_path_factory):
     folder = tmp_path_factory.mktemp("usual")
     write_world(folder)
-    return collected(folder, {})
+    return collected(folder, engine, {})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_the_bytes_are_the_same(world, tmp_path, usual, variant):
-    assert collected(tmp_path, VARIANTS[variant]) == usual
+def test_the_bytes_are_the_same(world, tmp_path, engine, usual, variant):
+    assert collected(tmp_path, engine, VARIANTS[variant]) == usual
 
 
 def numbers(value, name=""):

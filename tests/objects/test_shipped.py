@@ -17,9 +17,9 @@ from tacgen.objects.mesh_import import MAX_PART_VERTICES
 from tacgen.objects.meshes import volume_mm3
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.physics import GraspSimulator, PhysicsSettings
+from tacgen.physics.engine import GripperTarget
 from tacgen.physics.frames import rotation_of, turn_rad
 from tacgen.physics.margins import dome_patch, torsion_arm_mm
-from tacgen.physics.robots import GripperTarget
 
 STROKE_MM = 110.0  # WSG-50, datasheet
 PAD_MM = (20.0, 16.0)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any, get_args
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics.settings import EngineName
 
 GRAVITY_M_S2 = 9.80665
 SEQUENCE = FrameRequest("sequence", 25, 3.0)
@@ -52,6 +56,23 @@ def block(
     )
 
 
+def solid(shape: str) -> GraspObject:
+    """A cylinder of 256 sections on its base, or a ball, of 0.3 kg."""
+    if shape == "cylinder":
+        mesh = trimesh.creation.cylinder(radius=33.0, height=100.0, sections=256)
+    else:
+        mesh = trimesh.creation.icosphere(subdivisions=3, radius=25.0)
+    mesh.apply_translation([0.0, 0.0, -mesh.bounds[0, 2]])
+    part = hull_mesh(mesh.vertices)
+    return replace(
+        block(),
+        surface=part,
+        collision=(part,),
+        center_of_mass_mm=mesh.center_mass,
+        inertia_kg_mm2=mesh.moment_inertia * 0.3 / mesh.mass,
+    )
+
+
 def dumbbell() -> GraspObject:
     """Two plates joined by a bar: three convex parts, concave as a whole."""
 
@@ -84,7 +105,7 @@ def grasp(
         simulator,
         obj,
         GraspConfig(0, obj.name, force_n, x_mm, y_mm, z_mm, yaw_rad),
-        settings or PhysicsSettings(tactile_pads="both"),
+        replace(settings or PhysicsSettings(tactile_pads="both"), engine=simulator.engine),
         frames=frames or FrameRequest(),
     )
 
@@ -99,13 +120,34 @@ def threshold(holds: Callable[[float], bool], low: float, high: float, halvings:
     return (low + high) / 2
 
 
-@pytest.fixture(scope="module")
-def simulator() -> Iterator[GraspSimulator]:
-    with GraspSimulator("wsg50") as opened:
-        yield opened
+@contextmanager
+def opened(robot: str, engine: EngineName) -> Iterator[GraspSimulator]:
+    """A simulator of an engine that is installed."""
+    pytest.importorskip(engine)
+    with GraspSimulator(robot, engine) as simulator:
+        yield simulator
+
+
+@pytest.fixture(scope="module", params=get_args(EngineName))
+def engine(request: pytest.FixtureRequest) -> EngineName:
+    found: EngineName = request.param
+    return found
 
 
 @pytest.fixture(scope="module")
-def arm_simulator() -> Iterator[GraspSimulator]:
-    with GraspSimulator("ur5e_wsg50") as opened:
-        yield opened
+def simulator(engine: EngineName) -> Iterator[GraspSimulator]:
+    with opened("wsg50", engine) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def arm_simulator(engine: EngineName) -> Iterator[GraspSimulator]:
+    with opened("ur5e_wsg50", engine) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def bullet_world() -> Iterator[Any]:
+    """What only PyBullet has: its functions, and a world without a robot."""
+    with opened("wsg50", "pybullet") as found:
+        yield found.world

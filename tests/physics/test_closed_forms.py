@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.margins import torsion_factor
 
-from .conftest import GRAVITY_M_S2, block, grasp, threshold
+from .conftest import GRAVITY_M_S2, block, grasp, solid, threshold
 
 SETTINGS = PhysicsSettings(tactile_pads="both")
 Record = Callable[[str, object], None]
@@ -106,6 +107,23 @@ def test_two_fingers_hold_what_coulomb_allows(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.2, 0.4, 0.8])
+@pytest.mark.parametrize("shape", ["cylinder", "ball"])
+def test_round_objects_hold_from_the_same_force(
+    simulator: GraspSimulator, shape: str, friction: float
+) -> None:
+    obj = replace(solid(shape), friction=friction)
+    least_n = obj.mass_kg * GRAVITY_M_S2 / (2 * friction)
+    height_mm = float(obj.center_of_mass_mm[2])
+
+    def label(ratio: float) -> int:
+        return grasp(simulator, obj, force_n=ratio * least_n, z_mm=height_mm).label
+
+    assert label(0.97) == 0
+    assert label(1.03) == 1
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("force_n", [3.0, 35.0])
 def test_the_threshold_scales_with_force(
     simulator: GraspSimulator, force_n: float, record_threshold: RecordThreshold
@@ -126,14 +144,12 @@ def test_friction_does_not_depend_on_yaw(
     record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
 
 
-def test_friction_is_a_cone_and_not_a_pyramid(
-    simulator: GraspSimulator, record_property: Record
-) -> None:
+def test_friction_is_a_cone_and_not_a_pyramid(bullet_world: Any, record_property: Record) -> None:
     """A block on the table pushed along its axes and along a diagonal starts at the same force.
 
     A pyramid of two friction directions would hold up to √2 more along its diagonals.
     """
-    world, obj = simulator.world, block(mass_kg=0.5, size_mm=(60.0, 60.0, 20.0))
+    world, obj = bullet_world, block(mass_kg=0.5, size_mm=(60.0, 60.0, 20.0))
     weight_n = obj.mass_kg * GRAVITY_M_S2
 
     def stays(ratio: float, angle_rad: float) -> bool:
@@ -215,8 +231,10 @@ def test_what_hangs_below_the_pads_swings_to_twice_the_turn_of_balance(
         return grasp(simulator, obj, force_n=force_n, z_mm=50.0 + below_mm).turn_rad
 
     for expected_rad in (0.04, 0.08):
-        # The table takes a part of the energy while the object leaves it.
-        assert turn_rad(expected_rad) == pytest.approx(expected_rad, rel=0.2)
+        # The table takes a part of the energy while the object leaves it. In MuJoCo a patch that
+        # turns slides too, which adds the weight's work over that slide.
+        tolerance = {"pybullet": 0.2, "mujoco": 0.3}[simulator.engine]
+        assert turn_rad(expected_rad) == pytest.approx(expected_rad, rel=tolerance)
 
 
 @pytest.mark.parametrize(
@@ -236,7 +254,7 @@ def test_objects_of_several_parts_turn_where_the_soft_finger_gives_way(
     ample = gripped(20.0)
     needed_mm = 20.0 / ample.margin.torsion_ratio
     assert gripped(1.1 * needed_mm).turn_rad < 0.02
-    assert gripped(0.9 * needed_mm).turn_rad > 0.05
+    assert gripped(0.9 * needed_mm).turn_rad > 0.04
 
 
 @pytest.mark.parametrize("pressure", ["uniform", "hertz", "paraboloid"])
@@ -297,10 +315,9 @@ def test_halving_the_time_step_moves_no_threshold(
     record_threshold(f"offset_from_{offset:.4f}", steady, offset - 0.02, offset + 0.02)
 
 
-def test_energy_does_not_grow(simulator: GraspSimulator) -> None:
+def test_energy_does_not_grow(bullet_world: Any) -> None:
     """A block that falls on its edge, bounces, tumbles and comes to rest."""
-    obj = block(mass_kg=0.3)
-    world = simulator.world
+    obj, world = block(mass_kg=0.3), bullet_world
     world.rebuild(SETTINGS, 50)
     body = ObjectBody(world, obj)
     world.bullet.resetBasePositionAndOrientation(body.body, (0.0, 0.0, 0.09), (0.3, 0.1, 0.0, 0.95))
@@ -366,3 +383,13 @@ def test_the_arm_and_the_floating_gripper_agree_but_for_the_border(
     record_property("differing", differing)
     assert compared >= 20
     assert differing == 0
+
+
+def test_a_light_block_in_a_strong_grip_does_not_creep(simulator: GraspSimulator) -> None:
+    obj = block(mass_kg=0.002, size_mm=(30.0, 30.0, 30.0))
+    trace = grasp(simulator, obj, force_n=20.0, z_mm=15.0)
+    assert trace.rise_mm == pytest.approx(180.0, abs=0.05)
+    assert trace.turn_rad < 1e-3
+    # MuJoCo's pads together sink in by 2 × 20 N / (1000 N/mm), less than 0.1 mm.
+    poses = [trace.frames[pad][0].pose_gel_object[2, 3] for pad in ("left", "right")]
+    assert poses == pytest.approx([15.0, 15.0], abs=0.1)

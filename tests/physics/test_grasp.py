@@ -28,7 +28,7 @@ class TestOutcomes:
         assert trace.margin is not None
         weight_n = 0.5 * GRAVITY_M_S2
         closed_form = (2 * 0.5 * 3.0 - weight_n) / weight_n
-        assert trace.margin.translational == pytest.approx(closed_form, rel=1e-5)  # of the solver
+        assert trace.margin.translational == pytest.approx(closed_form, rel=2e-5)  # of the solver
         # The gripper goes up, so the object slides down its images.
         assert trace.margin.first_slip_direction == pytest.approx([0.0, 1.0], abs=0.02)
         assert 0.3 < trace.margin.first_slip_time_s < 1.5

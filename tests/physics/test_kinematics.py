@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tacgen.physics import GraspSimulator, PhysicsSettings, frames, ur5e
+from tacgen.physics.engine import GripperTarget
 from tacgen.physics.grasp import trapezoid
-from tacgen.physics.robots import BASE_POSITION_M, ArmWithGripper, GripperTarget
+from tacgen.physics.gripper import default_gripper
+from tacgen.physics.robots import BASE_POSITION_M
+
+from .conftest import block
 
 
 def test_quaternions_and_rotations_agree_with_scipy() -> None:
@@ -34,11 +40,12 @@ def test_half_turns_have_a_quaternion() -> None:
 
 @pytest.mark.parametrize("pad", ["left", "right"])
 def test_gel_axes_are_right_handed_and_rows_run_down(pad: str) -> None:
-    axes = frames.GEL_AXES_IN_GRIPPER[pad]
+    side = default_gripper().side(pad)
+    axes = side.gel_axes
     assert np.cross(axes[:, 0], axes[:, 1]) == pytest.approx(axes[:, 2])
     assert axes[:, 1] == pytest.approx([0, 0, -1])
     # z looks from the pad to the gripper's centre.
-    assert axes[0, 2] == -frames.PAD_SIDE[pad]
+    assert axes[0, 2] == -side.side
 
 
 def test_the_arm_at_zero_is_stretched_along_minus_x() -> None:
@@ -66,27 +73,48 @@ def test_what_is_out_of_reach_has_no_joint_angles() -> None:
     assert ur5e.inverse_kinematics(target, np.full(6, 0.1)) is None
 
 
+TARGET = GripperTarget(0.03, -0.05, 0.12, 0.4)
+
+
+def test_the_arm_goes_where_it_is_sent(arm_simulator: GraspSimulator) -> None:
+    _, arm = arm_simulator.world.build(block(), PhysicsSettings(), 1.0)
+    assert arm.place(TARGET) == ""
+    position, quaternion = arm.gripper_position()
+    assert position == pytest.approx([0.03, -0.05, 0.12], abs=1e-6)
+    expected = frames.rotation_about_z(0.4)
+    assert frames.rotation_of(quaternion) == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_arm_lifts_straight(arm_simulator: GraspSimulator) -> None:
+    """To a tenth of what slides at the pad count from, with the arm's own weight on its joints."""
+    settings = PhysicsSettings()
+    _, arm = arm_simulator.world.build(block(), settings, 1.0)
+    arm.place(TARGET)
+    assert arm.prepare_lift(0.18) == ""
+    height_m, speed_m_s = trapezoid(0.18, 0.12, 0.12, settings.time_step_s)
+    for now_m, now_m_s in zip(height_m.tolist(), speed_m_s.tolist(), strict=True):
+        arm.command_lift(now_m, now_m_s)
+        arm_simulator.world.step(1)
+        position_m, _ = arm.gripper_position()
+        assert position_m == pytest.approx([0.03, -0.05, 0.12 + now_m], abs=0.05e-3)
+
+
 def test_the_body_in_pybullet_is_the_published_arm() -> None:
     with GraspSimulator("ur5e_wsg50") as simulator:
-        world = simulator.world
-        world.rebuild(PhysicsSettings(), 50)
-        arm = ArmWithGripper(world, PhysicsSettings())
-        target = GripperTarget(0.03, -0.05, 0.12, 0.4)
-        assert arm.place(target) == ""
-        position, quaternion = arm.gripper_position()
-        assert position == pytest.approx([0.03, -0.05, 0.12], abs=1e-6)
-        expected = frames.rotation_about_z(0.4)
-        assert frames.rotation_of(quaternion) == pytest.approx(expected, abs=1e-6)
-        joints = [world.bullet.getJointState(arm.body, joint)[0] for joint in range(6)]
+        world: Any = simulator.world
+        _, arm = world.build(block(), PhysicsSettings(), 1.0)
+        arm.place(TARGET)
+        bullet, body = world.bullet, world.bullet.getNumBodies() - 1
+        joints = [bullet.getJointState(body, joint)[0] for joint in range(6)]
         for joint in range(6):
-            state = world.bullet.getLinkState(arm.body, joint)
+            state = bullet.getLinkState(body, joint, computeForwardKinematics=1)
             frame = np.eye(4)
             for before in range(joint + 1):
                 turn = frames.pose(frames.rotation_about_z(joints[before]), (0, 0, 0))
                 frame = frame @ turn @ ur5e.link_transform(before)
             center = frame @ [*ur5e.LINK_CENTER_OF_MASS_M[joint], 1.0]
             assert state[0] == pytest.approx(center[:3] + BASE_POSITION_M, abs=1e-5)
-            mass = world.bullet.getDynamicsInfo(arm.body, joint)[0]
+            mass = bullet.getDynamicsInfo(body, joint)[0]
             assert mass == pytest.approx(ur5e.LINK_MASS_KG[joint])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +12,15 @@ import trimesh
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
-from tacgen.core.records import Mesh
+from tacgen.core.records import PADS, Mesh
 from tacgen.physics import GraspSimulator, PhysicsSettings
-from tacgen.physics.bodies import ObjectBody, principal_axes
-from tacgen.physics.contacts import Contacts, object_contacts
-from tacgen.physics.frames import inverse, pose
+from tacgen.physics.bodies import principal_axes
+from tacgen.physics.contacts import Contacts, contacts_of
+from tacgen.physics.engine import TABLE, GripperTarget
+from tacgen.physics.frames import inverse, pose, rotation_of
 from tacgen.physics.margins import TorsionLimit, grasp_capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.recorder import frame_end_steps
-from tacgen.physics.robots import FloatingGripper, GripperTarget
 from tacgen.physics.settings import FrameRequest
 from tacgen.physics.world import ball_of, require_numpy
 
@@ -71,8 +72,8 @@ class TestLabels:
 
 
 def pad_contacts(point_m: FloatArray, normal: FloatArray, normal_force_n: FloatArray) -> Contacts:
-    ids = np.zeros(len(point_m), dtype=np.int64)
-    return Contacts(ids, ids, point_m, normal, normal_force_n, normal_force_n[:, None] * normal)
+    parts = np.full(len(point_m), "left")
+    return Contacts(parts, point_m, normal, normal_force_n, normal_force_n[:, None] * normal)
 
 
 def flat_pads(force_n: float) -> tuple[Contacts, ...]:
@@ -204,48 +205,50 @@ class TestBodies:
 
     def test_the_body_stands_where_the_object_says(self, simulator: GraspSimulator) -> None:
         obj = block(yaw_rad=0.4, center_of_mass_offset_mm=(3.0, -4.0, 7.0))
-        simulator.world.rebuild(SETTINGS, 50)
-        body = ObjectBody(simulator.world, obj)
+        body, _ = simulator.world.build(obj, SETTINGS, 1.0)
         position, quaternion = body.inertial_position()
         assert np.array(position) * 1000 == pytest.approx(obj.center_of_mass_mm, abs=1e-4)
         moments, axes = principal_axes(obj.inertia_kg_mm2)
         inertial = pose(axes, obj.center_of_mass_mm / 1000)
-        turned = simulator.world.bullet.getMatrixFromQuaternion(quaternion)
-        frame = pose(np.array(turned).reshape(3, 3), position) @ inverse(inertial)
+        frame = pose(rotation_of(quaternion), position) @ inverse(inertial)
         assert frame == pytest.approx(np.eye(4), abs=1e-6)
-        held = simulator.world.bullet.getDynamicsInfo(body.body, -1)
+        assert body.principal_moments_kg_m2 * 1e6 == pytest.approx(moments, rel=1e-6)
+
+    def test_pybullet_holds_the_moments_of_inertia(self, bullet_world: Any) -> None:
+        obj = block(yaw_rad=0.4)
+        body, _ = bullet_world.build(obj, SETTINGS, 1.0)
+        held = bullet_world.bullet.getDynamicsInfo(body.body, -1)
+        moments, _ = principal_axes(obj.inertia_kg_mm2)
         assert np.array(held[2]) * 1e6 == pytest.approx(moments, rel=1e-6)
 
 
 class TestWorld:
     def test_surfaces_are_where_the_geometry_says(self, simulator: GraspSimulator) -> None:
         """No collision margin between the table, the object and the pads."""
-        world = simulator.world
-        world.rebuild(SETTINGS, 50)
-        body = ObjectBody(world, block())
-        robot = FloatingGripper(world, SETTINGS)
+        _, robot = simulator.world.build(block(), SETTINGS, 1.0)
         robot.place(GripperTarget(0.0, 0.0, 0.05, 0.0))
+        robot.fingers.place(0.0)
+        near_m = dict(simulator.world.distances(0.1))
+        for pad in PADS:
+            # A convex distance in MuJoCo is as exact as its solver's tolerance of 1 µm.
+            assert near_m[pad] == pytest.approx(0.055 - 0.030, abs=2e-6)
 
-        def distance_m(first: int, second: int, **links: int) -> float:
-            points = world.bullet.getClosestPoints(first, second, 1.0, **links)
-            return min(point[8] for point in points)
-
-        assert distance_m(body.body, world.table) == pytest.approx(0.0, abs=1e-6)
-        for link in robot.fingers.links.values():
-            gap_m = distance_m(robot.body, body.body, linkIndexA=link)
-            assert gap_m == pytest.approx(0.055 - 0.030, abs=1e-6)
+    def test_an_object_stands_on_the_table(self, bullet_world: Any) -> None:
+        body, _ = bullet_world.build(block(), SETTINGS, 1.0)
+        points = bullet_world.bullet.getClosestPoints(body.body, bullet_world.table, 1.0)
+        assert min(point[8] for point in points) == pytest.approx(0.0, abs=1e-6)
 
     def test_a_resting_object_presses_the_table_with_its_weight(
         self, simulator: GraspSimulator
     ) -> None:
-        simulator.world.rebuild(SETTINGS, 50)
-        body = ObjectBody(simulator.world, block(mass_kg=0.4))
+        _, robot = simulator.world.build(block(mass_kg=0.4), SETTINGS, 1.0)
+        robot.place(GripperTarget(0.0, 0.0, 0.3, 0.0))
+        robot.prepare_lift(0.0)
         simulator.world.step(480)
-        raw = simulator.world.bullet.getContactPoints()
-        contacts = object_contacts(raw, body.body)
+        contacts = contacts_of(simulator.world.contacts())
         weight_n = 0.4 * GRAVITY_M_S2
         assert contacts.force_n.sum(axis=0) == pytest.approx([0, 0, weight_n], abs=1e-3)
-        assert set(contacts.body) == {simulator.world.table}
+        assert set(contacts.part) == {TABLE}
 
     def test_a_pybullet_without_numpy_is_refused_with_the_mend(self) -> None:
         without = SimpleNamespace(isNumpyEnabled=lambda: 0)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
+from tacgen.physics.settings import EngineName
 
-from .conftest import SEQUENCE, block, dumbbell, grasp
+from .conftest import SEQUENCE, block, dumbbell, grasp, opened
 
 
 def as_bytes(value: object) -> bytes:
@@ -30,7 +31,7 @@ def as_bytes(value: object) -> bytes:
 
 class TestRepeatability:
     @pytest.mark.slow
-    def test_a_grasp_does_not_remember_those_before_it(self) -> None:
+    def test_a_grasp_does_not_remember_those_before_it(self, engine: EngineName) -> None:
         asked = [
             (block(), 8.0, FrameRequest()),
             (dumbbell(), 12.0, SEQUENCE),
@@ -47,28 +48,28 @@ class TestRepeatability:
 
         fresh = []
         for k in range(len(asked)):
-            with GraspSimulator() as simulator:
+            with opened("wsg50", engine) as simulator:
                 fresh.append(trace(simulator, k))
-        with GraspSimulator() as simulator:
+        with opened("wsg50", engine) as simulator:
             for k in (4, 0, 3, 1, 2, 0, 4, 2, 1):
                 assert trace(simulator, k) == fresh[k], f"grasp {k} differs"
 
-    def test_two_simulators_do_not_disturb_each_other(self) -> None:
-        with GraspSimulator() as first:
+    def test_two_simulators_do_not_disturb_each_other(self, engine: EngineName) -> None:
+        with opened("wsg50", engine) as first:
             alone = as_bytes(grasp(first, block()))
-            with GraspSimulator("ur5e_wsg50") as second:
+            with opened("ur5e_wsg50", engine) as second:
                 grasp(second, block(), force_n=3.0)
                 assert as_bytes(grasp(first, block())) == alone
 
     @pytest.mark.slow
-    def test_memory_does_not_grow(self) -> None:
+    def test_memory_does_not_grow(self, engine: EngineName) -> None:
         def resident_kb() -> int:
             return int(Path("/proc/self/statm").read_text().split()[1]) * 4
 
         if not Path("/proc/self/statm").exists():
             pytest.skip("needs /proc")
         short = PhysicsSettings(tactile_pads="both", lift_mm=10.0, success_rise_mm=5.0)
-        with GraspSimulator() as simulator:
+        with opened("wsg50", engine) as simulator:
             for _ in range(20):
                 grasp(simulator, dumbbell(), z_mm=30.0, settings=short)
             before = resident_kb()

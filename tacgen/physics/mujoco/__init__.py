@@ -1,4 +1,4 @@
-"""MuJoCo as an engine of grasps, with the methods of ``tacgen.physics.bullet.Engine``."""
+"""MuJoCo as an engine of grasps."""
 
 from tacgen.physics.mujoco.simulation import Engine
 

@@ -1,148 +1,161 @@
-"""The MJCF model of one grasp: table, object and floating gripper. Lengths are in metres."""
+"""The MuJoCo model of one grasp: table, object and robot. Lengths are in metres."""
 
-from collections.abc import Iterable, Sequence
-from xml.etree.ElementTree import Element, SubElement, tostring
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import GraspObject, Mesh
+from tacgen.core.records import PADS, GraspObject
 from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
-from tacgen.physics.frames import PAD_SIDE, Pose, quaternion_from_rotation
-from tacgen.physics.gripper import (
-    FINGER_LENGTH_MM,
-    FINGER_MASS_KG,
-    HAND_MASS_KG,
-    PALM_HALF_EXTENTS_MM,
-    STEM_CENTER_MM,
-    STEM_HALF_EXTENTS_MM,
-    STROKE_MM,
-    pad_vertices_m,
-)
-from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
-from tacgen.physics.world import HULL_MARGIN_MM, Collides, ball_of
+from tacgen.physics.engine import PALM, TABLE, Link, Vector
+from tacgen.physics.frames import Pose, quaternion_from_rotation
+from tacgen.physics.gripper import PAD_MARGIN_MM, GripperSpec
+from tacgen.physics.robots import RobotSpec
+from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.world import Collides, ball_of
 
-DRIVEN_MASS_KG = 1e6
-"""Added to axes whose speed is set at every step: 100 N then bend it by 0.2 µm/s in a step."""
-FINGER_INERTIA_KG_M2 = 1e-3  # about axes on which nothing turns; MuJoCo wants one
-SOFTNESS = {"solref": "0.005 1", "solimp": "0.99 0.999 0.0001 0.5 2"}
+OBJECT, BASE, HAND = "object", "base", "hand"
+"""Names of bodies; the object's is that of its free joint too."""
+DRIVEN_MASS = 1e6
+"""Added (kg or kg m²) to axes whose speed is set at every step: 100 N then bend it by 0.2 µm/s in
+a step."""
+FINGER_INERTIA_KG_M2 = 1e-3  # a finger turns with the hand alone; MuJoCo wants one
+SOFTNESS = {"solref": [0.005, 1.0], "solimp": [0.99, 0.999, 0.0001, 0.5, 2.0]}
 """Of the table and the fingers' motors: two time steps, and 0.01 mm under a few kilograms."""
-OPTIONS = {
-    "cone": "elliptic",  # the ellipsoidal limit surface of a patch: its friction and its moment
-    "impratio": "100",  # friction is that much stiffer than the normal: 0.03 mm/s of creep …
-    "noslip_iterations": "5",  # … and 0.1 µm/s after five of these
-    "integrator": "implicitfast",
-    "iterations": "100",  # of Newton's method, which needs some ten
-    "tolerance": "1e-12",  # relative; far below a pad's force of 1 N
-}
+IMPEDANCE_RATIO = 100.0  # friction is that much stiffer than the normal: 0.03 mm/s of creep …
+NOSLIP_ITERATIONS = 5  # … and 0.1 µm/s after five of these
+ITERATIONS = 100  # of Newton's method, which needs some ten
+TOLERANCE = 1e-12  # relative; far below a pad's force of 1 N
 
 
-def scene_xml(
-    obj: GraspObject, settings: PhysicsSettings, inertial: Pose, moments_kg_m2: FloatArray
-) -> str:
-    """The model of ``obj`` with its inertial frame and principal moments, before the approach.
+def carrying_joint(number: int) -> str:
+    """Name of the joint of a link that carries the hand."""
+    return f"carrying {number}"
 
-    The joints are, in this order: the object's free one, the hand's height, and a motor and a
-    finger for each pad. The motor moves at the commanded speed whatever acts on it and carries the
-    finger by a dry friction of the commanded force: the finger follows, and presses with it.
+
+def motor_of(pad: str) -> str:
+    """Name of the joint of the motor that drives the finger of ``pad``."""
+    return f"{pad} motor"
+
+
+class Scene:
+    """Builds the model of one grasp.
+
+    A finger hangs by a dry friction of the commanded force, its joint's, on a motor that moves at
+    the commanded speed whatever acts on it: the finger follows, and presses with that force.
     """
-    root = Element("mujoco")
-    step = f"{settings.time_step_s:.17g}"
-    gravity = _text((0, 0, -STANDARD_GRAVITY_M_S2))
-    option = _add(root, "option", timestep=step, gravity=gravity, **OPTIONS)
-    # A single touch for each pair: the dome's. An unstable state is reported, not reset.
-    _add(option, "flag", multiccd="disable", autoreset="disable")
-    scene, assets = _add(root, "worldbody"), _add(root, "asset")
-    table = {"contype": str(int(Collides.TABLE)), "conaffinity": "0", "priority": "1", **SOFTNESS}
-    friction = _text((settings.table_friction, 0, 0))
-    _add(scene, "geom", type="plane", size="0 0 1", friction=friction, **table)
-    body = _add(scene, "body", name="object")
-    _add(body, "freejoint")
-    _inertial(body, obj.mass_kg, moments_kg_m2, inertial)
-    _add_object(assets, body, obj.collision)
-    hand = _add(scene, "body", name="hand")
-    _slide(hand, "height", (0, 0, 1), armature=repr(DRIVEN_MASS_KG))
-    _inertial(hand, HAND_MASS_KG, np.full(3, FINGER_INERTIA_KG_M2))
-    palm_height_mm = FINGER_LENGTH_MM + PALM_HALF_EXTENTS_MM[2]
-    _add_box(hand, "palm", PALM_HALF_EXTENTS_MM, (0, 0, palm_height_mm))
-    for pad in PAD_NAMES:
-        side = PAD_SIDE[pad]
-        position_m = (side * STROKE_MM / 2 * M_PER_MM, 0, 0)
-        finger = _add(hand, "body", name=pad, pos=_text(position_m))
-        _slide(finger, f"{pad}_motor", (-side, 0, 0), armature=repr(DRIVEN_MASS_KG))
-        limit = {f"{key}friction": value for key, value in SOFTNESS.items()}
-        _slide(finger, pad, (-side, 0, 0), frictionloss="1", **limit)
-        _inertial(finger, FINGER_MASS_KG, np.full(3, FINGER_INERTIA_KG_M2))
-        vertices_m = np.array(pad_vertices_m(side, settings.pad_dome_radius_mm))
-        _mesh(assets, pad, vertices_m)
-        # The pad's vertices lie inside it by the margin in which it touches.
-        surface = {"condim": "4", "friction": _text((obj.friction * settings.pad_friction, 0, 0))}
-        margin = repr(HULL_MARGIN_MM * M_PER_MM)
-        _gripper_geom(finger, name=pad, type="mesh", mesh=pad, margin=margin, **surface)
-        x_mm, y_mm, z_mm = STEM_CENTER_MM
-        _add_box(finger, f"{pad}_stem", STEM_HALF_EXTENTS_MM, (side * x_mm, y_mm, z_mm))
-    equality = _add(root, "equality")
-    left, right = PAD_NAMES
-    _add(equality, "joint", joint1=left, joint2=right, active="false", **SOFTNESS)
-    return tostring(root, encoding="unicode")
 
+    def __init__(self, mujoco: Any, settings: PhysicsSettings) -> None:
+        self._mujoco, self._settings = mujoco, settings
+        self._spec = mujoco.MjSpec()
+        option, disabled = self._spec.option, mujoco.mjtDisableBit
+        option.timestep = settings.time_step_s
+        option.gravity = [0.0, 0.0, -STANDARD_GRAVITY_M_S2]
+        # The ellipsoidal limit surface of a patch: its friction and its moment.
+        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.impratio, option.noslip_iterations = IMPEDANCE_RATIO, NOSLIP_ITERATIONS
+        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        option.iterations, option.tolerance = ITERATIONS, TOLERANCE
+        # A single touch for each pair: the dome's. An unstable state is reported, not reset.
+        option.disableflags = int(disabled.mjDSBL_MULTICCD | disabled.mjDSBL_AUTORESET)
+        self._spec.worldbody.add_geom(
+            name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0],
+            friction=[settings.table_friction, 0.0, 0.0], contype=int(Collides.TABLE),
+            conaffinity=0, priority=1, **SOFTNESS,
+        )  # fmt: skip
 
-def _add_object(assets: Element, body: Element, parts: Sequence[Mesh]) -> None:
-    """Several parts meet the table as one hull, as in PyBullet."""
-    alone = len(parts) == 1
-    for number, part in enumerate(parts):
+    def compiled(self) -> Any:
+        """The model of all that was added."""
+        return self._spec.compile()
+
+    def add_object(self, obj: GraspObject, inertial: Pose, moments_kg_m2: FloatArray) -> None:
+        """The object in its rest pose; several parts meet the table as one hull, as in PyBullet."""
+        body = self._spec.worldbody.add_body(name=OBJECT)
+        body.add_freejoint(name=OBJECT)
+        _set_inertia(body, obj.mass_kg, moments_kg_m2, inertial)
+        parts, alone = obj.collision, len(obj.collision) == 1
         group = Collides.GRIPPER | Collides.TABLE if alone else Collides.GRIPPER
-        affinity = {"contype": "0", "conaffinity": str(int(group))}
-        if alone and (ball := ball_of(part)):
-            center, size = _text(ball[0] * M_PER_MM), repr(ball[1] * M_PER_MM)
-            _add(body, "geom", type="sphere", pos=center, size=size, **affinity)
-            return
-        _mesh(assets, f"part{number}", part.vertices_mm * M_PER_MM)
-        _add(body, "geom", type="mesh", mesh=f"part{number}", **affinity)
-    if not alone:
-        _mesh(assets, "hull", np.concatenate([part.vertices_mm for part in parts]) * M_PER_MM)
-        group = Collides.TABLE
-        _add(body, "geom", type="mesh", mesh="hull", contype="0", conaffinity=str(int(group)))
+        for number, part in enumerate(parts):
+            touch = {"contype": 0, "conaffinity": int(group)}
+            if alone and (ball := ball_of(part)):
+                sphere, size = self._mujoco.mjtGeom.mjGEOM_SPHERE, [ball[1] * M_PER_MM, 0.0, 0.0]
+                body.add_geom(type=sphere, pos=ball[0] * M_PER_MM, size=size, **touch)
+                return
+            self._add_hull(body, f"part {number}", part.vertices_mm * M_PER_MM, **touch)
+        if not alone:
+            vertices_m = np.concatenate([part.vertices_mm for part in parts]) * M_PER_MM
+            self._add_hull(body, "hull", vertices_m, contype=0, conaffinity=int(Collides.TABLE))
+
+    def add_robot(self, robot: RobotSpec, friction: float) -> None:
+        """The links that carry the hand, and the gripper with ``friction`` of its pads."""
+        body, gripper = self._spec.worldbody.add_body(name=BASE), robot.gripper
+        for number, link in enumerate(robot.links()):
+            body = self._add_link(body, number, link)
+        body.name = HAND
+        self._add_box(body, PALM, *gripper.hand.box.half_and_center_mm)
+        for pad in PADS:
+            self._add_finger(body, gripper, pad, friction)
+        left, right = PADS
+        self._spec.add_equality(
+            type=self._mujoco.mjtEq.mjEQ_JOINT, name1=left, name2=right, active=False, **SOFTNESS
+        )
+
+    def _add_link(self, before: Any, number: int, link: Link) -> Any:
+        place = {"pos": link.frame[:3, 3], "quat": _quaternion(link.frame)}
+        body = before.add_body(name=f"link {number}", **place)
+        center = np.eye(4)
+        center[:3, 3] = link.center_of_mass_m
+        _set_inertia(body, link.mass_kg, link.moments_kg_m2, center)
+        if link.joint != "fixed":
+            kinds = self._mujoco.mjtJoint
+            kind = kinds.mjJNT_SLIDE if link.joint == "slide" else kinds.mjJNT_HINGE
+            name = carrying_joint(number)
+            body.add_joint(name=name, type=kind, axis=[0, 0, 1], armature=DRIVEN_MASS)
+        return body
+
+    def _add_finger(self, hand: Any, gripper: GripperSpec, pad: str, friction: float) -> None:
+        side, slide = gripper.side(pad).side, self._mujoco.mjtJoint.mjJNT_SLIDE
+        finger = hand.add_body(name=pad, pos=[side * gripper.stroke_mm / 2 * M_PER_MM, 0.0, 0.0])
+        _set_inertia(finger, gripper.finger.mass_kg, [FINGER_INERTIA_KG_M2] * 3, np.eye(4))
+        inwards = [-side, 0.0, 0.0]
+        finger.add_joint(name=motor_of(pad), type=slide, axis=inwards, armature=DRIVEN_MASS)
+        limit = {f"{key}_friction": value for key, value in SOFTNESS.items()}
+        finger.add_joint(name=pad, type=slide, axis=inwards, frictionloss=1.0, **limit)
+        vertices_m = np.array(gripper.pad_vertices_m(pad, self._settings.pad_dome_radius_mm))
+        surface = {"condim": 4, "friction": [friction, 0.0, 0.0]}
+        margin = PAD_MARGIN_MM * M_PER_MM
+        self._add_hull(finger, pad, vertices_m, margin=margin, **surface, **_GRIPPER)
+        for number, (half_mm, center_mm) in enumerate(gripper.finger_boxes_mm(pad)):
+            self._add_box(finger, f"{pad} finger {number}", half_mm, center_mm)
+
+    def _add_hull(self, body: Any, name: str, vertices_m: FloatArray, **attributes: Any) -> None:
+        """A mesh that collides as the convex hull of its vertices."""
+        convex = self._mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        self._spec.add_mesh(name=name, uservert=vertices_m.ravel().tolist(), inertia=convex)
+        mesh = self._mujoco.mjtGeom.mjGEOM_MESH
+        body.add_geom(name=name, type=mesh, meshname=name, **attributes)
+
+    def _add_box(self, body: Any, name: str, half_mm: FloatArray, center_mm: FloatArray) -> None:
+        """A part of the gripper without friction."""
+        size, position = half_mm * M_PER_MM, center_mm * M_PER_MM
+        box, friction = self._mujoco.mjtGeom.mjGEOM_BOX, [0.0, 0.0, 0.0]
+        body.add_geom(name=name, type=box, size=size, pos=position, friction=friction, **_GRIPPER)
 
 
-def _mesh(assets: Element, name: str, vertices_m: FloatArray) -> None:
-    """A mesh that collides as the convex hull of its vertices."""
-    vertex = _text(vertices_m.ravel())
-    _add(assets, "mesh", name=name, vertex=vertex, inertia="convex")
+_GRIPPER: dict[str, Any] = {
+    "contype": int(Collides.GRIPPER), "conaffinity": 0, "priority": 1, **SOFTNESS,
+}  # fmt: skip
+"""The gripper's surfaces state the friction with an object, and touch nothing else."""
 
 
-def _add_box(
-    body: Element, name: str, half_extents_mm: Iterable[float], center_mm: Iterable[float]
+def _set_inertia(
+    body: Any, mass_kg: float, moments_kg_m2: Sequence[float] | FloatArray | Vector, frame: Pose
 ) -> None:
-    """A part of the gripper without friction."""
-    size, position = (
-        _text(M_PER_MM * mm for mm in given) for given in (half_extents_mm, center_mm)
-    )
-    _gripper_geom(body, name=name, type="box", size=size, pos=position, friction="0 0 0")
+    body.explicitinertial, body.mass, body.inertia = True, mass_kg, moments_kg_m2
+    body.ipos, body.iquat = frame[:3, 3], _quaternion(frame)
 
 
-def _gripper_geom(body: Element, **attributes: str) -> None:
-    """The gripper's surfaces state the friction with an object, and touch nothing else."""
-    group = {"contype": str(int(Collides.GRIPPER)), "conaffinity": "0", "priority": "1"}
-    _add(body, "geom", **SOFTNESS, **group, **attributes)
-
-
-def _slide(body: Element, name: str, axis: Iterable[float], **attributes: str) -> None:
-    _add(body, "joint", name=name, type="slide", axis=_text(axis), **attributes)
-
-
-def _inertial(
-    body: Element, mass_kg: float, moments_kg_m2: FloatArray, frame: Pose | None = None
-) -> None:
-    frame = np.eye(4) if frame is None else frame
-    x, y, z, w = quaternion_from_rotation(frame[:3, :3])
-    place = {"pos": _text(frame[:3, 3]), "quat": _text((w, x, y, z))}
-    _add(body, "inertial", mass=repr(mass_kg), diaginertia=_text(moments_kg_m2), **place)
-
-
-def _add(parent: Element, tag: str, **attributes: str) -> Element:
-    return SubElement(parent, tag, attributes)
-
-
-def _text(numbers: Iterable[float]) -> str:
-    return " ".join(f"{number:.12g}" for number in numbers)
+def _quaternion(frame: Pose) -> FloatArray:
+    """MuJoCo's order: w, x, y, z."""
+    return np.roll(quaternion_from_rotation(frame[:3, :3]), 1)

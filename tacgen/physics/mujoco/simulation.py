@@ -1,44 +1,34 @@
 """The scene of one grasp in MuJoCo. Lengths are in metres, quaternions x, y, z, w."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PhysicsError
-from tacgen.core.records import GraspObject
+from tacgen.core.records import PADS, GraspObject
 from tacgen.core.units import M_PER_MM
+from tacgen.physics import engine
 from tacgen.physics.bodies import principal_axes
+from tacgen.physics.engine import ContactPoint, Place, Vector
 from tacgen.physics.frames import pose, quaternion_from_rotation, rotation_of
 from tacgen.physics.margins import torsion_factor
-from tacgen.physics.mujoco.model import scene_xml
-from tacgen.physics.robots import GripperTarget
-from tacgen.physics.settings import PAD_NAMES, PhysicsSettings, RobotName
+from tacgen.physics.mujoco.model import BASE, HAND, OBJECT, Scene, carrying_joint, motor_of
+from tacgen.physics.robots import RobotSpec
+from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import Collides
 
-Place = tuple[tuple[float, ...], tuple[float, ...]]  # position and quaternion
-OBJECT, ROBOT = 1, 2  # numbers of the bodies; the table is 0
-HEIGHT = 7  # of the hand in ``qpos``, after the object's position and quaternion
-MOTORS, FINGERS = (8, 10), (9, 11)  # in ``qpos``, left and right
-SPEED_OFFSET = -1  # of ``qvel`` to ``qpos``: a quaternion has four numbers, a spin three
 CONTACT_STIFFNESS_N_MM = 1000.0  # of rigid pads: they sink in by 0.04 mm under 40 N
 RESPONSE_STEPS = 2.4  # time constant of a contact; below two it is unstable
 LARGEST_IMPEDANCE = 0.9999  # Source: MuJoCo's documentation, solver parameters
 
 
 class Engine:
-    """MuJoCo with the floating gripper; its methods are those of ``bullet.Engine``."""
+    """MuJoCo with one kind of robot; an arm's motors follow their path, whatever they carry."""
 
-    def __init__(self, robot: RobotName) -> None:
-        if robot != "wsg50":
-            msg = (
-                f"the engine 'mujoco' has no robot {robot!r}; set `robot: {{name: wsg50}}`, or "
-                "simulate in PyBullet alone: `physics: {engine: pybullet}`"
-            )
-            raise PhysicsError(msg)
+    def __init__(self, robot: RobotSpec) -> None:
         try:
             self._mujoco: Any = import_module("mujoco")
         except ImportError as error:
@@ -47,6 +37,9 @@ class Engine:
                 "simulate in PyBullet: `physics: {engine: pybullet}`"
             )
             raise PhysicsError(msg) from error
+        self._robot = robot
+        self._model: Any = None
+        self._data: Any = None
 
     def __enter__(self) -> "Engine":
         return self
@@ -56,60 +49,62 @@ class Engine:
 
     def build(
         self, obj: GraspObject, settings: PhysicsSettings, force_n: float
-    ) -> tuple["ObjectBody", "FloatingGripper"]:
-        """A new scene: the table, the object in its rest pose and the gripper."""
+    ) -> tuple["ObjectBody", engine.Robot]:
+        """A new scene: the table, the object in its rest pose and the robot."""
         moments, axes = principal_axes(obj.inertia_kg_mm2)
-        inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
-        xml = scene_xml(obj, settings, inertial, moments * M_PER_MM**2)
-        self.model = self._mujoco.MjModel.from_xml_string(xml)
-        self.data = self._mujoco.MjData(self.model)
-        _set_compliance(self.model, settings)
-        self._owner = np.minimum(self.model.geom_bodyid, ROBOT).tolist()
-        touches_gripper = (self.model.geom_conaffinity & int(Collides.GRIPPER)) > 0
-        self._parts = np.flatnonzero(touches_gripper).tolist()
-        self._robot = FloatingGripper(self.model, self.data)
-        body = ObjectBody(self.data, inertial, moments * M_PER_MM**2)
-        return body, self._robot
+        inertial, moments_kg_m2 = (
+            pose(axes, obj.center_of_mass_mm * M_PER_MM),
+            moments * M_PER_MM**2,
+        )
+        scene = Scene(self._mujoco, settings)
+        scene.add_object(obj, inertial, moments_kg_m2)
+        scene.add_robot(self._robot, obj.friction * settings.pad_friction)
+        self._model = model = scene.compiled()
+        self._data = data = self._mujoco.MjData(model)
+        _set_compliance(model, settings)
+        geoms = range(model.ngeom)
+        self._names = [model.geom(geom).name for geom in geoms]
+        self._of_object = (model.geom_bodyid == model.body(OBJECT).id).tolist()
+        self._gripper = [k for k in geoms if model.geom_contype[k] & int(Collides.GRIPPER)]
+        self._parts = [k for k in geoms if model.geom_conaffinity[k] & int(Collides.GRIPPER)]
+        self._joints = Joints(self._mujoco, model, data, self._robot)
+        self._fingers = Fingers(model, data)
+        self._driven = np.concatenate([self._joints.dofs, self._fingers.motors])
+        robot = self._robot.mounted(settings, self._joints, self._fingers)
+        return ObjectBody(model, data, inertial, moments_kg_m2), robot
 
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
-        driven = np.array([HEIGHT, *MOTORS]) + SPEED_OFFSET
-        finger_m_s = self._robot.fingers.speed_m_s
-        speeds_m_s = self._robot.speed_m_s, finger_m_s, finger_m_s
         for _ in range(count):
-            self.data.qvel[driven] = speeds_m_s
-            self._mujoco.mj_step(self.model, self.data)
+            self._data.qvel[self._driven] = *self._joints.next_speeds(), *self._fingers.speeds_m_s
+            self._mujoco.mj_step(self._model, self._data)
 
-    def contacts(self) -> tuple[tuple[Any, ...], ...]:
-        """All contact points of the last step on the object, as PyBullet lays them out."""
-        found, force_n = self.data.contact, self.data.efc_force
-        rows = []
+    def contacts(self) -> tuple[ContactPoint, ...]:
+        """All contact points of the last step on the object."""
+        points, found, wrench = [], self._data.contact, np.zeros(6)
         for k in np.flatnonzero(found.efc_address >= 0).tolist():
-            first, other = found.geom[k].tolist()
-            # MuJoCo's normal and force act on the second of the two.
-            sign = 1.0 if self._owner[other] == OBJECT else -1.0
-            other = first if sign > 0 else other
-            normal, along, across = (sign * found.frame[k].reshape(3, 3)).tolist()
-            start = found.efc_address[k]
-            push_n, along_n, across_n = force_n[start : start + 3].tolist()
+            first, second = found.geom[k].tolist()
+            # MuJoCo's normal, in the first row of the frame, and its force act on the second.
+            sign, other = (1.0, first) if self._of_object[second] else (-1.0, second)
+            self._mujoco.mj_contactForce(self._model, self._data, k, wrench)
+            frame = sign * found.frame[k].reshape(3, 3)
+            normal, force_n = tuple(frame[0].tolist()), tuple((wrench[:3] @ frame).tolist())
             place = tuple(found.pos[k].tolist())
-            friction = along_n, along, across_n, across
-            link = other if self._owner[other] == ROBOT else -1
-            bodies = OBJECT, self._owner[other], -1, link
-            rows.append((0, *bodies, place, place, normal, float(found.dist[k]), push_n, *friction))
-        return tuple(rows)
+            points.append(ContactPoint(self._names[other], place, normal, wrench[0], force_n))
+        return tuple(points)
 
-    def distances(self, robot: int, body: int, limit_m: float) -> list[tuple[int, float]]:
-        """Links of the robot and how near they are to the object, within ``limit_m``."""
-        self._mujoco.mj_kinematics(self.model, self.data)
+    def distances(self, limit_m: float) -> list[tuple[str, float]]:
+        """Parts of the gripper and how near they are to the object, within ``limit_m``."""
+        model, data = self._model, self._data
+        self._mujoco.mj_kinematics(model, data)
         found = []
-        for link in (geom for geom, owner in enumerate(self._owner) if owner == robot):
-            margin_m = float(self.model.geom_margin[link])
+        for geom in self._gripper:
+            margin_m = float(model.geom_margin[geom])
             most_m = limit_m + margin_m
-            pairs = ((self.model, self.data, link, part, most_m, None) for part in self._parts)
+            pairs = ((model, data, geom, part, most_m, None) for part in self._parts)
             nearest_m = min(self._mujoco.mj_geomDistance(*pair) for pair in pairs)
             if nearest_m < most_m:
-                found.append((link, nearest_m - margin_m))
+                found.append((self._names[geom], nearest_m - margin_m))
         return found
 
 
@@ -126,8 +121,8 @@ def _set_compliance(model: Any, settings: PhysicsSettings) -> None:
         damping_n_s_m = settings.pad_damping_n_s_mm / M_PER_MM
         inverse_mass = min(inverse_mass, damping / damping_n_s_m)
         damping = damping_n_s_m * inverse_mass
-    for pad in PAD_NAMES:
-        bodies = model.body(pad), model.body("object")
+    for pad in PADS:
+        bodies = model.body(pad), model.body(OBJECT)
         of_bodies = sum(float(body.invweight0[0]) for body in bodies)
         impedance = min(of_bodies / (of_bodies + inverse_mass), LARGEST_IMPEDANCE)
         # MuJoCo multiplies the first by 1/d and divides the second by it.
@@ -138,17 +133,17 @@ def _set_compliance(model: Any, settings: PhysicsSettings) -> None:
 
 
 class ObjectBody:
-    """The object; as ``bodies.ObjectBody``."""
+    """The object."""
 
-    body = OBJECT
-
-    def __init__(self, data: Any, inertial: FloatArray, moments_kg_m2: FloatArray) -> None:
-        self._data = data
-        self.inertial = inertial
-        self.principal_moments_kg_m2 = moments_kg_m2
+    def __init__(
+        self, model: Any, data: Any, inertial: FloatArray, moments_kg_m2: FloatArray
+    ) -> None:
+        self.inertial, self.principal_moments_kg_m2 = inertial, moments_kg_m2
+        joint = model.joint(OBJECT)
+        self._data, self._place, self._speed = data, joint.qposadr[0], joint.dofadr[0]
 
     def _pose(self) -> FloatArray:
-        x, y, z, qw, qx, qy, qz = self._data.qpos[:HEIGHT].tolist()
+        x, y, z, qw, qx, qy, qz = self._data.qpos[self._place : self._place + 7].tolist()
         return pose(rotation_of((qx, qy, qz, qw)), (x, y, z))
 
     def inertial_position(self) -> Place:
@@ -158,62 +153,71 @@ class ObjectBody:
 
     def velocity(self) -> Place:
         """Linear velocity (m/s) of the centre of mass and angular velocity (rad/s)."""
-        linear, spin = self._data.qvel[:3], self._data.qvel[3:6]  # spin: in the object's axes
+        # The spin is in the object's axes.
+        linear, spin = self._data.qvel[self._speed : self._speed + 6].reshape(2, 3)
         rotation = self._pose()[:3, :3]
         linear = linear + rotation @ np.cross(spin, self.inertial[:3, 3])
         return tuple(linear.tolist()), tuple((rotation @ spin).tolist())
 
 
-class FloatingGripper:
-    """The gripper, moving at the commanded speed; as ``robots.FloatingGripper``."""
+class Joints:
+    """The joints of the links that carry the hand, which move at the commanded speeds."""
 
-    body = ROBOT
+    def __init__(self, mujoco: Any, model: Any, data: Any, robot: RobotSpec) -> None:
+        self._mujoco, self._model, self._data = mujoco, model, data
+        driven = [k for k, link in enumerate(robot.links()) if link.joint != "fixed"]
+        names = [carrying_joint(number) for number in driven]
+        self._places, self.dofs = _addresses(model, names)
+        self._base, self._hand = model.body(BASE).id, model.body(HAND).id
+        self._speeds = self._first_speeds = [0.0] * len(names)
 
-    def __init__(self, model: Any, data: Any) -> None:
-        self._model, self._data = model, data
-        self.palm: int = model.geom("palm").id
-        self.fingers = Fingers(model, data)
-        self.speed_m_s = 0.0
+    def place(self, base: Place, positions: Sequence[float]) -> None:
+        """Put the robot's base and its joints there, at rest."""
+        position_m, quaternion = base
+        self._model.body_pos[self._base] = position_m
+        self._model.body_quat[self._base] = np.roll(quaternion, 1)
+        self._data.qpos[self._places] = positions
 
-    def place(self, target: GripperTarget) -> str:
-        """Put the gripper at ``target`` at rest; every place can be reached."""
-        self._quaternion = (0.0, 0.0, math.sin(target.yaw_rad / 2), math.cos(target.yaw_rad / 2))
-        hand = self._model.body("hand").id
-        self._model.body_pos[hand] = (target.x_m, target.y_m, 0.0)
-        self._model.body_quat[hand] = np.roll(self._quaternion, 1)
-        self._base = (target.x_m, target.y_m)
-        self._data.qpos[HEIGHT] = target.z_m
-        return ""
+    def drive(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
+        """Move at ``speeds`` from now on, making up for what ``positions`` differ by in a step."""
+        missing = np.subtract(positions, self._data.qpos[self._places])
+        self._speeds = list(speeds)
+        self._first_speeds = (missing / self._model.opt.timestep + speeds).tolist()
 
-    def prepare_lift(self, lift_m: float) -> str:
-        """Nothing to prepare: the axis rests, and every height can be reached."""
-        return ""
+    def next_speeds(self) -> list[float]:
+        """The speeds of the step that follows."""
+        speeds, self._first_speeds = self._first_speeds, self._speeds
+        return speeds
 
-    def command_lift(self, height_m: float, speed_m_s: float) -> None:
-        """Move up at ``speed_m_s``."""
-        self.speed_m_s = speed_m_s
+    def positions(self) -> Vector:
+        """Where the joints are."""
+        return tuple(self._data.qpos[self._places].tolist())
 
-    def gripper_position(self) -> Place:
+    def hand(self) -> Place:
         """The gripper frame."""
-        return (*self._base, float(self._data.qpos[HEIGHT])), self._quaternion
+        self._mujoco.mj_kinematics(self._model, self._data)
+        w, x, y, z = self._data.xquat[self._hand].tolist()
+        return tuple(self._data.xpos[self._hand].tolist()), (x, y, z, w)
 
 
 class Fingers:
-    """The two fingers and their motors; as ``gripper.Fingers``."""
+    """The two fingers and their motors."""
 
     def __init__(self, model: Any, data: Any) -> None:
         self._model, self._data = model, data
-        self.links = {pad: int(model.geom(pad).id) for pad in PAD_NAMES}
-        self.speed_m_s = 0.0
+        self._pads = {pad: model.geom(pad).id for pad in PADS}
+        self._places, self._dofs = _addresses(model, PADS)
+        self._motor_places, self.motors = _addresses(model, [motor_of(pad) for pad in PADS])
+        self.speeds_m_s = [0.0, 0.0]
 
     def place(self, travel_m: float) -> None:
         """Put both fingers ``travel_m`` in, at rest."""
-        self._data.qpos[list(MOTORS)], self._data.qpos[list(FINGERS)] = travel_m, 0.0
+        self._data.qpos[self._motor_places], self._data.qpos[self._places] = travel_m, 0.0
 
     def drive(self, speed_m_s: float, force_n: float) -> None:
         """Close at ``speed_m_s``, pressing with ``force_n`` at most."""
-        self.speed_m_s = speed_m_s
-        self._model.dof_frictionloss[np.array(FINGERS) + SPEED_OFFSET] = force_n
+        self.speeds_m_s = [speed_m_s, speed_m_s]
+        self._model.dof_frictionloss[self._dofs] = force_n
 
     def set_spinning_friction(
         self, spinning_friction_m: Mapping[str, float], friction_share: float
@@ -223,17 +227,23 @@ class Fingers:
         The elliptic cone reduces the moment by the share itself, so what it takes off is added.
         """
         factor = torsion_factor(friction_share)
-        for pad, geom in self.links.items():
+        for pad, geom in self._pads.items():
             alone_m = spinning_friction_m[pad] / factor if factor > 0 else 0.0
             self._model.geom_friction[geom, 1] = alone_m
 
     def couple(self) -> None:
         """From now on the fingers move by equal amounts, about where they are."""
-        left_m, right_m = self._data.qpos[list(FINGERS)].tolist()
+        left_m, right_m = self._data.qpos[self._places].tolist()
         self._model.eq_data[0, :2] = left_m - right_m, 1.0
         self._data.eq_active[0] = 1
 
     def travel_m(self) -> tuple[float, float]:
         """How far the left and the right finger are in."""
-        left_m, right_m = self._data.qpos[list(MOTORS)] + self._data.qpos[list(FINGERS)]
+        left_m, right_m = self._data.qpos[self._motor_places] + self._data.qpos[self._places]
         return float(left_m), float(right_m)
+
+
+def _addresses(model: Any, joints: Sequence[str]) -> tuple[IntArray, IntArray]:
+    """Where the positions and the speeds of the joints of those names stand."""
+    found = [model.joint(name) for name in joints]
+    return np.array([j.qposadr[0] for j in found]), np.array([j.dofadr[0] for j in found])
