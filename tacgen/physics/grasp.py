@@ -166,7 +166,8 @@ class _Grasp:
         if reason:
             return self._not_executed("unreachable", reason)
         self.recorder = Recorder(self.world, self.robot, self.body, settings, self.frame_ends)
-        self.recorder.past_every = PAST_STEPS if self.keeps_past else 0
+        if self.keeps_past:
+            self.recorder.keep_past(PAST_STEPS)
         reason = self._close()
         if reason:
             return self._not_executed("no_contact", reason)

@@ -37,7 +37,7 @@ class Recorder:
         self.frame_ends = frame_ends
         steps = {step for end in frame_ends for step in range(max(0, end - self._average), end + 1)}
         self._planned = sorted(steps, reverse=True)  # the next one is last
-        self.past_every = 0
+        self._past_every = 0
         self.step = 0
         self.snapshots: dict[int, Snapshot] = {}
         self.advance(0)
@@ -57,12 +57,17 @@ class Recorder:
     def _next_stop(self, end: int) -> int:
         """The next step of which a snapshot is to be taken, or one after ``end``."""
         stop = self._planned[-1] if self._planned else end + 1
-        every = self.past_every
+        every = self._past_every
         return min(stop, (self.step // every + 1) * every) if every else stop
+
+    def keep_past(self, every: int) -> None:
+        """Take a snapshot now and at every so many steps from here on."""
+        self._past_every = every
+        self.snapshot()
 
     def past(self) -> list[Snapshot]:
         """The snapshots of the load's past: the same ones whatever frames are kept."""
-        every = self.past_every
+        every = self._past_every
         return [one for step, one in sorted(self.snapshots.items()) if every and not step % every]
 
     def placement(self) -> Placement:

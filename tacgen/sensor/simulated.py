@@ -255,6 +255,8 @@ class Sensor:
 def as_mesh(mesh: Any, scale: float = 1.0) -> Mesh:
     """A trimesh, a ``Mesh`` or (vertices_mm, faces) as a ``Mesh``; else a ``ContactError``."""
     if isinstance(mesh, Mesh):
+        if scale == 1.0 and not (mesh.vertices_mm.flags.writeable or mesh.faces.flags.writeable):
+            return mesh
         vertices, faces = mesh.vertices_mm, mesh.faces
     elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
         vertices, faces = mesh.vertices, mesh.faces
