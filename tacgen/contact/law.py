@@ -244,6 +244,8 @@ def _law_problems(law: ContactLaw) -> list[str]:
         problems.append(f"k_n_mm3_per_n = {law.k_n_mm3_per_n.value} is not a positive number")
     if not math.isnan(law.k_s_mm_per_n.value) and not law.k_s_mm_per_n.value > 0:
         problems.append(f"k_s_mm_per_n = {law.k_s_mm_per_n.value} is not a positive number")
+    if not (math.isnan(law.marker_pitch_mm) or law.marker_pitch_mm > 0):
+        problems.append(f"marker_pitch_mm = {law.marker_pitch_mm} is not a positive number")
     if law.law == "linear_depth":
         depth = law.k_depth_mm_per_n
         if depth is None or not (math.isfinite(depth.value) and depth.value > 0):
