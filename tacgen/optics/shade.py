@@ -272,6 +272,7 @@ def shade_window(
     height_mm: NDArray[Any],
     window: Window,
     spans: NDArray[Any],
+    image: NDArray[Any],
     mm_per_px: float,
     nodes: NDArray[Any],
     max_slope_rad: float,
@@ -279,7 +280,6 @@ def shade_window(
     u: NDArray[Any],
     v: NDArray[Any],
     background: NDArray[Any],
-    image: NDArray[Any],
 ) -> None:
     """Write background + polynomial into ``image`` (H, W, 3) float32, in the spans of ``window``.
 
@@ -333,11 +333,11 @@ def shade_response(
     height_mm: NDArray[Any],
     window: Window,
     spans: NDArray[Any],
+    image: NDArray[Any],
     mm_per_px: float,
     response: NDArray[Any],
     max_slope_rad: float,
     background: NDArray[Any],
-    image: NDArray[Any],
     rest_mm: NDArray[Any],
     contact: NDArray[Any],
     contact_depth_mm: float,

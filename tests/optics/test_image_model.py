@@ -10,7 +10,13 @@ import trimesh
 from tacgen.core.errors import TableError
 from tacgen.core.records import Mesh, Sensor
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
-from tacgen.optics.image_models import Quadratic, base, nearest_quadratic, register_model
+from tacgen.optics.image_models import (
+    ImageModel,
+    Quadratic,
+    base,
+    nearest_quadratic,
+    register_model,
+)
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.tactile_pad import TactilePad
@@ -22,16 +28,12 @@ TOWARDS = 2.0 * np.pi / 3.0 * np.arange(3)
 
 @register_model
 @dataclass(frozen=True)
-class Lambert:
+class Lambert(ImageModel):
     """Three distant lamps at 30° over the gel: grey levels follow the cosine to the normal."""
 
     grey: float
 
     kind: ClassVar[str] = "lambert"
-
-    @property
-    def sees_depth(self):
-        return False
 
     def _colors(self, gx, gy):
         length = np.sqrt(1.0 + gx**2 + gy**2)[..., None]
@@ -52,9 +54,6 @@ class Lambert:
     def slope_colors(self, gx, gy):
         colors = self._colors(gx, gy)[..., None, None, :]
         return np.broadcast_to(colors, (*gx.shape, 2, 2, 3)).copy()
-
-    def contact_colors(self, gx, gy, depth_mm, u, v):
-        return np.zeros((len(gx), 3))
 
     def save(self):
         return {"lamps": TOWARDS}, {"grey": self.grey}

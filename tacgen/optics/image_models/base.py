@@ -1,6 +1,6 @@
 """What an image model is: from the slopes of a gel to grey levels, and back."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -14,20 +14,10 @@ Section: TypeAlias = tuple[dict[str, NDArray[Any]], dict[str, Any]]
 """Arrays and numbers of a model in a table's file."""
 
 
-class Shade(Protocol):
-    """A model made ready for one size of image."""
-
-    def __call__(
-        self,
-        height_map_mm: NDArray[np.float32],
-        window: Window,
-        spans: NDArray[np.int32],
-        image: NDArray[np.float32],
-    ) -> None:
-        """Write grey levels into ``image`` (H, W, 3), in the ``spans`` of each row of ``window``.
-
-        ``height_map_mm`` (H, W) is the whole deformed surface, gel frame, C-contiguous.
-        """
+Floats: TypeAlias = NDArray[np.float32]
+Shade: TypeAlias = Callable[[Floats, Window, NDArray[np.int32], Floats], None]
+"""Writes grey levels into an image (H, W, 3), its last argument, in the spans of each row of a
+window, of a deformed surface (H, W), mm, gel frame, C-contiguous: a model made ready."""
 
 
 class ImageModel(Protocol):
@@ -35,14 +25,15 @@ class ImageModel(Protocol):
 
     A class of this kind, made known by :func:`register_model`, is all that another model takes: a
     table that holds one renders, is inverted, written and read like any other. ``kind`` names it in
-    the file; ``sees_depth`` says whether it tells a contact from gel of the same slope at rest.
+    the file.
     """
 
     kind: ClassVar[str]
 
     @property
     def sees_depth(self) -> bool:
-        """Whether ``contact_colors`` are other than 0."""
+        """Whether it tells a contact from gel of the same slope at rest."""
+        return False
 
     def shade(self, background: NDArray[np.float32], mm_per_px: float) -> Shade:
         """The model made ready for images of ``background`` (H, W, 3), to which it adds."""
@@ -60,6 +51,7 @@ class ImageModel(Protocol):
 
         ``u`` and ``v`` (n,) are the places, column and row, from −½ to ½.
         """
+        return np.zeros((len(gx), 3))
 
     def save(self) -> Section:
         """The arrays and the numbers from which ``load`` makes it again."""

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.image_models.base import (
+    ImageModel,
     Section,
     Shade,
     between_nodes,
     features,
     register_model,
 )
-from tacgen.optics.smooth import Window
 
 PLACES = 13
 """Nodes of position, each way, at which it is inverted."""
@@ -24,7 +24,7 @@ PLACES = 13
 
 @register_model
 @dataclass(frozen=True, slots=True)
-class Quadratic:
+class Quadratic(ImageModel):
     """Taxim's: a quadratic in image position at each node of slope and direction.
 
     ``coefficients`` (n_slope, n_direction, 3, 6), ``max_slope_rad`` and ``interpolation`` are those
@@ -37,11 +37,6 @@ class Quadratic:
 
     kind: ClassVar[str] = "quadratic"
 
-    @property
-    def sees_depth(self) -> bool:
-        """It does not."""
-        return False
-
     def shade(self, background: NDArray[np.float32], mm_per_px: float) -> Shade:
         """As of ``ImageModel``."""
         nodes = shade.packed_nodes(self.coefficients)
@@ -50,27 +45,10 @@ class Quadratic:
         u = ((np.arange(n_columns) + 0.5) / n_columns - 0.5).astype(np.float32)
         v = ((np.arange(n_rows) + 0.5) / n_rows - 0.5).astype(np.float32)
 
-        def shaded(
-            height_map_mm: NDArray[np.float32],
-            window: Window,
-            spans: NDArray[np.int32],
-            image: NDArray[np.float32],
-        ) -> None:
-            shade.shade_window(
-                height_map_mm,
-                window,
-                spans,
-                mm_per_px,
-                nodes,
-                self.max_slope_rad,
-                interpolate,
-                u,
-                v,
-                background,
-                image,
-            )
-
-        return shaded
+        ready = mm_per_px, nodes, self.max_slope_rad, interpolate, u, v, background
+        return lambda surface, window, spans, image: shade.shade_window(
+            surface, window, spans, image, *ready
+        )
 
     def slope_colors(self, gx: FloatArray, gy: FloatArray) -> FloatArray:
         """As of ``ImageModel``."""
@@ -78,12 +56,6 @@ class Quadratic:
         v, u = np.meshgrid(side, side, indexing="ij")
         nodes = np.einsum("sdcf,vuf->sdvuc", self.coefficients, features(u, v))
         return between_nodes(nodes, self.max_slope_rad, gx, gy)
-
-    def contact_colors(
-        self, gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, u: FloatArray, v: FloatArray
-    ) -> FloatArray:
-        """None."""
-        return np.zeros((len(gx), 3))
 
     def save(self) -> Section:
         """As of ``ImageModel``."""

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.image_models.base import (
+    ImageModel,
     Section,
     Shade,
     between_nodes,
     register_model,
 )
-from tacgen.optics.smooth import Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class ContactLight:
 
 @register_model
 @dataclass(frozen=True, slots=True)
-class Response:
+class Response(ImageModel):
     """Light of any course in position, and perhaps what a contact adds to it.
 
     ``response`` (n_slope, n_direction, n_rows, n_columns, 3) and ``contact`` are those of a
@@ -79,27 +79,11 @@ class Response:
         if self.contact is None:
             rest_mm.fill(-np.inf)  # no pixel is deeper than that
 
-        def shaded(
-            height_map_mm: NDArray[np.float32],
-            window: Window,
-            spans: NDArray[np.int32],
-            image: NDArray[np.float32],
-        ) -> None:
-            shade.shade_response(
-                height_map_mm,
-                window,
-                spans,
-                mm_per_px,
-                response,
-                self.max_slope_rad,
-                background,
-                image,
-                rest_mm,
-                contact,
-                light.depth_mm,
-            )
-
-        return shaded
+        ready = mm_per_px, response, self.max_slope_rad, background
+        touched = rest_mm, contact, light.depth_mm
+        return lambda surface, window, spans, image: shade.shade_response(
+            surface, window, spans, image, *ready, *touched
+        )
 
     def slope_colors(self, gx: FloatArray, gy: FloatArray) -> FloatArray:
         """As of ``ImageModel``."""
