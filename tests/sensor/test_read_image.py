@@ -231,8 +231,15 @@ def test_a_motion_beyond_what_the_law_can_make_is_no_load():
         effects=(fitted("slip", "shear", gross_mu=0.3, sharpness=20.0),),
     )
     found = _with_forces(imprint(15.0, np.array([3.0, 0.0])), law, 0.058, 2.0)
-    assert np.isnan(found.force_n).all()
+    assert np.isnan(found.force_n[:2]).all()
+    assert np.isnan(found.force_stderr_n[:2]).all()
+    assert found.force_n[2] == pytest.approx(15.0 / K_N)
     assert "saturated" in found.message
+    # A motion that exceeds the limit by its error alone is one at the limit: a newton, not well.
+    limit_mm = K_S * 0.3 * 15.0 / K_N
+    near = _with_forces(imprint(15.0, np.array([limit_mm + 0.02, 0.0])), law, 0.058, 2.0)
+    assert near.force_n[0] > 0.8
+    assert near.force_stderr_n[0] > 0.3
 
 
 @pytest.mark.slow

@@ -4,6 +4,8 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tacgen.contact.effects import LoadHistory, all_effects, find_effect
 from tacgen.contact.law import ContactLaw, FittedEffect
@@ -90,3 +92,56 @@ def test_a_law_does_not_depend_on_the_rest_of_the_log():
     both["trial"] = np.concatenate([gentle["trial"], hard["trial"] + 100])
     alone, together = law.predict(gentle)[0], law.predict(both)[0][: len(gentle["trial"])]
     np.testing.assert_allclose(together, alone, rtol=1e-12)
+
+
+def fitted(name, channel, **parameters):
+    """An effect with given parameters."""
+    return FittedEffect(name, channel, {k: Estimate(v) for k, v in parameters.items()})
+
+
+TOGETHER = ContactLaw(
+    "volume_linear",
+    Estimate(K),
+    Estimate(0.8),
+    effects=(
+        fitted("creep", "normal", amount=0.4, amount_2=0.2, tau_s=0.5, tau_2_s=6.0, carried=1.0),
+        fitted("hysteresis", "normal", residual=0.1, loop=0.2, play=-0.3, width_n=0.7, span_n=8.0),
+        fitted("stiffening", "normal", amount=0.1, reference_n=5.0),
+        fitted("shear_coupling", "normal", ratio=0.1, ratio_reference=0.3),
+        fitted("conditioning", "normal", amount=0.2, trials=2.0),
+        fitted("creep", "shear", amount=0.3, tau_s=2.0, recovery=0.4, since_press=1.0),
+        fitted("hysteresis", "shear", rubbing=0.3, width_n=0.4, isotropic=1.0, return_2=0.1),
+        fitted("slip", "shear", mindlin=0.8, mu=0.7),
+        fitted("anisotropy", "shear", along_x=0.2, rotation_rad=0.1),
+    ),
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.booleans(),
+            st.floats(0.0, 3.0),
+            st.floats(0.0, 20.0),
+            st.floats(-5.0, 5.0),
+            st.floats(-5.0, 5.0),
+        ),
+        min_size=1,
+        max_size=30,
+    )
+)
+def test_many_effects_at_once_on_any_course(rows):
+    """New presses, steps of time of any length or none, loads of any kind."""
+    is_new, steps_s, force_n, x_n, y_n = (np.array(one, float) for one in zip(*rows, strict=True))
+    columns = {
+        "trial": np.cumsum(is_new),
+        "time_s": np.cumsum(steps_s),
+        "force_normal_n": force_n,
+        "force_shear_x_n": x_n,
+        "force_shear_y_n": y_n,
+    }
+    volume, shear, _ = read_one_by_one(TOGETHER, columns)
+    whole, motion = TOGETHER.predict(columns, simulate=True)
+    np.testing.assert_allclose(volume, whole, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(shear, motion, rtol=1e-9, atol=1e-9)
