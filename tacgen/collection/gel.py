@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from tacgen.collection.recipe import Contact
-from tacgen.contact.law import ContactLaw, load_law
+from tacgen.contact.law import USUAL_PITCH_MM, ContactLaw, load_law
 from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import Indenter
@@ -17,7 +17,8 @@ def contact_law(contact: Contact) -> ContactLaw:
     """
     if (path := contact.path()) is not None:
         return load_law(path)
-    law = ContactLaw.linear(contact.k_n_mm3_per_n, contact.k_s_mm_per_n or math.nan)
+    k_s = contact.k_s_mm_per_n or math.nan
+    law = ContactLaw.linear(contact.k_n_mm3_per_n, k_s, USUAL_PITCH_MM)
     if contact.law == "linear_depth":
         k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
         return replace(law, law="linear_depth", k_depth_mm_per_n=k_depth)

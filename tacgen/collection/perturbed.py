@@ -351,6 +351,7 @@ def _grasp_job(
                     changed,
                     frames=FrameRequest(),
                     patch_of=partial(gel_patch, indenter, law, grasped.surface),
+                    keeps_past=bool(law.effects),
                 )
                 found.append(Outcome.of(trace, changed))
             return found

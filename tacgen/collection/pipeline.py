@@ -83,6 +83,7 @@ class GraspPipeline:
             self._settings,
             frames=recipe.frames,
             patch_of=patch_of,
+            keeps_past=bool(self._law.effects),
         )
         return SimulatedGrasp(planned, grasped, config, variation, trace)
 

@@ -123,7 +123,7 @@ class Contact(Located):
     k_n_mm3_per_n: PositiveFloat = PUBLISHED_K_N_MM3_PER_N
     """Indented volume per normal force."""
     k_s_mm_per_n: NonNegativeFloat = 1.0
-    """Sum of the markers' motion per shear force."""
+    """Sum of the motion of markers 2 mm apart per shear force."""
     k_depth_mm_per_n: PositiveFloat = 0.02
     """Indentation per normal force, for ``linear_depth``."""
     camera: Literal["raster", "pyrender"] = "raster"

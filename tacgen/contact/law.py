@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from tacgen.contact.effects import (
-    CHANNELS,
     STAGES,
     Channel,
     Effect,
@@ -25,6 +24,7 @@ from tacgen.contact.effects import (
     Where,
     find_effect,
 )
+from tacgen.contact.effects.history import Memory, Reading
 from tacgen.core.arrays import FloatArray
 from tacgen.core.config import Section
 from tacgen.core.errors import ContactError, RecipeError
@@ -37,8 +37,9 @@ LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
 PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
 """Of the response and of the compliance."""
-USUAL_K_S_MM_PER_N = 1.0
-"""Assumed: summed marker motion a newton; a press log with shear gives a sensor's own."""
+USUAL_K_S_MM_PER_N, USUAL_PITCH_MM = 1.0, 2.0
+"""Assumed: summed motion a newton of markers so far apart; a press log with shear gives a sensor's
+own."""
 
 _ESTIMATES = {"k_n_mm3_per_n": "mm3/N", "k_s_mm_per_n": "mm/N", "k_depth_mm_per_n": "mm/N"}
 
@@ -97,9 +98,10 @@ class ContactLaw:
     """A contact law and where it comes from.
 
     ``volume_linear`` is V = k_n F_n, ``linear_depth`` (TACTO's) indentation = k_depth F_n, which
-    needs ``k_depth_mm_per_n``. k_s is NaN where shear was never measured; ``marker_pitch_mm`` is
-    the pitch of the markers whose motion was summed to D, NaN where there were none. ``provenance``
-    holds hashes of the data, versions, trial counts, held-out error.
+    needs ``k_depth_mm_per_n``. k_s is NaN where shear was never measured. D is a sum over a grid of
+    markers, of pitch ``marker_pitch_mm``: each stands for its square, and ∫ u dA is D times that.
+    NaN where the pitch is not known: then D is the sum over whatever markers a sensor has.
+    ``provenance`` holds hashes of the data, versions, trial counts, held-out error.
 
     Raises ``ContactError`` listing every parameter that is unknown, not finite or out of bounds.
     """
@@ -117,14 +119,16 @@ class ContactLaw:
 
     @classmethod
     def default(cls) -> "ContactLaw":
-        """The published slope, and one millimetre of summed marker motion a newton."""
-        return cls.linear(PUBLISHED_K_N_MM3_PER_N, USUAL_K_S_MM_PER_N)
+        """The published slope, and a millimetre a newton of the motion of markers 2 mm apart."""
+        return cls.linear(PUBLISHED_K_N_MM3_PER_N, USUAL_K_S_MM_PER_N, USUAL_PITCH_MM)
 
     @classmethod
-    def linear(cls, k_n_mm3_per_n: float, k_s_mm_per_n: float = math.nan) -> "ContactLaw":
+    def linear(
+        cls, k_n_mm3_per_n: float, k_s_mm_per_n: float = math.nan, marker_pitch_mm: float = math.nan
+    ) -> "ContactLaw":
         """V = k_n F_n and D = k_s F_s and nothing else."""
         k_n, k_s = Estimate(k_n_mm3_per_n, 0.0, "mm3/N"), Estimate(k_s_mm_per_n, 0.0, "mm/N")
-        return cls("volume_linear", k_n, k_s)
+        return cls("volume_linear", k_n, k_s, marker_pitch_mm)
 
     def predict(
         self, columns: Mapping[str, ArrayLike], *, simulate: bool = False
@@ -145,15 +149,34 @@ class ContactLaw:
         Raises ``ContactError`` if a column that an effect needs is missing, or a required one is
         not finite.
         """
-        history = LoadHistory(columns)
+        history = LoadHistory(columns, measured=not simulate)
         if not simulate:
             _require_columns(self, history)
-        volume, shear = (
-            history.unsorted(self._respond(history, channel, k.value, simulate=simulate))
-            for channel, k in zip(CHANNELS, (self.k_n_mm3_per_n, self.k_s_mm_per_n), strict=True)
+        volume = self._respond(history, "normal", self.k_n_mm3_per_n.value, simulate=simulate)[:, 0]
+        shear = self._respond(history, "shear", self.k_s_mm_per_n.value, simulate=simulate)
+        if simulate:
+            volume = np.maximum(volume, 0.0)
+        return (
+            np.asarray(history.unsorted(volume), np.float64),
+            np.asarray(history.unsorted(shear), np.float64),
         )
-        volume = np.maximum(volume[:, 0], 0.0) if simulate else volume[:, 0]
-        return np.asarray(volume, np.float64), np.asarray(shear, np.float64)
+
+    def advance(self, row: Mapping[str, float], before: Memory) -> tuple[float, FloatArray, Memory]:
+        """The response of a simulated gel to its newest load, and what it then remembers.
+
+        ``row`` has the columns of a press log, ``before`` is the memory that the row before it
+        left: empty for a gel at rest. Row after row gives the numbers of ``predict`` with
+        ``simulate``, in a time that does not grow; the normal response is the indentation, mm, of
+        a ``linear_depth`` law and else the volume, mm³.
+        """
+        reading = Reading(row, before)
+        depth = self.k_depth_mm_per_n if self.law == "linear_depth" else None
+        k_n = self.k_n_mm3_per_n.value if depth is None else 1.0
+        normal = self._respond(reading, "normal", k_n, simulate=True)
+        if depth is not None:
+            normal = normal * depth.value
+        shear = self._respond(reading, "shear", self.k_s_mm_per_n.value, simulate=True)
+        return max(float(normal[0, 0]), 0.0), shear[0], reading.memory
 
     def predict_depth(self, columns: Mapping[str, ArrayLike]) -> FloatArray:
         """Indentation (N,) in mm of a ``linear_depth`` law, for a simulated grasp.
@@ -163,7 +186,7 @@ class ContactLaw:
         if self.law != "linear_depth" or self.k_depth_mm_per_n is None:
             msg = f"law {self.law!r} gives a volume; only linear_depth gives a depth by itself"
             raise ContactError(msg)
-        history = LoadHistory(columns)
+        history = LoadHistory(columns, measured=False)
         load = history.unsorted(self._respond(history, "normal", 1.0, simulate=True))[:, 0]
         return np.maximum(load, 0.0) * self.k_depth_mm_per_n.value
 
@@ -200,7 +223,8 @@ def respond(
             if effect.stage == stage:
                 key = (*key, effect.name, *parameters.values())
                 if known is None or key not in known:
-                    result = effect.apply(result, history, parameters)
+                    seen = history.seen_by((effect.channel, effect.name))
+                    result = effect.apply(result, seen, parameters)
                     if known is not None:
                         known[key] = result
                 else:
@@ -220,6 +244,8 @@ def _law_problems(law: ContactLaw) -> list[str]:
         problems.append(f"k_n_mm3_per_n = {law.k_n_mm3_per_n.value} is not a positive number")
     if not math.isnan(law.k_s_mm_per_n.value) and not law.k_s_mm_per_n.value > 0:
         problems.append(f"k_s_mm_per_n = {law.k_s_mm_per_n.value} is not a positive number")
+    if not (math.isnan(law.marker_pitch_mm) or law.marker_pitch_mm > 0):
+        problems.append(f"marker_pitch_mm = {law.marker_pitch_mm} is not a positive number")
     if law.law == "linear_depth":
         depth = law.k_depth_mm_per_n
         if depth is None or not (math.isfinite(depth.value) and depth.value > 0):

@@ -40,6 +40,11 @@ class Motion:
         return turn @ pose_gel_object
 
 
+def marker_pitch_mm(sensor: Sensor) -> float:
+    """Distance between the points at which a gel's motion is summed: each is for its square."""
+    return DEFAULT_PITCH_MM if sensor.markers is None else sensor.markers.pitch_mm
+
+
 def marker_grid_mm(sensor: Sensor) -> Float64:
     """x, y of the markers at rest (n, 2), gel frame; a plain grid where the gel has none."""
     markers = sensor.markers

@@ -56,6 +56,11 @@ class Mesh:
     vertices_mm: NDArray[np.float64]
     faces: NDArray[np.int32]
 
+    @classmethod
+    def fixed(cls, vertices_mm: object, faces: object) -> "Mesh":
+        """A mesh that cannot change: what was made ready of it for one frame serves the next."""
+        return cls(frozen_array(vertices_mm), frozen_array(faces, np.int32))
+
 
 @dataclass(frozen=True, slots=True)
 class GraspObject:
@@ -129,9 +134,12 @@ class ContactFrame:
     """What one pad feels at one time, and where the object then is.
 
     ``force_shear_n`` (2,) is the force of the object on the gel along the gel's x and y;
-    ``force_normal_n`` presses into the gel. ``torsion_n_mm`` is the moment about the gel's z.
-    ``pose_gel_object`` (4, 4) takes object coordinates (mm) into the gel frame (mm); its
-    translation along z is only known up to the physics' collision margin.
+    ``force_normal_n`` presses into the gel. ``torsion_n_mm`` is the moment about the normal through
+    ``center_mm`` (2,), the contact's centre of pressure in the gel frame, or through the middle of
+    the patch where that is None. ``pose_gel_object`` (4, 4) takes object coordinates (mm) into the
+    gel frame (mm); its translation along z is only known up to the physics' collision margin.
+    ``past`` (n, 4) is the load before, from the unloaded gel on: time (s), force into the gel and
+    along its x and y (N); None where it is not known.
     """
 
     time_s: float
@@ -139,6 +147,8 @@ class ContactFrame:
     force_shear_n: NDArray[np.float64]
     torsion_n_mm: float
     pose_gel_object: NDArray[np.float64]
+    center_mm: NDArray[np.float64] | None = None
+    past: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)

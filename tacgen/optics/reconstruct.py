@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.compiled import njit
 from tacgen.optics.deform import deform
-from tacgen.optics.table import LookupTable, contact_at, features
+from tacgen.optics.table import LookupTable, contact_at
 
 Tile = tuple[tuple[int, int], tuple[int, int]]
 """Bounds: (top, bottom), (left, right)."""
@@ -30,7 +30,6 @@ TILE_PX = 32
 """Over so few pixels the table's dependence on place is a small correction to a first guess."""
 GRID_NODES = 101  # slopes a side: steps of 0.06, refined afterwards
 STEEPEST_RAD = 1.25  # of the slopes searched; tables seldom reach further
-PLACES = 13  # nodes of position, each way, of a table that is a quadratic in position
 LONGEST_STEP_NODES = 2.0
 """Longest step of Gauss–Newton, in nodes of the slope grid: so far colour is nearly linear."""
 SLOPE_PRIOR_GREY = 0.3
@@ -147,7 +146,7 @@ class Reconstructor:
             known = (covered < 0.25).astype(np.float32)
         seen = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
         change = seen
-        for _ in range(1 if self._table.contact is None else CONTACT_PASSES):
+        for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
             found = self._slopes_of(change)
             slopes = _filled(found - self._rest, known)
             surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
@@ -280,25 +279,9 @@ def _cartesian(table: LookupTable, steepest: float) -> NDArray[np.float32]:
     """Grey levels (m, m, rows, columns, 3) that slopes (∂h/∂y, ∂h/∂x) on a square grid add at
     nodes of position, evenly from edge to edge of the image.
     """
-    nodes = table.response
-    if nodes is None:
-        side = np.linspace(-0.5, 0.5, PLACES)
-        v, u = np.meshgrid(side, side, indexing="ij")
-        nodes = np.einsum("sdcf,vuf->sdvuc", table.coefficients, features(u, v))
     axis = np.linspace(-steepest, steepest, GRID_NODES)
     slope_y, slope_x = np.meshgrid(axis, axis, indexing="ij")
-    n_slope, n_direction = nodes.shape[:2]
-    i = np.arctan(np.hypot(slope_x, slope_y)) / table.max_slope_rad * (n_slope - 1)
-    j = (np.arctan2(slope_y, slope_x) + np.pi) / (2.0 * np.pi) * n_direction
-    i = np.minimum(i, n_slope - 1.0)
-    low_i = np.minimum(i.astype(int), n_slope - 2)
-    low_j = j.astype(int) % n_direction
-    high_j = (low_j + 1) % n_direction
-    fi, fj = (i - low_i)[..., None, None, None], (j - np.floor(j))[..., None, None, None]
-    grid = (1 - fi) * (1 - fj) * nodes[low_i, low_j]
-    grid += (1 - fi) * fj * nodes[low_i, high_j]
-    grid += fi * (1 - fj) * nodes[low_i + 1, low_j]
-    grid += fi * fj * nodes[low_i + 1, high_j]
+    grid = table.image_model.slope_colors(slope_x, slope_y)
     return np.ascontiguousarray(grid, dtype=np.float32)
 
 

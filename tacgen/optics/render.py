@@ -23,7 +23,7 @@ from tacgen.optics.effects import (
 )
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.smooth import Window, grown
-from tacgen.optics.table import ContactLight, Leds, LookupTable
+from tacgen.optics.table import Leds, LookupTable
 
 Effects = Mapping[str, Mapping[str, float]]
 """Effect → parameter → value, as in a table."""
@@ -51,16 +51,8 @@ class Shader:
 
     def __init__(self, table: LookupTable, *, shadows: bool = False, leds: Leds = ()) -> None:
         self.table = table
-        self._nodes = shade.packed_nodes(table)
-        self._response = None if table.response is None else shade.packed_response(table.response)
-        contact = table.contact or _no_contact(table)
-        self._contact = shade.packed_contact(contact.change)
-        self._contact_depth_mm = contact.depth_mm
-        self._rest_mm = contact.rest_mm(table.shape_px, table.mm_per_px)
-        if table.contact is None:
-            self._rest_mm.fill(-np.inf)  # no pixel is deeper than that
-        self._interpolate = table.interpolation == "linear" and self._nodes.shape[0] > 1
         self._background = np.ascontiguousarray(table.background, dtype=np.float32)
+        self._shade = table.image_model.shade(self._background, table.mm_per_px)
         n_rows, n_columns = table.shape_px
         self._u = ((np.arange(n_columns) + 0.5) / n_columns - 0.5).astype(np.float32)
         self._v = ((np.arange(n_rows) + 0.5) / n_rows - 0.5).astype(np.float32)
@@ -121,34 +113,7 @@ class Shader:
         spans = shade.whole_spans(window) if spans is None else spans
         for active in self._surface:
             height_map_mm = self._on_surface(active, height_map_mm, window)
-        if self._response is not None:
-            shade.shade_response(
-                height_map_mm,
-                window,
-                spans,
-                self.table.mm_per_px,
-                self._response,
-                self.table.max_slope_rad,
-                self._background,
-                image,
-                self._rest_mm,
-                self._contact,
-                self._contact_depth_mm,
-            )
-            return
-        shade.shade_window(
-            height_map_mm,
-            window,
-            spans,
-            self.table.mm_per_px,
-            self._nodes,
-            self.table.max_slope_rad,
-            self._interpolate,
-            self._u,
-            self._v,
-            self._background,
-            image,
-        )
+        self._shade(height_map_mm, window, spans, image)
 
     def finish(
         self, height_map_mm: NDArray[np.float32], window: Window, image: NDArray[np.float32]
@@ -182,12 +147,6 @@ class Shader:
             cut, self._patch(height_map_mm, around), **active.values
         )
         return changed
-
-
-def _no_contact(table: LookupTable) -> ContactLight:
-    """A contact that adds nothing."""
-    nodes = (2, 2) if table.response is None else table.response.shape[2:4]
-    return ContactLight(np.zeros((*nodes, 3, 3), dtype=np.float32), depth_mm=1.0)
 
 
 def render_rgb(

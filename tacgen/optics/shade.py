@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
 from tacgen.optics.smooth import Window, copy_row
-from tacgen.optics.table import N_FEATURES, LookupTable
 from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 
+N_FEATURES = 6  # x², y², xy, x, y, 1 in image position, Taxim's order
 _LANES = NODE_FLOATS // N_FEATURES
 CACHE_LINE_FLOATS = 16
 
 
-def packed_nodes(table: LookupTable) -> NDArray[np.float32]:
-    """The coefficients (n_slope, n_direction + 1, 24), the first direction repeated at the end.
+def packed_nodes(coefficients: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A table's coefficients (n_slope, n_direction + 1, 24), the first direction again at the end.
 
     A node holds R, G, B and a zero for each feature in turn: whole vectors of the processor.
     """
-    n_slope, n_direction = table.coefficients.shape[:2]
+    n_slope, n_direction = coefficients.shape[:2]
     nodes = np.zeros((n_slope, n_direction + 1, N_FEATURES, _LANES), dtype=np.float32)
-    nodes[:, :-1, :, :3] = table.coefficients.transpose(0, 1, 3, 2)
+    nodes[:, :-1, :, :3] = coefficients.transpose(0, 1, 3, 2)
     nodes[:, -1] = nodes[:, 0]
     return _on_cache_lines(nodes.reshape(n_slope, n_direction + 1, NODE_FLOATS))
 
@@ -272,6 +272,7 @@ def shade_window(
     height_mm: NDArray[Any],
     window: Window,
     spans: NDArray[Any],
+    image: NDArray[Any],
     mm_per_px: float,
     nodes: NDArray[Any],
     max_slope_rad: float,
@@ -279,7 +280,6 @@ def shade_window(
     u: NDArray[Any],
     v: NDArray[Any],
     background: NDArray[Any],
-    image: NDArray[Any],
 ) -> None:
     """Write background + polynomial into ``image`` (H, W, 3) float32, in the spans of ``window``.
 
@@ -333,11 +333,11 @@ def shade_response(
     height_mm: NDArray[Any],
     window: Window,
     spans: NDArray[Any],
+    image: NDArray[Any],
     mm_per_px: float,
     response: NDArray[Any],
     max_slope_rad: float,
     background: NDArray[Any],
-    image: NDArray[Any],
     rest_mm: NDArray[Any],
     contact: NDArray[Any],
     contact_depth_mm: float,

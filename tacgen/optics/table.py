@@ -16,46 +16,22 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.safe_io import check_archive
+from tacgen.optics.image_models import ContactLight as ContactLight
+from tacgen.optics.image_models import (
+    ImageModel,
+    Quadratic,
+    Response,
+    load_model,
+    nearest_quadratic,
+)
+from tacgen.optics.image_models import features as features
+from tacgen.optics.shade import N_FEATURES as N_FEATURES
 
 Leds = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
 """One (unit vector from the gel towards the light, RGB weight) a light; gel axes."""
 
 DEFAULT_ELEVATION_RAD = math.radians(20.0)
 """Assumed for lights of unknown height: side-lit gels have theirs at 10° to 30°."""
-N_FEATURES = 6  # x², y², xy, x, y, 1 in image position, Taxim's order
-
-
-def features(u: FloatArray, v: FloatArray) -> NDArray[np.float64]:
-    """The six features of image position (…, 6), in the table's order."""
-    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
-
-
-@dataclass(frozen=True, slots=True)
-class ContactLight:
-    """What gel pressed in answers otherwise than gel of the same slope at rest.
-
-    At depth d below the gel at rest a pixel with unit normal (nx, ny, ·) gains
-    d / (d + ``depth_mm``) · (c₀ + c₁ nx + c₂ ny), the c linear between nodes of position.
-
-    ``change`` (n_rows, n_columns, 3, 3) holds c₀, c₁, c₂ at each node, RGB grey levels last; node
-    (r, c) stands where it does in a table's ``response``. At ``depth_mm`` half of it shows. The gel
-    at rest, of ``dome_radius_mm`` (0: flat), is 0 mm high at its centre.
-    """
-
-    change: NDArray[np.float32]
-    depth_mm: float
-    dome_radius_mm: float = 0.0
-
-    def rest_mm(self, shape_px: tuple[int, int], mm_per_px: float) -> NDArray[np.float32]:
-        """Height (H, W) of the gel at rest."""
-        height, width = shape_px
-        if self.dome_radius_mm <= 0:
-            return np.zeros(shape_px, dtype=np.float32)
-        x = (np.arange(width) - (width - 1) / 2) * mm_per_px
-        y = (np.arange(height) - (height - 1) / 2) * mm_per_px
-        square = np.minimum(x[None, :] ** 2 + y[:, None] ** 2, (0.95 * self.dome_radius_mm) ** 2)
-        sag = np.sqrt(self.dome_radius_mm**2 - square) - self.dome_radius_mm
-        return np.asarray(sag, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +60,8 @@ class LookupTable:
         u = c/(n_columns − 1) − ½. The coefficients are then the quadratic nearest to it.
     contact : ContactLight, optional
         What a contact adds to the response, at the response's nodes of position.
+    model : ImageModel, optional
+        Another model, which renders instead: see :meth:`of_model`.
     mm_per_px : float
     max_slope_rad : float
         At most π/2.
@@ -109,6 +87,29 @@ class LookupTable:
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     response: NDArray[np.float32] | None = None
     contact: ContactLight | None = None
+    model: ImageModel | None = None
+
+    @classmethod
+    def of_model(
+        cls,
+        model: ImageModel,
+        background: NDArray[np.float32],
+        mm_per_px: float,
+        max_slope_rad: float,
+        **others: Any,
+    ) -> "LookupTable":
+        """A table of any image model; its coefficients are the quadratic nearest to it."""
+        coefficients = nearest_quadratic(model, max_slope_rad)
+        return cls(coefficients, background, mm_per_px, max_slope_rad, model=model, **others)
+
+    @property
+    def image_model(self) -> ImageModel:
+        """What renders it, and is inverted."""
+        if self.model is not None:
+            return self.model
+        if self.response is not None:
+            return Response(self.response, self.max_slope_rad, self.contact)
+        return Quadratic(self.coefficients, self.max_slope_rad, self.interpolation)
 
     def __post_init__(self) -> None:
         problems = []
@@ -119,23 +120,11 @@ class LookupTable:
             )
         if self.background.ndim != 3 or self.background.shape[2] != 3:
             problems.append(f"background has shape {self.background.shape}, not (H, W, 3)")
-        if self.response is not None and (
-            self.response.ndim != 5 or min(self.response.shape) < 2 or self.response.shape[4] != 3
-        ):
-            problems.append(
-                f"response has shape {self.response.shape}, not (n_slope, n_direction, n_rows, "
-                "n_columns, 3) with at least two nodes each way"
-            )
-        if self.contact is not None and (
-            self.response is None
-            or self.contact.change.shape != (*self.response.shape[2:4], 3, 3)
-            or not self.contact.depth_mm > 0
-        ):
-            problems.append(
-                f"contact has shape {self.contact.change.shape} and depth "
-                f"{self.contact.depth_mm:g} mm, not (n_rows, n_columns, 3, 3) with the response's "
-                "nodes of position and a depth above 0"
-            )
+        if self.response is not None:
+            problems += Response(self.response, self.max_slope_rad, self.contact).problems()
+        elif self.contact is not None:
+            shape = self.contact.change.shape
+            problems.append(f"contact has shape {shape}, but there is no response that it adds to")
         if self.interpolation not in ("linear", "floor"):
             problems.append(f"interpolation is {self.interpolation!r}, not 'linear' or 'floor'")
         TableError.raise_if(problems)
@@ -154,22 +143,8 @@ def contact_at(
     u: FloatArray,
     v: FloatArray,
 ) -> FloatArray:
-    """Grey levels (n, 3) that a contact of slopes and depths (n,) adds, in float64."""
-    if table.contact is None:
-        return np.zeros((len(gx), 3))
-    change = table.contact.change
-    n_rows, n_columns = change.shape[:2]
-    down, across = (v + 0.5) * (n_rows - 1), (u + 0.5) * (n_columns - 1)
-    row = np.clip(down.astype(int), 0, n_rows - 2)
-    column = np.clip(across.astype(int), 0, n_columns - 2)
-    down, across = (down - row)[:, None, None], (across - column)[:, None, None]
-    here = (1 - down) * ((1 - across) * change[row, column] + across * change[row, column + 1])
-    here += down * ((1 - across) * change[row + 1, column] + across * change[row + 1, column + 1])
-    depth = np.maximum(depth_mm, 0.0)
-    share = depth / (depth + table.contact.depth_mm)
-    length = np.sqrt(1.0 + gx * gx + gy * gy)
-    terms = np.stack([share, share * gx / length, share * gy / length], axis=-1)
-    return np.asarray((terms[:, :, None] * here).sum(axis=1))
+    """Grey levels (n, 3) that a contact of slopes and depths (n,) adds."""
+    return table.image_model.contact_colors(gx, gy, depth_mm, u, v)
 
 
 _SCALARS = ("mm_per_px", "max_slope_rad", "interpolation", "sensor", "noise_grey")
@@ -180,14 +155,14 @@ def save_table(table: LookupTable, path: Path) -> None:
     meta = {name: getattr(table, name) for name in _SCALARS}
     meta["effects"] = {name: dict(parameters) for name, parameters in table.effects.items()}
     meta["provenance"] = dict(table.provenance)
-    arrays: dict[str, Any] = {"coefficients": table.coefficients, "background": table.background}
-    if table.response is not None:
-        arrays["response"] = table.response.astype(np.float16)
-    if table.contact is not None:
-        arrays["contact"] = table.contact.change.astype(np.float32)
-        meta["contact"] = {
-            "depth_mm": table.contact.depth_mm, "dome_radius_mm": table.contact.dome_radius_mm
-        }  # fmt: skip
+    model = table.image_model
+    section, numbers = model.save()
+    meta["model"] = {**numbers, "kind": model.kind}
+    arrays: dict[str, Any] = {
+        **section,
+        "coefficients": table.coefficients,
+        "background": table.background,
+    }
     with atomic_path(Path(path)) as partial, partial.open("wb") as file:
         np.savez_compressed(
             file,
@@ -215,7 +190,7 @@ def load_table(path: Path | str) -> LookupTable:
         check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("coefficients", "background", "meta")}
-            arrays |= {name: archive[name] for name in ("response", "contact") if name in archive}
+            arrays |= {name: archive[name] for name in archive.files}
     except FileNotFoundError:
         msg = f"{path}: no such table; `tacgen calibrate lookup` makes one"
         raise TableError(msg) from None
@@ -230,16 +205,28 @@ def load_table(path: Path | str) -> LookupTable:
         raise TableError(msg) from None
     meta = json.loads(arrays["meta"].tobytes())
     scalars = {name: meta[name] for name in _SCALARS}
-    contact = None
-    if "contact" in arrays:
-        contact = ContactLight(arrays["contact"].astype(np.float32), **meta["contact"])
+    # Tables of before name no model: its numbers are among the others.
+    numbers = {**meta, **meta.get("model", {})}
+    kind = numbers.get("kind", "response" if "response" in arrays else "quadratic")
+    try:
+        model = load_model(kind, arrays, numbers)
+    except KeyError as error:
+        msg = f"{path}: its image model {kind!r} lacks {error.args[0]}"
+        raise TableError(msg) from None
+    except TableError as error:
+        msg = f"{path}: {error}"
+        raise TableError(msg) from None
+    members: dict[str, Any] = {"model": model}
+    if isinstance(model, Response):
+        members = {"response": model.response, "contact": model.contact}
+    elif isinstance(model, Quadratic):
+        members = {}
     return LookupTable(
         coefficients=arrays["coefficients"].astype(np.float32),
         background=arrays["background"].astype(np.float32),
         effects=meta["effects"],
         provenance=meta["provenance"],
-        response=arrays["response"].astype(np.float32) if "response" in arrays else None,
-        contact=contact,
+        **members,
         **scalars,
     )
 

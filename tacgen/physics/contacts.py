@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import PADS, ContactFrame
+from tacgen.core.records import PADS, ContactFrame, frozen_array
 from tacgen.core.units import MM_PER_M
 from tacgen.physics.engine import ContactPoint
 from tacgen.physics.frames import Pose, inverse, pose, rotation_of
@@ -131,12 +131,15 @@ def contact_frames(
         on_gel = -own.force_n @ gel[:3, :3]
         at = (own.point_m - gel[:3, 3]) @ gel[:3, :3]
         force = on_gel.sum(axis=0)
-        moment = float(np.sum(at[:, 0] * on_gel[:, 1] - at[:, 1] * on_gel[:, 0]))
+        center_m = own.normal_force_n @ at / max(float(own.normal_force_n.sum()), 1e-12)
+        arms = at - center_m
+        moment = float(np.sum(arms[:, 0] * on_gel[:, 1] - arms[:, 1] * on_gel[:, 0]))
         # The spinning moment is about the gripper's x, along which both gels' z lie.
         moment -= spins[pad] * float(gel[:3, 2] @ gripper_pose(last)[:3, 0])
         gel_from_object = inverse(gel) @ object_in_world
         gel_from_object[:3, 3] *= MM_PER_M
-        for array in (force, gel_from_object):
+        center_mm = center_m[:2] * MM_PER_M
+        for array in (force, gel_from_object, center_mm):
             array.setflags(write=False)
         frames[pad] = ContactFrame(
             time_s=last.step * bodies.time_step_s,
@@ -144,8 +147,28 @@ def contact_frames(
             force_shear_n=force[:2],
             torsion_n_mm=moment * MM_PER_M,
             pose_gel_object=gel_from_object,
+            center_mm=center_mm,
         )
     return frames
+
+
+def load_courses(
+    snapshots: Sequence[Snapshot], bodies: Bodies, pads: Sequence[str]
+) -> dict[str, FloatArray]:
+    """The load on each of ``pads`` (n, 4) at every snapshot, as of ``ContactFrame.past``."""
+    courses: dict[str, FloatArray] = {pad: np.zeros((len(snapshots), 4)) for pad in pads}
+    for k, snapshot in enumerate(snapshots):
+        contacts = contacts_of(snapshot.contacts)
+        for pad, course in courses.items():
+            own = contacts.of(pad)
+            x, y, z = -own.force_n.sum(axis=0) @ gel_pose(snapshot, bodies, pad)[:3, :3]
+            course[k] = snapshot.step * bodies.time_step_s, -z, x, y
+    return courses
+
+
+def with_past(frame: ContactFrame, course: FloatArray) -> ContactFrame:
+    """The frame with the part of its pad's course that was before it."""
+    return replace(frame, past=frozen_array(course[course[:, 0] < frame.time_s]))
 
 
 def _spinning_moments_n_m(

@@ -28,7 +28,6 @@ from tacgen.physics.contacts import (
     Bodies,
     Placement,
     Snapshot,
-    contact_frames,
     contacts_of,
 )
 from tacgen.physics.engine import TABLE, Engine
@@ -52,6 +51,7 @@ from tacgen.physics.settings import (
 )
 
 CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
+PAST_STEPS = 5  # between samples of a load's past: 10 ms
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
 STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that a pad may be off
 
@@ -112,12 +112,14 @@ def run_grasp(
     *,
     frames: FrameRequest,
     patch_of: PatchOf | None = None,
+    keeps_past: bool = False,
 ) -> GraspTrace:
     """Simulate one grasp of ``obj`` as ``config`` asks; frames in the gel frame (mm, N).
 
     The moment that a pad holds about its normal follows from the patch that ``patch_of`` finds at
     the moment of grasp; without it from that of a flat face on the pad's dome and a gel of the
-    published k_n. An object's own ``spinning_friction_mm`` replaces either.
+    published k_n. An object's own ``spinning_friction_mm`` replaces either. With ``keeps_past``
+    each frame has the load before it, for a gel that remembers it.
 
     A grasp that cannot be executed has the status ``unreachable`` or ``no_contact``, a reason,
     the label −1 and no frames.
@@ -135,7 +137,7 @@ def run_grasp(
     if problem:
         msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
         raise PhysicsError(msg)
-    return _Grasp(simulator, obj, config, settings, frames, patch_of).run()
+    return _Grasp(simulator, obj, config, settings, frames, patch_of, keeps_past).run()
 
 
 class _Grasp:
@@ -149,7 +151,9 @@ class _Grasp:
         settings: PhysicsSettings,
         request: FrameRequest,
         patch_of: PatchOf | None,
+        keeps_past: bool,
     ) -> None:
+        self.keeps_past = keeps_past
         self.obj, self.config, self.settings = obj, config, settings
         self.patch_of = patch_of
         self.note = ""
@@ -177,6 +181,8 @@ class _Grasp:
         self.recorder = Recorder(
             self.world, self.robot, self.body, stroke_m, settings, self.frame_ends
         )
+        if self.keeps_past:
+            self.recorder.keep_past(PAST_STEPS)
         reason = self._close()
         if reason:
             return self._not_executed("no_contact", reason)
@@ -231,8 +237,8 @@ class _Grasp:
 
     def _load_pads(self, grasped: Sequence[Snapshot]) -> Capacity:
         """Set the torsion that the pads can hold beside the weight."""
-        loads = contact_frames(grasped, self.bodies, PADS)
-        torsion = {pad: self._torsion_limit(load) for pad, load in loads.items()}
+        loads = outcome.frames_of([grasped], self.bodies, PADS, self.recorder.past())
+        torsion = {pad: self._torsion_limit(load) for pad, (load,) in loads.items()}
         capacity = outcome.capacity_of(grasped, self.bodies, self.obj, self.settings, torsion)
         spinning_m = [mm * M_PER_MM for mm in capacity.spinning_mm]
         by_pad = dict(zip(self.bodies.pads, spinning_m, strict=True))
@@ -293,7 +299,9 @@ class _Grasp:
             status="executed",
             label=label,
             failure_mode="" if label == LABEL_SUCCESS else outcome.failure_mode(motion, settings),
-            frames=outcome.frames_of(windows, self.bodies, settings.sensing_pads),
+            frames=outcome.frames_of(
+                windows, self.bodies, settings.sensing_pads, self.recorder.past()
+            ),
             object_pose=outcome.object_poses_mm([window[-1] for window in windows], self.bodies),
             rise_mm=rise_mm,
             turn_rad=turn_rad,

@@ -23,8 +23,10 @@ from tacgen.physics.contacts import (
     contact_frames,
     gel_pose,
     gripper_pose,
+    load_courses,
     mean_contacts,
     object_pose,
+    with_past,
 )
 from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, rotation_of, turn_rad
 from tacgen.physics.margins import Capacity, TorsionLimit, grasp_capacity
@@ -143,10 +145,16 @@ def _slide_mm(in_gripper: FloatArray, start_m: FloatArray) -> FloatArray:
 
 
 def frames_of(
-    windows: Sequence[Sequence[Snapshot]], bodies: Bodies, pads: Sequence[str]
+    windows: Sequence[Sequence[Snapshot]],
+    bodies: Bodies,
+    pads: Sequence[str],
+    past: Sequence[Snapshot] = (),
 ) -> dict[str, tuple[ContactFrame, ...]]:
-    """The tactile frames of each of ``pads``, one a window."""
+    """The tactile frames of each of ``pads``, one a window, with their ``past`` if it is kept."""
     frames = [contact_frames(window, bodies, pads) for window in windows]
+    if past:
+        courses = load_courses(past, bodies, pads)
+        frames = [{pad: with_past(one[pad], courses[pad]) for pad in pads} for one in frames]
     return {pad: tuple(frame[pad] for frame in frames) for pad in pads}
 
 

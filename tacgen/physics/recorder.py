@@ -35,6 +35,7 @@ class Recorder:
         self.frame_ends = frame_ends
         steps = {step for end in frame_ends for step in range(max(0, end - self._average), end + 1)}
         self._planned = sorted(steps, reverse=True)  # the next one is last
+        self._past_every = 0
         self.step = 0
         self.snapshots: dict[int, Snapshot] = {}
         self.advance(0)
@@ -42,13 +43,30 @@ class Recorder:
     def advance(self, count: int) -> None:
         """Advance by ``count`` steps, taking the planned snapshots on the way."""
         end = self.step + max(0, count)
-        while self._planned and self._planned[-1] <= end:
-            stop = self._planned.pop()
+        while (stop := self._next_stop(end)) <= end:
+            if self._planned and self._planned[-1] == stop:
+                self._planned.pop()
             self._world.step(stop - self.step)
             self.step = stop
             self.snapshot()
         self._world.step(end - self.step)
         self.step = end
+
+    def _next_stop(self, end: int) -> int:
+        """The next step of which a snapshot is to be taken, or one after ``end``."""
+        stop = self._planned[-1] if self._planned else end + 1
+        every = self._past_every
+        return min(stop, (self.step // every + 1) * every) if every else stop
+
+    def keep_past(self, every: int) -> None:
+        """Take a snapshot now and at every so many steps from here on."""
+        self._past_every = every
+        self.snapshot()
+
+    def past(self) -> list[Snapshot]:
+        """The snapshots of the load's past: the same ones whatever frames are kept."""
+        every = self._past_every
+        return [one for step, one in sorted(self.snapshots.items()) if every and not step % every]
 
     def placement(self) -> Placement:
         """Where the object and the gripper are now."""

@@ -11,7 +11,7 @@ import pandas as pd
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import PressError
-from tacgen.optics.dots import MIN_TRACKED, Image, dots_at_rest, dots_in, find_spots, follow
+from tacgen.optics.dots import MIN_TRACKED, Dots, Image, dots_at_rest, dots_in, find_spots, follow
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.table import LookupTable
 from tacgen.presses.circles import find_circle
@@ -21,7 +21,11 @@ from tacgen.presses.press_folder import COORDINATES, PressFolder
 
 @dataclass(frozen=True, slots=True)
 class MeasuredLog:
-    """The press log of a folder of images, how its volumes were found, and warnings."""
+    """The press log of a folder of images, how its volumes were found, and warnings.
+
+    ``marker_pitch_mm`` is that of the dots whose motion was summed, NaN without dots: as the folder
+    has it, or as the gel at rest shows it.
+    """
 
     frame: pd.DataFrame
     method: str
@@ -65,14 +69,17 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
             fix = "it is not in the log: press again, or check background.png"
             warnings.append(f"{listing}: row {index + 2}: {rows['file'][index]} {problem}; {fix}")
     frame = _log_frame(rows, volumes)
+    pitch_mm = np.nan
     if at_rest is not None:
-        frame[["shear_x_mm", "shear_y_mm"]] = _marker_sums(folder, frame)
+        dots = dots_at_rest(folder.background, str(folder.path / "background.png"))
+        pitch_mm = folder.dot_pitch_mm or dots.spacing_px * folder.mm_per_px
+        frame[["shear_x_mm", "shear_y_mm"]] = _marker_sums(folder, frame, dots)
     frame = frame[volumes > 0].reset_index(drop=True)
     if frame.empty:
         msg = f"{folder.path}: no picture shows a contact; check background.png"
         raise PressError(msg)
     method = "table" if table is not None else "circle"
-    return MeasuredLog(frame, method, folder.dot_pitch_mm or np.nan, tuple(warnings))
+    return MeasuredLog(frame, method, pitch_mm, tuple(warnings))
 
 
 def _ball_volume(
@@ -105,9 +112,8 @@ def _log_frame(rows: pd.DataFrame, volumes: FloatArray) -> pd.DataFrame:
     return frame
 
 
-def _marker_sums(folder: PressFolder, frame: pd.DataFrame) -> FloatArray:
+def _marker_sums(folder: PressFolder, frame: pd.DataFrame, dots: Dots) -> FloatArray:
     """Sum of the dots' motion (N, 2), mm, followed through each trial's pictures in time order."""
-    dots = dots_at_rest(folder.background, str(folder.path / "background.png"))
     sums = np.zeros((len(frame), 2))
     for _, trial in frame.groupby("trial"):
         order = trial.sort_values("time_s", kind="stable").index.tolist()

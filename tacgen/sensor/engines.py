@@ -25,9 +25,13 @@ class EngineContacts(ABC):
 
     def __init__(self) -> None:
         self._objects: list[tuple[int, Mesh]] = []
+        self.center_mm = np.zeros(2)
 
     def contact(self) -> tuple[Mesh, FloatArray, FloatArray, float]:
-        """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel."""
+        """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel.
+
+        The moment is that about the normal through the centre of pressure, then ``center_mm`` (2,).
+        """
         if not self._objects:
             msg = "the sensor knows of no object; call add_object with the body that it touches"
             raise SensorError(msg)
@@ -35,7 +39,10 @@ class EngineContacts(ABC):
         poses = [_in_mm(inverse(gel) @ self._object_pose_m(body)) for body, _ in self._objects]
         points_m, forces_n = self._forces_on_gel()
         local_n = forces_n @ gel[:3, :3]
-        arms_mm = MM_PER_M * (points_m - gel[:3, 3]) @ gel[:3, :3]
+        points_mm = MM_PER_M * (points_m - gel[:3, 3]) @ gel[:3, :3]
+        pressed_n = np.maximum(-local_n[:, 2], 0.0)
+        self.center_mm = pressed_n @ points_mm[:, :2] / max(float(pressed_n.sum()), 1e-12)
+        arms_mm = points_mm[:, :2] - self.center_mm
         torsion = np.sum(arms_mm[:, 0] * local_n[:, 1] - arms_mm[:, 1] * local_n[:, 0])
         total = local_n.sum(axis=0)
         force = np.array([total[0], total[1], -total[2]])
@@ -45,8 +52,12 @@ class EngineContacts(ABC):
         return _joined(meshes, poses), np.eye(4), force, float(torsion)
 
     @abstractmethod
-    def time_s(self, last_s: float | None) -> float:
-        """Time of the present state; ``last_s`` is that of the state read before, if any."""
+    def clock_s(self) -> float | None:
+        """Time of the present state; None where the engine keeps no clock."""
+
+    @abstractmethod
+    def time_step_s(self) -> float:
+        """Time from one state to the next."""
 
     @abstractmethod
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
@@ -91,10 +102,14 @@ class PyBulletContacts(EngineContacts):
             msg = f"PyBullet has no {what} {which} on client {self._client}: {error}"
             raise SensorError(msg) from None
 
-    def time_s(self, last_s: float | None) -> float:
-        """A step after the last state that was read: PyBullet keeps no clock."""
+    def clock_s(self) -> float | None:
+        """PyBullet keeps no clock."""
+        return None
+
+    def time_step_s(self) -> float:
+        """The simulation's fixed step."""
         known = self._bullet.getPhysicsEngineParameters(physicsClientId=self._client)
-        return 0.0 if last_s is None else last_s + float(known["fixedTimeStep"])
+        return float(known["fixedTimeStep"])
 
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
         """Watch for contacts of a body; ``mesh`` is in the frame of its base link."""
@@ -105,7 +120,7 @@ class PyBulletContacts(EngineContacts):
             parts = self._asked("body", body, self._bullet.getCollisionShapeData, int(body), -1)
             found = _merged([_bullet_shape(part) for part in parts], f"body {body}")
             vertices_m = found.vertices @ inertial[:3, :3].T + inertial[:3, 3]
-            mesh = Mesh(MM_PER_M * vertices_m, np.asarray(found.faces, np.int32))
+            mesh = Mesh.fixed(MM_PER_M * vertices_m, found.faces)
         self._objects.append((int(body), mesh))
 
     def _read_inertial(self, body: int) -> FloatArray:
@@ -163,9 +178,13 @@ class MujocoContacts(EngineContacts):
             raise SensorError(msg)
         return int(found)
 
-    def time_s(self, last_s: float | None) -> float:
+    def clock_s(self) -> float | None:
         """The simulation's clock."""
         return float(self._data.time)
+
+    def time_step_s(self) -> float:
+        """The simulation's step."""
+        return float(self._model.opt.timestep)
 
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
         """Watch for contacts of a body; ``mesh`` is in its body frame."""
@@ -174,8 +193,7 @@ class MujocoContacts(EngineContacts):
             first = self._model.body_geomadr[number]
             geoms = range(first, first + self._model.body_geomnum[number])
             found = _merged([self._shape(k) for k in geoms], f"body {body!r}")
-            vertices_mm = MM_PER_M * np.asarray(found.vertices)
-            mesh = Mesh(vertices_mm, np.asarray(found.faces, np.int32))
+            mesh = Mesh.fixed(MM_PER_M * np.asarray(found.vertices), found.faces)
         self._objects.append((number, mesh))
 
     def _shape(self, geom: int) -> trimesh.Trimesh:
@@ -274,7 +292,7 @@ def _joined(meshes: list[Mesh], poses_mm: list[FloatArray]) -> Mesh:
     posed = zip(meshes, poses_mm, strict=True)
     vertices_mm = [mesh.vertices_mm @ at[:3, :3].T + at[:3, 3] for mesh, at in posed]
     joined, faces = trimesh.util.append_faces(vertices_mm, [mesh.faces for mesh in meshes])
-    return Mesh(np.asarray(joined, np.float64), np.asarray(faces, np.int32))
+    return Mesh.fixed(joined, faces)
 
 
 def _in_mm(pose_m: FloatArray) -> FloatArray:

@@ -2,14 +2,19 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.contact.effects.history import Memory
 from tacgen.contact.law import ContactLaw
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame
+
+LOAD = ("time_s", "force_normal_n", "force_shear_x_n", "force_shear_y_n")
+"""The columns of a press log that a load has."""
+ONSET_S = 1e-3  # before the first load that is known, the gel is at rest
 
 PLACE_STEP_MM = 2e-4  # to which the place of an object under the gel is rounded
 
@@ -20,14 +25,23 @@ class GelLoad:
 
     The law gives either ``volume_mm3``, which the gel loses (V = k_n F_n), or ``indentation_mm``
     (δ = c F_n, TACTO's law). ``shear_sum_mm`` (2,) is D = k_s F_s, the sum of the markers' shear
-    motion, with which the object moves; ``turn_sum_mm2`` is k_s times the moment about the gel's
-    normal: the sum of r × motion.
+    motion, with which the object moves; ``turn_sum_mm2`` is k_s times the moment about the patch's
+    middle: the sum of r × motion. Where ``pull_sum_mm`` (2,), k_s F_s alone, is given, it is the
+    moment about the gel's origin, from which that of the pull is to be taken. The sums are over
+    markers of ``marker_pitch_mm``; 0: over the sensor's own, whatever they are.
     """
 
     volume_mm3: float | None = None
     indentation_mm: float | None = None
     shear_sum_mm: FloatArray | tuple[float, float] = (0.0, 0.0)
     turn_sum_mm2: float = 0.0
+    pull_sum_mm: tuple[float, float] = (0.0, 0.0)
+    marker_pitch_mm: float = 0.0
+
+    def turn_about_mm2(self, center_mm: FloatArray) -> float:
+        """The sum of r × motion about a patch whose middle is at ``center_mm`` (2,)."""
+        x, y = self.pull_sum_mm
+        return float(self.turn_sum_mm2 - (center_mm[0] * y - center_mm[1] * x))
 
 
 def gel_loads(
@@ -39,20 +53,77 @@ def gel_loads(
 ) -> tuple[GelLoad, ...]:
     """The load on the gel at each of a grasp's frames.
 
-    The history that the law sees starts unloaded at the start of closing, so that effects with
-    memory know how long the load has been on. ``grasp_index`` counts the grasps on this gel, so
-    that a gel that is conditioned by its first presses is so in a dataset too.
+    The history that the law sees is each frame's past; where it is not known, that of the frames
+    before it, from a gel that the first of them finds at rest. ``grasp_index`` counts the grasps on
+    this gel, so that a gel that is conditioned by its first presses is so in a dataset too.
     """
-    history = load_history(frames, grasp_index)
-    volume_mm3, shear_sum_mm = (values[1:] for values in law.predict(history, simulate=True))
+    alone = bool(law.effects) and any(frame.past is not None for frame in frames)
+    normal, shear_mm = list[float](), list[FloatArray]()
+    for part in [[frame] for frame in frames] if alone else [frames]:
+        history = load_history(part, grasp_index)
+        volume_mm3, motion_mm = law.predict(history, simulate=True)
+        is_depth = law.law == "linear_depth"
+        response = law.predict_depth(history) if is_depth else volume_mm3
+        normal += response[-len(part) :].tolist()
+        shear_mm += list(motion_mm[-len(part) :])
+    rows = zip(frames, normal, shear_mm, strict=True)
+    return tuple(gel_load(law, frame, one * k_n_factor, shear) for frame, one, shear in rows)
+
+
+class GelCourse:
+    """The gel of one sensor over time: what its law's effects remember goes from load to load."""
+
+    def __init__(self, law: ContactLaw) -> None:
+        self._law = law
+        self._press = -1
+        self._before: Memory = {}
+        self._after: Memory = {}
+        self.last_s: float | None = None
+        self.begin()
+
+    def begin(self) -> None:
+        """A new press, of a gel at rest."""
+        self._press += self._press < 0 or self.last_s is not None
+        self.last_s = None
+
+    def load(self, frame: ContactFrame, at_rest_s: float) -> GelLoad:
+        """The load of the newest frame; again, where it is of the time of the last one.
+
+        ``at_rest_s`` is how long before a press's first frame its gel was at rest.
+        """
+        if self.last_s is None:
+            start_s = frame.time_s - max(at_rest_s, ONSET_S)
+            *_, self._before = self._law.advance(self._row((start_s, 0.0, 0.0, 0.0)), {})
+        elif frame.time_s > self.last_s:
+            self._before = self._after
+        load = frame.time_s, frame.force_normal_n, *frame.force_shear_n
+        normal, shear, self._after = self._law.advance(self._row(load), self._before)
+        self.last_s = frame.time_s
+        return gel_load(self._law, frame, normal, shear)
+
+    def _row(self, load: Sequence[float]) -> dict[str, float]:
+        return {"trial": float(self._press), **dict(zip(LOAD, load, strict=True))}
+
+
+def gel_load(
+    law: ContactLaw, frame: ContactFrame, normal: float, shear_sum_mm: FloatArray
+) -> GelLoad:
+    """The load of a frame from the law's responses; ``normal`` is a volume, or TACTO's depth."""
     k_s = 0.0 if math.isnan(law.k_s_mm_per_n.value) else law.k_s_mm_per_n.value
-    turn_sum_mm2 = k_s * np.array([frame.torsion_n_mm for frame in frames])
-    if law.law == "linear_depth":
-        depths: list[float | None] = (law.predict_depth(history)[1:] * k_n_factor).tolist()
-        volumes: list[float | None] = [None] * len(frames)
-    else:
-        depths, volumes = [None] * len(frames), (volume_mm3 * k_n_factor).tolist()
-    return tuple(map(GelLoad, volumes, depths, shear_sum_mm, turn_sum_mm2.tolist()))
+    turn_mm2, pull_mm = k_s * frame.torsion_n_mm, (0.0, 0.0)
+    if frame.center_mm is not None:
+        x, y = (float(k_s * force) for force in frame.force_shear_n)
+        turn_mm2 += float(frame.center_mm[0]) * y - float(frame.center_mm[1]) * x
+        pull_mm = x, y
+    is_depth = law.law == "linear_depth"
+    return GelLoad(
+        volume_mm3=None if is_depth else normal,
+        indentation_mm=normal if is_depth else None,
+        shear_sum_mm=shear_sum_mm,
+        turn_sum_mm2=turn_mm2,
+        pull_sum_mm=pull_mm,
+        marker_pitch_mm=0.0 if math.isnan(law.marker_pitch_mm) else law.marker_pitch_mm,
+    )
 
 
 def rounded_pose_and_load(
@@ -70,25 +141,24 @@ def rounded_pose_and_load(
     pose[:3, :3] = rotation
     pose[:3, 3] = -rotation @ (PLACE_STEP_MM * np.round(point_mm / PLACE_STEP_MM))
     x_mm, y_mm = load.shear_sum_mm
-    return pose, GelLoad(
-        None if load.volume_mm3 is None else round(load.volume_mm3, 5),
-        None if load.indentation_mm is None else round(load.indentation_mm, 5),
-        (round(float(x_mm), 5), round(float(y_mm), 5)),
-        round(load.turn_sum_mm2, 5),
+    pull_x_mm, pull_y_mm = load.pull_sum_mm
+    return pose, replace(
+        load,
+        volume_mm3=None if load.volume_mm3 is None else round(load.volume_mm3, 5),
+        indentation_mm=None if load.indentation_mm is None else round(load.indentation_mm, 5),
+        shear_sum_mm=(round(float(x_mm), 5), round(float(y_mm), 5)),
+        turn_sum_mm2=round(load.turn_sum_mm2, 5),
+        pull_sum_mm=(round(pull_x_mm, 5), round(pull_y_mm, 5)),
     )
 
 
 def load_history(
     frames: Sequence[ContactFrame], grasp_index: int = 0
 ) -> Mapping[str, NDArray[np.float64]]:
-    """The columns of a press log for one grasp, with an unloaded sample before the first frame."""
-    first_s = min(0.0, frames[0].time_s)
-    # Two samples of one trial may not share a time.
-    start_s = first_s if frames[0].time_s > first_s else first_s - 1e-3
-    return {
-        "trial": np.full(len(frames) + 1, float(grasp_index)),
-        "time_s": np.array([start_s, *(frame.time_s for frame in frames)]),
-        "force_normal_n": np.array([0.0, *(frame.force_normal_n for frame in frames)]),
-        "force_shear_x_n": np.array([0.0, *(frame.force_shear_n[0] for frame in frames)]),
-        "force_shear_y_n": np.array([0.0, *(frame.force_shear_n[1] for frame in frames)]),
-    }
+    """The columns of a press log for one grasp: the past of its first frame, then the frames."""
+    past = frames[0].past
+    if past is None or not len(past):
+        past = np.array([[frames[0].time_s - ONSET_S, 0.0, 0.0, 0.0]])
+    own = [[one.time_s, one.force_normal_n, *one.force_shear_n] for one in frames]
+    rows = np.concatenate([past, own])
+    return {"trial": np.full(len(rows), float(grasp_index)), **dict(zip(LOAD, rows.T, strict=True))}

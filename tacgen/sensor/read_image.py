@@ -10,17 +10,17 @@ import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.optimize import brentq, least_squares
 
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import SensorError
 from tacgen.core.files import atomic_path
 from tacgen.core.images import encode_png
-from tacgen.core.records import ContactFrame
+from tacgen.core.records import Estimate
 from tacgen.core.safe_io import read_rgb
 from tacgen.optics.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, follow
 from tacgen.optics.reconstruct import Reconstructor, Shape
-from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.gel_response import LOAD, ONSET_S
 from tacgen.sensor.simulated import Frame, Sensor
 
 LEAST_DEPTH_MM = 0.03
@@ -33,6 +33,8 @@ MARKER_STDERR_PX = 0.1
 MOST_AT_STEEPEST = 0.01
 """Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
 were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
+MOST_OFF_STDERR = 3.0  # between the response that was read and that of the load that was found
+FIRST_FORCE_N, FORCES_TRIED = 0.01, 80  # in steps of 16 %
 LARGEST_FORCE_N = 1000.0  # no gel survives this; a law that needs more for a volume is saturated
 
 
@@ -87,6 +89,11 @@ class ImageReader:
         spots = find_spots(self._background)
         self._dots = spots.mask(spots.usable) if spots.usable.sum() >= MIN_TRACKED else None
         self._own_background = background_rgb is not None
+        self._pitch_mm = math.nan
+        if self._dots is not None:
+            spacing_mm = dots_at_rest(self._background).spacing_px * self.sensor.table.mm_per_px
+            markers = self.sensor.description.markers
+            self._pitch_mm = markers.pitch_mm if markers else spacing_mm
 
     def read(self, image_rgb: NDArray[np.uint8]) -> Reading:
         """Depth, contact, volume and force of one picture (H, W, 3), RGB uint8.
@@ -123,7 +130,9 @@ class ImageReader:
         if not touched.any():
             none = f"no contact: the gel is nowhere deeper than {LEAST_DEPTH_MM} mm"
             return replace(reading, message=none)
-        reading = _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px)
+        reading = _with_forces(
+            reading, self.sensor.law, self.sensor.table.mm_per_px, self._pitch_mm
+        )
         if shape.steepest_share <= MOST_AT_STEEPEST:
             return reading
         limit_deg = math.degrees(math.atan(self._reconstructor.steepest))
@@ -196,7 +205,7 @@ def read_image(
     Source
     ------
     Yuan, Dong & Adelson 2017 (GelSight, §4): slopes by the inverted table, then Poisson's
-    equation; force by Si et al. 2022, Eq. 1: F = V / k_n.
+    equation; force by Si et al. 2022, Eq. 1: F = V / k_n, or the inverse of the whole law.
 
     Examples
     --------
@@ -276,39 +285,131 @@ def _volume_stderr(shape: Shape, depth: NDArray[np.float64], volume_mm3: float) 
     return volume_mm3 * shape.slope_stderr / max(steepness, shape.slope_stderr)
 
 
-def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float) -> Reading:
-    """Forces of a volume and of a sum of the dots' motion, by the inverse of a contact law."""
-    normal_n = _normal_force_n(law, reading)
-    message = ""
-    if normal_n > LARGEST_FORCE_N:
-        normal_n, message = math.nan, "no force of the contact law makes this volume: saturated"
-    k_n, k_s = law.k_n_mm3_per_n, law.k_s_mm_per_n.value
-    k_n_stderr = 0.0 if math.isnan(k_n.stderr) else k_n.stderr
-    relative = math.hypot(reading.volume_stderr_mm3 / reading.volume_mm3, k_n_stderr / k_n.value)
-    n_dots = 0 if reading.markers_px is None else len(reading.markers_px)
-    shear_stderr = math.sqrt(n_dots) * MARKER_STDERR_PX * mm_per_px / k_s if n_dots else math.nan
+def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float, pitch_mm: float) -> Reading:
+    """The load at which a contact law gives a volume and a sum of the dots' motion.
+
+    ``pitch_mm`` is the dots' distance; NaN without dots, where the normal force alone is found.
+    """
+    is_depth = law.law == "linear_depth"
+    normal = reading.indentation_mm if is_depth else reading.volume_mm3
+    k = law.k_depth_mm_per_n if is_depth and law.k_depth_mm_per_n else law.k_n_mm3_per_n
+    share = reading.volume_stderr_mm3 / reading.volume_mm3
+    response, stderr = np.array([normal]), np.array([normal * _with_error_of(k, share)])
+    k_s, unknown = law.k_s_mm_per_n, np.full(2, math.nan)
+    if not math.isnan(pitch_mm + k_s.value):
+        # Each dot stands for its area, as each marker of the law's grid does.
+        of_law = 1.0 if math.isnan(law.marker_pitch_mm) else (pitch_mm / law.marker_pitch_mm) ** 2
+        motion = of_law * reading.shear_sum_mm
+        n_dots = 0 if reading.markers_px is None else len(reading.markers_px)
+        noise = of_law * math.sqrt(n_dots) * MARKER_STDERR_PX * mm_per_px
+        by_k_s = _with_error_of(k_s, 0.0) * motion
+        response, unknown = np.append(response, motion), np.zeros(0)
+        stderr = np.append(stderr, np.hypot(noise, by_k_s))
+    message = _taken_as_known(law, LOAD[1 : 1 + len(response)])
+    load, errors = _load_of(law, reading, response, stderr)
+    if not np.isfinite(load).all():
+        message = "no load of the contact law makes this imprint: saturated"
+        if len(load) > 1:
+            unknown = np.full(2, math.nan)
+            load, errors = _load_of(law, reading, response[:1], stderr[:1])
     return replace(
         reading,
-        force_n=np.array([*(reading.shear_sum_mm / k_s), normal_n]),
-        force_stderr_n=np.array([shear_stderr, shear_stderr, normal_n * relative]),
+        force_n=np.array([*unknown, *load[1:], load[0]]),
+        force_stderr_n=np.array([*unknown, *errors[1:], errors[0]]),
         message=message,
     )
 
 
-def _normal_force_n(law: ContactLaw, reading: Reading) -> float:
-    """The force whose volume, or whose depth under TACTO's law, is the reading's.
+def _with_error_of(k: Estimate, share: float) -> float:
+    """A relative error together with that of a compliance, where it has one."""
+    return share if math.isnan(k.stderr) else math.hypot(share, k.stderr / k.value)
+
+
+def _load_of(
+    law: ContactLaw,
+    reading: Reading,
+    response: NDArray[np.float64],
+    stderr: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Load of a response, into the gel and where given along it, and its errors; NaN if none.
 
     Effects with memory are taken at the beginning of the load: one picture has no history.
     """
+    start = _normal_force_n(law, reading)
+    load = np.array([start, *(response[1:] / law.k_s_mm_per_n.value)])
+    scale = np.maximum(stderr, 1e-6 * np.abs(response).max())
+
+    def off(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray((_response(law, at) - response) / scale)
+
+    if law.effects and len(load) > 1 and math.isfinite(start):
+        most = [LARGEST_FORCE_N] * len(load)
+        least = [0.0, *(-LARGEST_FORCE_N for _ in load[1:])]
+        first = np.clip(load, least, most)
+        found = least_squares(
+            off,
+            first,
+            bounds=(least, most),
+            x_scale=np.maximum(np.abs(first), 0.1),
+            xtol=1e-12,
+            ftol=1e-12,
+            gtol=1e-12,
+        )
+        load = np.asarray(found.x, np.float64)
+    steps = np.diag(1e-4 * np.maximum(np.abs(load), 0.01))
+    if not np.isfinite(load).all() or np.abs(off(load)).max() > MOST_OFF_STDERR:
+        return np.full(len(load), math.nan), np.full(len(load), math.nan)
+    columns = [
+        (_response(law, load + step) - _response(law, load - step)) / (2.0 * step.sum())
+        for step in steps
+    ]
+    inverse = np.linalg.pinv(np.stack(columns, axis=1))
+    return load, np.sqrt(((inverse * stderr) ** 2).sum(axis=1))
+
+
+def _response(law: ContactLaw, load: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the law makes of a load (1,) or (3,) that has just come on a gel at rest."""
+    names = LOAD[1 : 1 + len(load)]
+    rest = {"trial": 0.0, "time_s": -ONSET_S, **dict.fromkeys(names, 0.0)}
+    *_, memory = law.advance(rest, {})
+    row = {**rest, "time_s": 0.0, **dict(zip(names, load.tolist(), strict=True))}
+    normal, motion, _ = law.advance(row, memory)
+    return np.array([normal, *motion])[: len(load)]
+
+
+def _normal_force_n(law: ContactLaw, reading: Reading) -> float:
+    """The least force that alone gives a volume, or a depth under TACTO's law; inf if none does."""
+    response = reading.indentation_mm if law.law == "linear_depth" else reading.volume_mm3
 
     def excess(force_n: float) -> float:
-        frame = ContactFrame(0.0, force_n, np.zeros(2), 0.0, np.eye(4))
-        load = gel_loads(law, [frame])[0]
-        if load.volume_mm3 is None:
-            return (load.indentation_mm or 0.0) - reading.indentation_mm
-        return load.volume_mm3 - reading.volume_mm3
+        return float(_response(law, np.array([force_n]))[0]) - response
 
-    if excess(LARGEST_FORCE_N) < 0:
-        return math.inf
-    root: Any = brentq(excess, 0.0, LARGEST_FORCE_N, xtol=1e-6)
-    return float(root)
+    # Beyond the loads that it was fitted to a law may turn back, and give the volume once more.
+    low_n = 0.0
+    for high_n in np.geomspace(FIRST_FORCE_N, LARGEST_FORCE_N, FORCES_TRIED).tolist():
+        if excess(high_n) >= 0:
+            root: Any = brentq(excess, low_n, high_n, xtol=1e-9)
+            return float(root)
+        low_n = high_n
+    return math.inf
+
+
+def _taken_as_known(law: ContactLaw, columns: tuple[str, ...]) -> str:
+    """What the user should know of effects that follow what one picture does not show."""
+    names = [
+        fitted.name
+        for fitted in law.effects
+        if (effect := fitted.effect).in_simulation
+        and (
+            effect.stage == "memory"
+            or effect.is_of_trials
+            or not set(effect.needs) <= {"trial", "time_s", *columns}
+        )
+    ]
+    if not names:
+        return ""
+    return (
+        f"the contact law's {', '.join(dict.fromkeys(names))} follows what one picture does not "
+        "show (the load's past, the place, the indenter, the session, shear without dots): it is "
+        "taken as a load that has just come on a gel at rest"
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -17,7 +17,7 @@ from tacgen.core.records import ContactFrame, Mesh
 from tacgen.core.units import MM_PER_M
 from tacgen.optics.table import load_table
 from tacgen.sensor.description import SensorChoice, load_sensor
-from tacgen.sensor.gel_response import GelLoad, gel_loads
+from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_loads
 from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class Sensor:
         A ``table.npz`` from ``tacgen calibrate lookup``, instead of the sensor's own.
     contact : path or ContactLaw, optional
         A ``contact.yaml`` from ``tacgen calibrate contact``; the default is the published slope
-        k_n = 5.135 mm³/N and k_s = 1 mm/N.
+        k_n = 5.135 mm³/N and k_s = 1 mm/N for markers 2 mm apart.
     shadows, markers, noise : bool
         Cast shadows, printed dots, camera noise (drawn from ``seed``).
 
@@ -107,8 +107,8 @@ class Sensor:
         self._pad = TactilePad(self.description, self.table, shadows=shadows, markers=markers)
         self._rng = np.random.default_rng(np.random.SeedSequence(seed)) if noise else None
         self._simulation: EngineContacts | None = None
-        self._frames: list[ContactFrame] = []
-        self._press = 0
+        self._gel = GelCourse(self.law)
+        self._began_s: float | None = None
 
     def __repr__(self) -> str:
         height, width = self.description.shape_px
@@ -135,7 +135,7 @@ class Sensor:
             it is taken to first touch and pressed in from there.
         force_n, shear_n, torsion_n_mm
             Force of the object into the gel, along the gel's x and y, and the moment about the
-            gel's z.
+            gel's normal through the middle of the contact patch.
 
         Raises
         ------
@@ -193,27 +193,34 @@ class Sensor:
     def read(self, time_s: float | None = None) -> Frame:
         """The frame at the simulation's present state, from its poses and contact forces.
 
-        Effects with memory (creep, hysteresis, conditioning) go on from frame to frame; ``reset``
-        begins a new press. PyBullet keeps no clock: where such an effect matters and there is
-        more than one step between readings, give ``time_s``.
+        Effects with memory (creep, hysteresis, conditioning) go on from frame to frame. The gel is
+        at rest when the sensor is attached; ``reset`` begins a new press, as does a clock that goes
+        back. PyBullet keeps no clock: there the gel is at rest until the first reading, and where
+        such an effect matters and there is more than one step between readings, give ``time_s``.
 
         Raises ``SensorError`` if the sensor is not attached, or knows of no object.
         """
         simulation = self._attached()
         mesh, pose, force, torsion_n_mm = simulation.contact()
-        last_s = self._frames[-1].time_s if self._frames else None
-        now_s = simulation.time_s(last_s) if time_s is None else float(time_s)
+        clock_s, last_s = simulation.clock_s(), self._gel.last_s
+        if time_s is not None:
+            now_s = float(time_s)
+        elif clock_s is not None:
+            now_s = clock_s
+        else:
+            now_s = 0.0 if last_s is None else last_s + simulation.time_step_s()
+        if last_s is not None and now_s < last_s:
+            self.reset()
+        began_s = clock_s if self._began_s is None else self._began_s
+        at_rest_s = 0.0 if clock_s is None or began_s is None else clock_s - began_s
         frame = _contact_frame(now_s, max(float(force[2]), 0.0), force[:2], torsion_n_mm, pose)
-        if not self.law.effects:
-            self._frames.clear()  # a law without memory needs the last frame alone
-        self._frames = [*(one for one in self._frames if one.time_s < now_s), frame]
-        load = gel_loads(self.law, self._frames, grasp_index=self._press)[-1]
-        return self._frame(mesh, frame, load)
+        frame = replace(frame, center_mm=simulation.center_mm)
+        return self._frame(mesh, frame, self._gel.load(frame, at_rest_s))
 
     def reset(self) -> None:
         """Begin a new press on a gel at rest."""
-        self._press += bool(self._frames)
-        self._frames.clear()
+        self._gel.begin()
+        self._began_s = self._simulation.clock_s() if self._simulation else None
 
     def _attached(self) -> EngineContacts:
         if self._simulation is None:
@@ -248,6 +255,8 @@ class Sensor:
 def as_mesh(mesh: Any, scale: float = 1.0) -> Mesh:
     """A trimesh, a ``Mesh`` or (vertices_mm, faces) as a ``Mesh``; else a ``ContactError``."""
     if isinstance(mesh, Mesh):
+        if scale == 1.0 and not (mesh.vertices_mm.flags.writeable or mesh.faces.flags.writeable):
+            return mesh
         vertices, faces = mesh.vertices_mm, mesh.faces
     elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
         vertices, faces = mesh.vertices, mesh.faces
@@ -256,7 +265,7 @@ def as_mesh(mesh: Any, scale: float = 1.0) -> Mesh:
     else:
         msg = f"a mesh is a trimesh.Trimesh or (vertices_mm, faces), not {type(mesh).__name__}"
         raise ContactError(msg)
-    return Mesh(scale * np.asarray(vertices, np.float64), np.asarray(faces, np.int32))
+    return Mesh.fixed(scale * np.asarray(vertices, np.float64), faces)
 
 
 def _contact_frame(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
-from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
+from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm, marker_pitch_mm
 from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.records import ContactPatch, Mesh, Sensor
@@ -199,7 +199,7 @@ class TactilePad:
             leds=sensor.leds,
             marker_radius_mm=sensor.markers.radius_mm if draws and sensor.markers else 0.0,
         )
-        self._points_mm = marker_grid_mm(sensor)
+        self._points_mm, self._pitch_mm = marker_grid_mm(sensor), marker_pitch_mm(sensor)
         self._markers_drawn = draws
         self._drawn: Imprint | None = None
 
@@ -211,10 +211,12 @@ class TactilePad:
         """
         imprint = self.indenter.indent(mesh, pose_gel_object, load)
         shear = np.asarray(load.shear_sum_mm, dtype=np.float64)
-        moves = bool(np.any(shear)) or load.turn_sum_mm2 != 0.0
+        moves = bool(np.any(shear)) or load.turn_sum_mm2 != 0.0 or any(load.pull_sum_mm)
         if imprint.indentation_mm <= 0 or not (moves or self._markers_drawn):
             return imprint
-        motion = self._field(imprint).motion(shear, load.turn_sum_mm2)
+        field = self._field(imprint)
+        share = (load.marker_pitch_mm or self._pitch_mm) ** 2 / self._pitch_mm**2
+        motion = field.motion(share * shear, share * load.turn_about_mm2(field.center_mm))
         if moves:
             pose = np.asarray(pose_gel_object, dtype=np.float64)
             imprint = self.indenter.indent(mesh, motion.moved(pose), load)

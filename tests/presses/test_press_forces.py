@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from tacgen.cli import app
@@ -230,3 +231,17 @@ def test_rows_that_cannot_be_are_all_named(broken):
     assert "row 2: radius_mm = -4 is not a ball's; give the radius in mm" in text
     assert "b.png: missing (row 3 of presses.csv)" in text
     assert "row 4: a.png is listed twice" in text
+
+
+@pytest.mark.slow
+def test_the_pitch_of_dots_that_nobody_stated_is_measured(folder, tmp_path):
+    """k_s is a sum over a grid of dots: which one, the gel at rest shows."""
+    copy = tmp_path / "presses"
+    copy.mkdir()
+    for path in (folder / "presses").iterdir():
+        (copy / path.name).write_bytes(path.read_bytes())
+    stated = yaml.safe_load((copy / "sensor.yaml").read_text())
+    del stated["markers"]
+    (copy / "sensor.yaml").write_text(yaml.safe_dump(stated))
+    found = measure_presses(read_press_folder(copy, WITH_FORCES))
+    assert found.marker_pitch_mm == pytest.approx(2.0, rel=0.01)

@@ -72,10 +72,18 @@ def test_creep_shows_in_the_sequence_and_ends_at_its_asymptote():
 
 
 def test_a_single_frame_knows_how_long_the_load_has_been_on():
-    early, late = (
-        gel_loads(with_creep(0.3, 0.8), frames([4], [t]))[0].volume_mm3 for t in (0.1, 3.0)
-    )
-    assert 20 < early < late < 26
+    """As the last frame of a sequence does: a ramp over 0.1 s, then a hold."""
+    sequence = frames([0, 4, 4], [0.0, 0.1, 3.0])
+    past = np.array([[one.time_s, one.force_normal_n, 0.0, 0.0] for one in sequence])
+    law = with_creep(0.3, 0.8)
+    whole = [load.volume_mm3 for load in gel_loads(law, sequence)]
+    for k in (1, 2):
+        (alone,) = gel_loads(law, [replace(sequence[k], past=past[:k])])
+        assert alone.volume_mm3 == pytest.approx(whole[k], rel=1e-12)
+    # Nothing is known of its past: the load has just come, whatever the clock shows.
+    for time_s in (0.1, 100.0):
+        (sudden,) = gel_loads(law, frames([4], [time_s]))
+        assert sudden.volume_mm3 == pytest.approx(20.0, rel=1e-3)
 
 
 def test_a_gel_is_conditioned_by_the_first_grasps_of_a_dataset():
@@ -93,5 +101,6 @@ def test_a_gel_is_conditioned_by_the_first_grasps_of_a_dataset():
 def test_the_history_starts_unloaded_at_distinct_times():
     for first in (0.0, 0.7):
         history = load_history(frames([1, 2], [first, first + 1]))
+        assert history["time_s"][0] == pytest.approx(first, abs=2e-3)
         assert history["force_normal_n"][0] == 0
         assert (np.diff(history["time_s"]) > 0).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,14 +15,22 @@ from typer.testing import CliRunner
 import tacgen
 from tacgen.cli import app
 from tacgen.contact import gel_map_mm
-from tacgen.contact.law import ContactLaw
+from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import SensorError
+from tacgen.core.records import ContactFrame, Estimate
 from tacgen.optics import save_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.rig import load_rig_recipe
 from tacgen.rig.images import Camera, press_ball
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.read_image import ImageReader, read_image
+from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.read_image import (
+    MARKER_STDERR_PX,
+    ImageReader,
+    Reading,
+    _with_forces,
+    read_image,
+)
 from validation.optics.sampled_table import sampled_table
 
 K_N, K_S = 5.135, 0.8
@@ -115,9 +124,6 @@ def test_a_law_with_stiffening_is_inverted(reader, sensor):
     from types import MappingProxyType
 
     from tacgen.contact.effects import find_effect
-    from tacgen.contact.law import FittedEffect
-    from tacgen.core.records import ContactFrame, Estimate
-    from tacgen.sensor.gel_response import gel_loads
     from tacgen.sensor.read_image import _normal_force_n
 
     names = [p.name for p in find_effect("normal", "stiffening").parameters]
@@ -132,6 +138,123 @@ def test_a_law_with_stiffening_is_inverted(reader, sensor):
         indentation_mm = 0.0
 
     assert _normal_force_n(law, Given()) == pytest.approx(3.0, abs=1e-3)
+
+
+def fitted(name, channel, **parameters):
+    """An effect with given parameters."""
+    return FittedEffect(name, channel, {k: Estimate(v) for k, v in parameters.items()})
+
+
+LAWS = {
+    "anisotropy": [fitted("anisotropy", "shear", along_x=0.3, rotation_rad=0.2)],
+    "normal coupling": [
+        fitted("normal_coupling", "shear", amount=-0.4, exponent=-0.33, reference_n=6.0)
+    ],
+    "slip": [fitted("slip", "shear", mindlin=1.0, mu=0.8)],
+    "shear coupling": [fitted("shear_coupling", "normal", ratio=0.2, ratio_reference=0.3)],
+    "stiffening and anisotropy": [
+        fitted("stiffening", "normal", amount=-0.2, reference_n=5.0),
+        fitted("anisotropy", "shear", diagonal=-0.2),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("pitch_mm", [2.0, 1.0])
+def test_the_whole_law_is_inverted(name, pitch_mm):
+    """Normal and shear force are those at which law, effects and grid of dots give the imprint."""
+    law = replace(ContactLaw.linear(K_N, K_S, 2.0), effects=tuple(LAWS[name]))
+    force_n = np.array([0.6, -0.4, 3.0])
+    frame = ContactFrame(0.0, force_n[2], force_n[:2], 0.0, np.eye(4))
+    (load,) = gel_loads(law, [frame])
+    motion_mm = load.shear_sum_mm * (2.0 / pitch_mm) ** 2
+    assert np.abs(motion_mm / (2.0 / pitch_mm) ** 2 / K_S - force_n[:2]).max() > 0.02 or (
+        load.volume_mm3 != pytest.approx(K_N * force_n[2], rel=0.01)
+    )
+    found = _with_forces(imprint(load.volume_mm3, motion_mm), law, 0.058, pitch_mm)
+    np.testing.assert_allclose(found.force_n, force_n, rtol=1e-5)
+    assert (found.force_stderr_n > 0).all()
+    assert found.message == ""
+    # Without dots no shear is known, nor what it does to the volume.
+    alone = _with_forces(imprint(load.volume_mm3, np.full(2, np.nan)), law, 0.058, np.nan)
+    assert np.isnan(alone.force_n[:2]).all()
+    assert ("shear_coupling" in alone.message) == (name == "shear coupling")
+    if name != "shear coupling":
+        assert alone.force_n[2] == pytest.approx(force_n[2], rel=1e-5)
+
+
+def imprint(volume_mm3, motion_mm):
+    """A reading without its forces."""
+    none = np.zeros(3)
+    dots = None if np.isnan(motion_mm).any() else np.zeros((63, 2))
+    return Reading(none, none, none > 0, none, 0.3, volume_mm3, dots, none, 0.1, motion_mm, "")
+
+
+def test_an_error_of_a_load_is_what_the_law_makes_of_that_of_the_imprint():
+    """By Monte Carlo: loads of imprints that scatter as their standard errors say."""
+    law = replace(ContactLaw.linear(K_N, K_S), effects=tuple(LAWS["anisotropy"]))
+    frame = ContactFrame(0.0, 3.0, np.array([1.0, 0.0]), 0.0, np.eye(4))
+    (load,) = gel_loads(law, [frame])
+    found = _with_forces(imprint(load.volume_mm3, load.shear_sum_mm), law, 0.058, 2.0)
+    noise_mm = np.sqrt(63) * MARKER_STDERR_PX * 0.058
+    rng = np.random.default_rng(0)
+    again = [
+        _with_forces(
+            imprint(
+                load.volume_mm3 + 0.1 * rng.normal(),
+                load.shear_sum_mm + noise_mm * rng.normal(size=2),
+            ),
+            law,
+            0.058,
+            2.0,
+        ).force_n
+        for _ in range(300)
+    ]
+    # 300 draws tell a standard deviation to 4 %.
+    np.testing.assert_allclose(np.std(again, axis=0), found.force_stderr_n, rtol=0.15)
+
+
+def test_an_effect_that_a_picture_cannot_show_is_named():
+    effects = (
+        fitted("creep", "normal", amount=0.3, tau_s=2.0),
+        fitted("temperature", "normal", linear_per_c=0.01),
+    )
+    law = replace(ContactLaw.linear(K_N, K_S), effects=effects)
+    found = _with_forces(imprint(15.0, np.zeros(2)), law, 0.058, 2.0)
+    assert found.message.startswith("the contact law's creep, temperature follows what one picture")
+    assert found.force_n[2] == pytest.approx(15.0 / K_N, rel=1e-3)
+
+
+def test_a_motion_beyond_what_the_law_can_make_is_no_load():
+    law = replace(
+        ContactLaw.linear(K_N, K_S),
+        effects=(fitted("slip", "shear", gross_mu=0.3, sharpness=20.0),),
+    )
+    found = _with_forces(imprint(15.0, np.array([3.0, 0.0])), law, 0.058, 2.0)
+    assert np.isnan(found.force_n[:2]).all()
+    assert np.isnan(found.force_stderr_n[:2]).all()
+    assert found.force_n[2] == pytest.approx(15.0 / K_N)
+    assert "saturated" in found.message
+    # A motion that exceeds the limit by its error alone is one at the limit: a newton, not well.
+    limit_mm = K_S * 0.3 * 15.0 / K_N
+    near = _with_forces(imprint(15.0, np.array([limit_mm + 0.02, 0.0])), law, 0.058, 2.0)
+    assert near.force_n[0] > 0.8
+    assert near.force_stderr_n[0] > 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["anisotropy", "normal coupling"])
+def test_a_picture_of_a_gel_with_effects_is_read_by_its_law(rig, sensor, name):
+    description, _, camera = rig
+    law = replace(ContactLaw.linear(K_N, K_S, 2.0), effects=tuple(LAWS[name]))
+    other = tacgen.Sensor("gelsight_mini", sensor.description.table, law)
+    reader = ImageReader(other, camera.take(None, np.random.default_rng(0)))
+    shear_n = np.array([1.0, 0.0])
+    (load,) = gel_loads(law, [ContactFrame(0.0, 3.0, shear_n, 0.0, np.eye(4))])
+    contact = press_ball(description, 6.0, (0.0, 0.0), load.volume_mm3, load.shear_sum_mm)
+    found = reader.read(camera.take(contact, np.random.default_rng(1)))
+    np.testing.assert_allclose(found.force_n[:2], shear_n, atol=0.15)
+    assert found.force_n[2] == pytest.approx(3.0, rel=0.07)
 
 
 def test_pictures_that_do_not_fit_are_refused(reader, sensor):

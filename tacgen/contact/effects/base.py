@@ -98,7 +98,9 @@ class Effect:
     """A named effect on one channel.
 
     ``apply`` turns load (N, C), history and parameters into the changed load (N, C), and
-    ``apply_at_end`` what comes out of all effects, in mm³ or mm, likewise; ``variants`` gives the
+    ``apply_at_end`` what comes out of all effects, in mm³ or mm, likewise; of the samples before
+    it sees only what an operator of the history (``low_pass``, ``play``, …) makes of them, whose
+    state then goes from reading to reading in a simulation. ``variants`` gives the
     forms that a fit starts from, ``references`` the reference values on a history. ``needs`` are
     columns that it cannot do without; ``is_identifiable`` says whether a history varies in what
     it follows; with ``needs_session_clock`` it has no meaning where the clock

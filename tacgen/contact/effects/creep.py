@@ -19,13 +19,16 @@ def _apply(
 
     A term adds amount·∫(1 − exp(−(t − s)/τ)) dF(s), which recovers as slowly as it grew, from the
     start of the trial, or with ``carried`` 1 from that of the session; with ``recovery`` 0 it adds
-    amount·F(t)(1 − exp(−t/τ)), which is gone with the load, t since the trial's load began, or with
-    ``since_press`` 1 since its normal force did; in between, a share of each. Corrections are
+    amount·F(t)(1 − exp(−t/τ)), which is gone with the load, t since the trial's load first stood
+    above a twentieth of ``span_n``, or with ``since_press`` 1 its normal force above one of
+    ``press_span_n``; in between, a share of each. Corrections are
     amounts of each kind for six τ at even ratios from ``shortest_s`` to ``longest_s``.
 
     Source: Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
     """
-    recovery, begins = p["recovery"], "normal" if p["since_press"] == 1.0 else channel
+    recovery = p["recovery"]
+    begins: base.Channel = "normal" if p["since_press"] == 1.0 else channel
+    span = "press_span_n" if p["since_press"] == 1.0 else "span_n"
     terms = [(p[tau], recovery * p[one], (1.0 - recovery) * p[one]) for one, tau in TERMS]
     free = [
         (p[one.name], p[other.name]) for one, other in zip(FREE_RECOVERING, FREE_HELD, strict=True)
@@ -40,7 +43,7 @@ def _apply(
             if p["carried"] != 0.0:
                 result += p["carried"] * recovering * history.left_over(channel, tau)
         if with_load != 0.0:
-            grown = -np.expm1(-history.time_since_contact_s(begins) / tau)
+            grown = -np.expm1(-history.time_since_contact_s(begins, p[span]) / tau)
             result += with_load * load * grown[:, None]
     return result
 
@@ -63,9 +66,13 @@ def _amount_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float
     return 0.0, 10.0
 
 
-def _references(history: base.LoadHistory) -> dict[str, float]:
-    longest_s = LONGEST_TAU * history.trial_duration_s
-    return {"shortest_s": history.sample_period_s, "longest_s": longest_s}
+def _references(history: base.LoadHistory, channel: base.Channel) -> dict[str, float]:
+    return {
+        "shortest_s": history.sample_period_s,
+        "longest_s": LONGEST_TAU * history.trial_duration_s,
+        "span_n": history.span_n(channel),
+        "press_span_n": history.normal_span_n,
+    }
 
 
 def _variants(
@@ -121,10 +128,12 @@ for _channel in base.CHANNELS:
                 *FREE_HELD,
                 base.reference("shortest_s", "s"),
                 base.reference("longest_s", "s"),
+                base.reference("span_n", "N"),
+                base.reference("press_span_n", "N"),
             ),
             apply=partial(_apply, channel=_channel),
             variants=partial(_variants, channel=_channel),
-            references=_references,
+            references=partial(_references, channel=_channel),
             shown_against="time_in_trial_s",
             separated_by={
                 "latency": "hold the load for several seconds: creep goes on, a delay is over",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable, Mapping
 from functools import cached_property
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,14 +12,16 @@ from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import ContactError
 
 Made = TypeVar("Made")
+Memory: TypeAlias = Mapping[Hashable, tuple[float, Any]]
+"""Of each recursion of each effect: the trial that it is of, and its state; never changed."""
 Channel = Literal["normal", "shear"]
 CHANNELS: tuple[Channel, ...] = ("normal", "shear")
 
 REQUIRED = ("trial", "time_s", "force_normal_n")
 SHEAR_FORCE = ("force_shear_x_n", "force_shear_y_n")
 CONTACT_SHARE = 0.05
-"""Share of the log's span above which a load counts as contact, and by which it must fall to count
-as unloading: above the noise of any usable gauge."""
+"""Share of a law's span of load above which a load counts as contact, and by which it must fall to
+count as unloading: above the noise of any usable gauge."""
 
 LEAST_KEPT, NUMBERS_KEPT = 8, 400_000
 """Results of one operator that are kept at least, and how many numbers in all beyond that."""
@@ -37,23 +39,29 @@ class LoadHistory:
 
     ``columns`` are a press log's in tacgen's units, (N,) each: ``trial``, ``time_s`` and
     ``force_normal_n`` are required. Nothing is written to them. ``session`` is the history of the
-    whole log where these rows are a part of it. Raises ``ContactError`` if a required column is
-    missing or not finite, or columns differ in length.
+    whole log where these rows are a part of it; forces that are not ``measured`` have no noise of a
+    gauge to smooth. Raises ``ContactError`` if a required column is missing or not finite, or
+    columns differ in length.
     """
 
     def __init__(
-        self, columns: Mapping[str, ArrayLike], session: "LoadHistory | None" = None
+        self,
+        columns: Mapping[str, ArrayLike],
+        session: "LoadHistory | None" = None,
+        *,
+        measured: bool = True,
     ) -> None:
         arrays = {str(name): np.asarray(columns[name]) for name in columns}
         _require_usable(arrays)
         self.order = np.lexsort((arrays["time_s"], arrays["trial"]))
         self._columns = arrays
         self._sorted: dict[str, FloatArray] = {}
-        self._reversals: dict[Channel, tuple[NDArray[np.int64], BoolArray]] = {}
-        self._since_contact: dict[Channel, FloatArray] = {}
+        self._reversals: dict[tuple[Channel, float], tuple[NDArray[np.int64], BoolArray]] = {}
+        self._since_contact: dict[tuple[Channel, float], FloatArray] = {}
         self._kept: dict[str, tuple[FloatArray, dict[float, FloatArray]]] = {}
         self._made: dict[Hashable, Any] = {}
         self.session = session or self
+        self._measured = measured
         trial = arrays["trial"][self.order]
         edges = np.flatnonzero(trial[1:] != trial[:-1]) + 1
         self.starts = np.unique([0, *edges, trial.size]).astype(np.int64)
@@ -129,6 +137,8 @@ class LoadHistory:
 
     def smooth(self, values: FloatArray) -> FloatArray:
         """``values`` (N,) averaged over neighbours where trials have enough samples for that."""
+        if not self._measured:
+            return values
         rows = int(np.median(np.diff(self.starts))) if self.n_samples else 0
         reach = min(2, rows // ROWS_PER_SMOOTHED)
         return kernels.moving_mean(np.ascontiguousarray(values), self.starts, reach)
@@ -270,35 +280,50 @@ class LoadHistory:
     def _smooth_n(self, channel: Channel) -> FloatArray:
         return self.shear_size_n if channel == "shear" else self.normal_smooth_n
 
-    def reversal(self, channel: Channel) -> tuple[NDArray[np.int64], BoolArray]:
+    def reversal(
+        self, channel: Channel, span_n: float | None = None
+    ) -> tuple[NDArray[np.int64], BoolArray]:
         """Row of the largest load so far in the trial, and whether the load has turned back.
 
         The load counts as turned once it is below its last local maximum by more than a twentieth
-        of the log's span, so that noise on a hold is not taken for unloading.
+        of ``span_n``, the log's span by default, so that noise on a hold is not taken for
+        unloading.
         """
-        if channel not in self._reversals:
-            margin = CONTACT_SHARE * self.span_n(channel)
-            found = kernels.reversal(self._smooth_n(channel), self.starts, margin)
-            self._reversals[channel] = found
-        return self._reversals[channel]
+        key = channel, self.span_n(channel) if span_n is None else span_n
+        if key not in self._reversals:
+            margin = CONTACT_SHARE * key[1]
+            self._reversals[key] = kernels.reversal(self._smooth_n(channel), self.starts, margin)
+        return self._reversals[key]
 
-    def peak_since_contact(self, channel: Channel) -> NDArray[np.int64]:
-        """Row (N,) of the largest load since the trial's last contact began."""
-        least = CONTACT_SHARE * self.span_n(channel)
-        return kernels.peak_since_contact(self._smooth_n(channel), self.starts, least)
+    def peak_load(
+        self, load: FloatArray, channel: Channel, span_n: float
+    ) -> tuple[FloatArray, BoolArray]:
+        """``load`` (N, C) at the channel's largest force so far, and whether it has turned back."""
+        rows, unloading = self.reversal(channel, span_n)
+        return load[rows], unloading
 
-    def time_since_contact_s(self, channel: Channel) -> FloatArray:
-        """Time since the load first stood above a twentieth of the log's span, trial by trial (N,).
+    def peak_since_contact(self, load: FloatArray, channel: Channel, span_n: float) -> FloatArray:
+        """``load`` (N, C) at the largest force since the trial's last contact began."""
+        least = CONTACT_SHARE * span_n
+        return load[kernels.peak_since_contact(self._smooth_n(channel), self.starts, least)]
+
+    def time_since_contact_s(self, channel: Channel, span_n: float) -> FloatArray:
+        """Time since the load first stood above a twentieth of ``span_n``, trial by trial (N,).
 
         0 before, and in trials where it never did.
         """
-        if channel not in self._since_contact:
-            loaded = self._smooth_n(channel) > CONTACT_SHARE * self.span_n(channel)
+        key = channel, span_n
+        if key not in self._since_contact:
+            loaded = self._smooth_n(channel) > CONTACT_SHARE * span_n
             start = np.full(self.n_trials, np.inf)
             np.minimum.at(start, self.trial_index[loaded], self.time_s[loaded])
             since = np.maximum(self.time_s - start[self.trial_index], 0.0)
-            self._since_contact[channel] = since
-        return self._since_contact[channel]
+            self._since_contact[key] = since
+        return self._since_contact[key]
+
+    def seen_by(self, effect: Hashable) -> "LoadHistory":
+        """The history as one effect of a law sees it, told apart by ``effect``."""
+        return self
 
     @cached_property
     def trial_duration_s(self) -> float:
@@ -312,6 +337,131 @@ class LoadHistory:
         steps = np.delete(np.diff(self.time_s), self.starts[1:-1] - 1)
         steps = steps[steps > 0]
         return float(np.median(steps)) if steps.size else 1.0
+
+
+class Reading(LoadHistory):
+    """The newest sample of a load: the history of one row, whose operators go on from a state.
+
+    ``row`` has the columns of a press log; ``before`` is the ``memory`` that the reading before it
+    left, empty for the first one. An operator gives the same numbers as that of the whole history,
+    and its state passes from trial to trial where that of the history does.
+    """
+
+    def __init__(self, row: Mapping[str, float], before: Memory) -> None:
+        columns = {name: np.array([value]) for name, value in row.items()}
+        super().__init__(columns, measured=False)
+        self._before = before
+        self._effect: Hashable = None
+        self._trial, self._now_s = float(self.trial[0]), float(self.time_s[0])
+        self.memory: dict[Hashable, tuple[float, Any]] = {}
+
+    def seen_by(self, effect: Hashable) -> "Reading":
+        """The same reading, with the memory of one effect."""
+        self._effect = effect
+        return self
+
+    def _next(self, *key: Hashable, of: Callable[[Any], Any]) -> Any:
+        """The state after this reading: ``of`` the one before it, None at a trial's first."""
+        whole = (self._effect, *key)
+        if whole not in self.memory:
+            trial, state = self._before.get(whole, (self._trial, None))
+            self.memory[whole] = self._trial, of(state if trial == self._trial else None)
+        return self.memory[whole][1]
+
+    def low_pass(self, load: FloatArray, tau_s: float) -> FloatArray:
+        """As of ``LoadHistory``."""
+
+        def step(state: Any) -> Any:
+            then_s, last, filtered = state or (self._now_s, load[0], np.zeros(load.shape[1]))
+            gone_s = self._now_s - then_s
+            axes = zip(filtered, last, load[0], strict=True)
+            passed = [kernels.next_low_pass(*axis, gone_s, tau_s) for axis in axes]
+            return self._now_s, load[0], np.array(passed)
+
+        return np.asarray(self._next("low_pass", tau_s, of=step)[2][None])
+
+    def left_over(self, channel: Channel, tau_s: float) -> FloatArray:
+        """As of ``LoadHistory``: what the trials that were read before this one left."""
+        load = self.load(channel)[0]
+        key = (self._effect, "left_over", channel, tau_s)
+        trial, state = self._before.get(key, (self._trial, None))
+        if state is None:
+            state = self._now_s, np.zeros(load.size), self._now_s, load, np.zeros(load.size)
+        start_s, left, then_s, last, filtered = state
+        gone_s = self._now_s - then_s
+        if trial == self._trial:
+            axes = zip(filtered, last, load, strict=True)
+            passed = [kernels.next_low_pass(*axis, gone_s, tau_s) for axis in axes]
+            filtered = np.array(passed)
+        else:
+            start_s = self._now_s
+            left = filtered = filtered * (np.exp(-gone_s / tau_s) if gone_s >= 0.0 else 0.0)
+        self.memory[key] = self._trial, (start_s, left, self._now_s, load, filtered)
+        return np.asarray(left * np.exp(-(self._now_s - start_s) / tau_s))[None]
+
+    def play(self, load: FloatArray, width_n: float, isotropic: bool = False) -> FloatArray:
+        """As of ``LoadHistory``."""
+
+        def step(state: Any) -> Any:
+            at = state or (0.0,) * load.shape[1]
+            if isotropic:
+                x, y = at
+                return kernels.next_play_of_vectors(x, y, load[0, 0], load[0, 1], width_n)
+            axes = zip(at, load[0], strict=True)
+            return tuple(kernels.next_play(*axis, width_n) for axis in axes)
+
+        return np.array([self._next("play", width_n, isotropic, of=step)])
+
+    def dahl(self, load: FloatArray, width_n: float, isotropic: bool = False) -> FloatArray:
+        """As of ``LoadHistory``."""
+
+        def step(state: Any) -> Any:
+            if state is None:
+                return load[0], (0.0,) * load.shape[1]
+            last, at = state
+            steps = load[0] - last
+            if isotropic:
+                x, y = at
+                return load[0], kernels.next_dahl_of_vectors(x, y, steps[0], steps[1], width_n)
+            axes = zip(at, steps, strict=True)
+            return load[0], tuple(kernels.next_dahl(*axis, width_n) for axis in axes)
+
+        return np.array([self._next("dahl", width_n, isotropic, of=step)[1]])
+
+    def peak_load(
+        self, load: FloatArray, channel: Channel, span_n: float
+    ) -> tuple[FloatArray, BoolArray]:
+        """As of ``LoadHistory``."""
+        size = float(self._smooth_n(channel)[0])
+
+        def step(state: Any) -> Any:
+            top, peak, turn, back = state or (size, load[0], size, False)
+            if size > top:
+                top, peak = size, load[0]
+            return top, peak, *kernels.next_turn(turn, back, size, CONTACT_SHARE * span_n)
+
+        _, peak, _, back = self._next("peak", channel, span_n, of=step)
+        return peak[None], np.array([back])
+
+    def peak_since_contact(self, load: FloatArray, channel: Channel, span_n: float) -> FloatArray:
+        """As of ``LoadHistory``."""
+        size, least = float(self._smooth_n(channel)[0]), CONTACT_SHARE * span_n
+
+        def step(state: Any) -> Any:
+            is_peak = state is None or kernels.is_new_peak(state[0], size, least)
+            return (size, load[0]) if is_peak else state
+
+        return np.asarray(self._next("peak since contact", channel, span_n, of=step)[1][None])
+
+    def time_since_contact_s(self, channel: Channel, span_n: float) -> FloatArray:
+        """As of ``LoadHistory``."""
+        loaded = bool(self._smooth_n(channel)[0] > CONTACT_SHARE * span_n)
+
+        def step(start_s: Any) -> Any:
+            return self._now_s if start_s is None and loaded else start_s
+
+        start_s = self._next("contact", channel, span_n, of=step)
+        return np.array([0.0 if start_s is None else max(self._now_s - start_s, 0.0)])
 
 
 def _span(load: FloatArray) -> float:

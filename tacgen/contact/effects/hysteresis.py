@@ -34,8 +34,7 @@ def _apply(
     Source: Visintin 1994, Differential Models of Hysteresis, ch. III: play, Prandtl-Ishlinskii.
     """
     isotropic = p["isotropic"] == 1.0
-    peak_row, unloading = history.reversal(channel)
-    peak = load[peak_row]
+    peak, unloading = history.peak_load(load, channel, p["span_n"])
     result = load.copy()
     if p["residual"] != 0.0:
         result += p["residual"] * (peak - load) * _below(load, peak)
@@ -45,7 +44,8 @@ def _apply(
     if p["jump"] != 0.0:
         result += (p["jump"] * unloading)[:, None] * load
     if any(p[one.name] != 0.0 for one in FREE):
-        for curve, top in (KEPT, peak), (RETURN, load[history.peak_since_contact(channel)]):
+        since_contact = history.peak_since_contact(load, channel, p["span_n"])
+        for curve, top in (KEPT, peak), (RETURN, since_contact):
             gone = 1.0 - _dot(load, top) / (_dot(top, top) + 1e-18)
             result += curve(gone, p)[:, None] * top * _below(load, top)
     for width_n, size in (

@@ -2,6 +2,7 @@
 
 Every function takes values (N,) sorted by trial and time and ``starts`` (n_trials + 1,), where
 trial k is rows ``starts[k]`` to ``starts[k + 1]``; no state passes from one trial to the next.
+Those called ``next_…`` are one step of such a recursion, from a state to the one after it.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from tacgen.core.compiled import njit
 
 
 @njit(cache=True)
-def _passed(state: float, before: float, value: float, step_s: float, tau_s: float) -> float:
+def next_low_pass(state: float, before: float, value: float, step_s: float, tau_s: float) -> float:
     """The q of τ q' = value − q a step after it was ``state``, the value linear meanwhile."""
     if step_s <= 0.0:
         return state
@@ -36,7 +37,7 @@ def low_pass(
         result[first] = state
         for i in range(first + 1, stop):
             step_s = time_s[i] - time_s[i - 1]
-            state = result[i] = _passed(state, values[i - 1], values[i], step_s, tau_s)
+            state = result[i] = next_low_pass(state, values[i - 1], values[i], step_s, tau_s)
     return result
 
 
@@ -54,7 +55,7 @@ def left_over(
         state, last = result[k], starts[k + 1] - 1
         for i in range(starts[k] + 1, last + 1):
             step_s = time_s[i] - time_s[i - 1]
-            state = _passed(state, values[i - 1], values[i], step_s, tau_s)
+            state = next_low_pass(state, values[i - 1], values[i], step_s, tau_s)
         pause_s = time_s[last + 1] - time_s[last]
         result[k + 1] = state * np.exp(-pause_s / tau_s) if pause_s >= 0.0 else 0.0
     return result
@@ -101,6 +102,12 @@ def delayed(
 
 
 @njit(cache=True)
+def next_play(state: float, value: float, width: float) -> float:
+    """The play operator after the next value."""
+    return min(max(state, value - width), value + width)
+
+
+@njit(cache=True)
 def play(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
     """The play (backlash) operator of half-width ``width``, starting at rest.
 
@@ -110,9 +117,15 @@ def play(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatAr
     for k in range(starts.size - 1):
         state = 0.0
         for i in range(starts[k], starts[k + 1]):
-            state = min(max(state, values[i] - width), values[i] + width)
-            result[i] = state
+            state = result[i] = next_play(state, values[i], width)
     return result
+
+
+@njit(cache=True)
+def next_dahl(state: float, step: float, width: float) -> float:
+    """Dahl's friction after a step of the value."""
+    end = width if step > 0.0 else -width
+    return float(end + (state - end) * np.exp(-abs(step) / width))
 
 
 @njit(cache=True)
@@ -126,11 +139,21 @@ def dahl(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatAr
         state = 0.0
         result[starts[k]] = 0.0
         for i in range(starts[k] + 1, starts[k + 1]):
-            step = values[i] - values[i - 1]
-            end = width if step > 0.0 else -width
-            state = end + (state - end) * np.exp(-abs(step) / width)
-            result[i] = state
+            state = result[i] = next_dahl(state, values[i] - values[i - 1], width)
     return result
+
+
+@njit(cache=True)
+def next_play_of_vectors(
+    x: float, y: float, to_x: float, to_y: float, width: float
+) -> tuple[float, float]:
+    """The play operator of vectors after the next value."""
+    ahead_x, ahead_y = to_x - x, to_y - y
+    size = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
+    if size > width:
+        x += ahead_x * (1.0 - width / size)
+        y += ahead_y * (1.0 - width / size)
+    return x, y
 
 
 @njit(cache=True)
@@ -143,13 +166,22 @@ def play_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float)
     for k in range(starts.size - 1):
         x = y = 0.0
         for i in range(starts[k], starts[k + 1]):
-            ahead_x, ahead_y = values[i, 0] - x, values[i, 1] - y
-            size = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
-            if size > width:
-                x += ahead_x * (1.0 - width / size)
-                y += ahead_y * (1.0 - width / size)
+            x, y = next_play_of_vectors(x, y, values[i, 0], values[i, 1], width)
             result[i, 0], result[i, 1] = x, y
     return result
+
+
+@njit(cache=True)
+def next_dahl_of_vectors(
+    x: float, y: float, step_x: float, step_y: float, width: float
+) -> tuple[float, float]:
+    """Dahl's friction of vectors after a step of the value."""
+    size = np.sqrt(step_x * step_x + step_y * step_y)
+    if size > 0.0:
+        end_x, end_y = width / size * step_x, width / size * step_y
+        decay = np.exp(-size / width)
+        x, y = end_x + (x - end_x) * decay, end_y + (y - end_y) * decay
+    return x, y
 
 
 @njit(cache=True)
@@ -161,11 +193,7 @@ def dahl_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float)
         result[starts[k]] = 0.0
         for i in range(starts[k] + 1, starts[k + 1]):
             step_x, step_y = values[i, 0] - values[i - 1, 0], values[i, 1] - values[i - 1, 1]
-            size = np.sqrt(step_x * step_x + step_y * step_y)
-            if size > 0.0:
-                end_x, end_y = width / size * step_x, width / size * step_y
-                decay = np.exp(-size / width)
-                x, y = end_x + (x - end_x) * decay, end_y + (y - end_y) * decay
+            x, y = next_dahl_of_vectors(x, y, step_x, step_y, width)
             result[i, 0], result[i, 1] = x, y
     return result
 
@@ -183,6 +211,12 @@ def moving_mean(values: FloatArray, starts: NDArray[np.int64], reach: int) -> Fl
 
 
 @njit(cache=True)
+def is_new_peak(peak: float, value: float, least: float) -> bool:
+    """Whether the next value is the largest since the load last stood above ``least``."""
+    return value > peak or value < least or peak < least
+
+
+@njit(cache=True)
 def peak_since_contact(
     load: FloatArray, starts: NDArray[np.int64], least: float
 ) -> NDArray[np.int64]:
@@ -191,10 +225,19 @@ def peak_since_contact(
     for k in range(starts.size - 1):
         best = starts[k]
         for i in range(starts[k], starts[k + 1]):
-            if load[i] > load[best] or load[i] < least or load[best] < least:
+            if is_new_peak(load[best], load[i], least):
                 best = i
             peak_row[i] = best
     return peak_row
+
+
+@njit(cache=True)
+def next_turn(turn: float, back: bool, value: float, margin: float) -> tuple[float, bool]:
+    """The last turning point, and whether the load is on its way back, after the next value."""
+    turn = min(turn, value) if back else max(turn, value)
+    if abs(value - turn) > margin:
+        return value, not back
+    return turn, back
 
 
 @njit(cache=True)
@@ -211,10 +254,7 @@ def reversal(
         for i in range(starts[k], starts[k + 1]):
             if load[i] > load[best]:
                 best = i
-            turn = min(turn, load[i]) if back else max(turn, load[i])
-            if abs(load[i] - turn) > margin:
-                back = not back
-                turn = load[i]
+            turn, back = next_turn(turn, back, load[i], margin)
             peak_row[i] = best
             unloading[i] = back
     return peak_row, unloading

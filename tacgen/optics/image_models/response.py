@@ -1,0 +1,152 @@
+"""Image model of light of any course in position, and of what a contact adds to it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.core.arrays import FloatArray
+from tacgen.optics import shade
+from tacgen.optics.image_models.base import (
+    ImageModel,
+    Section,
+    Shade,
+    between_nodes,
+    register_model,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLight:
+    """What gel pressed in answers otherwise than gel of the same slope at rest.
+
+    At depth d below the gel at rest a pixel with unit normal (nx, ny, ·) gains
+    d / (d + ``depth_mm``) · (c₀ + c₁ nx + c₂ ny), the c linear between nodes of position.
+
+    ``change`` (n_rows, n_columns, 3, 3) holds c₀, c₁, c₂ at each node, RGB grey levels last; node
+    (r, c) stands where it does in a table's ``response``. At ``depth_mm`` half of it shows. The gel
+    at rest, of ``dome_radius_mm`` (0: flat), is 0 mm high at its centre.
+    """
+
+    change: NDArray[np.float32]
+    depth_mm: float
+    dome_radius_mm: float = 0.0
+
+    def rest_mm(self, shape_px: tuple[int, int], mm_per_px: float) -> NDArray[np.float32]:
+        """Height (H, W) of the gel at rest."""
+        height, width = shape_px
+        if self.dome_radius_mm <= 0:
+            return np.zeros(shape_px, dtype=np.float32)
+        x = (np.arange(width) - (width - 1) / 2) * mm_per_px
+        y = (np.arange(height) - (height - 1) / 2) * mm_per_px
+        square = np.minimum(x[None, :] ** 2 + y[:, None] ** 2, (0.95 * self.dome_radius_mm) ** 2)
+        sag = np.sqrt(self.dome_radius_mm**2 - square) - self.dome_radius_mm
+        return np.asarray(sag, dtype=np.float32)
+
+
+@register_model
+@dataclass(frozen=True, slots=True)
+class Response(ImageModel):
+    """Light of any course in position, and perhaps what a contact adds to it.
+
+    ``response`` (n_slope, n_direction, n_rows, n_columns, 3) and ``contact`` are those of a
+    :class:`tacgen.optics.LookupTable`.
+    """
+
+    response: NDArray[np.float32]
+    max_slope_rad: float
+    contact: ContactLight | None = None
+
+    kind: ClassVar[str] = "response"
+
+    @property
+    def sees_depth(self) -> bool:
+        """Whether a contact adds anything."""
+        return self.contact is not None
+
+    def shade(self, background: NDArray[np.float32], mm_per_px: float) -> Shade:
+        """As of ``ImageModel``."""
+        response = shade.packed_response(self.response)
+        light = self.contact
+        if light is None:
+            none = np.zeros((*self.response.shape[2:4], 3, 3), dtype=np.float32)
+            light = ContactLight(none, depth_mm=1.0)
+        contact = shade.packed_contact(light.change)
+        shape = background.shape[0], background.shape[1]
+        rest_mm = light.rest_mm(shape, mm_per_px)
+        if self.contact is None:
+            rest_mm.fill(-np.inf)  # no pixel is deeper than that
+
+        ready = mm_per_px, response, self.max_slope_rad, background
+        touched = rest_mm, contact, light.depth_mm
+        return lambda surface, window, spans, image: shade.shade_response(
+            surface, window, spans, image, *ready, *touched
+        )
+
+    def slope_colors(self, gx: FloatArray, gy: FloatArray) -> FloatArray:
+        """As of ``ImageModel``."""
+        return between_nodes(self.response, self.max_slope_rad, gx, gy)
+
+    def contact_colors(
+        self, gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, u: FloatArray, v: FloatArray
+    ) -> FloatArray:
+        """As of ``ImageModel``, in float64."""
+        if self.contact is None:
+            return np.zeros((len(gx), 3))
+        change = self.contact.change
+        n_rows, n_columns = change.shape[:2]
+        down, across = (v + 0.5) * (n_rows - 1), (u + 0.5) * (n_columns - 1)
+        row = np.clip(down.astype(int), 0, n_rows - 2)
+        column = np.clip(across.astype(int), 0, n_columns - 2)
+        down, across = (down - row)[:, None, None], (across - column)[:, None, None]
+        here = (1 - down) * ((1 - across) * change[row, column] + across * change[row, column + 1])
+        here += down * (
+            (1 - across) * change[row + 1, column] + across * change[row + 1, column + 1]
+        )
+        depth = np.maximum(depth_mm, 0.0)
+        share = depth / (depth + self.contact.depth_mm)
+        length = np.sqrt(1.0 + gx * gx + gy * gy)
+        terms = np.stack([share, share * gx / length, share * gy / length], axis=-1)
+        return np.asarray((terms[:, :, None] * here).sum(axis=1))
+
+    def save(self) -> Section:
+        """As of ``ImageModel``; the response in half precision."""
+        arrays: dict[str, NDArray[Any]] = {"response": self.response.astype(np.float16)}
+        if self.contact is None:
+            return arrays, {}
+        arrays["contact"] = self.contact.change.astype(np.float32)
+        numbers = {
+            "depth_mm": self.contact.depth_mm,
+            "dome_radius_mm": self.contact.dome_radius_mm,
+        }
+        return arrays, {"contact": numbers}
+
+    @classmethod
+    def load(cls, arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str, Any]) -> "Response":
+        """As of ``ImageModel``."""
+        contact = None
+        if "contact" in arrays:
+            change = arrays["contact"].astype(np.float32)
+            contact = ContactLight(change, **numbers["contact"])
+        return cls(arrays["response"].astype(np.float32), numbers["max_slope_rad"], contact)
+
+    def problems(self) -> list[str]:
+        """What is wrong with the shapes of its arrays."""
+        problems = []
+        shape = self.response.shape
+        if len(shape) != 5 or min(shape) < 2 or shape[4] != 3:
+            problems.append(
+                f"response has shape {shape}, not (n_slope, n_direction, n_rows, n_columns, 3) "
+                "with at least two nodes each way"
+            )
+        if self.contact is not None and (
+            self.contact.change.shape != (*shape[2:4], 3, 3) or not self.contact.depth_mm > 0
+        ):
+            problems.append(
+                f"contact has shape {self.contact.change.shape} and depth "
+                f"{self.contact.depth_mm:g} mm, not (n_rows, n_columns, 3, 3) with the response's "
+                "nodes of position and a depth above 0"
+            )
+        return problems

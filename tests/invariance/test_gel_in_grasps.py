@@ -1,0 +1,79 @@
+"""The gel of a grasp has its true past, whatever frames are kept."""
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+from tacgen.contact.law import ContactLaw, FittedEffect
+from tacgen.core.records import Estimate, GraspConfig
+from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.sensor.gel_response import gel_loads
+from tests.physics.conftest import SEQUENCE, block
+
+K_N = 5.0
+CREEP = FittedEffect(
+    "creep",
+    "normal",
+    MappingProxyType({"amount": Estimate(0.5), "tau_s": Estimate(2.0), "recovery": Estimate(1.0)}),
+)
+LAW = replace(ContactLaw.linear(K_N, 1.0, 2.0), effects=(CREEP,))
+KEPT = (FrameRequest(), SEQUENCE, FrameRequest("sequence", 7, 1.5))
+
+
+@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
+def traces(request):
+    """One grasp with three choices of frames."""
+    pytest.importorskip(request.param)
+    settings = PhysicsSettings(tactile_pads="both", engine=request.param)
+    config = GraspConfig(0, "block", 10.0, 0.0, 0.0, 50.0)
+    with GraspSimulator("wsg50", request.param) as simulator:
+        return [
+            run_grasp(simulator, block(), config, settings, frames=frames, keeps_past=True)
+            for frames in KEPT
+        ]
+
+
+def test_a_past_does_not_depend_on_the_frames_that_are_kept(traces):
+    for pad in ("left", "right"):
+        frames = [frame for trace in traces for frame in trace.frames[pad]]
+        course = max((frame.past for frame in frames), key=len)
+        for frame in frames:
+            np.testing.assert_array_equal(frame.past, course[: len(frame.past)])
+            assert (frame.past[:, 0] < frame.time_s).all()
+            assert frame.time_s - frame.past[-1:, 0].max(initial=0.0) < 0.02
+        assert not course[0, 1:].any()
+
+
+def test_what_the_grasp_does_does_not_depend_on_whether_a_past_is_kept(traces):
+    settings = PhysicsSettings(tactile_pads="both")
+    config = GraspConfig(0, "block", 10.0, 0.0, 0.0, 50.0)
+    with GraspSimulator("wsg50") as simulator:
+        pair = [
+            run_grasp(simulator, block(), config, settings, frames=SEQUENCE, keeps_past=keeps)
+            for keeps in (False, True)
+        ]
+    assert pair[0].rise_mm == pair[1].rise_mm
+    for one, other in zip(*(trace.frames["left"] for trace in pair), strict=True):
+        assert one.past is None
+        np.testing.assert_array_equal(one.pose_gel_object, other.pose_gel_object)
+        assert one.force_normal_n == other.force_normal_n
+
+
+def test_a_single_frame_has_crept_since_contact_alone(traces):
+    """By the integral over the load's course: closing, most of the time, touches nothing."""
+    (frame,) = traces[0].frames["left"]
+    time_s = np.append(frame.past[:, 0], frame.time_s)
+    force_n = np.append(frame.past[:, 1], frame.force_normal_n)
+    fine_s = np.linspace(0.0, frame.time_s, 20001)
+    load_n = np.interp(fine_s, time_s, force_n)
+    delayed = trapezoid(load_n * np.exp((fine_s - frame.time_s) / 2.0) / 2.0, fine_s)
+    expected = K_N * (frame.force_normal_n + 0.5 * delayed)
+    (load,) = gel_loads(LAW, [frame])
+    assert load.volume_mm3 == pytest.approx(expected, rel=1e-4)
+    # As if it had come on evenly since closing began, as it was taken before.
+    ramp = 0.5 * (1.0 - 2.0 / frame.time_s * -np.expm1(-frame.time_s / 2.0))
+    crept = load.volume_mm3 / K_N / frame.force_normal_n - 1.0
+    assert 0.0 < crept < 0.8 * ramp
