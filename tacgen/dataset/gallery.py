@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import RecipeError
-from tacgen.core.files import write_text
 from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import DatasetSpec, GraspSample, rgb_at_load
 from tacgen.dataset.schema import PADS
-from tacgen.dataset.summary import summarize
+from tacgen.dataset.summary import replace_page, summarize
 from tacgen.report.page import templates
 
 MAX_PAGE_BYTES = 15_000_000  # what a browser opens at once
@@ -117,7 +116,7 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
         time_s=time_s.tolist(),
     )
     dataset.close()
-    write_text(folder.gallery_path, text)
+    replace_page(folder.gallery_path, text)
     return folder.gallery_path
 
 

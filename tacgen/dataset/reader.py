@@ -126,6 +126,11 @@ class Dataset:
         return np.concatenate([np.arange(*line.index_range) for line in self.lines])
 
     @property
+    def inputs(self) -> dict[str, str]:
+        """The hash of each input that the grasps depend on, by role; see ``dataset/inputs.py``."""
+        return {role: digest for line in self.lines for role, digest in line.inputs.items()}
+
+    @property
     def layout(self) -> Layout:
         """Where each array stands in the shards."""
         return self._shard(0).layout

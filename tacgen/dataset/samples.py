@@ -1,7 +1,7 @@
 """The frozen records that go into a dataset and come out of it: one grasp, and what all share."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import FailureMode, GraspConfig, Sensor, SlipMargin, Status
+from tacgen.dataset.inputs import Inputs
 from tacgen.dataset.schema import PADS
 
 
@@ -76,8 +77,11 @@ def rgb_at_load(
 class DatasetSpec:
     """What all shards of a dataset have in common; their bytes follow from it and the grasps.
 
-    ``recipe`` is the resolved one as plain data, ``recipe_sha256`` its hash; ``calibration`` holds
-    the SHA-256 of each file that the images depend on, by role (``table``, ``contact_law``).
+    ``recipe`` is the resolved one as plain data, ``recipe_sha256`` the hash of its settings;
+    ``calibration`` holds the SHA-256 of each file that the images depend on, by role (``table``,
+    ``contact_law``), ``inputs`` all that the shards depend on. A dataset that has grown has a few
+    ``grids``, and ``parts`` says how many of the ``n_grasps`` each of them added; each begins a new
+    shard.
     ``pads`` are ``left``, ``right`` or both; ``time_s`` the times of the T frames, from
     closing on (0 for a single image). The last shard may hold fewer than ``shard_size`` grasps.
     ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept,
@@ -98,13 +102,32 @@ class DatasetSpec:
     depth: bool = False
     picture_px: tuple[int, int] | None = None
     noise_at_load_grey: float = 0.0
+    inputs: Inputs = field(default_factory=Inputs)
+    grids: tuple[Any, ...] = ()
+    parts: tuple[int, ...] = ()
+
+    @property
+    def part_sizes(self) -> tuple[int, ...]:
+        """How many grasps came with each grid."""
+        return self.parts or (self.n_grasps,)
 
     @property
     def n_shards(self) -> int:
         """How many shards the dataset has."""
-        return -(-self.n_grasps // self.shard_size)
+        return sum(-(-size // self.shard_size) for size in self.part_sizes)
 
     def shard_range(self, shard: int) -> range:
         """The grasp indices of one shard."""
-        start = shard * self.shard_size
-        return range(start, min(start + self.shard_size, self.n_grasps))
+        return shard_range(self.part_sizes, self.shard_size, shard)[1]
+
+
+def shard_range(parts: Sequence[int], shard_size: int, shard: int) -> tuple[int, range]:
+    """The part that a shard belongs to and the indices of its grasps; none beyond the last."""
+    start = 0
+    for part, size in enumerate(parts):
+        n_shards = -(-size // shard_size)
+        if shard < n_shards:
+            first = start + shard * shard_size
+            return part, range(first, min(first + shard_size, start + size))
+        shard, start = shard - n_shards, start + size
+    return len(parts), range(start, start)

@@ -1,9 +1,6 @@
 """Writing one shard: a stream of grasps into one HDF5 file whose bytes depend on nothing else."""
 
-import contextlib
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +13,9 @@ from tacgen.core.version import __version__
 from tacgen.dataset.check import Outcome, tally
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
+from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
-from tacgen.dataset.samples import DatasetSpec, GraspSample
+from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range
 from tacgen.dataset.schema import (
     CONTACT_NAMES,
     FORMAT_VERSION,
@@ -28,21 +26,7 @@ from tacgen.dataset.schema import (
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
-LIBRARIES = (
-    *("numpy", "scipy", "numba", "opencv-python-headless", "pybullet"),
-    *("mujoco", "h5py", "hdf5plugin", "zstandard"),
-)
 HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 32015, Zstandard)."
-
-
-@cache
-def library_versions() -> dict[str, str]:
-    """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
-    versions = {"tacgen": __version__, "hdf5": h5py.version.hdf5_version}
-    for name in LIBRARIES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
-    return dict(sorted(versions.items()))
 
 
 def write_shard_file(
@@ -94,7 +78,10 @@ def write_shard_file(
         sensor=spec.sensor.name,
         pads=spec.pads,
         frames=len(spec.time_s),
-        versions=library_versions(),
+        versions=library_versions(spec.inputs.engine),
+        inputs=spec.inputs.of_objects({name for *_, name in outcomes}),
+        engine=spec.inputs.engine,
+        part=shard_range(spec.part_sizes, spec.shard_size, shard)[0],
         **tally(outcomes),
     )
 

@@ -109,6 +109,7 @@ class SimulatedGrasps:
         """The identity of this dataset."""
         return {
             "recipe_sha256": self.made_with,
+            "inputs": self.dataset.inputs,
             "shards_sha256": [line.sha256 for line in self.dataset.lines],
             "sensor": self.dataset.sensor,
             "pad": self.pad or self.dataset.pads[0],

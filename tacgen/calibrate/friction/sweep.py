@@ -150,11 +150,17 @@ def mu_range(text: str) -> tuple[float, ...]:
     return tuple(round(start + k * step, 9) for k in range(count))
 
 
-def write_object_copies(fits: Mapping[str, FrictionFit], folder: Path) -> None:
-    """Copy each object's folder into ``folder`` with its friction replaced by the fitted one."""
+def write_object_copies(
+    fits: Mapping[str, FrictionFit], folder: Path, recipe: Recipe | None = None
+) -> None:
+    """Copy each object's folder into ``folder`` with its friction replaced by the fitted one.
+
+    Objects beside the ``recipe`` are found too.
+    """
     for name, fit in fits.items():
         target = folder / name
-        shutil.copytree(find_object_folder(name), target, dirs_exist_ok=True)
+        source = recipe.entry_of(name).object_folder() if recipe else find_object_folder(name)
+        shutil.copytree(source, target, dirs_exist_ok=True)
         path = target / "object.yaml"
         low, high = fit.interval
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
