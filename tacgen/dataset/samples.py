@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.records import FailureMode, GraspConfig, Sensor, SlipMargin, Status
 from tacgen.dataset.inputs import Inputs
-from tacgen.dataset.schema import PADS
+from tacgen.dataset.schema import FIELDS, PADS, STATE_FIELDS, Layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,15 @@ class GraspSample:
     grasp_frame: int = 0
     picture: NDArray[np.uint8] | None = None
     reason: str = ""
+
+
+def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
+    """The numbers of a pad's frames as columns of a table, (T,) each."""
+    found: dict[str, NDArray[np.floating]] = {}
+    for one in STATE_FIELDS:
+        values = np.asarray(one.value(pad))
+        found |= zip(one.column_names, values.reshape(len(values), -1).T, strict=True)
+    return found
 
 
 def rgb_at_load(
@@ -110,6 +119,18 @@ class DatasetSpec:
     def part_sizes(self) -> tuple[int, ...]:
         """How many grasps came with each grid."""
         return self.parts or (self.n_grasps,)
+
+    @property
+    def layout(self) -> Layout:
+        """The arrays of the shards."""
+        asked = {field.name for field in FIELDS if field.asked_by}
+        given = {f.name for f in FIELDS if f.asked_by and getattr(self, f.asked_by)}
+        return Layout(self.sensor.name, self.pads, frozenset(asked - given))
+
+    def sizes(self, n_grasps: int) -> dict[str, int]:
+        """The lengths of the axes of a shard of so many grasps, by the letters of the schema."""
+        lengths = (n_grasps, len(self.time_s), *self.sensor.shape_px, *(self.picture_px or (0, 0)))
+        return dict(zip("NTHWhw", lengths, strict=True))
 
     @property
     def n_shards(self) -> int:
