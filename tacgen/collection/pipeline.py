@@ -115,7 +115,7 @@ class GraspPipeline:
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         grasp = self.simulate(planned)
-        trace, frame = grasp.trace, grasp_frame(grasp.trace)
+        trace, frame = grasp.trace, grasp.trace.grasp_frame
         executed = trace.status == "executed"
         adds_noise = self.recipe.optics.noise is True
         noise = rng_of(planned.seed, _STREAM_NOISE) if adds_noise else None
@@ -137,6 +137,7 @@ class GraspPipeline:
             margin=trace.margin,
             label_confidence=label_confidence(trace, grasp.grasped, self.recipe),
             grasp_frame=frame,
+            grasp_time_s=trace.grasp_time_s,
             picture=picture,
             reason=trace.reason,
         )
@@ -159,15 +160,6 @@ class GraspPipeline:
         )
 
 
-def grasp_frame(trace: GraspTrace) -> int:
-    """The frame of the moment of grasp: the first one at 95 % of the largest normal force."""
-    frames = next(iter(trace.frames.values()), ())
-    if not frames:
-        return 0
-    forces = np.array([frame.force_normal_n for frame in frames])
-    return int(np.argmax(forces >= 0.95 * forces.max()))
-
-
 def tactile_pad(recipe: Recipe) -> TactilePad:
     """The tactile pad of a recipe with its table.
 
@@ -187,10 +179,15 @@ def tactile_pad(recipe: Recipe) -> TactilePad:
 
 
 def frame_times_s(recipe: Recipe) -> tuple[float, ...]:
-    """Times of a grasp's frames from the start of closing on; 0 for the single one."""
+    """Times of a grasp's frames from the start of closing on; 0 for the single one.
+
+    The frame of the moment of grasp is taken at that moment instead.
+    """
     frames = recipe.frames
     if frames.mode == "single":
         return (0.0,)
+    if frames.count == 1:
+        return (frames.span_s,)
     return tuple(np.linspace(0.0, frames.span_s, frames.count).tolist())
 
 

@@ -82,7 +82,7 @@ def write_recording(root: Path, index: int, path: Path) -> None:
         stream.log("scene/object", mesh, static=True)
         for finger in PADS:
             stream.log(f"scene/{finger}/finger", fingers, static=True)
-        for k, time_s in enumerate(dataset.time_s):
+        for k, time_s in enumerate(dataset.times_s(index)):
             stream.set_time("time", duration=float(time_s))
             world_object = pose_matrix(grasp.trace.object_pose[k])
             poses = {"scene/object": world_object}

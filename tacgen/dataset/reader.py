@@ -18,7 +18,7 @@ from tacgen.core.files import sha256_of
 from tacgen.core.records import GraspConfig, SlipMargin
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
-from tacgen.dataset.samples import GraspSample, PadSample, rgb_at_load
+from tacgen.dataset.samples import GraspSample, PadSample, frame_times_s, rgb_at_load
 from tacgen.dataset.schema import COLUMNS, FRAME_FIELDS, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 
@@ -148,6 +148,12 @@ class Dataset:
     def time_s(self) -> NDArray[np.float64]:
         """Times of the frames, (T,)."""
         return self._read(self._starts[0], "/time_s", whole=True)
+
+    def times_s(self, index: int) -> NDArray[np.float64]:
+        """When the frames of a grasp were taken, (T,): one of them at its moment of grasp."""
+        moment = (self._read(index, f"/grasp/{name}") for name in ("grasp_frame", "grasp_time_s"))
+        frame, grasp_time_s = (value.item() for value in moment)
+        return frame_times_s(self.time_s, frame, grasp_time_s)
 
     @property
     def shape_px(self) -> tuple[int, int]:

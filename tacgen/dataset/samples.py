@@ -36,9 +36,10 @@ class GraspSample:
 
     ``pads`` maps ``left`` and/or ``right`` to that pad's images and forces; it is empty where the
     grasp was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z
-    (mm) and the quaternion x, y, z, w in the world. ``grasp_frame`` is the frame of the moment of
-    grasp, ``label_confidence`` the label's probability, NaN where unknown. ``picture``
-    (h, w, 3) uint8 shows the scene from outside.
+    (mm) and the quaternion x, y, z, w in the world. ``grasp_time_s`` is the moment of grasp, from
+    closing on (NaN where unknown), ``grasp_frame`` the frame that was taken then.
+    ``label_confidence`` is the label's probability, NaN where unknown. ``picture`` (h, w, 3) uint8
+    shows the scene from outside.
     """
 
     config: GraspConfig
@@ -56,6 +57,7 @@ class GraspSample:
     grasp_frame: int = 0
     picture: NDArray[np.uint8] | None = None
     reason: str = ""
+    grasp_time_s: float = math.nan
 
 
 def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
@@ -65,6 +67,20 @@ def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
         values = np.asarray(one.value(pad))
         found |= zip(one.column_names, values.reshape(len(values), -1).T, strict=True)
     return found
+
+
+def frame_times_s(
+    time_s: NDArray[np.float64], grasp_frame: int, grasp_time_s: float
+) -> NDArray[np.float64]:
+    """When a grasp's frames were taken, (T,), where ``time_s`` are the times of the dataset.
+
+    The frame of the moment of grasp was taken at that moment, but in a sequence of one, which
+    states a time of its own.
+    """
+    times_s = np.array(time_s, np.float64)
+    if not math.isnan(grasp_time_s) and (len(times_s) > 1 or times_s[0] == 0):
+        times_s[grasp_frame] = grasp_time_s
+    return times_s
 
 
 def rgb_at_load(

@@ -162,7 +162,7 @@ def _on_pad(name: str, axes: tuple[str | int, ...], unit: str, text: str) -> Fie
 _FOOTPRINT = "gripper's centre from the footprint's"
 _FIRST_SLIP = "when it first slips; NaN where it does not"
 FIELDS: tuple[Field, ...] = (
-    _column("index", "int64", "1", "", "number of the grasp in the grid", "config.index"),
+    _column("index", "int64", "1", "", "number of the grasp in the dataset", "config.index"),
     _column("object", f"S{MAX_OBJECT_BYTES}", "", "", "name of the object", "config.object"),
     _column("force_n", "float64", "N", "", "commanded gripping force", "config.force_n"),
     _column("x_mm", "float64", "mm", "world", _FOOTPRINT, "config.x_mm"),
@@ -177,7 +177,18 @@ FIELDS: tuple[Field, ...] = (
     _column("reason", f"S{MAX_REASON_BYTES}", "", "", "why it was not executed"),
     _column("rise_mm", "float64", "mm", "world", "how far the object rose"),
     _column("turn_rad", "float64", "rad", "gripper", "how far it turned in the gripper"),
-    _column("grasp_frame", "int32", "1", "", "frame of the moment of grasp"),
+    _column("grasp_frame", "int32", "1", "", "frame that was taken at the moment of grasp"),
+    _column(
+        *(
+            "grasp_time_s",
+            "float64",
+            "s",
+            "",
+            "moment of grasp from closing on; NaN if not executed",
+        ),
+        nan=True,
+        newer=True,
+    ),
     _column(
         *("margin_translational", "float64", "weights", "", _TRANSLATIONAL),
         source="margin.translational",
@@ -225,7 +236,7 @@ FIELDS: tuple[Field, ...] = (
         ("T",),
         "s",
         "",
-        "time of the frames from closing on",
+        "time of the frames from closing on; that of the moment of grasp is taken then",
         "spec.time_s",
     ),
 )

@@ -23,7 +23,7 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     for index in map(int, grasps["index"]):
         sample = dataset.read(index)
         pad, name = sample.pads[dataset.pads[0]], grasp_id(index)
-        forces = {"time_s": dataset.time_s, **frame_columns(pad)}
+        forces = {"time_s": dataset.times_s(index), **frame_columns(pad)}
         pd.DataFrame(forces).to_csv(folder / "contact" / f"{name}.csv", index=False)
         if pad.depth_mm is not None:
             (folder / "depth").mkdir(exist_ok=True)

@@ -190,6 +190,8 @@ class _Export:
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
             "grasp_index": sample.config.index,
+            "grasp_frame": sample.grasp_frame,
+            "grasp_time_s": sample.grasp_time_s,
             "split": sample.split,
             "failure_mode": sample.failure_mode,
         }
@@ -205,7 +207,7 @@ class _Export:
             "observation.environment_state": np.asarray(sample.object_pose),
             "action": np.tile(asked, (n_frames, 1)),
             "label": np.full(n_frames, sample.label),
-            "time_s": self.dataset.time_s,
+            "time_s": self.dataset.times_s(sample.config.index),
             "next.done": last,
             "next.success": last & (sample.label == 1),
         }

@@ -49,7 +49,8 @@ def _write_demo(demo: h5py.Group, sample: GraspSample) -> None:
     configuration = [getattr(sample.config, name) for name in ACTION]
     rewards, dones = np.zeros(count), np.zeros(count, np.int64)
     rewards[-1], dones[-1] = sample.label, 1
-    demo.attrs.update({"num_samples": count, "object": sample.config.object})
+    moment = {"grasp_frame": sample.grasp_frame, "grasp_time_s": sample.grasp_time_s}
+    demo.attrs.update({"num_samples": count, "object": sample.config.object, **moment})
     demo["actions"] = np.tile(np.array(configuration), (count, 1))
     demo["rewards"], demo["dones"] = rewards, dones
     observed = demo.create_group("obs")

@@ -41,7 +41,8 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
 
 
 def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, bytes]]:
-    about = {"grasp_frame": sample.grasp_frame, **row}
+    moment = None if np.isnan(sample.grasp_time_s) else sample.grasp_time_s
+    about = {"grasp_frame": sample.grasp_frame, "grasp_time_s": moment, **row}
     yield "json", json.dumps(about, default=lambda value: value.item()).encode()
     yield "object_pose.npy", _npy(np.asarray(sample.object_pose))
     for pad, frames in sample.pads.items():
