@@ -24,6 +24,8 @@ from tacgen.physics.settings import force_problem
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.tactile_pad import Indenter
 
+OUTCOMES = "outcomes.jsonl"
+"""The file of finished simulations in a folder of results."""
 GRASP_LIMIT_S = 120.0
 """A simulated grasp takes 0.1 to 1 s; one that takes this long hangs and counts as crashed."""
 NAN = float("nan")
@@ -295,7 +297,7 @@ def simulate_perturbed(
     depends on and the whole configuration, and are used for nothing else.
     """
     wanted = list(wanted)
-    store = _Store(out / "outcomes.jsonl", recipe, {config.object for config, _ in wanted})
+    store = _Store(out / OUTCOMES, recipe, {config.object for config, _ in wanted})
     kept = store.read()
     jobs: dict[Place, tuple[GraspConfig, dict[Perturbation, None]]] = {}
     for config, change in wanted:

@@ -14,7 +14,13 @@ from typing import Any
 import yaml
 
 from tacgen.core.errors import DatasetError, RecipeError
-from tacgen.core.files import atomic_path, read_small_text, sha256_of_content, write_text
+from tacgen.core.files import (
+    atomic_path,
+    read_small_text,
+    refuse_foreign,
+    sha256_of_content,
+    write_text,
+)
 from tacgen.core.lock import holder_of, locked
 from tacgen.core.version import __version__
 from tacgen.core.yaml_source import read_yaml
@@ -241,15 +247,9 @@ class DatasetFolder:
 
     def _refuse_other_shards(self, spec: DatasetSpec) -> None:
         """Where no plan says what the shards are of that are there, they say it themselves."""
+        own = (self.recipe_path, self.manifest_path, self.card_path, self.gallery_path)
         if not part_paths(self.root):
-            own = (self.recipe_path, self.manifest_path, self.card_path, self.gallery_path)
-            for path in own:
-                if os.path.lexists(path):
-                    msg = (
-                        f"{path}: is there already, in a folder that holds no dataset; give an "
-                        "empty or a new folder as --out"
-                    )
-                    raise DatasetError(msg)
+            refuse_foreign(self.root, self.plan_path.name, [path.name for path in own])
         wanted = (spec.recipe_sha256, dict(spec.calibration), __version__)
         for path in part_paths(self.root):
             here: tuple[object, ...] = wanted

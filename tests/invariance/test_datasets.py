@@ -16,7 +16,7 @@ from tacgen.collection.perturbed import Perturbation, simulate_perturbed
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.collection.run import collect, prepare
-from tacgen.core.errors import DatasetError
+from tacgen.core.errors import DatasetError, TacgenError
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder
 from tacgen.dataset import Dataset, DatasetFolder
@@ -192,7 +192,7 @@ def test_a_dataset_of_another_library_is_not_resumed(world, monkeypatch):
 def test_a_project_is_no_place_for_a_dataset(world):
     recipe = world.rename(world.with_name("recipe.yaml"))
     before = recipe.read_text()
-    with pytest.raises(DatasetError, match=r"recipe\.yaml: is there already, in a folder that"):
+    with pytest.raises(TacgenError, match=r"recipe\.yaml: is there already, and not from a run"):
         prepare(load_recipe(recipe), world.parent)
     assert recipe.read_text() == before
     assert not (world.parent / "dataset.json").exists()
