@@ -121,124 +121,89 @@ class Field:
 
 _TRANSLATIONAL = "(friction limit - tangential load) / weight; NaN where unknown"
 _ROTATIONAL = "(torsional limit - moment of gravity) / (weight x 1 mm); NaN where unknown"
+_SLIP = "when it first slips; NaN where it does not"
 _SLIP_DIRECTION = "unit vector along which it first slips; 0 where it does not"
 _CONFIDENCE = "probability of the label by the recipe's uncertainty; NaN where unknown"
+_MOMENT = "moment of grasp, from closing on; NaN where none"
+_FOOTPRINT = "gripper's centre from the footprint's"
 _ON_GEL = "force of the object on the gel along the gel's x and y"
 _POSE = "x, y, z in mm and the quaternion x, y, z, w"
-_MODES = "translational_slip, rotational_slip"
-_STATUS = "executed, unreachable, no_contact, crashed"
+_TIME = "time of the frames from closing on; that of the moment of grasp is taken then"
 
 
-def _column(
-    name: str,
-    dtype: str,
-    unit: str,
-    frame: str,
-    description: str,
-    source: str = "",
-    *,
-    axes: tuple[str | int, ...] = ("N",),
-    nan: bool = False,
-    newer: bool = False,
-) -> Field:
+def _column(name: str, unit: str, frame: str, text: str, source: str = "", **how: Any) -> Field:
     """An array with a value for each grasp."""
-    source = f"sample.{source or name}"
-    return Field("grasp", name, dtype, axes, unit, frame, description, source, newer=newer, nan=nan)
+    given = {"dtype": "float64", "axes": ("N",), "source": f"sample.{source or name}"} | how
+    return Field("grasp", name, unit=unit, frame=frame, description=text, **given)
 
 
-def _images(
-    group: str, name: str, axes: tuple[str | int, ...], text: str, source: str, **how: Any
-) -> Field:
-    """An array of images with grey levels."""
-    frame = "gel" if group == "tactile" else ""
-    return Field(group, name, "uint8", axes, "grey level", frame, text, source, image=True, **how)
+def _text(name: str, n_bytes: int, text: str, source: str = "") -> Field:
+    return _column(name, "", "", text, source, dtype=f"S{n_bytes}")
 
 
-def _on_pad(name: str, axes: tuple[str | int, ...], unit: str, text: str) -> Field:
-    """A figure of each frame of a pad."""
-    return Field("contact", name, "float64", axes, unit, "gel", text, f"pad.{name}")
+def _of_pad(name: str, axes: tuple[str | int, ...], unit: str, text: str, **how: Any) -> Field:
+    """An array of each pad."""
+    given = {"group": "contact", "dtype": "float64", "source": f"pad.{name}"} | how
+    return Field(name=name, axes=axes, unit=unit, frame="gel", description=text, **given)
 
 
-_FOOTPRINT = "gripper's centre from the footprint's"
-_FIRST_SLIP = "when it first slips; NaN where it does not"
+_GREY: dict[str, Any] = {"dtype": "uint8", "image": True}
 FIELDS: tuple[Field, ...] = (
-    _column("index", "int64", "1", "", "number of the grasp in the dataset", "config.index"),
-    _column("object", f"S{MAX_OBJECT_BYTES}", "", "", "name of the object", "config.object"),
-    _column("force_n", "float64", "N", "", "commanded gripping force", "config.force_n"),
-    _column("x_mm", "float64", "mm", "world", _FOOTPRINT, "config.x_mm"),
-    _column("y_mm", "float64", "mm", "world", _FOOTPRINT, "config.y_mm"),
-    _column("z_mm", "float64", "mm", "world", "height of the pad's centre", "config.z_mm"),
-    _column("yaw_rad", "float64", "rad", "world", "gripper's turn about z", "config.yaw_rad"),
-    _column("seed", "int64", "1", "", "seed of the grasp's random numbers"),
-    _column("split", "S8", "", "", "train or test"),
-    _column("status", "S16", "", "", _STATUS),
-    _column("label", "int8", "1", "", "1 success, 0 failure, -1 not executed"),
-    _column("failure_mode", "S24", "", "", _MODES),
-    _column("reason", f"S{MAX_REASON_BYTES}", "", "", "why it was not executed"),
-    _column("rise_mm", "float64", "mm", "world", "how far the object rose"),
-    _column("turn_rad", "float64", "rad", "gripper", "how far it turned in the gripper"),
-    _column("grasp_frame", "int32", "1", "", "frame that was taken at the moment of grasp"),
+    _column("index", "1", "", "number of the grasp in the dataset", "config.index", dtype="int64"),
+    _text("object", MAX_OBJECT_BYTES, "name of the object", "config.object"),
+    _column("force_n", "N", "", "commanded gripping force", "config.force_n"),
+    _column("x_mm", "mm", "world", _FOOTPRINT, "config.x_mm"),
+    _column("y_mm", "mm", "world", _FOOTPRINT, "config.y_mm"),
+    _column("z_mm", "mm", "world", "height of the pad's centre", "config.z_mm"),
+    _column("yaw_rad", "rad", "world", "gripper's turn about z", "config.yaw_rad"),
+    _column("seed", "1", "", "seed of the grasp's random numbers", dtype="int64"),
+    _text("split", 8, "train or test"),
+    _text("status", 16, "executed, unreachable, no_contact, crashed"),
+    _column("label", "1", "", "1 success, 0 failure, -1 not executed", dtype="int8"),
+    _text("failure_mode", 24, "translational_slip, rotational_slip"),
+    _text("reason", MAX_REASON_BYTES, "why it was not executed"),
+    _column("rise_mm", "mm", "world", "how far the object rose"),
+    _column("turn_rad", "rad", "gripper", "how far it turned in the gripper"),
+    _column("grasp_frame", "1", "", "frame taken at the moment of grasp", dtype="int32"),
+    _column("grasp_time_s", "s", "", _MOMENT, nan=True, newer=True),
     _column(
-        *(
-            "grasp_time_s",
-            "float64",
-            "s",
-            "",
-            "moment of grasp from closing on; NaN if not executed",
-        ),
-        nan=True,
-        newer=True,
+        "margin_translational", "weights", "", _TRANSLATIONAL, "margin.translational", nan=True
     ),
+    _column("margin_rotational", "weights mm", "", _ROTATIONAL, "margin.rotational", nan=True),
+    _column("first_slip_time_s", "s", "", _SLIP, "margin.first_slip_time_s", nan=True),
     _column(
-        *("margin_translational", "float64", "weights", "", _TRANSLATIONAL),
-        source="margin.translational",
-        nan=True,
-    ),
-    _column(
-        *("margin_rotational", "float64", "weights mm", "", _ROTATIONAL),
-        source="margin.rotational",
-        nan=True,
-    ),
-    _column(
-        *("first_slip_time_s", "float64", "s", "", _FIRST_SLIP),
-        source="margin.first_slip_time_s",
-        nan=True,
-    ),
-    _column(
-        *("first_slip_direction", "float64", "1", "gel", _SLIP_DIRECTION),
-        source="margin.first_slip_direction",
+        *("first_slip_direction", "1", "gel", _SLIP_DIRECTION, "margin.first_slip_direction"),
         axes=("N", 2),
     ),
-    _column("label_confidence", "float64", "1", "", _CONFIDENCE, nan=True, newer=True),
-    _images("tactile", "rgb", ("N", "T", "H", "W", 3), "tactile images", "pad.rgb", noisy=True),
-    _images("tactile", "reference", ("H", "W", 3), "the undeformed gel", "spec.reference_rgb"),
-    Field(
-        *("tactile", "depth_mm", "float16", ("N", "H", "W"), "mm", "gel"),
-        *("indentation at the moment of grasp", "pad.depth_mm"),
+    _column("label_confidence", "1", "", _CONFIDENCE, nan=True, newer=True),
+    _of_pad(
+        *("rgb", ("N", "T", "H", "W", 3), "grey level", "tactile images"),
+        **_GREY | {"group": "tactile", "noisy": True},
+    ),
+    _of_pad(
+        *("reference", ("H", "W", 3), "grey level", "the undeformed gel"),
+        **_GREY | {"group": "tactile", "source": "spec.reference_rgb"},
+    ),
+    _of_pad(
+        *("depth_mm", ("N", "H", "W"), "mm", "indentation at the moment of grasp"),
+        group="tactile",
+        dtype="float16",
+        image=True,
         asked_by="depth",
+    ),
+    _of_pad("force_normal_n", ("N", "T"), "N", "force into the gel"),
+    _of_pad("force_shear_n", ("N", "T", 2), "N", _ON_GEL),
+    _of_pad("indentation_mm", ("N", "T"), "mm", "indentation at the deepest point"),
+    Field(
+        *("object", "pose", "float64", ("N", "T", 7), "mm; 1", "world", _POSE),
+        source="sample.object_pose",
+    ),
+    Field(
+        *("scene", "picture", "uint8", ("N", "h", "w", 3), "grey level", ""),
+        *("the scene from outside", "sample.picture", "picture_px"),
         image=True,
     ),
-    _on_pad("force_normal_n", ("N", "T"), "N", "force into the gel"),
-    _on_pad("force_shear_n", ("N", "T", 2), "N", _ON_GEL),
-    _on_pad("indentation_mm", ("N", "T"), "mm", "indentation at the deepest point"),
-    Field(
-        *("object", "pose", "float64", ("N", "T", 7), "mm; 1", "world"),
-        *(_POSE, "sample.object_pose"),
-    ),
-    _images(
-        *("scene", "picture", ("N", "h", "w", 3), "the scene from outside", "sample.picture"),
-        asked_by="picture_px",
-    ),
-    Field(
-        "",
-        "time_s",
-        "float64",
-        ("T",),
-        "s",
-        "",
-        "time of the frames from closing on; that of the moment of grasp is taken then",
-        "spec.time_s",
-    ),
+    Field("", "time_s", "float64", ("T",), "s", "", _TIME, "spec.time_s"),
 )
 """Every array of a shard, in the order in which they are written."""
 

@@ -22,9 +22,8 @@ import importlib.util, sys
 from pathlib import Path
 sys.path.insert(0, {checkout!r})
 path = Path({checkout!r}) / "tacgen/dataset/schema.py"
-entry = 'Field("contact", "slide_mm", "float64", ("N", "T", 2), "mm", "gel", "how far it slid", '
-entry += '"pad.force_shear_n"),'
-before = '    _on_pad("indentation_mm"'
+entry = '_of_pad("slide_mm", ("N", "T", 2), "mm", "how far it slid", source="pad.force_shear_n"),'
+before = '    _of_pad("indentation_mm"'
 source = path.read_text()
 assert source.count(before) == 1
 spec = importlib.util.spec_from_file_location("tacgen.dataset.schema", path)
