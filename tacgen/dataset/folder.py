@@ -43,6 +43,10 @@ from tacgen.dataset.writer import write_shard_file
 MAX_PLAN_BYTES = 64 << 20  # a plan has some kilobytes, and the axes of each object
 
 
+class MissingPlanError(DatasetError):
+    """There is no plan, or it cannot be read."""
+
+
 class DatasetFolder:
     """Every path of a dataset, and the steps that change it.
 
@@ -175,14 +179,24 @@ class DatasetFolder:
 
     def plan(self) -> dict[str, Any]:
         """What ``dataset.json`` says; raises ``DatasetError`` if the folder is not a dataset's."""
+        plan: dict[str, Any] = {}
+        is_whole = False
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-            plan: dict[str, Any] = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
+            plan = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
-            if all(isinstance(number, int) and number > 0 for number in numbers):
-                return plan
-        fix = "give the folder that `tacgen collect --out` made"
-        msg = f"{self.root} is not a dataset: {self.plan_path.name} is missing or broken; {fix}"
-        raise DatasetError(msg)
+            is_whole = all(isinstance(number, int) and number > 0 for number in numbers)
+        if not is_whole:
+            fix = "give the folder that `tacgen collect --out` made"
+            name = self.plan_path.name
+            msg = f"{self.root} is not a dataset: {name} is missing or broken; {fix}"
+            raise MissingPlanError(msg)
+        if (schema := plan.get("schema", 1)) != 1:
+            msg = (
+                f"{self.plan_path}: schema {schema} is of another version of tacgen; use that one, "
+                "or give another --out"
+            )
+            raise DatasetError(msg)
+        return plan
 
     def recipe(self) -> dict[str, Any]:
         """What ``recipe.yaml`` says; raises ``RecipeError`` if it is missing or broken."""
@@ -196,7 +210,7 @@ class DatasetFolder:
 
     def grids(self) -> list[Any]:
         """The grids of the dataset, one after another (see ``GraspPlan``); none where it is new."""
-        with contextlib.suppress(DatasetError):
+        with contextlib.suppress(MissingPlanError):
             return list(self.plan().get("grids", []))
         return []
 
@@ -230,13 +244,10 @@ class DatasetFolder:
         Raises ``DatasetError`` if the folder holds another dataset, or something else.
         """
         text = json.dumps(plan, indent=1, sort_keys=True)
-        made = None
-        with contextlib.suppress(DatasetError):
-            made = self.plan()
-        if made is None:
+        try:
+            self._refuse_another(self.plan(), json.loads(text), spec, grow=grow)
+        except MissingPlanError:
             self._refuse_other_shards(spec)
-        else:
-            self._refuse_another(made, json.loads(text), spec, grow=grow)
         recipe = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
         wanted = ((self.plan_path, text), (self.recipe_path, recipe))
         return [

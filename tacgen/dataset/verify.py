@@ -131,6 +131,7 @@ def _plan_problems(
     if plan["n_shards"] != sum(-(-part // size) for part in parts) or sum(parts) != n_grasps:
         reason = f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard"
         problems.append(Problem(name, reason))
+    odd: list[tuple[manifest.ShardLine, str]] = []
     for line in lines:
         due = shard_range(parts, size, line.shard)[1]
         recorded = {
@@ -142,13 +143,13 @@ def _plan_problems(
         }
         differing = ["index_range"] if (due.start, due.stop) != line.index_range else []
         differing += [key for key, there in recorded.items() if plan.get(key) != there]
-        if roles := changed_roles(line.inputs, plan.get("inputs", {})):
-            reason = f"was made with another {', '.join(roles)} than {name} says"
-            problems.append(Problem(line.file, reason, line.shard))
-        elif differing:
-            reason = f"differs from {line.file} in {', '.join(differing)}"
-            problems.append(Problem(name, reason))
-            break
+        differing += changed_roles(line.inputs, plan.get("inputs", {}))
+        odd += [(line, ", ".join(differing))] if differing else []
+    if odd and len(odd) == len(lines):  # the one file is wrong, rather than all of them
+        problems.append(Problem(name, f"differs from {odd[0][0].file} in {odd[0][1]}"))
+    else:
+        reason = f"was made with another %s than {name} says"
+        problems += [Problem(line.file, reason % what, line.shard) for line, what in odd]
     try:
         resolved = plan.get("resolved_sha256", plan.get("recipe_sha256"))
         if sha256_of_content(folder.recipe()) == resolved:
