@@ -1,5 +1,6 @@
 """The application, its groups of commands, and the arguments that commands share."""
 
+import itertools
 import json
 import logging
 import shlex
@@ -45,6 +46,9 @@ class _InOrderOfWork(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Accept ``-v`` and ``-q`` after a command too."""
         end = args.index("--") if "--" in args else len(args)
+        if "--out=" in args[:end] or ("--out", "") in itertools.pairwise(args[:end]):
+            msg = "is empty (a variable that is not set?); give a folder or a file"
+            raise typer.BadParameter(msg, param_hint="--out")
         if ctx.parent is None:
             _OUTPUT["json"] = "--json" in args[:end]
         anywhere = [arg for arg in args[:end] if ctx.parent is None and arg in ANYWHERE]

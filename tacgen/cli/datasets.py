@@ -24,6 +24,9 @@ def collect(
     repair: Annotated[
         bool, Option("--repair", help="Verify the dataset first and collect damaged shards again.")
     ] = False,
+    grow: Annotated[
+        bool, Option("--grow", help="Add the grasps that the recipe's grid has gained.")
+    ] = False,
     grasp_limit_s: Annotated[float, Option(min=1.0, help="Time limit of a grasp, s.")] = 120.0,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -50,10 +53,12 @@ def collect(
         typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
     redo = [number for number in check(out).bad_shards if number in share] if repair else []
     result = run(
-        loaded, out, workers=workers, shards=share, redo=redo, item_limit_s=grasp_limit_s,
-        progress=not json_output,
+        loaded, out, workers=workers, shards=share, redo=redo, grow=grow,
+        item_limit_s=grasp_limit_s, progress=not json_output,
     )  # fmt: skip
     common.print_record(result.summary(), json_output)
+    if not share:
+        typer.echo(f"nothing to do: part {part} of {parts} has no shard", err=True)
     if not (result.made or result.found):
         return
     summary = summarize(out)

@@ -8,6 +8,7 @@ from typing import Any
 from tacgen.cluster.records import JobsFolder, Note, Submission, Task, note_path, read_note
 from tacgen.cluster.scheduler import live_jobs
 from tacgen.dataset import DatasetFolder
+from tacgen.dataset.inputs import changed_roles
 from tacgen.dataset.manifest import ShardLine
 
 ALIVE = ("queued", "running", "unknown")
@@ -86,7 +87,12 @@ def status(root: Path) -> Status:
     submissions = JobsFolder(root).submissions()
     live = live_jobs(submissions.values())
     running = folder.running()
-    lines = {n: line for n, line in folder.manifest().items() if folder.shard_path(n).is_file()}
+    inputs = plan.get("inputs", {})
+    lines = {
+        n: line
+        for n, line in folder.manifest().items()
+        if folder.shard_path(n).is_file() and not changed_roles(line.inputs, inputs)
+    }
     tasks = _task_states(submissions, live, lines)
     begun = set(lines) | {shard for shard, _ in running}
     queued = _shards_of(tasks, *ALIVE) - begun
@@ -178,7 +184,7 @@ def _verdict(
     if whole:
         return "done", ""
     if note is not None and note.state == "done":
-        return "done", "other processes made the rest" if task.shards else ""
+        return "done", "another job made the rest" if task.shards else ""
     if note is not None and note.state == "failed":
         return "failed", note.reason
     if live is None:

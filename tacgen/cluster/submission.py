@@ -24,13 +24,10 @@ from tacgen.cluster.records import (
 )
 from tacgen.cluster.scheduler import site_array_limit
 from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
-from tacgen.collection.grid import plan_recipe
-from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, Recipe
-from tacgen.collection.run import collect
+from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import ClusterError, TacgenError
 from tacgen.core.optional_dependencies import missing_extra
-from tacgen.dataset import DatasetFolder
 
 EXECUTORS = ("local", "slurm")
 COMMANDS = ("friction", "train")  # long commands that write into ``--out`` and, run again, resume
@@ -95,8 +92,7 @@ def submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool = Fals
     be written to or holds another dataset.
     """
     require_executor(executor)
-    planned = plan_recipe(recipe)
-    DatasetFolder(out).prepare(dataset_spec(recipe, len(planned)))
+    prepare(recipe, out)
     found = status(out)
     if not failed_only and (alive := _alive(found.tasks)):
         msg = (

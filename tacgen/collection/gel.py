@@ -9,6 +9,9 @@ from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import Indenter
 
+SETTLED_PRESS = 1_000_000
+"""The number of a simulated grasp on its gel: the first presses, which differ, are long past."""
+
 
 def contact_law(contact: Contact) -> ContactLaw:
     """The law that a recipe names: a calibrated file, or its own figures.
@@ -31,9 +34,8 @@ def gel_patch(
     surface: Mesh,
     frame: ContactFrame,
     *,
-    grasp_index: int = 0,
     k_n_factor: float = 1.0,
 ) -> ContactPatch:
     """Where the gel presses on ``surface`` under the load of ``frame``, as its image shows it."""
-    (load,) = gel_loads(law, [frame], grasp_index=grasp_index, k_n_factor=k_n_factor)
+    (load,) = gel_loads(law, [frame], grasp_index=SETTLED_PRESS, k_n_factor=k_n_factor)
     return indenter.patch(surface, frame.pose_gel_object, load)

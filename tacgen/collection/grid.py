@@ -1,8 +1,10 @@
 """The list of grasps a recipe asks for, its train and test sides, and its division into shards."""
 
+import hashlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +14,13 @@ from tacgen.core.records import GraspConfig
 from tacgen.objects.description import read_description
 from tacgen.physics.settings import force_problem
 
-AXES = ("force_n", "x_mm", "y_mm", "z_mm")
+AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
+Grids = Sequence[Mapping[str, Any]]
+"""The grids of a recipe's objects, a record each."""
 MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
 
-# Streams of a recipe's random numbers; an object's own number follows, so that adding an object
-# changes nothing for those before it.
-_STREAM_SAMPLE, _STREAM_SPLIT, _STREAM_GRASP = range(3)
+Point = tuple[str, float, float, float, float, float]
+"""What identifies a grasp: its object and the values of ``AXES``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,22 +37,57 @@ class PlannedGrasp:
     seed: int
 
 
+@dataclass(frozen=True, slots=True)
+class GraspPlan:
+    """The grasps of a dataset in their order, and the grids that they came with, one after another.
+
+    Each of ``grids`` holds a record an object: its name, its axes and how many of its points are
+    drawn; each of ``parts`` is the number of grasps that a grid added to those before it.
+    """
+
+    grasps: tuple[PlannedGrasp, ...]
+    grids: tuple[Grids, ...]
+    parts: tuple[int, ...]
+
+
 def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
     """Every grasp of ``recipe``, in order; axes left out are those of its objects' ``object.yaml``.
 
     Raises ``RecipeError`` if a force exceeds the gripper's, or the grid is too large.
     """
+    return grown_plan(recipe, ()).grasps
+
+
+def grown_plan(recipe: Recipe, recorded: Sequence[Grids]) -> GraspPlan:
+    """The plan of ``recipe`` where a dataset already has the grids ``recorded``.
+
+    Its grasps keep their places, and those that it lacks follow in shards of their own. Where a
+    recorded grasp is none of the recipe's, the plan is that of the recipe alone.
+
+    Raises ``RecipeError`` as ``plan_recipe`` does.
+    """
+    own: Grids = [_grid_of(recipe, entry) for entry in recipe.objects]
+    grids = list(recorded)
+    parts = _parts(recipe.seed, grids)
+    before = set().union(*parts) if parts else set()
+    there = {name: [p for p in before if p[0] == name] for name in {p[0] for p in before}}
+    whole = _points(recipe.seed, own, there)
+    if not before <= set(whole):
+        grids, parts, before, whole = [], [], set(), _points(recipe.seed, own, {})
+    added = [point for point in whole if point not in before]
+    if added:
+        grids, parts = [*grids, own], [*parts, added]
     planned: list[PlannedGrasp] = []
-    size = recipe.dataset.shard_size
-    for number, entry in enumerate(recipe.objects):
-        points = _points(recipe, entry, number)
-        splits = _splits(recipe, number, len(points))
-        for point, split in zip(points, splits, strict=True):
-            index = len(planned)
-            config, shard = GraspConfig(index, entry.name, *point), index // size
-            seed = _grasp_seed(recipe.seed, index)
-            planned.append(PlannedGrasp(config, number, split, shard, seed))
-    return tuple(planned)
+    entries = {entry.object_name: k for k, entry in enumerate(recipe.objects)}
+    splits, shard = _splits(recipe, parts), 0
+    for part in parts:
+        for k, point in enumerate(part):
+            config = GraspConfig(len(planned), *point)
+            number = shard + k // recipe.dataset.shard_size
+            seed = _draw(recipe.seed, "grasp", point)
+            planned.append(PlannedGrasp(config, entries[point[0]], splits[point], number, seed))
+        shard += -(-len(part) // recipe.dataset.shard_size)
+    return GraspPlan(tuple(planned), tuple(grids), tuple(map(len, parts)))
 
 
 def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
@@ -59,38 +97,79 @@ def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
     ]
 
 
-def _points(recipe: Recipe, entry: ObjectEntry, number: int) -> Sequence[tuple[float, ...]]:
-    """(force_n, x_mm, y_mm, z_mm, yaw_rad) of every grasp of one object, in grid order."""
+def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
+    """The axes of one object's grid with its name, as plain data."""
     own, common = entry.grid or Grid(), recipe.grid
     ranges = read_description(entry.object_folder()).grasp_ranges
-    axes = [getattr(own, axis) or getattr(common, axis) or getattr(ranges, axis) for axis in AXES]
-    if problem := force_problem(max(axes[0]), recipe.robot.largest_force_n):
+    axes = {
+        axis: getattr(own, axis) or getattr(common, axis) or getattr(ranges, axis)
+        for axis in AXES[:-1]
+    }
+    if problem := force_problem(max(axes["force_n"]), recipe.robot.largest_force_n):
         msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
         raise RecipeError(msg)
-    yaw = own.yaw_rad if entry.grid and "yaw_rad" in own.model_fields_set else common.yaw_rad
-    axes.append(yaw)
-    size = int(np.prod([len(axis) for axis in axes], dtype=float))
+    has_yaw = entry.grid and "yaw_rad" in own.model_fields_set
+    axes["yaw_rad"] = own.yaw_rad if has_yaw else common.yaw_rad
+    size = int(np.prod([len(axis) for axis in axes.values()], dtype=float))
     if size > MAX_GRASPS:
         msg = f"the grid of {entry.name!r} has {size} grasps, more than {MAX_GRASPS}; thin it out"
         raise RecipeError(msg)
-    points = list(itertools.product(*axes))
-    sample = own.sample or common.sample
-    if sample is None or sample >= size:
-        return points
-    rng = rng_of(recipe.seed, _STREAM_SAMPLE, number)
-    return [points[i] for i in np.sort(rng.choice(size, sample, replace=False))]
+    listed = {axis: list(values) for axis, values in axes.items()}
+    return {"object": entry.object_name, **listed, "sample": own.sample or common.sample}
 
 
-def _splits(recipe: Recipe, number: int, count: int) -> list[str]:
-    n_test = round(recipe.split.test_fraction * count)
-    order = rng_of(recipe.seed, _STREAM_SPLIT, number).permutation(count)
-    tests = set(order[:n_test].tolist())
-    return ["test" if i in tests else "train" for i in range(count)]
+def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[Point]]) -> list[Point]:
+    """Every grasp of some objects' grids, in order; a sample holds those that are ``there``."""
+    found: list[Point] = []
+    for grid in grids:
+        name, sample = str(grid["object"]), grid["sample"]
+        axes = [[float(value) + 0.0 for value in grid[axis]] for axis in AXES]
+        points: list[Point] = [(name, *values) for values in itertools.product(*axes)]  # type: ignore[misc]
+        if sample is not None and sample < len(points):
+            kept = set(there.get(name, ()))
+            left = [point for point in points if point not in kept]
+            left.sort(key=lambda point: _draw(seed, "sample", point))
+            kept |= set(left[: max(0, sample - len(kept))])
+            points = [point for point in points if point in kept]
+        found += points
+    return found
 
 
-def _grasp_seed(seed: int, index: int) -> int:
-    sequence = np.random.SeedSequence(seed, spawn_key=(_STREAM_GRASP, index))
-    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+def _parts(seed: int, grids: Sequence[Grids]) -> list[list[Point]]:
+    """The grasps that each of a dataset's grids added."""
+    parts: list[list[Point]] = []
+    there: dict[str, list[Point]] = {}
+    for grid in grids:
+        before = {point for points in there.values() for point in points}
+        parts.append([point for point in _points(seed, grid, there) if point not in before])
+        for point in parts[-1]:
+            there.setdefault(point[0], []).append(point)
+    return parts
+
+
+def _splits(recipe: Recipe, parts: Sequence[Sequence[Point]]) -> dict[Point, str]:
+    """The side of each grasp: of each object the test fraction, by the grasps' own draws.
+
+    A grasp that a dataset grows by changes no side of those before it.
+    """
+    sides: dict[Point, str] = {}
+    counts: dict[str, tuple[int, int]] = {}  # grasps and test grasps of each object so far
+    for part in parts:
+        for name, points in itertools.groupby(part, key=lambda point: point[0]):
+            drawn = sorted(points, key=lambda point: _draw(recipe.seed, "split", point))
+            n_before, tests = counts.get(name, (0, 0))
+            n_total = n_before + len(drawn)
+            more = round(recipe.split.test_fraction * n_total) - tests
+            more = min(max(more, 0), len(drawn))
+            sides |= {point: "test" if k < more else "train" for k, point in enumerate(drawn)}
+            counts[name] = n_total, tests + more
+    return sides
+
+
+def _draw(seed: int, stream: str, point: Point) -> int:
+    """A random number below 2⁶³ of the recipe's seed and the grasp's own content alone."""
+    digest = hashlib.sha256(repr((seed, stream, *point)).encode()).digest()
+    return int.from_bytes(digest[:8], "big") >> 1
 
 
 def rng_of(seed: int, *key: int) -> np.random.Generator:

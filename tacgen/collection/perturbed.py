@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from tacgen.collection.gel import contact_law, gel_patch
+from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import DatasetError
-from tacgen.core.files import sha256_of, sha256_of_content
+from tacgen.core.files import sha256_of_content
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
-from tacgen.core.resources import find_object_folder
 from tacgen.core.workers import Report, run_tasks
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
@@ -24,6 +24,8 @@ from tacgen.physics.settings import force_problem
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.tactile_pad import Indenter
 
+OUTCOMES = "outcomes.jsonl"
+"""The file of finished simulations in a folder of results."""
 GRASP_LIMIT_S = 120.0
 """A simulated grasp takes 0.1 to 1 s; one that takes this long hangs and counts as crashed."""
 NAN = float("nan")
@@ -70,8 +72,14 @@ class Perturbation:
         }
 
     def and_then(self, other: "Perturbation") -> "Perturbation":
-        """Both changes: factors multiply, shifts add, and a replaced figure is the other's."""
+        """Both changes: factors multiply, shifts add, and a replaced figure is the other's.
+
+        A factor on a figure that is then replaced is gone.
+        """
         changes = self.changes()
+        for name, factor in _REPLACED.items():
+            if getattr(other, name) is not None:
+                changes.pop(factor, None)
         for name, value in other.changes().items():
             if name == "settings_factors":
                 before = dict(self.settings_factors)
@@ -87,6 +95,8 @@ class Perturbation:
 
 
 _UNCHANGED = Perturbation()
+_REPLACED = {"friction": "friction_factor", "mass_kg": "mass_factor"}
+"""Figures that can be replaced, and the factor on each."""
 
 
 def shift_of_center(shift_mm: Iterable[float]) -> dict[str, Any]:
@@ -164,11 +174,6 @@ def recipe_object(entry: ObjectEntry) -> GraspObject:
         **shift_of_center(entry.center_of_mass_offset_mm),
     )
     return perturbed_object(load_object(entry.object_folder()), change)
-
-
-def declared_entry(recipe: Recipe, name: str) -> ObjectEntry:
-    """The recipe's entry of an object; a plain one where the recipe does not name it."""
-    return next((e for e in recipe.objects if e.name == name), ObjectEntry(name=name))
 
 
 def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
@@ -288,11 +293,11 @@ def simulate_perturbed(
     """The outcome of every wanted grasp under its perturbation.
 
     Lines of ``out/outcomes.jsonl`` are written as soon as a grasp has been simulated under all its
-    perturbations; an interrupted run goes on from there. They carry the hashes of the recipe and of
-    the object's files and the whole configuration, and are used for nothing else.
+    perturbations; an interrupted run goes on from there. They carry a hash of all that the outcome
+    depends on and the whole configuration, and are used for nothing else.
     """
     wanted = list(wanted)
-    store = _Store(out / "outcomes.jsonl", recipe, {config.object for config, _ in wanted})
+    store = _Store(out / OUTCOMES, recipe, {config.object for config, _ in wanted})
     kept = store.read()
     jobs: dict[Place, tuple[GraspConfig, dict[Perturbation, None]]] = {}
     for config, change in wanted:
@@ -334,7 +339,7 @@ def _grasp_job(
 
         def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Outcome]:
             config, changes = tasks[task]
-            base = built(declared_entry(recipe, config.object))
+            base = built(recipe.entry_of(config.object))
             found = []
             for k, change in enumerate(changes):
                 item = int(first_item[task]) + k
@@ -364,13 +369,9 @@ class _Store:
 
     def __init__(self, path: Path, recipe: Recipe, names: Iterable[str]) -> None:
         self._path = path
-        self._made_with = {name: self._hash_of(recipe, name) for name in names}
-
-    @staticmethod
-    def _hash_of(recipe: Recipe, name: str) -> str:
-        """A hash of the recipe and of the files of the object ``name``."""
-        files = [path for path in sorted(find_object_folder(name).rglob("*")) if path.is_file()]
-        return sha256_of_content([recipe.sha256(), *((f.name, sha256_of(f)) for f in files)])
+        names = list(names)
+        inputs = recipe_inputs(recipe, names)
+        self._made_with = {n: sha256_of_content(inputs.of_objects([n])) for n in names}
 
     def read(self) -> dict[Key, Outcome]:
         """What was simulated of these objects as declared.
@@ -393,7 +394,9 @@ class _Store:
 
     def append(self, outcomes: Mapping[Key, Outcome]) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a", encoding="utf-8") as file:
+        with self._path.open("a+b") as file:
+            if file.tell() and self._path.read_bytes()[-1:] != b"\n":
+                file.write(b"\n")  # after a line that was cut short
             for (place, change), one in outcomes.items():
                 line = {
                     "declared": self._made_with[place[0]],
@@ -401,4 +404,4 @@ class _Store:
                     "changes": change.changes(),
                     "outcome": asdict(one),
                 }
-                file.write(json.dumps(line) + "\n")
+                file.write(f"{json.dumps(line)}\n".encode())

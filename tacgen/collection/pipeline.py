@@ -2,21 +2,20 @@
 
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.collection.confidence import label_confidence
-from tacgen.collection.gel import contact_law, gel_patch
-from tacgen.collection.grid import PlannedGrasp, rng_of
+from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch
+from tacgen.collection.grid import Grids, PlannedGrasp, rng_of
+from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.perturbed import perturbed_object, recipe_object
 from tacgen.collection.randomize import Variation, draw_variation, vary_config
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import TableError
-from tacgen.core.files import sha256_of
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
@@ -25,6 +24,7 @@ from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad, gel_loads, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
 
+CALIBRATION = ("table", "contact_law")
 # Streams of one grasp's random numbers.
 _STREAM_VARIATION, _STREAM_NOISE = range(2)
 
@@ -73,7 +73,6 @@ class GraspPipeline:
             self._pad.indenter,
             self._law,
             grasped.surface,
-            grasp_index=config.index,
             k_n_factor=variation.k_n_factor,
         )
         trace = run_grasp(
@@ -99,9 +98,8 @@ class GraspPipeline:
 
         ``rng`` draws the camera's noise.
         """
-        frames, index = grasp.trace.frames[pad], grasp.planned.config.index
-        factor = grasp.variation.k_n_factor
-        loads = gel_loads(law or self._law, frames, grasp_index=index, k_n_factor=factor)
+        frames, factor = grasp.trace.frames[pad], grasp.variation.k_n_factor
+        loads = gel_loads(law or self._law, frames, grasp_index=SETTLED_PRESS, k_n_factor=factor)
         images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
         rendered: list[TactileFrame] = []
         before: tuple[NDArray[np.float64], GelLoad] | None = None
@@ -118,7 +116,7 @@ class GraspPipeline:
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         grasp = self.simulate(planned)
-        trace, frame = grasp.trace, grasp_frame(grasp.trace)
+        trace, frame = grasp.trace, grasp.trace.grasp_frame
         executed = trace.status == "executed"
         adds_noise = self.recipe.optics.noise is True
         noise = rng_of(planned.seed, _STREAM_NOISE) if adds_noise else None
@@ -141,6 +139,7 @@ class GraspPipeline:
             margin=trace.margin,
             label_confidence=label_confidence(trace, grasp.grasped, self.recipe),
             grasp_frame=frame,
+            grasp_time_s=trace.grasp_time_s,
             picture=picture,
             reason=trace.reason,
         )
@@ -163,15 +162,6 @@ class GraspPipeline:
         )
 
 
-def grasp_frame(trace: GraspTrace) -> int:
-    """The frame of the moment of grasp: the first one at 95 % of the largest normal force."""
-    frames = next(iter(trace.frames.values()), ())
-    if not frames:
-        return 0
-    forces = np.array([frame.force_normal_n for frame in frames])
-    return int(np.argmax(forces >= 0.95 * forces.max()))
-
-
 def tactile_pad(recipe: Recipe) -> TactilePad:
     """The tactile pad of a recipe with its table.
 
@@ -191,10 +181,15 @@ def tactile_pad(recipe: Recipe) -> TactilePad:
 
 
 def frame_times_s(recipe: Recipe) -> tuple[float, ...]:
-    """Times of a grasp's frames from the start of closing on; 0 for the single one."""
+    """Times of a grasp's frames from the start of closing on; 0 for the single one.
+
+    The frame of the moment of grasp is taken at that moment instead.
+    """
     frames = recipe.frames
     if frames.mode == "single":
         return (0.0,)
+    if frames.count == 1:
+        return (frames.span_s,)
     return tuple(np.linspace(0.0, frames.span_s, frames.count).tolist())
 
 
@@ -205,21 +200,23 @@ def with_gain(rgb: NDArray[np.uint8], gain: float) -> NDArray[np.uint8]:
     return np.asarray(np.clip(np.rint(rgb * np.float32(gain)), 0, 255), np.uint8)
 
 
-def dataset_spec(recipe: Recipe, n_grasps: int) -> DatasetSpec:
-    """What all shards of a recipe's dataset have in common.
+def dataset_spec(
+    recipe: Recipe, n_grasps: int, *, grids: tuple[Grids, ...] = (), parts: tuple[int, ...] = ()
+) -> DatasetSpec:
+    """What all shards of a recipe's dataset have in common; see ``GraspPlan``.
 
-    Raises ``TacgenError`` if the sensor, its table or the contact law cannot be used.
+    Raises ``TacgenError`` if an object, the sensor, its table or the contact law cannot be used.
     """
     sensor = load_sensor(recipe.sensor)
-    calibration = {"table": sha256_of(Path(sensor.table))}
-    if (path := recipe.contact.path()) is not None:
-        contact_law(recipe.contact)
-        calibration["contact_law"] = sha256_of(path)
+    inputs = recipe_inputs(recipe)
     at_load = recipe.optics.noise == "at_load"
     return DatasetSpec(
         recipe=recipe.resolved(),
-        recipe_sha256=recipe.sha256(),
-        calibration=calibration,
+        recipe_sha256=inputs.sha256["recipe"],
+        calibration={k: inputs.sha256[k] for k in CALIBRATION if k in inputs.sha256},
+        inputs=inputs,
+        grids=grids,
+        parts=parts,
         sensor=sensor,
         pads=recipe.physics_settings.sensing_pads,
         time_s=frame_times_s(recipe),

@@ -80,6 +80,15 @@ class ObjectEntry(Located):
         """The folder of the object."""
         return find_object_folder(self.name, beside=self.folder)
 
+    @property
+    def object_name(self) -> str:
+        """The name of the object, also where ``name`` is the path of its folder."""
+        return Path(self.name).name if "/" in self.name else self.name
+
+    def figures(self) -> dict[str, Any]:
+        """What it says of the object itself, as plain data."""
+        return self.model_dump(mode="json", exclude={"name", "grid"})
+
 
 ObjectByName = Annotated[
     ObjectEntry, BeforeValidator(as_named, json_schema_input_type=str | ObjectEntry)
@@ -290,6 +299,15 @@ class Recipe(Section):
             tactile_pads=self.robot.tactile_pads,
         )
 
+    def entry_of(self, name: str) -> ObjectEntry:
+        """The entry of an object; a plain one, found like the others, where there is none."""
+        known = next((entry for entry in self.objects if entry.object_name == name), None)
+        if known is not None:
+            return known
+        entry = ObjectEntry(name=name)
+        entry._folder = self.objects[0].folder
+        return entry
+
     def resolved(self) -> dict[str, Any]:
         """Every setting that a byte of the dataset can depend on, written or not, as plain data.
 
@@ -323,7 +341,8 @@ def load_recipe(name: str | Path) -> Recipe:
 
 def known_objects(recipe: Recipe) -> tuple[str, ...]:
     """Names of the objects that ``recipe`` and real grasps beside it may use."""
-    return tuple(dict.fromkeys([*object_folders(), *(entry.name for entry in recipe.objects)]))
+    names = [entry.object_name for entry in recipe.objects]
+    return tuple(dict.fromkeys([*object_folders(recipe.objects[0].folder), *names]))
 
 
 def with_cluster(recipe: Recipe, **settings: object) -> Recipe:
@@ -360,7 +379,7 @@ def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
 
 
 def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
-    names = [entry.name for entry in recipe.objects]
+    names = [entry.object_name for entry in recipe.objects]
     return source.repeated("objects", names, "keep one, or make two recipes")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from tacgen.collection.grid import plan_recipe
+from tacgen.collection.grid import grown_plan
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.scene import finger_boxes, pose_matrix
@@ -43,9 +43,10 @@ def write_recording(root: Path, index: int, path: Path) -> None:
     if not sample.pads:
         msg = f"{root}: grasp {index} was not executed ({sample.reason or sample.status})"
         raise DatasetError(msg)
-    recipe = load_recipe(DatasetFolder(root).recipe_path)
+    folder = DatasetFolder(root)
+    recipe = load_recipe(folder.recipe_path)
     with GraspPipeline(recipe) as pipeline:
-        grasp = pipeline.simulate(plan_recipe(recipe)[index])
+        grasp = pipeline.simulate(grown_plan(recipe, folder.grids()).grasps[index])
         imprints = {
             pad: [one.imprint for one in pipeline.render(grasp, pad)[1]] for pad in sample.pads
         }
@@ -72,7 +73,7 @@ def write_recording(root: Path, index: int, path: Path) -> None:
         stream.log("scene/object", mesh, static=True)
         for finger in PADS:
             stream.log(f"scene/{finger}/finger", _drawn_finger(gripper, finger), static=True)
-        for k, time_s in enumerate(dataset.time_s):
+        for k, time_s in enumerate(dataset.times_s(index)):
             stream.set_time("time", duration=float(time_s))
             world_object = pose_matrix(grasp.trace.object_pose[k])
             poses = {"scene/object": world_object}

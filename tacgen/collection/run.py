@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tacgen.collection.grid import PlannedGrasp, plan_recipe
+from tacgen.collection.grid import PlannedGrasp, grown_plan
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.progress import print_status, progress_counter
@@ -22,7 +22,7 @@ from tacgen.dataset.summary import write_card
 
 @dataclass(slots=True)
 class Collected:
-    """What a run of ``collect`` did: shards it made, found done, and left to other processes.
+    """What a run of ``collect`` did: shards it made, found done, and that another job has claimed.
 
     ``labels`` are those of the grasps that were simulated, ``crashed`` the reasons of the others,
     both by the grasp's index; ``n_succeeded`` counts the successes among them. ``thumbnails`` are
@@ -31,7 +31,7 @@ class Collected:
 
     found: tuple[int, ...]
     made: list[int] = field(default_factory=list)
-    left_to_others: list[int] = field(default_factory=list)
+    claimed_elsewhere: list[int] = field(default_factory=list)
     labels: dict[int, int] = field(default_factory=dict)
     crashed: dict[int, str] = field(default_factory=dict)
     n_succeeded: int = 0
@@ -52,15 +52,16 @@ class Collected:
         elif event.kind == "crashed":
             self.crashed[event.item] = event.value
         elif event.kind == "done":
-            (self.made if event.value else self.left_to_others).append(event.task)
+            (self.made if event.value else self.claimed_elsewhere).append(event.task)
 
     def summary(self) -> dict[str, int]:
         """Counts to show."""
         labels = Counter(self.labels.values())
+        elsewhere = {"shards_claimed_by_another_job": len(self.claimed_elsewhere)}
         return {
             "shards_made": len(self.made),
             "shards_found": len(self.found),
-            "shards_left_to_others": len(self.left_to_others),
+            **(elsewhere if self.claimed_elsewhere else {}),
             "grasps_made": len(self.labels) + len(self.crashed),
             "successes": labels[1],
             "failures": labels[0],
@@ -76,6 +77,7 @@ def collect(
     workers: int = 1,
     shards: Sequence[int] | None = None,
     redo: Sequence[int] = (),
+    grow: bool = False,
     item_limit_s: float = 120.0,
     progress: bool = True,
 ) -> Collected:
@@ -87,6 +89,8 @@ def collect(
         The share of this call; all by default.
     redo : sequence of int
         Shards to make anew although they are there (a repair).
+    grow : bool
+        Keep the shards of a dataset of which ``recipe`` has all grasps, and add the others.
     item_limit_s : float
         A grasp that takes longer is recorded as ``crashed``.
 
@@ -104,16 +108,14 @@ def collect(
     >>> len(tacgen.Dataset("data"))
     2
     """
-    planned = plan_recipe(recipe)
-    spec = dataset_spec(recipe, len(planned))
+    planned, spec = prepare(recipe, out, grow=grow)
     folder = DatasetFolder(out)
-    folder.prepare(spec)
     share = range(spec.n_shards) if shards is None else shards
     found = tuple(shard for shard in share if shard not in redo and folder.is_done(shard))
     done = set(found)
     pending = [shard for shard in share if shard not in done]
     n_items = sum(len(spec.shard_range(shard)) for shard in pending)
-    make_job = partial(_shard_job, recipe, tuple(planned), folder.root, spec, frozenset(redo))
+    make_job = partial(_shard_job, recipe, planned, folder.root, spec, frozenset(redo))
     result = Collected(found)
     with progress_counter("grasp", enabled=progress and n_items > 0) as show:
         for event in run_tasks(pending, make_job, workers=workers, item_limit_s=item_limit_s):
@@ -124,8 +126,8 @@ def collect(
                 what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
                 print_status(f"{what} {event.kind}: {event.value}")
     result.made.sort()
-    result.left_to_others.sort()
-    is_whole = len(folder.merge()) == spec.n_shards
+    result.claimed_elsewhere.sort()
+    is_whole = bool(result.made or found) and len(folder.merge()) == spec.n_shards
     if is_whole and (result.made or not folder.gallery_path.is_file()):
         with disk_errors(folder.root):
             write_card(folder.root)
@@ -133,15 +135,29 @@ def collect(
     return result
 
 
+def prepare(
+    recipe: Recipe, out: Path, *, grow: bool = False
+) -> tuple[tuple[PlannedGrasp, ...], DatasetSpec]:
+    """Make ``out`` ready for the dataset of ``recipe``: its grasps, and what they have in common.
+
+    Raises ``DatasetError`` if the folder cannot be written to or holds another dataset.
+    """
+    folder = DatasetFolder(out)
+    plan = grown_plan(recipe, folder.grids())
+    spec = dataset_spec(recipe, len(plan.grasps), grids=plan.grids, parts=plan.parts)
+    folder.prepare(spec, grow=grow)
+    return plan.grasps, spec
+
+
 def describe(recipe: Recipe, out: Path) -> dict[str, Any]:
     """What a recipe asks for, and how much of it is there."""
-    planned = plan_recipe(recipe)
-    n_shards = -(-len(planned) // recipe.dataset.shard_size)
     folder = DatasetFolder(out)
+    planned = grown_plan(recipe, folder.grids()).grasps
+    n_shards = planned[-1].shard + 1
     return {
         "recipe": recipe.name,
         "out": str(out),
-        "objects": [entry.name for entry in recipe.objects],
+        "objects": [entry.object_name for entry in recipe.objects],
         "grasps": len(planned),
         "frames_a_grasp": len(frame_times_s(recipe)),
         "shards": n_shards,

@@ -7,7 +7,7 @@ import os
 import shutil
 import socket
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from tacgen.core.errors import TacgenError
@@ -69,6 +69,20 @@ def write_text(path: Path, text: str) -> None:
     """Write ``text`` as UTF-8, whole or not at all."""
     with atomic_path(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def refuse_foreign(folder: Path, mark: str, names: Iterable[str]) -> None:
+    """Raise a ``TacgenError`` where files that are to be written are there, and are not tacgen's.
+
+    They are its own where ``mark``, the first file that tacgen writes there, is there too.
+    """
+    there = [name for name in names if os.path.lexists(folder / name)]
+    if there and not os.path.lexists(folder / mark):
+        msg = (
+            f"{folder / there[0]}: is there already, and not from a run of this command; give an "
+            "empty or a new folder as --out"
+        )
+        raise TacgenError(msg)
 
 
 def is_file(path: Path) -> bool:

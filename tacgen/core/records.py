@@ -189,9 +189,10 @@ class SlipMargin:
 class GraspTrace:
     """Everything the physics says about one grasp.
 
-    ``frames`` maps each tactile pad (``left``, ``right``) to its T frames: the first is the
-    moment of grasp when only a single image is asked for. ``object_pose`` (T, 7) is x, y, z (mm)
-    and the quaternion x, y, z, w of the object in the world at the frames' times.
+    ``frames`` maps each tactile pad (``left``, ``right``) to its T frames. ``object_pose`` (T, 7)
+    is x, y, z (mm) and the quaternion x, y, z, w of the object in the world at the frames' times.
+    ``grasp_time_s`` is the moment of grasp, when the force was found steady, from closing on (NaN
+    where the grasp was not executed), ``grasp_frame`` the frame that was taken at that moment.
     """
 
     config: GraspConfig
@@ -204,6 +205,8 @@ class GraspTrace:
     turn_rad: float
     margin: SlipMargin | None = None
     reason: str = ""
+    grasp_time_s: float = float("nan")
+    grasp_frame: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,12 +14,19 @@ from typing import Any
 import yaml
 
 from tacgen.core.errors import DatasetError, RecipeError
-from tacgen.core.files import atomic_path, read_small_text, write_text
+from tacgen.core.files import (
+    atomic_path,
+    read_small_text,
+    refuse_foreign,
+    sha256_of_content,
+    write_text,
+)
 from tacgen.core.lock import holder_of, locked
 from tacgen.core.version import __version__
 from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset.check import content_problems
 from tacgen.dataset.disk import disk_errors
+from tacgen.dataset.inputs import changed_roles
 from tacgen.dataset.manifest import (
     ShardLine,
     merge_manifest,
@@ -33,7 +40,11 @@ from tacgen.dataset.manifest import (
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.writer import write_shard_file
 
-MAX_PLAN_BYTES = 1 << 20  # a plan has some kilobytes
+MAX_PLAN_BYTES = 64 << 20  # a plan has some kilobytes, and the axes of each object
+
+
+class MissingPlanError(DatasetError):
+    """There is no plan, or it cannot be read."""
 
 
 class DatasetFolder:
@@ -70,49 +81,50 @@ class DatasetFolder:
         """``shards/shard-00000.lock``: held while a process works on the shard."""
         return self.shard_path(shard).with_suffix(".lock")
 
-    def prepare(self, spec: DatasetSpec) -> None:
+    def prepare(self, spec: DatasetSpec, *, grow: bool = False) -> None:
         """Make the folder ready for shards of ``spec``, or check that it is.
 
+        With ``grow`` a dataset of which ``spec`` has all grasps and more gets the others too.
+
         Raises ``DatasetError`` if it cannot be written to, or holds a dataset of another recipe,
-        calibration or version of tacgen; the message shows the difference and says how to go on.
+        object, sensor, calibration, engine or version; the message shows the difference and says
+        how to go on.
         """
         plan = {
             "schema": 1,
             "tacgen_version": __version__,
             "recipe": spec.recipe.get("name", ""),
             "recipe_sha256": spec.recipe_sha256,
-            "calibration": dict(sorted(spec.calibration.items())),
+            "resolved_sha256": sha256_of_content(spec.recipe),
+            "calibration": spec.calibration,
+            "inputs": spec.inputs.sha256,
+            "engine": spec.inputs.engine,
+            "versions": spec.inputs.versions,
             "sensor": spec.sensor.name,
-            "pads": list(spec.pads),
+            "pads": spec.pads,
             "n_grasps": spec.n_grasps,
             "shard_size": spec.shard_size,
             "n_shards": spec.n_shards,
+            "grids": spec.grids,
+            "parts": spec.part_sizes,
         }
         with disk_errors(self.root):
             (self.root / "shards").mkdir(parents=True, exist_ok=True)
-            try:
-                made = self.plan()
-            except DatasetError:
-                self._refuse_other_shards(spec)
-                write_text(self.plan_path, json.dumps(plan, indent=1, sort_keys=True))
-                made = self.plan()
-            if made != plan:
-                self._refuse_another(made, plan, spec.recipe)
-            recipe = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
-            there = self.recipe_path
-            if not (there.is_file() and there.read_bytes() == recipe.encode()):
-                write_text(there, recipe)
+            if self._to_write(plan, spec, grow=grow):
+                # Another process may prepare or grow it at the same time.
+                with locked(self.root / "dataset.lock") as held:
+                    if held is False:
+                        msg = f"{self.root}: another process is preparing it; run this again"
+                        raise DatasetError(msg)
+                    for path, content in self._to_write(plan, spec, grow=grow):
+                        write_text(path, content)
 
     def is_done(self, shard: int) -> bool:
         """Whether the shard is finished and its file is there, whole by its size.
 
         One whose line cannot be read is not: it is to be made again.
         """
-        own, path = self.line_path(shard), self.shard_path(shard)
-        try:
-            line = read_part(own) if os.path.lexists(own) else self._merged.get(shard)
-        except DatasetError:
-            return False
+        line, path = self._line(shard), self.shard_path(shard)
         return line is not None and path.is_file() and path.stat().st_size == line.bytes
 
     @contextlib.contextmanager
@@ -127,6 +139,8 @@ class DatasetFolder:
             with disk_errors(self.root):
                 held = stack.enter_context(locked(self.lock_path(shard)))
             # Whoever held the lock before may have finished the shard.
+            if not redo:
+                self._refuse_foreign(shard)
             mine = held is not False and (redo or not self.is_done(shard))
             if mine and held:
                 for path in self.root.glob(f"shards/.{self.shard_path(shard).stem}.*.part"):
@@ -165,14 +179,24 @@ class DatasetFolder:
 
     def plan(self) -> dict[str, Any]:
         """What ``dataset.json`` says; raises ``DatasetError`` if the folder is not a dataset's."""
+        plan: dict[str, Any] = {}
+        is_whole = False
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-            plan: dict[str, Any] = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
+            plan = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
-            if all(isinstance(number, int) and number > 0 for number in numbers):
-                return plan
-        fix = "give the folder that `tacgen collect --out` made"
-        msg = f"{self.root} is not a dataset: {self.plan_path.name} is missing or broken; {fix}"
-        raise DatasetError(msg)
+            is_whole = all(isinstance(number, int) and number > 0 for number in numbers)
+        if not is_whole:
+            fix = "give the folder that `tacgen collect --out` made"
+            name = self.plan_path.name
+            msg = f"{self.root} is not a dataset: {name} is missing or broken; {fix}"
+            raise MissingPlanError(msg)
+        if (schema := plan.get("schema", 1)) != 1:
+            msg = (
+                f"{self.plan_path}: schema {schema} is of another version of tacgen; use that one, "
+                "or give another --out"
+            )
+            raise DatasetError(msg)
+        return plan
 
     def recipe(self) -> dict[str, Any]:
         """What ``recipe.yaml`` says; raises ``RecipeError`` if it is missing or broken."""
@@ -184,38 +208,145 @@ class DatasetFolder:
         found = [(part_number(path), holder_of(path)) for path in locks]
         return [(shard, holder) for shard, holder in found if shard >= 0 and holder]
 
+    def grids(self) -> list[Any]:
+        """The grids of the dataset, one after another (see ``GraspPlan``); none where it is new."""
+        with contextlib.suppress(MissingPlanError):
+            return list(self.plan().get("grids", []))
+        return []
+
+    def _line(self, shard: int) -> ShardLine | None:
+        own = self.line_path(shard)
+        with contextlib.suppress(DatasetError):
+            return read_part(own) if os.path.lexists(own) else self._merged.get(shard)
+        return None
+
+    def _refuse_foreign(self, shard: int) -> None:
+        """Raise a ``DatasetError`` where a shard is there that was made with other inputs."""
+        line = self._line(shard)
+        roles = changed_roles(line.inputs, self.plan().get("inputs", {})) if line else []
+        if roles:
+            msg = (
+                f"{self.shard_path(shard)}: was made with another {', '.join(roles)} than this "
+                "dataset; keep them in two folders, or make it anew with `tacgen collect --repair`"
+            )
+            raise DatasetError(msg)
+
     @cached_property
     def _merged(self) -> dict[int, ShardLine]:
         """``manifest.jsonl`` as it stood at first; later shards have lines of their own."""
         return read_lines(self.manifest_path)
 
+    def _to_write(
+        self, plan: Mapping[str, Any], spec: DatasetSpec, *, grow: bool
+    ) -> list[tuple[Path, str]]:
+        """The files, and their content, that the dataset of ``plan`` lacks.
+
+        Raises ``DatasetError`` if the folder holds another dataset, or something else.
+        """
+        text = json.dumps(plan, indent=1, sort_keys=True)
+        try:
+            self._refuse_another(self.plan(), json.loads(text), spec, grow=grow)
+        except MissingPlanError:
+            self._refuse_other_shards(spec)
+        recipe = yaml.safe_dump(dict(spec.recipe), sort_keys=False, allow_unicode=True)
+        wanted = ((self.plan_path, text), (self.recipe_path, recipe))
+        return [
+            (path, content)
+            for path, content in wanted
+            if not (path.is_file() and path.read_bytes() == content.encode())
+        ]
+
     def _refuse_other_shards(self, spec: DatasetSpec) -> None:
         """Where no plan says what the shards are of that are there, they say it themselves."""
+        own = (self.recipe_path, self.manifest_path, self.card_path, self.gallery_path)
+        if not part_paths(self.root):
+            refuse_foreign(self.root, self.plan_path.name, [path.name for path in own])
         wanted = (spec.recipe_sha256, dict(spec.calibration), __version__)
         for path in part_paths(self.root):
             here: tuple[object, ...] = wanted
+            roles: list[str] = []
             with contextlib.suppress(DatasetError):
                 line = read_part(path)
                 here = (line.recipe_sha256, line.calibration, line.versions.get("tacgen"))
-            if here != wanted:
-                other = f"{path.name} is of another recipe, calibration or version"
+                roles = changed_roles(line.inputs, spec.inputs.sha256)
+            if here != wanted or roles:
+                what = ", ".join(roles) or "recipe, calibration or version"
                 fix = "give another --out, or delete the folder"
-                msg = f"{self.root}: {other}, and {self.plan_path.name} is missing or broken; {fix}"
+                msg = (
+                    f"{self.root}: {path.name} is of another {what}, and {self.plan_path.name} is "
+                    f"missing or broken; {fix}"
+                )
                 raise DatasetError(msg)
 
     def _refuse_another(
-        self, made: Mapping[str, Any], plan: Mapping[str, Any], recipe: Mapping[str, Any]
+        self, made: Mapping[str, Any], plan: Mapping[str, Any], spec: DatasetSpec, *, grow: bool
     ) -> None:
-        lines = list(differences(made, plan))
-        if made.get("recipe_sha256") != plan["recipe_sha256"]:
-            # Without a recipe to compare with, the hashes are shown.
-            with contextlib.suppress(RecipeError):
-                settings = differences(self.recipe(), json.loads(json.dumps(recipe)))
-                others = [text for text in lines if not text.startswith("recipe_sha256")]
-                lines = [*settings, *others]
-        first = f"{self.root} holds another dataset; these differ:"
+        """Raise a ``DatasetError`` where a dataset that was ``made`` is not that of ``plan``."""
+        if "inputs" not in made:
+            version = made.get("tacgen_version")
+            msg = (
+                f"{self.root}: was begun by tacgen {version}, which did not record all that its "
+                f"shards depend on; it can be read, but is finished by that version only (`pip "
+                f"install tacgen=={version}`); to collect with this one, give another --out"
+            )
+            raise DatasetError(msg)
+        roles = changed_roles(made["inputs"], plan["inputs"])
+        n_parts = len(made["parts"])
+        is_grown = made["parts"] == plan["parts"][:n_parts]
+        is_grown &= made["grids"] in ([], plan["grids"][:n_parts])
+        same = ["tacgen_version", "sensor", "pads", "shard_size"]
+        same += [] if is_grown else ["n_grasps"]
+        same += [] if roles else ["calibration"]
+        lines = list(
+            differences({key: made[key] for key in same}, {key: plan[key] for key in same})
+        )
+        if made["recipe_sha256"] != plan["recipe_sha256"] or not is_grown:
+            lines += self._changed_settings(made, plan, spec.recipe)
+        lines += [text for role in roles for text in _changed_input(role, made, plan, spec)]
+        if not lines and (made["parts"] == plan["parts"] or grow):
+            return
         fix = "give another --out, set these back to what made it, or delete the folder"
+        if not lines:
+            more = plan["n_grasps"] - made["n_grasps"]
+            lines = [f"the recipe has {more} grasps that are not in the plan of the dataset"]
+            fix = "add them with `tacgen collect --grow`, or give another --out"
+        elif grow and not is_grown:
+            fix += "; --grow adds grasps to a recipe that still has all of those there"
+        first = f"{self.root} holds another dataset; these differ:"
         raise DatasetError.from_problems([first, *(f"  {text}" for text in lines), fix])
+
+    def _changed_settings(
+        self, made: Mapping[str, Any], plan: Mapping[str, Any], recipe: Mapping[str, Any]
+    ) -> list[str]:
+        """What differs in the recipes; the hashes where there is no recipe to compare with."""
+        with contextlib.suppress(RecipeError):
+            old, new = self.recipe(), json.loads(json.dumps(recipe))
+            uncounted = ("name", "description")
+            return [
+                text for text in differences(old, new) if text.partition(":")[0] not in uncounted
+            ]
+        return list(differences(made["recipe_sha256"], plan["recipe_sha256"], "recipe_sha256"))
+
+
+def _changed_input(
+    role: str, made: Mapping[str, Any], plan: Mapping[str, Any], spec: DatasetSpec
+) -> Iterator[str]:
+    """A line, or a few, on an input whose content is another than that of the dataset."""
+    engine, other, old, new = made["engine"], plan["engine"], made["versions"], plan["versions"]
+    if role == "engine":
+        there, now = f"{engine} {old.get(engine, '')}", f"{other} {new.get(other, '')}"
+        yield (
+            f"engine: {there} there, {now} now; install it with `pip install "
+            f"{engine}=={old.get(engine, '')}` and name it in the recipe: "
+            f"`physics: {{engine: {engine}}}`"
+        )
+    elif role == "versions":
+        libraries = set(old) & set(new) - {"tacgen", engine, other}
+        for name in sorted(libraries):
+            yield from differences(old[name], new[name], f"version of {name}")
+    elif role != "recipe":
+        file = spec.inputs.files.get(role)
+        yield f"{role} ({file}) has changed" if file else f"{role} has changed"
 
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import RecipeError
-from tacgen.core.files import write_text
 from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.core.records import PADS
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import DatasetSpec, GraspSample, rgb_at_load
-from tacgen.dataset.summary import summarize
+from tacgen.dataset.samples import DatasetSpec, GraspSample, frame_times_s, rgb_at_load
+from tacgen.dataset.summary import replace_page, summarize
 from tacgen.report.page import templates
 
 MAX_PAGE_BYTES = 15_000_000  # what a browser opens at once
@@ -117,7 +116,7 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
         time_s=time_s.tolist(),
     )
     dataset.close()
-    write_text(folder.gallery_path, text)
+    replace_page(folder.gallery_path, text)
     return folder.gallery_path
 
 
@@ -148,6 +147,7 @@ def _card(
     forces_n = {"normal": values["force_normal_n"], "shear": shear_n}
     top_n = max(float(force_n.max()) for force_n in forces_n.values())
     index, moment = point["index"], int(values["grasp_frame"])
+    time_s = frame_times_s(time_s, moment, float(values["grasp_time_s"]))
     small = made.get(index)
     if small is None:
         pads, seen = dataset.pads if executed else (), partial(dataset.rgb, index)

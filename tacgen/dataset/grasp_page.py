@@ -26,12 +26,13 @@ def write_grasp_page(root: Path, index: int, path: Path) -> None:
         ("outcome", outcome),
         ("force_n", config.force_n),
         ("x_mm, y_mm, z_mm", f"{config.x_mm:g}, {config.y_mm:g}, {config.z_mm:g}"),
+        ("moment of grasp", f"frame {sample.grasp_frame}, {sample.grasp_time_s:.2f} s"),
         ("split", sample.split),
     ]
     sections = [facts_section("Grasp", facts)]
     if sample.picture is not None:
         sections.append(pictures_section("Scene", [("simulated", sample.picture)]))
-    times_s = [float(t) for t in dataset.time_s]
+    times_s = [float(t) for t in dataset.times_s(index)]
     for pad, frames in sample.pads.items():
         shown = [(f"{t:.2f} s", rgb) for t, rgb in zip(times_s, frames.rgb, strict=True)]
         sections.append(pictures_section(f"Simulated images of the {pad} pad", shown))

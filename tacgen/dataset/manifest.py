@@ -10,7 +10,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, field
 from pathlib import Path
 from typing import Literal
 
@@ -35,7 +35,10 @@ class ShardLine:
     """What the manifest says of one shard.
 
     ``counts`` counts ``success``, ``failure`` and ``not_executed``; ``objects`` does so by
-    object. ``raw_bytes`` is the size of the arrays uncompressed.
+    object. ``raw_bytes`` is the size of the arrays uncompressed. ``inputs`` names by role all that
+    the shard depends on (see ``inputs.py``) and ``engine`` the physics engine, whose version stands
+    in ``versions``; ``part`` is 0, or counts how often the dataset had grown when the shard was
+    added. Shards of early versions are without these.
     """
 
     schema: Literal[1] = 1
@@ -57,6 +60,9 @@ class ShardLine:
     failure_modes: dict[str, int]
     splits: dict[str, int]
     objects: dict[str, dict[str, int]]
+    inputs: dict[str, str] = field(default_factory=dict)
+    engine: str = ""
+    part: NonNegativeInt = 0
 
     @model_validator(mode="after")
     def _checked(self) -> "ShardLine":
@@ -146,10 +152,26 @@ def manifest_problems(lines: Sequence[ShardLine], n_grasps: int | None) -> list[
         if odd:
             which = f"{', '.join(odd[:3])} and {lines[0].file}"
             problems.append(f"{which} differ in {name}; keep them in two folders")
+    problems += _mixed_inputs(lines)
     versions = {line.versions.get("tacgen", "") for line in lines}
     if len(versions) > 1:
         problems.append(f"shards of different versions of tacgen: {', '.join(sorted(versions))}")
     return problems
+
+
+def _mixed_inputs(lines: Sequence[ShardLine]) -> list[str]:
+    """A problem for each input that the shards were made with in two forms."""
+    first: dict[str, ShardLine] = {}  # the first line that names each role
+    mixed: dict[str, list[str]] = {}
+    for line in lines:
+        for role, digest in line.inputs.items():
+            if first.setdefault(role, line).inputs[role] != digest:
+                mixed.setdefault(role, []).append(line.file)
+    return [
+        f"{', '.join(odd[:3])} and {first[role].file} were made with another {role}; keep them in "
+        "two folders"
+        for role, odd in mixed.items()
+    ]
 
 
 def total(lines: Iterable[ShardLine], name: str) -> dict[str, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from bisect import bisect_right
 from collections import OrderedDict
@@ -12,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.errors import DatasetError
+from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import GraspConfig, SlipMargin
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
-from tacgen.dataset.samples import GraspSample, PadSample, rgb_at_load
-from tacgen.dataset.schema import CONTACT_NAMES, GRASP_NAMES, Layout
+from tacgen.dataset.samples import GraspSample, PadSample, frame_times_s, rgb_at_load
+from tacgen.dataset.schema import COLUMNS, FRAME_FIELDS, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 
 if TYPE_CHECKING:
@@ -126,6 +127,19 @@ class Dataset:
         return np.concatenate([np.arange(*line.index_range) for line in self.lines])
 
     @property
+    def robot(self) -> str | None:
+        """Name of the robot that grasped, where ``recipe.yaml`` says it."""
+        with contextlib.suppress(RecipeError):
+            robot = DatasetFolder(self.root).recipe().get("robot")
+            return str(robot["name"]) if isinstance(robot, dict) and "name" in robot else None
+        return None
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """The hash of each input that the grasps depend on, by role; see ``dataset/inputs.py``."""
+        return {role: digest for line in self.lines for role, digest in line.inputs.items()}
+
+    @property
     def layout(self) -> Layout:
         """Where each array stands in the shards."""
         return self._shard(0).layout
@@ -134,6 +148,12 @@ class Dataset:
     def time_s(self) -> NDArray[np.float64]:
         """Times of the frames, (T,)."""
         return self._read(self._starts[0], "/time_s", whole=True)
+
+    def times_s(self, index: int) -> NDArray[np.float64]:
+        """When the frames of a grasp were taken, (T,): one of them at its moment of grasp."""
+        moment = (self._read(index, f"/grasp/{name}") for name in ("grasp_frame", "grasp_time_s"))
+        frame, grasp_time_s = (value.item() for value in moment)
+        return frame_times_s(self.time_s, frame, grasp_time_s)
 
     @property
     def shape_px(self) -> tuple[int, int]:
@@ -151,13 +171,11 @@ class Dataset:
         """
         parts: dict[str, list[NDArray[Any]]] = {}
         for place in range(len(self.lines)) if shards is None else shards:
-            paths = {name: f"/grasp/{name}" for name in GRASP_NAMES}
-            if contact:
-                layout = self._shard(place).layout
-                paths |= {name: layout.contact(self.pads[0], name) for name in CONTACT_NAMES}
-            for name, path in paths.items():
+            layout = self._shard(place).layout
+            for field in (*COLUMNS, *(FRAME_FIELDS if contact else ())):
+                path = layout.path(field, self.pads[0])
                 values = self._read(self._starts[place], path, whole=True)
-                parts.setdefault(name, []).append(_as_text(values))
+                parts.setdefault(field.name, []).append(_as_text(values))
         return {name: np.concatenate(values) for name, values in parts.items()}
 
     def rgb(
@@ -183,23 +201,34 @@ class Dataset:
 
     def picture(self, index: int) -> NDArray[np.uint8] | None:
         """The scene from outside, (h, w, 3), if there are pictures."""
-        return self._image(index, "/scene/picture") if self._layout(index).picture else None
+        has_pictures = "picture" not in self._layout(index).absent
+        return self._image(index, "/scene/picture") if has_pictures else None
 
     def read(self, index: int) -> GraspSample:
         """Everything there is about one grasp."""
         row = self._row(index)
-        axes = ("index", "object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
-        config = GraspConfig(**{name: row.pop(name) for name in axes})
-        limits = row.pop("margin_translational"), row.pop("margin_rotational")
-        slip = row.pop("first_slip_time_s"), row.pop("first_slip_direction")
-        pads = self.pads if row["status"] == "executed" else ()
+        sample = {field.attribute: row[field.name] for field in COLUMNS}
+        pads: dict[str, dict[str, Any]] = {pad: {} for pad in self.pads}
+        for field, pad, path in self._layout(index).placed():
+            if field.group != "grasp" and field.of != "spec" and not field.noisy:
+                value = self._image(index, path) if field.image else self._read(index, path)
+                (pads[pad] if pad else sample)[field.attribute] = value
+        parts = {
+            part: {name.partition(".")[2]: sample.pop(name) for name in names}
+            for part in ("config", "margin")
+            if (names := [name for name in sample if name.startswith(f"{part}.")])
+        }
+        limits = [parts["margin"][name] for name in ("translational", "rotational")]
+        is_executed = sample["status"] == "executed"
         return GraspSample(
-            config=config,
-            pads={pad: self._pad_sample(index, pad) for pad in pads},
-            object_pose=self._read(index, "/object/pose"),
-            margin=None if np.isnan(limits).all() else SlipMargin(*limits, *slip),
-            picture=self.picture(index),
-            **row,
+            config=GraspConfig(**parts["config"]),
+            pads={
+                pad: PadSample(rgb=self.rgb(index, pad), **values)
+                for pad, values in pads.items()
+                if is_executed
+            },
+            margin=None if np.isnan(limits).all() else SlipMargin(**parts["margin"]),
+            **sample,
         )
 
     def close(self) -> None:
@@ -209,15 +238,8 @@ class Dataset:
 
     def _row(self, index: int) -> dict[str, Any]:
         """The columns of one grasp as plain values, its directions as arrays."""
-        stored = {name: self._read(index, f"/grasp/{name}") for name in GRASP_NAMES}
-        row = {name: _as_text(np.asarray(value)) for name, value in stored.items()}
-        return {name: value if value.ndim else value.item() for name, value in row.items()}
-
-    def _pad_sample(self, index: int, pad: str) -> PadSample:
         layout = self._layout(index)
-        depth_mm = self._image(index, layout.tactile(pad, "depth_mm")) if layout.depth else None
-        contact = {name: self._read(index, layout.contact(pad, name)) for name in CONTACT_NAMES}
-        return PadSample(rgb=self.rgb(index, pad), depth_mm=depth_mm, **contact)
+        return {field.name: _plain(self._read(index, layout.path(field))) for field in COLUMNS}
 
     def _pad(self, pad: str | None) -> str:
         if pad is None:
@@ -268,6 +290,12 @@ class Dataset:
         if len(self._open) > _MAX_OPEN:
             self._open.popitem(last=False)[1].close()
         return self._open[place]
+
+
+def _plain(value: Any) -> Any:
+    """A number or a text as Python has it; an array as it is."""
+    value = _as_text(np.asarray(value))
+    return value if value.ndim else value.item()
 
 
 def _as_text(values: NDArray[Any]) -> NDArray[Any]:

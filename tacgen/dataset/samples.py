@@ -1,7 +1,7 @@
 """The frozen records that go into a dataset and come out of it: one grasp, and what all share."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import PADS, FailureMode, GraspConfig, Sensor, SlipMargin, Status
+from tacgen.dataset.inputs import Inputs
+from tacgen.dataset.schema import FIELDS, STATE_FIELDS, Layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +36,10 @@ class GraspSample:
 
     ``pads`` maps ``left`` and/or ``right`` to that pad's images and forces; it is empty where the
     grasp was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z
-    (mm) and the quaternion x, y, z, w in the world. ``grasp_frame`` is the frame of the moment of
-    grasp, ``label_confidence`` the label's probability, NaN where unknown. ``picture``
-    (h, w, 3) uint8 shows the scene from outside.
+    (mm) and the quaternion x, y, z, w in the world. ``grasp_time_s`` is the moment of grasp, from
+    closing on (NaN where unknown), ``grasp_frame`` the frame that was taken then.
+    ``label_confidence`` is the label's probability, NaN where unknown. ``picture`` (h, w, 3) uint8
+    shows the scene from outside.
     """
 
     config: GraspConfig
@@ -54,6 +57,30 @@ class GraspSample:
     grasp_frame: int = 0
     picture: NDArray[np.uint8] | None = None
     reason: str = ""
+    grasp_time_s: float = math.nan
+
+
+def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
+    """The numbers of a pad's frames as columns of a table, (T,) each."""
+    found: dict[str, NDArray[np.floating]] = {}
+    for one in STATE_FIELDS:
+        values = np.asarray(one.value(pad))
+        found |= zip(one.column_names, values.reshape(len(values), -1).T, strict=True)
+    return found
+
+
+def frame_times_s(
+    time_s: NDArray[np.float64], grasp_frame: int, grasp_time_s: float
+) -> NDArray[np.float64]:
+    """When a grasp's frames were taken, (T,), where ``time_s`` are the times of the dataset.
+
+    The frame of the moment of grasp was taken at that moment, but in a sequence of one, which
+    states a time of its own.
+    """
+    times_s = np.array(time_s, np.float64)
+    if not math.isnan(grasp_time_s) and (len(times_s) > 1 or times_s[0] == 0):
+        times_s[grasp_frame] = grasp_time_s
+    return times_s
 
 
 def rgb_at_load(
@@ -75,8 +102,11 @@ def rgb_at_load(
 class DatasetSpec:
     """What all shards of a dataset have in common; their bytes follow from it and the grasps.
 
-    ``recipe`` is the resolved one as plain data, ``recipe_sha256`` its hash; ``calibration`` holds
-    the SHA-256 of each file that the images depend on, by role (``table``, ``contact_law``).
+    ``recipe`` is the resolved one as plain data, ``recipe_sha256`` the hash of its settings;
+    ``calibration`` holds the SHA-256 of each file that the images depend on, by role (``table``,
+    ``contact_law``), ``inputs`` all that the shards depend on. A dataset that has grown has a few
+    ``grids``, and ``parts`` says how many of the ``n_grasps`` each of them added; each begins a new
+    shard.
     ``pads`` are ``left``, ``right`` or both; ``time_s`` the times of the T frames, from
     closing on (0 for a single image). The last shard may hold fewer than ``shard_size`` grasps.
     ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept,
@@ -97,13 +127,44 @@ class DatasetSpec:
     depth: bool = False
     picture_px: tuple[int, int] | None = None
     noise_at_load_grey: float = 0.0
+    inputs: Inputs = field(default_factory=Inputs)
+    grids: tuple[Any, ...] = ()
+    parts: tuple[int, ...] = ()
+
+    @property
+    def part_sizes(self) -> tuple[int, ...]:
+        """How many grasps came with each grid."""
+        return self.parts or (self.n_grasps,)
+
+    @property
+    def layout(self) -> Layout:
+        """The arrays of the shards."""
+        asked = {field.name for field in FIELDS if field.asked_by}
+        given = {f.name for f in FIELDS if f.asked_by and getattr(self, f.asked_by)}
+        return Layout(self.sensor.name, self.pads, frozenset(asked - given))
+
+    def sizes(self, n_grasps: int) -> dict[str, int]:
+        """The lengths of the axes of a shard of so many grasps, by the letters of the schema."""
+        lengths = (n_grasps, len(self.time_s), *self.sensor.shape_px, *(self.picture_px or (0, 0)))
+        return dict(zip("NTHWhw", lengths, strict=True))
 
     @property
     def n_shards(self) -> int:
         """How many shards the dataset has."""
-        return -(-self.n_grasps // self.shard_size)
+        return sum(-(-size // self.shard_size) for size in self.part_sizes)
 
     def shard_range(self, shard: int) -> range:
         """The grasp indices of one shard."""
-        start = shard * self.shard_size
-        return range(start, min(start + self.shard_size, self.n_grasps))
+        return shard_range(self.part_sizes, self.shard_size, shard)[1]
+
+
+def shard_range(parts: Sequence[int], shard_size: int, shard: int) -> tuple[int, range]:
+    """The part that a shard belongs to and the indices of its grasps; none beyond the last."""
+    start = 0
+    for part, size in enumerate(parts):
+        n_shards = -(-size // shard_size)
+        if shard < n_shards:
+            first = start + shard * shard_size
+            return part, range(first, min(first + shard_size, start + size))
+        shard, start = shard - n_shards, start + size
+    return len(parts), range(start, start)

@@ -1,4 +1,7 @@
-"""What a shard holds: every HDF5 array with its type, shape, unit, frame and meaning.
+"""What a shard holds: one table of its arrays, with type, axes, unit, frame, meaning and source.
+
+Writer, checker, reader, exports and the dataset's card go through ``FIELDS``: a new array is an
+entry here, and an attribute of the sample that it is taken from.
 
 A shard of N grasps with T frames and images of H × W pixels holds ``/grasp/…``, one array a column;
 ``/tactile/<sensor>/rgb``, ``reference`` and ``depth_mm``; ``/contact/…``; ``/object/pose``;
@@ -13,6 +16,9 @@ its status, and zeros for all that was not measured.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
+from typing import Any
 
 FORMAT_VERSION = 1
 SPLITS = ("train", "test")
@@ -55,98 +61,197 @@ class ArraySpec:
         return (1,) * lead + shape[lead:]
 
 
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One array of a shard, or of each tactile pad in it.
+
+    ``group`` and ``name`` say where it stands, ``axes`` are its shape (N grasps, T frames, letters
+    for what a dataset decides, or fixed lengths). ``source`` is the attribute that it holds: of the
+    ``sample`` of a grasp, of the sample of a ``pad``, or of the ``spec`` of the dataset; where that
+    is None, NaN or zeros stand. ``asked_by`` is the attribute of the spec that asks for it, empty
+    for what is always there; shards of early versions may be without one that is ``newer``, which
+    then reads as NaN. See ``ArraySpec`` for the others.
+    """
+
+    group: str
+    name: str
+    dtype: str
+    axes: tuple[str | int, ...]
+    unit: str
+    frame: str
+    description: str
+    source: str
+    asked_by: str = ""
+    newer: bool = False
+    nan: bool = False
+    image: bool = False
+    noisy: bool = False
+
+    @property
+    def of(self) -> str:
+        """Whose attribute it is: ``sample``, ``pad`` or ``spec``."""
+        return self.source.partition(".")[0]
+
+    @property
+    def attribute(self) -> str:
+        """The attribute, dotted where it lies deeper."""
+        return self.source.partition(".")[2]
+
+    @property
+    def is_of_pads(self) -> bool:
+        """Whether each pad has one."""
+        return self.group in ("tactile", "contact")
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Its columns in a table of frames: itself, or x and y of a vector on the gel."""
+        if self.axes[2:] != (2,):
+            return (self.name,)
+        stem, _, unit = self.name.rpartition("_")
+        return tuple(f"{stem}_{axis}_{unit}" for axis in "xy")
+
+    def value(self, owner: object) -> Any:
+        """What ``owner`` has of it; None where it has nothing."""
+        try:
+            return attrgetter(self.attribute)(owner)
+        except AttributeError:  # of a part that is None, such as the margin of what did not execute
+            return None
+
+
 _TRANSLATIONAL = "(friction limit - tangential load) / weight; NaN where unknown"
 _ROTATIONAL = "(torsional limit - moment of gravity) / (weight x 1 mm); NaN where unknown"
+_SLIP = "when it first slips; NaN where it does not"
 _SLIP_DIRECTION = "unit vector along which it first slips; 0 where it does not"
-CONFIDENCE = "/grasp/label_confidence"
 _CONFIDENCE = "probability of the label by the recipe's uncertainty; NaN where unknown"
-_GRASP: tuple[tuple[str, str, tuple[str | int, ...], str, str, str], ...] = (
-    ("index", "int64", ("N",), "1", "", "number of the grasp in the grid"),
-    ("object", f"S{MAX_OBJECT_BYTES}", ("N",), "", "", "name of the object"),
-    ("force_n", "float64", ("N",), "N", "", "commanded gripping force"),
-    ("x_mm", "float64", ("N",), "mm", "world", "gripper's centre from the footprint's"),
-    ("y_mm", "float64", ("N",), "mm", "world", "gripper's centre from the footprint's"),
-    ("z_mm", "float64", ("N",), "mm", "world", "height of the pad's centre"),
-    ("yaw_rad", "float64", ("N",), "rad", "world", "gripper's turn about z"),
-    ("seed", "int64", ("N",), "1", "", "seed of the grasp's random numbers"),
-    ("split", "S8", ("N",), "", "", "train or test"),
-    ("status", "S16", ("N",), "", "", "executed, unreachable, no_contact, crashed"),
-    ("label", "int8", ("N",), "1", "", "1 success, 0 failure, -1 not executed"),
-    ("failure_mode", "S24", ("N",), "", "", "translational_slip, rotational_slip"),
-    ("reason", f"S{MAX_REASON_BYTES}", ("N",), "", "", "why it was not executed"),
-    ("rise_mm", "float64", ("N",), "mm", "world", "how far the object rose"),
-    ("turn_rad", "float64", ("N",), "rad", "gripper", "how far it turned in the gripper"),
-    ("grasp_frame", "int32", ("N",), "1", "", "frame of the moment of grasp"),
-    ("margin_translational", "float64", ("N",), "weights", "", _TRANSLATIONAL),
-    ("margin_rotational", "float64", ("N",), "weights mm", "", _ROTATIONAL),
-    ("first_slip_time_s", "float64", ("N",), "s", "", "when it first slips; NaN where it does not"),
-    ("first_slip_direction", "float64", ("N", 2), "1", "gel", _SLIP_DIRECTION),
-    ("label_confidence", "float64", ("N",), "1", "", _CONFIDENCE),
-)
-_MAY_BE_NAN = (
-    "margin_translational",
-    "margin_rotational",
-    "first_slip_time_s",
-    "label_confidence",
-)
-_TACTILE: tuple[tuple[str, str, tuple[str | int, ...], str, str], ...] = (
-    ("rgb", "uint8", ("N", "T", "H", "W", 3), "grey level", "tactile images"),
-    ("reference", "uint8", ("H", "W", 3), "grey level", "the undeformed gel"),
-    ("depth_mm", "float16", ("N", "H", "W"), "mm", "indentation at the moment of grasp"),
-)
+_MOMENT = "moment of grasp, from closing on; NaN where none"
+_FOOTPRINT = "gripper's centre from the footprint's"
 _ON_GEL = "force of the object on the gel along the gel's x and y"
-_CONTACT: tuple[tuple[str, tuple[str | int, ...], str, str], ...] = (
-    ("force_normal_n", ("N", "T"), "N", "force into the gel"),
-    ("force_shear_n", ("N", "T", 2), "N", _ON_GEL),
-    ("indentation_mm", ("N", "T"), "mm", "indentation at the deepest point"),
-)
 _POSE = "x, y, z in mm and the quaternion x, y, z, w"
+_TIME = "time of the frames from closing on; that of the moment of grasp is taken then"
 
-GRASP_ARRAYS = tuple(
-    ArraySpec(f"/grasp/{name}", dtype, shape, unit, frame, text, nan=name in _MAY_BE_NAN)
-    for name, dtype, shape, unit, frame, text in _GRASP
+
+def _column(name: str, unit: str, frame: str, text: str, source: str = "", **how: Any) -> Field:
+    """An array with a value for each grasp."""
+    given = {"dtype": "float64", "axes": ("N",), "source": f"sample.{source or name}"} | how
+    return Field("grasp", name, unit=unit, frame=frame, description=text, **given)
+
+
+def _text(name: str, n_bytes: int, text: str, source: str = "") -> Field:
+    return _column(name, "", "", text, source, dtype=f"S{n_bytes}")
+
+
+def _of_pad(name: str, axes: tuple[str | int, ...], unit: str, text: str, **how: Any) -> Field:
+    """An array of each pad."""
+    given = {"group": "contact", "dtype": "float64", "source": f"pad.{name}"} | how
+    return Field(name=name, axes=axes, unit=unit, frame="gel", description=text, **given)
+
+
+_GREY: dict[str, Any] = {"dtype": "uint8", "image": True}
+FIELDS: tuple[Field, ...] = (
+    _column("index", "1", "", "number of the grasp in the dataset", "config.index", dtype="int64"),
+    _text("object", MAX_OBJECT_BYTES, "name of the object", "config.object"),
+    _column("force_n", "N", "", "commanded gripping force", "config.force_n"),
+    _column("x_mm", "mm", "world", _FOOTPRINT, "config.x_mm"),
+    _column("y_mm", "mm", "world", _FOOTPRINT, "config.y_mm"),
+    _column("z_mm", "mm", "world", "height of the pad's centre", "config.z_mm"),
+    _column("yaw_rad", "rad", "world", "gripper's turn about z", "config.yaw_rad"),
+    _column("seed", "1", "", "seed of the grasp's random numbers", dtype="int64"),
+    _text("split", 8, "train or test"),
+    _text("status", 16, "executed, unreachable, no_contact, crashed"),
+    _column("label", "1", "", "1 success, 0 failure, -1 not executed", dtype="int8"),
+    _text("failure_mode", 24, "translational_slip, rotational_slip"),
+    _text("reason", MAX_REASON_BYTES, "why it was not executed"),
+    _column("rise_mm", "mm", "world", "how far the object rose"),
+    _column("turn_rad", "rad", "gripper", "how far it turned in the gripper"),
+    _column("grasp_frame", "1", "", "frame taken at the moment of grasp", dtype="int32"),
+    _column("grasp_time_s", "s", "", _MOMENT, nan=True, newer=True),
+    _column(
+        "margin_translational", "weights", "", _TRANSLATIONAL, "margin.translational", nan=True
+    ),
+    _column("margin_rotational", "weights mm", "", _ROTATIONAL, "margin.rotational", nan=True),
+    _column("first_slip_time_s", "s", "", _SLIP, "margin.first_slip_time_s", nan=True),
+    _column(
+        *("first_slip_direction", "1", "gel", _SLIP_DIRECTION, "margin.first_slip_direction"),
+        axes=("N", 2),
+    ),
+    _column("label_confidence", "1", "", _CONFIDENCE, nan=True, newer=True),
+    _of_pad(
+        *("rgb", ("N", "T", "H", "W", 3), "grey level", "tactile images"),
+        **_GREY | {"group": "tactile", "noisy": True},
+    ),
+    _of_pad(
+        *("reference", ("H", "W", 3), "grey level", "the undeformed gel"),
+        **_GREY | {"group": "tactile", "source": "spec.reference_rgb"},
+    ),
+    _of_pad(
+        *("depth_mm", ("N", "H", "W"), "mm", "indentation at the moment of grasp"),
+        group="tactile",
+        dtype="float16",
+        image=True,
+        asked_by="depth",
+    ),
+    _of_pad("force_normal_n", ("N", "T"), "N", "force into the gel"),
+    _of_pad("force_shear_n", ("N", "T", 2), "N", _ON_GEL),
+    _of_pad("indentation_mm", ("N", "T"), "mm", "indentation at the deepest point"),
+    Field(
+        *("object", "pose", "float64", ("N", "T", 7), "mm; 1", "world", _POSE),
+        source="sample.object_pose",
+    ),
+    Field(
+        *("scene", "picture", "uint8", ("N", "h", "w", 3), "grey level", ""),
+        *("the scene from outside", "sample.picture", "picture_px"),
+        image=True,
+    ),
+    Field("", "time_s", "float64", ("T",), "s", "", _TIME, "spec.time_s"),
 )
-GRASP_NAMES = tuple(name for name, *_ in _GRASP)
-CONTACT_NAMES = tuple(name for name, *_ in _CONTACT)
+"""Every array of a shard, in the order in which they are written."""
+
+COLUMNS = tuple(field for field in FIELDS if field.group == "grasp")
+PAD_FIELDS = tuple(field for field in FIELDS if field.of == "pad")
+FRAME_FIELDS = tuple(f for f in PAD_FIELDS if f.axes[:2] == ("N", "T") and not f.noisy)
+"""Figures of each frame of a pad, (N, T, …)."""
+STATE_FIELDS = tuple(f for f in FRAME_FIELDS if f.axes in (("N", "T"), ("N", "T", 2)))
+"""Those that are numbers and vectors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The arrays of one dataset, and where each pad's stand.
-
-    Datasets collected before there was ``label_confidence`` are without ``confidence``.
-    """
+    """The arrays of one dataset, and where each pad's stand; it is without those ``absent``."""
 
     sensor: str
     pads: tuple[str, ...]
-    depth: bool
-    picture: bool
-    confidence: bool = True
+    absent: frozenset[str] = frozenset()
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """The fields that the dataset has."""
+        return tuple(field for field in FIELDS if field.name not in self.absent)
+
+    def path(self, field: Field, pad: str = "") -> str:
+        """Where a field stands, of one of the pads where each has one."""
+        one = len(self.pads) == 1
+        owner = ""
+        if field.is_of_pads and not (one and field.group == "contact"):
+            owner = self.sensor if one else f"{self.sensor}_{pad}"
+        return "/" + "/".join(part for part in (field.group, owner, field.name) if part)
 
     def tactile(self, pad: str, name: str) -> str:
-        """Path of ``rgb``, ``reference`` or ``depth_mm`` of a pad."""
-        return f"/tactile/{self._pad_name(pad)}/{name}"
+        """Path of an array of images of a pad, such as ``rgb``."""
+        return self.path(next(f for f in FIELDS if (f.group, f.name) == ("tactile", name)), pad)
 
-    def contact(self, pad: str, name: str) -> str:
-        """Path of ``force_normal_n``, ``force_shear_n`` or ``indentation_mm`` of a pad."""
-        group = "" if len(self.pads) == 1 else f"{self._pad_name(pad)}/"
-        return f"/contact/{group}{name}"
+    def placed(self) -> Iterator[tuple[Field, str, str]]:
+        """(field, pad, path) of every array, in the order in which they are written."""
+        for _, group in groupby(self.fields, key=lambda field: field.group):
+            fields = tuple(group)
+            for pad in self.pads if fields[0].is_of_pads else ("",):
+                yield from ((field, pad, self.path(field, pad)) for field in fields)
 
     def arrays(self) -> Iterator[ArraySpec]:
         """Every array, in the order in which it is written."""
-        yield from GRASP_ARRAYS if self.confidence else GRASP_ARRAYS[:-1]
-        for pad in self.pads:
-            for name, dtype, shape, unit, text in _TACTILE[: 3 if self.depth else 2]:
-                path, noisy = self.tactile(pad, name), name == "rgb"
-                yield ArraySpec(path, dtype, shape, unit, "gel", text, image=True, noisy=noisy)
-        for pad in self.pads:
-            for name, shape, unit, text in _CONTACT:
-                yield ArraySpec(self.contact(pad, name), "float64", shape, unit, "gel", text)
-        yield ArraySpec("/object/pose", "float64", ("N", "T", 7), "mm; 1", "world", _POSE)
-        if self.picture:
-            shape, text = ("N", "h", "w", 3), "the scene from outside"
-            yield ArraySpec("/scene/picture", "uint8", shape, "grey level", "", text, image=True)
-        yield ArraySpec("/time_s", "float64", ("T",), "s", "", "time of the frames from closing on")
-
-    def _pad_name(self, pad: str) -> str:
-        return self.sensor if len(self.pads) == 1 else f"{self.sensor}_{pad}"
+        for field, _, path in self.placed():
+            yield ArraySpec(
+                *(path, field.dtype, field.axes, field.unit, field.frame, field.description),
+                nan=field.nan,
+                image=field.image,
+                noisy=field.noisy,
+            )

@@ -19,13 +19,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import PADS
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
-from tacgen.dataset.schema import (
-    CONFIDENCE,
-    FORMAT_VERSION,
-    NOISE_AT_LOAD,
-    ArraySpec,
-    Layout,
-)
+from tacgen.dataset.schema import FIELDS, FORMAT_VERSION, NOISE_AT_LOAD, ArraySpec, Layout
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
 MAX_TEXT_BYTES = 256  # of a name or status; more is damage
@@ -135,7 +129,9 @@ def _checked(path: Path, file: h5py.File) -> Shard:
     if problems:
         _refuse(path, problems)
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
-    arrays.setdefault(CONFIDENCE, np.full(sizes["N"], np.nan))
+    for field in FIELDS:
+        if field.newer and field.name in layout.absent:
+            arrays[layout.path(field)] = np.full(sizes["N"], np.nan)
     recipe_sha256 = _text(file, "recipe_sha256")
     return Shard(path, file, layout, arrays, (start, stop), recipe_sha256, noise_grey)
 
@@ -165,9 +161,10 @@ def _layout_of(path: Path, file: h5py.File) -> Layout:
         _refuse(path, [f"format {version} is not {FORMAT_VERSION}, which this version reads"])
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
-    plain = Layout(sensor, names, depth=False, picture=False)
-    optional = (plain.tactile(names[0], "depth_mm"), "/scene/picture", CONFIDENCE)
-    return Layout(sensor, names, *(_array_at(file, path) is not None for path in optional))
+    whole = Layout(sensor, names)
+    optional = [field for field in FIELDS if field.asked_by or field.newer]
+    absent = {f.name for f in optional if _array_at(file, whole.path(f, names[0])) is None}
+    return Layout(sensor, names, frozenset(absent))
 
 
 def _text(file: h5py.File, name: str) -> str:
@@ -194,12 +191,18 @@ def _attribute(
 def _sizes_of(path: Path, file: h5py.File, layout: Layout, start: int, stop: int) -> dict[str, int]:
     """What the letters of the layout stand for here, within the limits."""
     name = layout.tactile(layout.pads[0], "rgb")
-    rgb, scene = _array_at(file, name), _array_at(file, "/scene/picture")
+    rgb = _array_at(file, name)
     if rgb is None or rgb.rank != 5:
         _refuse(path, [f"{name} is missing, or a link, or not of five axes"])
-    picture = scene.shape[1:3] if scene is not None and scene.rank == 4 else (0, 0)
-    sizes = dict(zip("NTHWhw", (*rgb.shape[:4], *picture), strict=True))
-    limits = {"N": MAX_GRASPS, "T": MAX_FRAMES} | dict.fromkeys("HWhw", MAX_SIDE_PX)
+    sizes = dict(zip("NTHW", rgb.shape, strict=False))
+    for array in layout.arrays():
+        found = _array_at(file, array.path)
+        if found is not None and found.rank == len(array.shape):
+            for letter, length in zip(array.shape, found.shape, strict=True):
+                sizes.setdefault(str(letter), length)
+    axes = {axis for array in layout.arrays() for axis in array.shape if isinstance(axis, str)}
+    sizes = {axis: sizes.get(axis, 0) for axis in sorted(axes)}
+    limits = dict.fromkeys(sizes, MAX_SIDE_PX) | {"N": MAX_GRASPS, "T": MAX_FRAMES}
     problems = [
         f"{k} = {sizes[k]} exceeds {limit}" for k, limit in limits.items() if sizes[k] > limit
     ]

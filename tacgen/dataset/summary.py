@@ -9,6 +9,7 @@ from typing import Any
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import write_text
+from tacgen.core.progress import print_status
 from tacgen.dataset.check import OUTCOME
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
@@ -22,7 +23,9 @@ def summarize(root: Path | str) -> dict[str, Any]:
 
     ``success_rate`` is over executed grasps, None where none was; ``ratio`` is the size of the
     arrays over that of the files; ``not_executed`` counts grasps by the reason why they could not
-    be executed, reasons that differ only in numbers as the first of them.
+    be executed, reasons that differ only in numbers as the first of them. ``inputs`` are the hashes
+    of all that the shards depend on, ``parts`` the grasps at first and those that each growth
+    added.
 
     Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
@@ -39,10 +42,17 @@ def summarize(root: Path | str) -> dict[str, Any]:
         for name, tally in line.objects.items():
             objects.setdefault(name, Counter(dict.fromkeys(OUTCOME.values(), 0))).update(tally)
     totals = {name: total(lines, name) for name in ("counts", "status", "failure_modes", "splits")}
-    same = ("recipe", "recipe_sha256", "sensor", "pads", "frames", "calibration", "versions")
+    same = ("recipe_sha256", "sensor", "pads", "frames", "calibration", "versions", "engine")
+    inputs = {role: digest for line in lines for role, digest in line.inputs.items()}
+    parts = Counter({line.part: 0 for line in lines})
+    for line in lines:
+        parts[line.part] += line.n_grasps
     return {
         "root": str(folder.root),
+        "recipe": plan.get("recipe", lines[0].recipe),
         **{name: getattr(lines[0], name) for name in same},
+        "inputs": dict(sorted(inputs.items())),
+        "parts": [parts[k] for k in sorted(parts)],
         "shards": len(lines),
         "shards_planned": plan.get("n_shards", len(lines)),
         "grasps": n_grasps,
@@ -102,10 +112,21 @@ def write_card(root: Path | str) -> Path:
     height, width = dataset.shape_px
     card = templates("tacgen.dataset", escaped=False).get_template("card.md")
     arrays, first = list(dataset.layout.arrays()), int(dataset.indices[0])
-    text = card.render(summary=summary, arrays=arrays, height=height, width=width, first=first)
+    inputs = summary["inputs"] or {"recipe": summary["recipe_sha256"], **summary["calibration"]}
+    text = card.render(
+        summary=summary, inputs=inputs, arrays=arrays, height=height, width=width, first=first
+    )
     dataset.close()
-    write_text(folder.card_path, text)
+    replace_page(folder.card_path, text)
     return folder.card_path
+
+
+def replace_page(path: Path, text: str) -> None:
+    """Write a page of a dataset; one that somebody else wrote is left as it is."""
+    if path.is_file() and "ade by tacgen" not in path.read_text(errors="replace"):
+        print_status(f"{path}: is not by tacgen, so it is left as it is")
+    else:
+        write_text(path, text)
 
 
 def _reasons(folder: DatasetFolder, lines: Iterable[ShardLine]) -> dict[str, int]:

@@ -11,6 +11,8 @@ from tacgen.core.files import sha256_of_content
 from tacgen.dataset import manifest
 from tacgen.dataset.check import byte_problems, content_problems
 from tacgen.dataset.folder import DatasetFolder
+from tacgen.dataset.inputs import changed_roles
+from tacgen.dataset.samples import shard_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +127,13 @@ def _plan_problems(
     """Where ``dataset.json`` or ``recipe.yaml`` differ from the shards."""
     problems = []
     size, n_grasps, name = plan["shard_size"], plan["n_grasps"], folder.plan_path.name
-    if plan["n_shards"] != -(-n_grasps // size):
+    parts = plan.get("parts", [n_grasps])
+    if plan["n_shards"] != sum(-(-part // size) for part in parts) or sum(parts) != n_grasps:
         reason = f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard"
         problems.append(Problem(name, reason))
+    odd: list[tuple[manifest.ShardLine, str]] = []
     for line in lines:
-        due = (line.shard * size, min(n_grasps, (line.shard + 1) * size))
+        due = shard_range(parts, size, line.shard)[1]
         recorded = {
             "recipe_sha256": line.recipe_sha256,
             "calibration": line.calibration,
@@ -137,14 +141,18 @@ def _plan_problems(
             "pads": list(line.pads),
             "tacgen_version": line.versions.get("tacgen"),
         }
-        differing = ["index_range"] if due != line.index_range else []
+        differing = ["index_range"] if (due.start, due.stop) != line.index_range else []
         differing += [key for key, there in recorded.items() if plan.get(key) != there]
-        if differing:
-            reason = f"differs from {line.file} in {', '.join(differing)}"
-            problems.append(Problem(name, reason))
-            break
+        differing += changed_roles(line.inputs, plan.get("inputs", {}))
+        odd += [(line, ", ".join(differing))] if differing else []
+    if odd and len(odd) == len(lines):  # the one file is wrong, rather than all of them
+        problems.append(Problem(name, f"differs from {odd[0][0].file} in {odd[0][1]}"))
+    else:
+        reason = f"was made with another %s than {name} says"
+        problems += [Problem(line.file, reason % what, line.shard) for line, what in odd]
     try:
-        if sha256_of_content(folder.recipe()) == plan.get("recipe_sha256"):
+        resolved = plan.get("resolved_sha256", plan.get("recipe_sha256"))
+        if sha256_of_content(folder.recipe()) == resolved:
             return problems
         reason = "is not the recipe that dataset.json is of"
     except RecipeError as error:

@@ -1,9 +1,6 @@
 """Writing one shard: a stream of grasps into one HDF5 file whose bytes depend on nothing else."""
 
-import contextlib
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,33 +13,14 @@ from tacgen.core.version import __version__
 from tacgen.dataset.check import Outcome, tally
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
+from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
-from tacgen.dataset.samples import DatasetSpec, GraspSample
-from tacgen.dataset.schema import (
-    CONTACT_NAMES,
-    FORMAT_VERSION,
-    MAX_REASON_BYTES,
-    NOISE_AT_LOAD,
-    Layout,
-)
+from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range
+from tacgen.dataset.schema import FORMAT_VERSION, NOISE_AT_LOAD, Field, Layout
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
-LIBRARIES = (
-    *("numpy", "scipy", "numba", "opencv-python-headless", "pybullet"),
-    *("mujoco", "h5py", "hdf5plugin", "zstandard"),
-)
 HOW_TO_READ = "Python: import hdf5plugin first (HDF5 filters 32026, Blosc2, and 32015, Zstandard)."
-
-
-@cache
-def library_versions() -> dict[str, str]:
-    """Versions of tacgen and of the libraries that the bytes of a shard depend on."""
-    versions = {"tacgen": __version__, "hdf5": h5py.version.hdf5_version}
-    for name in LIBRARIES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
-    return dict(sorted(versions.items()))
 
 
 def write_shard_file(
@@ -54,31 +32,28 @@ def write_shard_file(
     they fit is seen when the file is checked.
     """
     indices = spec.shard_range(shard)
-    layout = Layout(spec.sensor.name, spec.pads, spec.depth, spec.picture_px is not None)
-    lengths = (len(indices), len(spec.time_s), *spec.sensor.shape_px, *(spec.picture_px or (0, 0)))
-    sizes = dict(zip("NTHWhw", lengths, strict=True))
+    layout, sizes = spec.layout, spec.sizes(len(indices))
     outcomes: list[Outcome] = []
     with DiskFile(path) as disk:
         with h5py.File(disk, "w", libver=LIBRARY_VERSION) as file:
             _write_attributes(file, spec, indices)
             small = _create_arrays(file, layout, sizes)
-            noisy = {array.path for array in layout.arrays() if array.noisy}
             for row, (_, sample) in enumerate(zip(indices, samples, strict=True)):
                 outcome = (sample.label, sample.status, sample.failure_mode, sample.split)
                 outcomes.append((*outcome, sample.config.object))
-                for place, values in grasp_values(sample, layout):
-                    if place in small:
-                        small[place][row] = values
-                    elif place in noisy:
+                for field, place, values in _grasp_values(sample, layout):
+                    if field.noisy:
                         write_images(file[place], row, np.asarray(values))
+                    elif place in small:
+                        small[place][row] = values
                     else:
                         file[place][row] = values
                 disk.raise_failure()
-            small["/time_s"][:] = spec.time_s
             for place, values in small.items():
                 file[place][...] = values
-            for pad in spec.pads:
-                file[layout.tactile(pad, "reference")][...] = spec.reference_rgb
+            for field, _, place in layout.placed():
+                if field.of == "spec":
+                    file[place][...] = field.value(spec)
         disk.raise_failure()
     raw = sum(np.dtype(a.dtype).itemsize * int(np.prod(a.resolve(sizes))) for a in layout.arrays())
     return ShardLine(
@@ -94,40 +69,29 @@ def write_shard_file(
         sensor=spec.sensor.name,
         pads=spec.pads,
         frames=len(spec.time_s),
-        versions=library_versions(),
+        versions=library_versions(spec.inputs.engine),
+        inputs=spec.inputs.of_objects({name for *_, name in outcomes}),
+        engine=spec.inputs.engine,
+        part=shard_range(spec.part_sizes, spec.shard_size, shard)[0],
         **tally(outcomes),
     )
 
 
-def grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[str, object]]:
-    """(path, values) of everything that one grasp contributes; what it lacks stays zero."""
-    config, margin = sample.config, sample.margin
-    yield "/grasp/index", config.index
-    yield "/grasp/object", config.object.encode()
-    for name in ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad"):
-        yield f"/grasp/{name}", getattr(config, name)
-    for name in ("seed", "label", "rise_mm", "turn_rad", "grasp_frame"):
-        yield f"/grasp/{name}", getattr(sample, name)
-    for name in ("split", "status", "failure_mode"):
-        yield f"/grasp/{name}", getattr(sample, name).encode()
-    reason = sample.reason.encode()[:MAX_REASON_BYTES]
-    yield "/grasp/reason", reason.decode(errors="ignore").encode()
-    yield "/grasp/margin_translational", margin.translational if margin else np.nan
-    yield "/grasp/margin_rotational", margin.rotational if margin else np.nan
-    yield "/grasp/first_slip_time_s", margin.first_slip_time_s if margin else np.nan
-    yield "/grasp/label_confidence", sample.label_confidence
-    if margin:
-        yield "/grasp/first_slip_direction", margin.first_slip_direction
-    if sample.object_pose is not None:
-        yield "/object/pose", sample.object_pose
-    if layout.picture and sample.picture is not None:
-        yield "/scene/picture", sample.picture
-    for pad, recorded in sample.pads.items():
-        yield layout.tactile(pad, "rgb"), recorded.rgb
-        if layout.depth and recorded.depth_mm is not None:
-            yield layout.tactile(pad, "depth_mm"), recorded.depth_mm
-        for name in CONTACT_NAMES:
-            yield layout.contact(pad, name), getattr(recorded, name)
+def _grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[Field, str, Any]]:
+    """(field, path, values) of everything that one grasp contributes; what it lacks stays zero."""
+    for field, pad, path in sorted(layout.placed(), key=lambda placed: placed[0].of == "pad"):
+        owner = {"sample": sample, "pad": sample.pads.get(pad)}.get(field.of)
+        if owner is None:
+            continue
+        values = field.value(owner)
+        if isinstance(values, str):
+            # At a whole character: text of a fixed length in bytes.
+            fitting = values.encode()[: np.dtype(field.dtype).itemsize]
+            values = fitting.decode(errors="ignore").encode()
+        if values is None and field.nan:
+            values = np.nan
+        if values is not None:
+            yield field, path, values
 
 
 def _create_arrays(

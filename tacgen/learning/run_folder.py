@@ -10,7 +10,7 @@ import yaml
 from pydantic import BaseModel, Field, ValidationError
 
 from tacgen.core.errors import LearningError
-from tacgen.core.files import read_small_text, write_text
+from tacgen.core.files import read_small_text, refuse_foreign, write_text
 from tacgen.core.lock import holder_of, locked
 from tacgen.dataset.folder import differences
 from tacgen.learning.training_recipe import TrainRecipe
@@ -109,6 +109,7 @@ class RunFolder:
             if self.plan_path.is_file():
                 self._refuse_another(plan)
                 return True
+            refuse_foreign(self.root, self.plan_path.name, [self.recipe_path.name])
             write_text(self.recipe_path, yaml.safe_dump(dict(recipe), sort_keys=False))
             write_text(self.plan_path, json.dumps(dict(plan), indent=1))
         except OSError as error:

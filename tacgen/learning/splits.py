@@ -81,8 +81,12 @@ def unseen_tests(
     tests = table.split == "test"
     trained = {text for model in plan["models"].values() for text in model["configurations"]}
     seen = tests & np.array([text in trained for text in table.configurations()], bool)
-    recipe_sha256 = plan["dataset"].get("recipe_sha256")
-    if seen.any() and source.made_with is not None and source.made_with == recipe_sha256:
+    trained_on = plan["dataset"]
+    is_same = source.made_with is not None and source.made_with == trained_on.get("recipe_sha256")
+    if isinstance(source, SimulatedGrasps):  # the hash is of the recipe's settings alone
+        grids = source.identity()["grids_sha256"]
+        is_same &= trained_on.get("grids_sha256", grids) == grids
+    if seen.any() and is_same:
         first = min(table.take(np.flatnonzero(seen)).configurations())
         msg = (
             f"{where}: {int(seen.sum())} test configurations were trained on, such as {first}; "

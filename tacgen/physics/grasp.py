@@ -39,7 +39,7 @@ from tacgen.physics.margins import (
     torsion_factor,
     torsion_limit,
 )
-from tacgen.physics.recorder import Recorder, frame_end_steps
+from tacgen.physics.recorder import Recorder, frame_end_steps, frame_of_moment
 from tacgen.physics.robots import RobotSpec, load_robot
 from tacgen.physics.settings import (
     EngineChoice,
@@ -293,7 +293,11 @@ class _Grasp:
         if not (math.isfinite(rise_mm) and math.isfinite(turn_rad)):
             return self._not_executed("crashed", "the simulation became unstable; shorten its step")
         label = outcome.label_of(rise_mm, turn_rad, settings)
-        windows = [self.recorder.window(end) for end in self.frame_ends] or [list(grasped)]
+        windows = [self.recorder.window(end) for end in self.frame_ends]
+        moment = grasped[-1].step
+        frame = frame_of_moment(self.frame_ends, moment)
+        if len(windows) != 1:
+            windows[frame : frame + 1] = [list(grasped)]
         return GraspTrace(
             config=self.config,
             status="executed",
@@ -307,6 +311,8 @@ class _Grasp:
             turn_rad=turn_rad,
             margin=slip_margin(capacity, self.obj.mass_kg, *outcome.first_slip(motion, settings)),
             reason=self.note,
+            grasp_time_s=moment * settings.time_step_s,
+            grasp_frame=frame,
         )
 
     def _not_executed(self, status: Status, reason: str) -> GraspTrace:

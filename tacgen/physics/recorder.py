@@ -1,5 +1,6 @@
 """Advances the simulation and records snapshots at the wanted steps."""
 
+from bisect import bisect_right
 from collections.abc import Sequence
 
 from tacgen.physics.contacts import Placement, Snapshot
@@ -13,6 +14,14 @@ def frame_end_steps(request: FrameRequest, time_step_s: float) -> list[int]:
     if request.count == 1:
         return [last]
     return [round(last * k / (request.count - 1)) for k in range(request.count)]
+
+
+def frame_of_moment(frame_ends: Sequence[int], moment: int) -> int:
+    """The frame that is taken at the step ``moment`` instead of at its own: the last one before.
+
+    Not the first of a sequence, in which the gel is at rest.
+    """
+    return min(max(bisect_right(frame_ends, moment) - 1, 1), max(len(frame_ends) - 1, 0))
 
 
 class Recorder:

@@ -152,7 +152,8 @@ class FrameRequest:
 
     ``single``: one frame at the moment of grasp, when the force has reached the command and is
     steady. ``sequence``: ``count`` frames over ``span_s`` from the moment the fingers start to
-    close, the first at 0 and the last at its end.
+    close, the first at 0 and the last at its end; the one before the moment of grasp is taken at
+    that moment. A sequence of one frame is the one at the end.
     """
 
     mode: Literal["single", "sequence"] = "single"

@@ -59,7 +59,7 @@ def calibration_grasps(recipe: Recipe, folder: Path) -> RealGrasps:
     Raises ``TacgenError`` if an object has none, or one asks for more force than the gripper has.
     """
     found = read_real_grasps(folder)
-    wanted = {entry.name for entry in recipe.objects}
+    wanted = {entry.object_name for entry in recipe.objects}
     missing = wanted - set(found.by_object())
     if missing:
         fix = "add some to calibrate their friction, or take the objects out of the study"

@@ -153,7 +153,7 @@ class _StudyRun:
         result: dict[str, Any] = {
             "name": row.name,
             "published": row.published.model_dump(),
-            "objects": [entry.name for entry in recipe.objects],
+            "objects": [entry.object_name for entry in recipe.objects],
             "kind": training.model.kind,
             "contact_law": recipe.contact.law,
             "input_px": list(training.input.size_px),
@@ -209,5 +209,5 @@ def _title(name: object, quick: bool) -> str:
 
 def _with_friction(recipe: Recipe, friction: Mapping[str, Any]) -> Recipe:
     fitted = {name: {"friction": fit["mu"]} for name, fit in friction.items()}
-    objects = [one.model_copy(update=fitted.get(one.name, {})) for one in recipe.objects]
+    objects = [one.model_copy(update=fitted.get(one.object_name, {})) for one in recipe.objects]
     return recipe.model_copy(update={"objects": tuple(objects)})

@@ -14,7 +14,7 @@ from tacgen.dataset import Dataset
 from tacgen.dataset.manifest import parse_line
 from tacgen.dataset.verify import verify
 
-from .conftest import collect_toy, make_spec, vouch_for
+from .conftest import collect_toy, make_sample, make_spec, vouch_for
 
 
 def reasons(root) -> str:
@@ -236,3 +236,30 @@ def test_lines_that_lie_are_refused(toy, change):
     line = json.loads(toy.manifest_path.read_text().splitlines()[0]) | change
     with pytest.raises(DatasetError, match=next(iter(change))):
         parse_line(json.dumps(line), "manifest.jsonl:1")
+
+
+def test_a_plan_of_another_version_is_neither_sound_nor_replaced(toy, spec):
+    plan = json.loads(toy.plan_path.read_text()) | {"schema": 2}
+    toy.plan_path.write_text(json.dumps(plan))
+    assert any("schema 2 is of another version" in p.reason for p in verify(toy.root).problems)
+    with pytest.raises(DatasetError, match="schema 2 is of another version"):
+        toy.prepare(spec)
+    assert json.loads(toy.plan_path.read_text()) == plan
+
+
+@pytest.mark.parametrize("of_version", [True, False])
+def test_what_verify_finds_of_a_shard_is_what_a_repair_makes_again(toy, spec, of_version):
+    if of_version:
+        line = json.loads(toy.line_path(1).read_text())
+        line["versions"]["tacgen"] = "0.0.1"
+        toy.line_path(1).write_text(json.dumps(line))
+    else:
+        for path in (toy.shard_path, toy.line_path):
+            path(1).write_bytes(path(0).read_bytes())
+    toy.manifest_path.unlink()
+    assert verify(toy.root).bad_shards == (1,)
+    with toy.claim(1, redo=True) as mine:
+        assert mine
+        toy.write_shard(1, (make_sample(i, spec) for i in spec.shard_range(1)), spec)
+    toy.merge()
+    assert not verify(toy.root).problems

@@ -14,7 +14,7 @@ from tacgen.collection import perturbed
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import RecipeError
-from tacgen.core.files import write_text
+from tacgen.core.files import refuse_foreign, write_text
 from tacgen.core.resources import find_object_folder
 from tacgen.dataset.real_grasps import RealGrasps
 
@@ -98,6 +98,7 @@ def sweep_friction(
     Finished simulations are kept in ``out/outcomes.jsonl``; an interrupted sweep goes on from them.
     Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
+    refuse_foreign(out, perturbed.OUTCOMES, ("friction.json", "report.html", "objects"))
     perturbed.check_forces(recipe, real)
     changes = {mu: perturbed.Perturbation(friction=mu) for mu in mu_values}
     wanted = [(grasp.config, change) for grasp in real.grasps for change in changes.values()]
@@ -150,11 +151,17 @@ def mu_range(text: str) -> tuple[float, ...]:
     return tuple(round(start + k * step, 9) for k in range(count))
 
 
-def write_object_copies(fits: Mapping[str, FrictionFit], folder: Path) -> None:
-    """Copy each object's folder into ``folder`` with its friction replaced by the fitted one."""
+def write_object_copies(
+    fits: Mapping[str, FrictionFit], folder: Path, recipe: Recipe | None = None
+) -> None:
+    """Copy each object's folder into ``folder`` with its friction replaced by the fitted one.
+
+    Objects beside the ``recipe`` are found too.
+    """
     for name, fit in fits.items():
         target = folder / name
-        shutil.copytree(find_object_folder(name), target, dirs_exist_ok=True)
+        source = recipe.entry_of(name).object_folder() if recipe else find_object_folder(name)
+        shutil.copytree(source, target, dirs_exist_ok=True)
         path = target / "object.yaml"
         low, high = fit.interval
         content = yaml.safe_load(path.read_text(encoding="utf-8"))

@@ -1,47 +1,34 @@
 """Export to the formats of other tools.
 
-A format is a function that writes some grasps of a dataset into a new folder; it is entered in
-``FORMATS``.
+A format is a module of this folder, ``real_grasps`` that of ``--format real-grasps``. Its function
+``write`` takes the dataset, the chosen grasps (a row each: index, object, label, split, …) and an
+empty folder, and returns a few words on what it wrote; one that can do without images takes
+``images`` too.
 """
 
-from collections.abc import Callable, Mapping
+import inspect
 from functools import partial
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 import pandas as pd
 
 from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.files import atomic_folder
-from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset.disk import disk_errors
-from tacgen.dataset.export.real_grasps import write_images, write_real_grasps
-from tacgen.dataset.export.robomimic import write_robomimic
-from tacgen.dataset.export.webdataset import write_webdataset
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.schema import SPLITS
 
-Writer = Callable[[Dataset, pd.DataFrame, Path], str]
-"""Takes the dataset, the chosen grasps (a row each: index, object, label, split, …) and an empty
-folder; returns a few words on what it wrote."""
-
-
-def write_lerobot(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
-    """Write each of the chosen grasps as an episode; needs the extra ``parquet``."""
-    require_extra("parquet", "--format lerobot needs", DatasetError)
-    from tacgen.dataset.export import lerobot
-
-    return lerobot.write_lerobot(dataset, grasps, folder)
-
-
-FORMATS: Mapping[str, Writer] = {
-    "lerobot": write_lerobot,
-    "images": write_images,
-    "webdataset": write_webdataset,
-    "robomimic": write_robomimic,
-    "real-grasps": write_real_grasps,
-}
+_USUAL = ("lerobot", "images", "webdataset", "robomimic", "real-grasps")  # first in messages
+FORMATS = tuple(
+    sorted(
+        (module.name.replace("_", "-") for module in iter_modules(__path__)),
+        key=lambda name: _USUAL.index(name) if name in _USUAL else len(_USUAL),
+    )
+)
 
 
 def export_dataset(
@@ -62,12 +49,12 @@ def export_dataset(
     """
     require_known("--format", format_name, FORMATS, DatasetError)
     require_known("--split", split or "train", SPLITS, DatasetError)
-    writer = FORMATS[format_name]
+    writer = import_module(f"{__name__}.{format_name.replace('-', '_')}").write
     if not images:
-        if writer is not write_real_grasps:
+        if "images" not in inspect.signature(writer).parameters:
             msg = f"--no-images: {format_name} always holds images; use --format real-grasps"
             raise DatasetError(msg)
-        writer = partial(write_real_grasps, images=False)
+        writer = partial(writer, images=False)
     with disk_errors(Path(out)), atomic_folder(Path(out)) as folder:
         dataset = Dataset(root)
         grasps, not_executed = _chosen(dataset, split)

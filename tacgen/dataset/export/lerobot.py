@@ -13,21 +13,25 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from tacgen.core.errors import DatasetError
 from tacgen.core.images import encode_png
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import SPLITS
+from tacgen.dataset.samples import GraspSample, frame_columns
+from tacgen.dataset.schema import SPLITS, STATE_FIELDS
+
+require_extra("parquet", "--format lerobot needs", DatasetError)
+import pyarrow as pa  # noqa: E402
+import pyarrow.parquet as pq  # noqa: E402
 
 CODEBASE_VERSION = "v3.0"
 CHUNKS_SIZE, DATA_FILES_SIZE_MB, VIDEO_FILES_SIZE_MB = 1000, 100, 200
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 POSE = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
-CONTACT_STATE = ("force_normal_n", "force_shear_x_n", "force_shear_y_n", "indentation_mm")
+CONTACT_STATE = tuple(name for field in STATE_FIELDS for name in field.column_names)
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _GREY = np.arange(256) / 255.0
 _SCALARS = {
@@ -45,7 +49,7 @@ _SCALARS = {
 Features = Mapping[str, Mapping[str, Any]]
 
 
-def write_lerobot(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
+def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     """Write each of the chosen grasps as an episode."""
     features = _features(dataset)
     export = _Export(dataset, folder, features, _schema(features))
@@ -190,6 +194,8 @@ class _Export:
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
             "grasp_index": sample.config.index,
+            "grasp_frame": sample.grasp_frame,
+            "grasp_time_s": sample.grasp_time_s,
             "split": sample.split,
             "failure_mode": sample.failure_mode,
         }
@@ -197,10 +203,7 @@ class _Export:
 
     def _values(self, sample: GraspSample) -> dict[str, NDArray[Any]]:
         n_frames, pads = self.dataset.n_frames, sample.pads.items()
-        contact = [
-            np.column_stack([pad.force_normal_n, pad.force_shear_n, pad.indentation_mm])
-            for _, pad in pads
-        ]
+        contact = [np.column_stack(list(frame_columns(pad).values())) for _, pad in pads]
         last = np.arange(n_frames) == n_frames - 1
         asked = [getattr(sample.config, name) for name in ACTION]
         return {_image_name(self.dataset, name): pad.rgb for name, pad in pads} | {
@@ -208,7 +211,7 @@ class _Export:
             "observation.environment_state": np.asarray(sample.object_pose),
             "action": np.tile(asked, (n_frames, 1)),
             "label": np.full(n_frames, sample.label),
-            "time_s": self.dataset.time_s,
+            "time_s": self.dataset.times_s(sample.config.index),
             "next.done": last,
             "next.success": last & (sample.label == 1),
         }
@@ -242,7 +245,7 @@ class _Export:
         sides = {"train": (0, n_train), "test": (n_train, n_episodes)}
         info = {
             "codebase_version": CODEBASE_VERSION,
-            "robot_type": "wsg50",
+            "robot_type": self.dataset.robot,
             "total_episodes": n_episodes,
             "total_frames": n_frames,
             "total_tasks": len(self.tasks),

@@ -7,7 +7,6 @@ do, and how the grasp ended. ``about.json`` states that the grasps are simulated
 import json
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from tacgen.core.files import write_text
@@ -19,9 +18,7 @@ NOTE = "Simulated by tacgen, written in the format of real grasps. Not real."
 COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode")
 
 
-def write_real_grasps(
-    dataset: Dataset, grasps: pd.DataFrame, folder: Path, *, images: bool = True
-) -> str:
+def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path, *, images: bool = True) -> str:
     """Write the chosen grasps as a folder of real grasps."""
     table = grasps[list(COLUMNS)].copy()
     table.insert(0, "grasp_id", [grasp_id(int(index)) for index in grasps["index"]])
@@ -36,32 +33,6 @@ def write_real_grasps(
             for k, frame in enumerate(dataset.rgb(index)):
                 (place / f"{k}.png").write_bytes(encode_png(frame))
     return f"{len(grasps)} simulated grasps in the format of real ones"
-
-
-def write_images(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
-    """Write PNG images and ``grasps.csv``, with depth and forces of the first pad.
-
-    ``images/<grasp_id>/<k>.png`` are the first pad's frames, ``contact/<grasp_id>.csv`` the forces
-    of its frames, ``depth/<grasp_id>.npy`` (H, W) float32, mm, its indentation where the dataset
-    has it.
-    """
-    write_real_grasps(dataset, grasps, folder)
-    (folder / "contact").mkdir()
-    for index in map(int, grasps["index"]):
-        pad = dataset.read(index).pads[dataset.pads[0]]
-        name = grasp_id(index)
-        forces = {
-            "time_s": dataset.time_s,
-            "force_normal_n": pad.force_normal_n,
-            "force_shear_x_n": pad.force_shear_n[:, 0],
-            "force_shear_y_n": pad.force_shear_n[:, 1],
-            "indentation_mm": pad.indentation_mm,
-        }
-        pd.DataFrame(forces).to_csv(folder / "contact" / f"{name}.csv", index=False)
-        if pad.depth_mm is not None:
-            (folder / "depth").mkdir(exist_ok=True)
-            np.save(folder / "depth" / f"{name}.npy", pad.depth_mm.astype(np.float32))
-    return f"{len(grasps)} grasps as PNG and CSV"
 
 
 def grasp_id(index: int) -> str:

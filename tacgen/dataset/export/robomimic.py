@@ -15,13 +15,13 @@ import pandas as pd
 from tacgen.dataset.export.lerobot import ACTION
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import CONTACT_NAMES
+from tacgen.dataset.schema import FRAME_FIELDS
 
 FILE = "grasps.hdf5"
 MASKS = {"train": "train", "valid": "test"}  # robomimic's name of each split of the recipe
 
 
-def write_robomimic(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
+def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     """Write each of the chosen grasps as a demonstration into ``grasps.hdf5``.
 
     The action of every frame is the grasp's configuration, (T, 5): force_n, x_mm, y_mm, z_mm,
@@ -49,7 +49,8 @@ def _write_demo(demo: h5py.Group, sample: GraspSample) -> None:
     configuration = [getattr(sample.config, name) for name in ACTION]
     rewards, dones = np.zeros(count), np.zeros(count, np.int64)
     rewards[-1], dones[-1] = sample.label, 1
-    demo.attrs.update({"num_samples": count, "object": sample.config.object})
+    moment = {"grasp_frame": sample.grasp_frame, "grasp_time_s": sample.grasp_time_s}
+    demo.attrs.update({"num_samples": count, "object": sample.config.object, **moment})
     demo["actions"] = np.tile(np.array(configuration), (count, 1))
     demo["rewards"], demo["dones"] = rewards, dones
     observed = demo.create_group("obs")
@@ -57,8 +58,8 @@ def _write_demo(demo: h5py.Group, sample: GraspSample) -> None:
     for pad, frames in sample.pads.items():
         options = {"chunks": (1, *frames.rgb.shape[1:]), "compression": "gzip"}
         observed.create_dataset(f"{pad}_rgb", data=frames.rgb, **options)
-        for name in CONTACT_NAMES:
-            observed[f"{pad}_{name}"] = getattr(frames, name)
+        for field in FRAME_FIELDS:
+            observed[f"{pad}_{field.name}"] = field.value(frames)
         if frames.depth_mm is not None:
             # Of the moment of grasp: not one a frame, so it stands beside the observations.
             demo[f"depth_mm/{pad}"] = frames.depth_mm

@@ -18,13 +18,14 @@ from tacgen.core.images import encode_png
 from tacgen.dataset.export.real_grasps import grasp_id
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
+from tacgen.dataset.schema import PAD_FIELDS
 
 GRASPS_PER_TAR = 1000
 """At 4 images of 100 kB a grasp about 400 MB, WebDataset's recommended order of size."""
 COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode", "split")
 
 
-def write_webdataset(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
+def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     """Write the chosen grasps as ``grasps-000000.tar`` …"""
     count = 0
     for start in range(0, len(grasps), GRASPS_PER_TAR):
@@ -40,17 +41,16 @@ def write_webdataset(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> st
 
 
 def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, bytes]]:
-    about = {"grasp_frame": sample.grasp_frame, **row}
+    moment = None if np.isnan(sample.grasp_time_s) else sample.grasp_time_s
+    about = {"grasp_frame": sample.grasp_frame, "grasp_time_s": moment, **row}
     yield "json", json.dumps(about, default=lambda value: value.item()).encode()
     yield "object_pose.npy", _npy(np.asarray(sample.object_pose))
     for pad, frames in sample.pads.items():
         for k, rgb in enumerate(frames.rgb):
             yield f"{pad}.{k}.png", encode_png(rgb)
-        yield f"{pad}.force_normal_n.npy", _npy(frames.force_normal_n)
-        yield f"{pad}.force_shear_n.npy", _npy(frames.force_shear_n)
-        yield f"{pad}.indentation_mm.npy", _npy(frames.indentation_mm)
-        if frames.depth_mm is not None:
-            yield f"{pad}.depth_mm.npy", _npy(frames.depth_mm)
+        for field in PAD_FIELDS:
+            if not field.noisy and (values := field.value(frames)) is not None:
+                yield f"{pad}.{field.name}.npy", _npy(values)
 
 
 def _npy(array: np.ndarray[Any, np.dtype[Any]]) -> bytes:

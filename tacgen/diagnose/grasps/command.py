@@ -11,9 +11,10 @@ import pandas as pd
 import yaml
 
 from tacgen.collection import perturbed
+from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.core.files import write_text
+from tacgen.core.files import refuse_foreign, sha256_of, write_text
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.force_from_images import force_from_images
 from tacgen.diagnose.grasps.model_comparison import (
@@ -65,6 +66,8 @@ def diagnose_grasps(
 
     Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
+    results = ("diagnosis.json", "recipe.yaml", "next_grasps.csv", "report.html")
+    refuse_foreign(out, perturbed.OUTCOMES, results)
     perturbed.check_forces(recipe, real)
     configs = tuple(grasp.config for grasp in real.grasps)
     simulations = PerturbedSimulations(recipe, configs, out, workers, show)
@@ -95,7 +98,11 @@ def diagnose_grasps(
         propose_grasps(simulations, rivals_of(found)),
         extended_recipe(recipe, found.found, names),
     )
-    _write(findings, record_of(findings, recipe, names), out)
+    inputs = {
+        "grasps": sha256_of(real.folder / "grasps.csv"),
+        **recipe_inputs(recipe, names).sha256,
+    }
+    _write(findings, record_of(findings, recipe, names) | {"inputs": inputs}, out)
     return findings
 
 
@@ -107,24 +114,27 @@ def extended_recipe(recipe: Recipe, found: Sequence[Cause], objects: Sequence[st
     """
     if not found:
         return recipe
-    names = dict.fromkeys([*(entry.name for entry in recipe.objects), *objects])
+    names = dict.fromkeys([*(entry.object_name for entry in recipe.objects), *objects])
     entries = [
-        perturbed.perturbed_entry(
-            perturbed.declared_entry(recipe, name), combined_perturbation(found, name)
-        )
+        perturbed.perturbed_entry(recipe.entry_of(name), combined_perturbation(found, name))
         for name in names
     ]
     before = recipe.physics_settings
     after = perturbed.perturbed_settings(before, combined_perturbation(found, ""))
-    content = recipe.resolved()
-    content["name"] = f"{recipe.name}_extended"
-    content["objects"] = [entry.model_dump(mode="json") for entry in entries]
-    content["physics"] |= {
-        field.name: getattr(after, field.name)
-        for field in fields(after)
-        if getattr(after, field.name) != getattr(before, field.name)
-    }
-    return Recipe.model_validate(content)
+    return recipe.model_copy(
+        update={
+            "name": f"{recipe.name}_extended",
+            "objects": tuple(entries),
+            "physics": replace(
+                recipe.physics,
+                **{
+                    field.name: getattr(after, field.name)
+                    for field in fields(after)
+                    if getattr(after, field.name) != getattr(before, field.name)
+                },
+            ),
+        }
+    )
 
 
 def refine(
@@ -150,9 +160,7 @@ def labels_of(grasps: Sequence[RealGrasp]) -> Labels:
 
 def record_of(findings: GraspFindings, recipe: Recipe, objects: Sequence[str]) -> dict[str, Any]:
     """The content of ``diagnosis.json``."""
-    declared = {
-        name: perturbed.recipe_object(perturbed.declared_entry(recipe, name)) for name in objects
-    }
+    declared = {name: perturbed.recipe_object(recipe.entry_of(name)) for name in objects}
     record = diagnosis_record(findings.diagnosis, declared)
     channel = record["channels"]["grasp"]
     wrong = findings.simulated_after != findings.diagnosis.real
@@ -195,7 +203,7 @@ def _notes(recipe: Recipe, real: RealGrasps, declared: Sequence[perturbed.Outcom
             f"{len(real.grasps)} grasps only: they show a large error of the simulation, not a "
             "small one; 20 to 40 grasps near the thresholds do"
         )
-    known = {entry.name for entry in recipe.objects}
+    known = {entry.object_name for entry in recipe.objects}
     notes += [
         f"the recipe does not name {name}; it is accepted as its object.yaml declares it"
         for name in real.by_object()

@@ -6,6 +6,7 @@ one is compared with simulated images of the same grasp at several forces.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.collection.grid import PlannedGrasp
-from tacgen.collection.perturbed import declared_entry
-from tacgen.collection.pipeline import GraspPipeline, dataset_spec
+from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import Randomize, Recipe
 from tacgen.core.arrays import FloatArray
 from tacgen.core.safe_io import read_bgr
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
 from tacgen.diagnose.grasps.rules import RULES
+from tacgen.sensor.tactile_pad import Imprint
 
 Image = NDArray[np.uint8]
 
@@ -70,8 +71,8 @@ def imprint_strengths(
     simulated = np.full((len(grasps), len(RULES.image_forces)), np.nan)
     for column, factor in enumerate(RULES.image_forces):
         world = _at_force(recipe, grasps, factor)
-        untouched = dataset_spec(world, len(grasps)).reference_rgb
-        names = [entry.name for entry in world.objects]
+        untouched = tactile_pad(world).image(Imprint())
+        names = [entry.object_name for entry in world.objects]
         with GraspPipeline(world) as pipeline:
             for row, grasp in enumerate(grasps):
                 entry = names.index(grasp.config.object)
@@ -126,18 +127,19 @@ def _measured(grasp: RealGrasp, folder: Path, moment: int | None, expected: Imag
 
 def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Recipe:
     """The recipe at another delivered force, without noise, naming every object."""
-    content = recipe.resolved()
-    known = {entry.name for entry in recipe.objects}
-    content["objects"] += [
-        declared_entry(recipe, name).model_dump(mode="json")
-        for name in dict.fromkeys(grasp.config.object for grasp in grasps)
-        if name not in known
-    ]
-    content["physics"]["delivered_force_scale"] *= factor
-    content["optics"]["noise"] = False
-    content["dataset"]["scene_pictures"] = False
-    content["randomize"] = Randomize().model_dump(mode="json")
-    return Recipe.model_validate(content)
+    names = dict.fromkeys(entry.object_name for entry in recipe.objects)
+    names |= dict.fromkeys(grasp.config.object for grasp in grasps)
+    physics = recipe.physics
+    force_scale = physics.delivered_force_scale * factor
+    return recipe.model_copy(
+        update={
+            "objects": tuple(map(recipe.entry_of, names)),
+            "physics": replace(physics, delivered_force_scale=force_scale),
+            "optics": recipe.optics.model_copy(update={"noise": False}),
+            "dataset": recipe.dataset.model_copy(update={"scene_pictures": False}),
+            "randomize": Randomize(),
+        }
+    )
 
 
 def _read(path: Path) -> Image | None:

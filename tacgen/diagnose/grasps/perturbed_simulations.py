@@ -16,7 +16,6 @@ from tacgen.collection.perturbed import (
     Key,
     Outcome,
     Perturbation,
-    declared_entry,
     perturbed_settings,
     place_of,
     recipe_object,
@@ -167,7 +166,7 @@ class PerturbedSimulations:
         for candidate in candidates_for(objects):
             parameter = candidate.parameter
             if parameter.limits is not None:
-                grasped = [recipe_object(declared_entry(self.recipe, n)) for n in candidate.objects]
+                grasped = [recipe_object(self.recipe.entry_of(n)) for n in candidate.objects]
                 lows, highs = zip(*map(parameter.limits, grasped), strict=True)
                 nodes = tuple(node for node in parameter.nodes if max(lows) <= node <= min(highs))
                 if len(nodes) < 2:

@@ -1,0 +1,133 @@
+"""The moment of grasp is the physics' own: whatever frames are kept, and whatever comes later."""
+
+import json
+import tarfile
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.pipeline import GraspPipeline, frame_times_s
+from tacgen.collection.recipe import load_recipe
+from tacgen.collection.run import collect
+from tacgen.core.records import ContactFrame
+from tacgen.dataset import Dataset
+from tacgen.dataset.export import export_dataset
+from tacgen.dataset.samples import frame_times_s as times_of
+from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
+from tacgen.physics.recorder import frame_end_steps, frame_of_moment
+from tests.physics.conftest import block, grasp
+from tests.small_world import SHORT_LIFT, write_world
+
+ENGINES = ("pybullet", "mujoco")
+REQUESTS = (
+    FrameRequest("sequence", 24, 3.0),
+    FrameRequest("sequence", 5, 3.0),
+    FrameRequest("sequence", 2, 3.0),
+    FrameRequest("sequence", 6, 0.3),  # ends before the moment of grasp
+)
+
+
+def same(one: ContactFrame, other: ContactFrame) -> bool:
+    values = [
+        np.hstack([f.time_s, f.force_normal_n, f.force_shear_n, f.torsion_n_mm])
+        for f in (one, other)
+    ]
+    return np.array_equal(*values) and np.array_equal(one.pose_gel_object, other.pose_gel_object)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("force_n", "label"), [(8.0, 1), (1.5, 0)])
+def test_every_mode_has_the_same_frame_at_the_moment_of_grasp(engine, force_n, label):
+    obj, settings = block(mass_kg=0.3, friction=0.5), PhysicsSettings(engine=engine, **SHORT_LIFT)
+    with GraspSimulator("wsg50", engine) as simulator:
+        single, *sequences = (
+            grasp(simulator, obj, force_n=force_n, settings=settings, frames=request)
+            for request in (FrameRequest(), *REQUESTS)
+        )
+    assert single.label == label
+    (wanted,) = single.frames["left"]
+    assert wanted.time_s == pytest.approx(single.grasp_time_s)
+    assert wanted.force_normal_n == pytest.approx(force_n, rel=0.02)
+    for trace, request in zip(sequences, REQUESTS, strict=True):
+        frames = trace.frames["left"]
+        assert same(frames[trace.grasp_frame], wanted)
+        assert trace.grasp_time_s == single.grasp_time_s
+        assert len(frames) == len(trace.object_pose) == request.count
+        times_s = np.array([frame.time_s for frame in frames])
+        assert (np.diff(times_s) > 0).all()
+        # The gel is at rest in the first, and every other is at its own time.
+        assert (times_s[0], frames[0].force_normal_n) == (0.0, 0.0)
+        planned_s = np.linspace(0.0, request.span_s, request.count)
+        stored_s = times_of(planned_s, trace.grasp_frame, trace.grasp_time_s)
+        np.testing.assert_allclose(times_s, stored_s, atol=settings.time_step_s)
+
+
+def test_it_is_the_last_frame_before_the_moment_but_not_the_first():
+    ends = frame_end_steps(FrameRequest("sequence", 4, 3.0), 0.01)
+    assert ends == [0, 100, 200, 300]
+    assert [frame_of_moment(ends, at) for at in (30, 100, 199, 200, 250, 400)] == [1, 1, 1, 2, 2, 3]
+    assert [frame_of_moment(short, 30) for short in ([], [300])] == [0, 0]
+
+
+def test_a_sequence_of_one_frame_states_its_time(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    frames = "{mode: sequence, count: 1, span_s: 2.0}"
+    recipe = load_recipe(write_world(tmp_path, frames=frames, grid="{force_n: 25, z_mm: 90}"))
+    planned = plan_recipe(recipe)[0]
+    with GraspPipeline(recipe) as pipeline:
+        trace = pipeline.simulate(planned).trace
+        sample = pipeline.sample(planned)
+    times_s = np.array(frame_times_s(recipe))
+    assert times_s == pytest.approx([frame.time_s for frame in trace.frames["left"]])
+    assert sample.grasp_time_s < times_s[0]
+    np.testing.assert_array_equal(
+        times_of(times_s, sample.grasp_frame, sample.grasp_time_s), times_s
+    )
+
+
+@pytest.mark.slow
+def test_a_dataset_states_the_moment_and_uses_it_everywhere(tmp_path, monkeypatch):
+    """Of a sequence, the frame of the moment is the image, depth and force of a single one."""
+    monkeypatch.chdir(tmp_path)
+    sections = {
+        "grid": "{force_n: [3, 25, 0.4], y_mm: [0], z_mm: [60, 500]}",
+        "optics": "{noise: false}",
+        "dataset": "{shard_size: 2, depth: true}",
+    }
+    found = {}
+    for mode in ("single", "sequence"):
+        frames = f"{{mode: {mode}, count: 12}}"
+        recipe = load_recipe(write_world(tmp_path, frames=frames, **sections))
+        collect(recipe, tmp_path / mode, progress=False)
+        found[mode] = Dataset(tmp_path / mode)
+    single, sequence = found.values()
+    columns = sequence.columns()
+    executed = columns["index"][columns["label"] >= 0]
+    assert 0 < len(executed) < len(sequence)
+    assert np.isnan(columns["grasp_time_s"]).tolist() == (columns["label"] < 0).tolist()
+    for index in map(int, executed):
+        one, other = single.read(index), sequence.read(index)
+        frame = other.grasp_frame
+        assert one.grasp_time_s == other.grasp_time_s
+        assert sequence.times_s(index)[frame] == single.times_s(index)[0] == one.grasp_time_s
+        np.testing.assert_array_equal(one.pads["left"].rgb[0], other.pads["left"].rgb[frame])
+        np.testing.assert_array_equal(one.pads["left"].depth_mm, other.pads["left"].depth_mm)
+        forces_n = [s.pads["left"].force_normal_n[k] for s, k in ((one, 0), (other, frame))]
+        assert forces_n[0] == forces_n[1]
+        # Not later than the moment: the force has only just become steady.
+        assert sequence.time_s[frame] <= one.grasp_time_s
+    for name in ("images", "webdataset", "lerobot", "robomimic"):
+        export_dataset(sequence.root, tmp_path / name, name)
+    first, row = int(executed[0]), sequence.read(int(executed[0]))
+    table = pd.read_csv(tmp_path / f"images/contact/g{first:05d}.csv")
+    np.testing.assert_allclose(table["time_s"], sequence.times_s(first))
+    with tarfile.open(tmp_path / "webdataset/grasps-000000.tar") as archive:
+        about = json.loads(archive.extractfile(f"g{first:05d}.json").read())
+    assert (about["grasp_frame"], about["grasp_time_s"]) == (row.grasp_frame, row.grasp_time_s)
+    torch = pytest.importorskip("torch")
+    images, _ = sequence.torch(frames="grasp")[0]
+    expected = single.torch(frames="grasp")[0][0]
+    assert torch.equal(images, expected)
