@@ -240,6 +240,7 @@ def _images_of(folder: PressFolder) -> PressImages:
         dome_radius_mm=folder.dome_radius_mm,
         sensor=folder.sensor,
         stage_mm=np.column_stack([folder.numbers(name) for name in STAGE]),
+        trial=folder.numbers("trial"),
         dot_pitch_mm=folder.dot_pitch_mm,
         warnings=tuple(similar_columns(folder.table.columns, PRESSES, listing)),
         sha256={
