@@ -108,7 +108,7 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
 
 
 def _images_of(folder: Path, *, sequence: bool = True) -> list[Path]:
-    """The pictures in a folder, in time order for a network of sequences."""
+    """The pictures in a folder in time order, which a network of sequences needs."""
     names = sorted(path for path in folder.iterdir() if path.is_file())
     found = [path for path in names if path.suffix.lower() in IMAGE_SUFFIXES]
     if not found:
@@ -117,7 +117,12 @@ def _images_of(folder: Path, *, sequence: bool = True) -> list[Path]:
     if len(found) < len(names):
         unused = ", ".join(path.name for path in names if path not in found)
         print_status(f"{folder}: not used, for they are no images: {unused}")
-    return in_time_order(found, LearningError) if sequence else found
+    try:
+        return in_time_order(found, LearningError)
+    except LearningError:
+        if sequence:
+            raise
+        return found
 
 
 def _model_for(models: dict[str, Any], object_name: str | None, run: str) -> str:
