@@ -4,8 +4,11 @@ A rig takes several pictures of a press. They share its place, its ball and the 
 so that what is learnt from one is known of the others.
 """
 
+from collections.abc import Iterable
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -27,23 +30,44 @@ ROWS_AT_ONCE = 1000  # of the matrix of pictures against pictures
 
 
 def experiments_of(presses: PressImages) -> IntArray:
+    """Number of the press (N,) that each picture is of, from 0, in order of appearance."""
+    unknown = np.full((len(presses), 2), np.nan)
+    stage_mm = unknown if presses.stage_mm is None else presses.stage_mm
+    return grouped(
+        presses.images,
+        presses.background,
+        circle_px=np.column_stack([presses.center_px, presses.radius_px]),
+        stage_px=stage_mm / presses.mm_per_px,
+        ball_radius_mm=presses.ball_radius_mm,
+        trial=unknown[:, 0] if presses.trial is None else presses.trial,
+    )
+
+
+def grouped(
+    images: Iterable[NDArray[np.uint8]],
+    background: NDArray[np.uint8],
+    *,
+    circle_px: FloatArray,
+    stage_px: FloatArray,
+    ball_radius_mm: FloatArray,
+    trial: FloatArray,
+) -> IntArray:
     """Number of the press (N,) that each picture is of, from 0, in order of appearance.
 
     Pictures are of one press where they have the same ``trial``; or lie at one place, with one ball
     and one contact radius; or are alike but for noise. A ``trial`` that is the same for all says
-    nothing.
+    nothing. Circles (N, 3), places by a stage (N, 2), balls and trials (N,) are NaN where unknown.
     """
-    ball = np.nan_to_num(presses.ball_radius_mm)[:, None]
-    of_ball = 1e6 * ball  # other balls are far away
-    pairs = [_near(np.hstack([presses.center_px, presses.radius_px[:, None], of_ball]), NEAR_PX)]
-    if presses.stage_mm is not None:
-        stage_px = presses.stage_mm / presses.mm_per_px
-        pairs.append(_near(np.hstack([stage_px, presses.radius_px[:, None], of_ball]), NEAR_PX))
-    trial = presses.trial
-    if trial is not None and len(np.unique(trial[np.isfinite(trial)])) > 1:
+    ball = np.nan_to_num(ball_radius_mm)
+    of_ball = 1e6 * ball[:, None]  # other balls are far away
+    pairs = [
+        _near(np.hstack([circle_px, of_ball]), NEAR_PX),
+        _near(np.hstack([stage_px, circle_px[:, 2:], of_ball]), NEAR_PX),
+    ]
+    if len(np.unique(trial[np.isfinite(trial)])) > 1:
         pairs.append(_near(np.hstack([trial[:, None], of_ball]), 0.0))
-    alike = _alike(presses)
-    pairs.append(alike[(ball[alike[:, 0]] == ball[alike[:, 1]]).ravel()])
+    alike = _alike(images, background)
+    pairs.append(alike[ball[alike[:, 0]] == ball[alike[:, 1]]])
     one, other = np.concatenate(pairs).T
     links = coo_array((np.ones(len(one)), (one, other)), shape=(len(ball), len(ball)))
     return ranked(connected_components(links, directed=False)[1])
@@ -80,13 +104,13 @@ def _near(places: FloatArray, within: float) -> IntArray:
     return np.concatenate([equal, known[first][near]])
 
 
-def _alike(presses: PressImages) -> IntArray:
+def _alike(images: Iterable[NDArray[np.uint8]], background: NDArray[np.uint8]) -> IntArray:
     """Pairs (n, 2) of pictures that are equal but for noise."""
-    height, width = presses.shape_px
+    height, width = background.shape[:2]
     columns = max(2, min(COMPARED_WIDTH_PX, width // BLOCK_PX))
     size = (columns, max(2, round(columns * height / width)))
-    rest = _small(presses.background, size)
-    changes = np.stack([_small(image, size) - rest for image in presses.images])
+    rest = _small(background, size)
+    changes = np.stack([_small(image, size) - rest for image in images])
     changes -= np.median(changes, axis=(1, 2), keepdims=True)  # lamps as a whole
     flat = changes.reshape(len(changes), -1)
     power = (flat**2).sum(axis=1)
@@ -100,6 +124,6 @@ def _alike(presses: PressImages) -> IntArray:
     return np.concatenate(found)
 
 
-def _small(image: FloatArray | IntArray, size: tuple[int, int]) -> FloatArray:
+def _small(image: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray:
     small = cv2.resize(np.asarray(image, np.float32), size, interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float64)

@@ -310,7 +310,7 @@ def read_gelsight_mini_pretrain(
     median = np.median(np.stack(_of_one_size(few, [source] * len(few))), axis=0)
     warnings: Parts = ()
     gels = columns[[n for n in ("source", "gel_variant", "domain") if n in columns]]
-    if len(gels.drop_duplicates()) > 1:
+    if gels.columns.size and len(gels.drop_duplicates()) > 1:
         kinds = "; ".join(" ".join(map(str, kind)) for kind in gels.drop_duplicates().to_numpy())
         warnings = (f"presses of several gels ({kinds}): calibrate each by itself",)
 
@@ -414,7 +414,7 @@ def _pretrain_radii(
                 ]
     if len(set(text)) > 1:
         why = "and the given radius is neither that number nor its half for any of them"
-        fix = "give the radius of the largest, or import the balls of each size by themselves"
+        fix = "give the radius of the largest in mm"
         msg = f"{source}: balls of several sizes, indenter_param {kinds}, {why} ({given}); {fix}"
         raise PressError(msg)
     said = f"; indenter_param, the same for all, says {kinds}" if kinds else ""

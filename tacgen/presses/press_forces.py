@@ -15,8 +15,9 @@ from tacgen.optics.dots import MIN_TRACKED, Image, dots_at_rest, dots_in, find_s
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.table import LookupTable
 from tacgen.presses.circles import find_circle
+from tacgen.presses.experiments import grouped
 from tacgen.presses.geometry import cap_volume_from_circle_mm3
-from tacgen.presses.press_folder import COORDINATES, PressFolder
+from tacgen.presses.press_folder import COORDINATES, STAGE, PressFolder
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
         if not volumes[index] > 0:
             fix = "it is not in the log: press again, or check background.png"
             warnings.append(f"{listing}: row {index + 2}: {rows['file'][index]} {problem}; {fix}")
-    frame = _log_frame(rows, volumes)
+    frame = _log_frame(folder, volumes)
     if at_rest is not None:
         frame[["shear_x_mm", "shear_y_mm"]] = _marker_sums(folder, frame)
     frame = frame[volumes > 0].reset_index(drop=True)
@@ -93,11 +94,22 @@ def _ball_volume(
     return volume, ""
 
 
-def _log_frame(rows: pd.DataFrame, volumes: FloatArray) -> pd.DataFrame:
-    """Columns that a press log shares with the list of images, and all its covariates."""
+def _log_frame(folder: PressFolder, volumes: FloatArray) -> pd.DataFrame:
+    """Columns that a press log shares with the list of images, and all its covariates.
+
+    Where no trials are listed, those pictures that are of one press are one.
+    """
+    rows = folder.table
     frame = rows.drop(columns=["file", *COORDINATES], errors="ignore")
     if "trial" not in frame:
-        frame["trial"] = np.arange(len(rows))
+        frame["trial"] = grouped(
+            (folder.picture(index) for index in range(len(rows))),
+            folder.background,
+            circle_px=np.column_stack([folder.numbers(name) for name in COORDINATES]),
+            stage_px=np.column_stack([folder.numbers(name) for name in STAGE]) / folder.mm_per_px,
+            ball_radius_mm=folder.numbers("radius_mm"),
+            trial=np.full(len(rows), np.nan),
+        )
     frame["trial"] = frame["trial"].astype(int)
     if "time_s" not in frame:
         frame["time_s"] = np.arange(len(rows), dtype=float)

@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 from tacgen.core.errors import PressError
 from tacgen.presses.experiments import experiments_of, per_experiment
+from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
+from tacgen.presses.press_forces import measure_presses
 from tacgen.presses.screening import usable_presses
 from tests.virtual_presses import repeated, virtual_presses
 
@@ -87,3 +91,17 @@ def test_means_over_experiments():
     np.testing.assert_allclose(
         per_experiment(values, np.array([4, 4, 1, 4])), [[3.0, 4.0], [10.0, 20.0]]
     )
+
+
+def test_a_log_from_pictures_without_trials_has_those_of_the_presses(tmp_path):
+    presses = repeated(virtual_presses(4, count=4), 3)
+    for name, image in [("background", presses.background), *zip(
+        map(str, range(12)), presses.images, strict=True
+    )]:  # fmt: skip
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image[..., ::-1])
+    rows = {"file": [f"{k}.png" for k in range(12)], "radius_mm": 2.0, "force_normal_n": 1.0}
+    circles = {"contact_radius_px": presses.radius_px}
+    pd.DataFrame(rows | circles).to_csv(tmp_path / "presses.csv", index=False)
+    (tmp_path / "sensor.yaml").write_text(f"mm_per_px: {presses.mm_per_px}\n")
+    log = measure_presses(read_press_folder(tmp_path, WITH_FORCES)).frame
+    assert log["trial"].tolist() == np.repeat(range(4), 3).tolist()

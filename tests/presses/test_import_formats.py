@@ -248,7 +248,7 @@ def test_pretrain_radii_are_those_of_indenter_param_in_the_unit_of_the_given(
         "gelsight-mini-pretrain", tmp_path / "set", tmp_path / "out", mm_per_px=0.06,
         ball_radius_mm=given,
     )  # fmt: skip
-    assert found.count == 5
+    assert (found.count, found.warnings) == (5, ())
     assert "cuboid (1)" in " ".join(found.notes)
     table = pd.read_csv(tmp_path / "out" / "presses.csv")
     assert set(table["radius_mm"]) == radii
@@ -269,6 +269,18 @@ def test_pretrain_one_radius_for_balls_of_several_sizes_is_refused(tmp_path):
             "gelsight-mini-pretrain", tmp_path / "set", tmp_path / "out", mm_per_px=0.06,
             ball_radius_mm=5.0,
         )  # fmt: skip
+
+
+def test_pretrain_presses_of_several_gels_are_said(tmp_path):
+    write_pretrain(tmp_path / "set", [("sphere", "10", -1.0)] * 4)
+    path = tmp_path / "set" / "train-00000.parquet"
+    table = pd.read_parquet(path).assign(gel_variant=["black_dot", "black_dot", "different", "x"])
+    table.to_parquet(path)
+    found = import_presses(
+        "gelsight-mini-pretrain", tmp_path / "set", tmp_path / "out", mm_per_px=0.06,
+        ball_radius_mm=5.0,
+    )  # fmt: skip
+    assert "several gels (feats black_dot; feats different; feats x)" in found.warnings[0]
 
 
 def test_pretrain_holds_few_pictures_at_once(tmp_path, monkeypatch):
