@@ -124,6 +124,7 @@ def rgb_of_array(
             kind = f"one channel of {values.dtype} from {values.min():g} to {values.max():g}"
             msg = f"{where}: {kind} is a depth map or raw data; give a picture of 8 bits in colour"
             raise error(msg)
+        _say_once(f"{kind_of or where}: one grey channel, taken for red, green and blue")
         values = np.repeat(values.reshape(*values.shape[:2], 1), 3, axis=2)
     levels, note = _eight_bits(values)
     if levels is None:

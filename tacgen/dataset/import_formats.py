@@ -154,12 +154,17 @@ def _poseit_frames(folder: Path, stages: list[tuple[str, str]]) -> Iterator[NDAr
     end = min((second for _, second in times if second > start), default=np.inf)
     frames = []
     for path in folder.iterdir():
-        numbers = re.findall(r"\d+", path.stem)
+        numbers = re.findall(r"\d+(?:\.\d+)?", path.stem)
         if path.suffix.lower() in PICTURES and numbers:
-            frame = int(numbers[-2]) if len(numbers) > 1 else 0
-            frames.append((int(numbers[-1]), frame, path))
-    # The second in which the next phase begins belongs to both.
-    inside = [path for second, _, path in sorted(frames) if start <= second and second + 1 <= end]
+            frame = float(numbers[-2]) if len(numbers) > 1 else 0.0
+            frames.append((float(numbers[-1]), frame, path))
+    # A whole second may have been cut short: it must lie in the phase to its end.
+    lasts_s = 1.0 if all(second.is_integer() for second, *_ in frames) else 0.0
+    inside = [
+        path
+        for second, _, path in sorted(frames)
+        if start <= second < end and second + lasts_s <= end
+    ]
     if not inside:
         msg = f"no readable picture of the grasp in gelsight/, seconds {start:.0f} to {end:.0f}"
         raise ValueError(msg)

@@ -179,6 +179,9 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
              ("x_px", "y_px", depth, *STAGE) if name in table}  # fmt: skip
     depth_mm = np.abs(named.get(depth, np.full(len(table), np.nan)))
     notes = []
+    unknown = int(np.isnan(depth_mm).sum())
+    if unknown:
+        notes.append(f"{unknown} rows have no {depth}: their circles will be found")
     touching = ~(depth_mm == 0)
     if not touching.all():
         notes.append(f"{(~touching).sum()} rows left out: {depth} is 0, so nothing touches")

@@ -106,9 +106,10 @@ def test_coarse_jpeg_and_palettes_are_said(tmp_path, capsys, quality, said):
     assert "palette" in capsys.readouterr().err
 
 
-def test_grey_is_repeated(tmp_path):
+def test_grey_is_repeated_and_said(tmp_path, capsys):
     found = read_rgb(write(tmp_path / "a.png", RGB[..., 1]))
     np.testing.assert_array_equal(found, np.repeat(RGB[..., 1:2], 3, axis=2))
+    assert "one grey channel" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.float16])

@@ -179,6 +179,14 @@ def test_py3dcal_labels_that_cannot_be_or_contradict_the_pictures_are_left_out(
     np.testing.assert_allclose(found.stage_mm, PLACES)
 
 
+def test_py3dcal_without_depths_finds_its_circles(tmp_path):
+    presses = [(*p, np.nan, a) for p, a in zip(PLACES, SEEN_PX, strict=True)]
+    write_py3dcal(tmp_path / "set", presses)
+    notes = import_presses("py3dcal", tmp_path / "set", tmp_path / "out").notes
+    assert "4 rows have no penetration_depth_mm" in notes[0]
+    assert not read_presses(tmp_path / "out").labelled.any()
+
+
 def test_py3dcal_one_wrong_label_is_left_out_alone(tmp_path):
     depths_mm = [*DEPTHS_MM[:3], 3.5]
     presses = [(*p, d, a) for p, d, a in zip(PLACES, depths_mm, SEEN_PX, strict=True)]
