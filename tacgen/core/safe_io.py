@@ -78,12 +78,14 @@ def decode_rgb(
         problem = f"cannot be read as an image of at most {MAX_SIDE_PX} pixels a side"
         msg = f"{where}: {problem}; give PNG or JPEG"
         raise error(msg)
-    if found.ndim == 3:
-        found = found[..., [2, 1, 0, 3][: found.shape[2]]]
+    if found.ndim == 3:  # blue comes first
+        found = found[..., ::-1] if found.shape[2] == 3 else found[..., [2, 1, 0, 3]]
     for note in notes:
         _say_once(f"{kind_of or where}: {note}")
     rgb = rgb_of_array(found, where, error, kind_of=kind_of)
-    quarters, mirrored = _TURNS.get(turn, (0, False))
+    if turn not in _TURNS:
+        return rgb
+    quarters, mirrored = _TURNS[turn]
     rgb = np.rot90(rgb, quarters)
     return np.ascontiguousarray(rgb[:, ::-1] if mirrored else rgb)
 
