@@ -40,7 +40,7 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
     contact.
     """
     warnings: list[str] = []
-    rows, listing = folder.table, folder.path / "presses.csv"
+    rows, listing = _with_trials(folder), folder.path / "presses.csv"
     if table is None:
         if not np.isfinite(folder.numbers("radius_mm")).any():
             fix = "give the ball's radius or the sensor's table.npz"
@@ -65,7 +65,7 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
         if not volumes[index] > 0:
             fix = "it is not in the log: press again, or check background.png"
             warnings.append(f"{listing}: row {index + 2}: {rows['file'][index]} {problem}; {fix}")
-    frame = _log_frame(folder, volumes)
+    frame = _log_frame(rows, volumes)
     if at_rest is not None:
         frame[["shear_x_mm", "shear_y_mm"]] = _marker_sums(folder, frame)
     frame = frame[volumes > 0].reset_index(drop=True)
@@ -94,22 +94,25 @@ def _ball_volume(
     return volume, ""
 
 
-def _log_frame(folder: PressFolder, volumes: FloatArray) -> pd.DataFrame:
-    """Columns that a press log shares with the list of images, and all its covariates.
+def _with_trials(folder: PressFolder) -> pd.DataFrame:
+    """The list of pictures; where it has no trials, pictures of one press are a trial."""
+    if "trial" in folder.table:
+        return folder.table
+    count = len(folder.table)
+    trial = grouped(
+        (folder.picture(index) for index in range(count)),
+        folder.background,
+        circle_px=np.column_stack([folder.numbers(name) for name in COORDINATES]),
+        stage_px=np.column_stack([folder.numbers(name) for name in STAGE]) / folder.mm_per_px,
+        ball_radius_mm=folder.numbers("radius_mm"),
+        trial=np.full(count, np.nan),
+    )
+    return folder.table.assign(trial=trial)
 
-    Where no trials are listed, those pictures that are of one press are one.
-    """
-    rows = folder.table
+
+def _log_frame(rows: pd.DataFrame, volumes: FloatArray) -> pd.DataFrame:
+    """Columns that a press log shares with the list of images, and all its covariates."""
     frame = rows.drop(columns=["file", *COORDINATES], errors="ignore")
-    if "trial" not in frame:
-        frame["trial"] = grouped(
-            (folder.picture(index) for index in range(len(rows))),
-            folder.background,
-            circle_px=np.column_stack([folder.numbers(name) for name in COORDINATES]),
-            stage_px=np.column_stack([folder.numbers(name) for name in STAGE]) / folder.mm_per_px,
-            ball_radius_mm=folder.numbers("radius_mm"),
-            trial=np.full(len(rows), np.nan),
-        )
     frame["trial"] = frame["trial"].astype(int)
     if "time_s" not in frame:
         frame["time_s"] = np.arange(len(rows), dtype=float)
