@@ -1,5 +1,7 @@
 """Ball presses on the virtual sensor: physics throughout, no lookup table anywhere."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from tacgen.core.records import Sensor
@@ -80,3 +82,14 @@ def virtual_presses(
         dome_radius_mm=dome_mm,
         sensor="test",
     )
+
+
+def repeated(presses, frames, *, noise=1.0, seed=0) -> PressImages:
+    """Each press as ``frames`` pictures with noise of their own; the first is as it was."""
+    rng = np.random.default_rng(seed)
+    several = presses.select(np.repeat(np.arange(len(presses)), frames))
+    noisy = several.images + rng.normal(0, noise, several.images.shape)
+    images = np.rint(np.clip(noisy, 0, 255)).astype(np.uint8)
+    images[::frames] = presses.images
+    names = tuple(f"{k}.png" for k in range(len(several)))
+    return replace(several, images=images, names=names, experiment=np.arange(len(several)))

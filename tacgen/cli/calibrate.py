@@ -40,13 +40,18 @@ def import_(
         found = import_presses(
             format_name, source, out, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
         )
-        count, notes, kind = len(found.presses), found.notes, "presses"
+        count, notes, warnings, kind = found.count, found.notes, found.warnings, "presses"
         follow = f"tacgen calibrate lookup {quoted(out)} --out table.npz"
+        if not found.enough:
+            joined = quoted(f"{out}_all")
+            follow = f"tacgen import {format_name} FOLDER_OF_ALL_PRESSES --out {joined}"
     else:
         count, notes = import_grasps(format_name, source, out)
-        kind, follow = "grasps", f"tacgen eval RUN --real {quoted(out)}"
+        warnings, kind, follow = (), "grasps", f"tacgen eval RUN --real {quoted(out)}"
     common.note(notes)
-    record = {"folder": str(out), "format": format_name, kind: count, "notes": list(notes)}
+    common.warn(warnings)
+    record = {"folder": str(out), "format": format_name, kind: count}
+    record |= {"notes": list(notes), "warnings": list(warnings)}
     common.print_result(record, f"{out}: {count} {kind}", json_output)
     common.hand_over(follow)
 

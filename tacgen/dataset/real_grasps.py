@@ -13,8 +13,10 @@ import numpy as np
 
 from tacgen.core.columns import GRASPS, csv_problem, similar_columns, unit_problems
 from tacgen.core.errors import DatasetError, did_you_mean
+from tacgen.core.frame_order import in_time_order
 from tacgen.core.records import FailureMode, GraspConfig
 from tacgen.core.resources import unknown_object_hint
+from tacgen.core.safe_io import IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,12 +87,16 @@ def read_real_grasps(
             shown.append(f"{path}: and {len(problems) - len(shown)} more")
         raise DatasetError.from_problems(shown)
     records = enumerate(table.to_dict("records"))
-    grasps = tuple(_grasp(folder, number, row) for number, row in records)
+    unused: list[str] = []
+    grasps = tuple(_grasp(folder, number, row, unused) for number, row in records)
     warnings = similar_columns(table.columns, GRASPS, str(path))
     for name in ("z_mm", "yaw_rad"):
         if problem := unit_problems(name, np.array(list(map(_number, table.get(name, ()))))):
             warnings.append(f"{path}: {name} is {problem}")
     warnings += _warnings(grasps, path)
+    warnings += unused[:MAX_PROBLEMS_SHOWN]
+    if len(unused) > MAX_PROBLEMS_SHOWN:
+        warnings.append(f"{folder}: pictures of {len(unused)} grasps are not used")
     return RealGrasps(folder, grasps, tuple(warnings), _simulated_with(folder))
 
 
@@ -173,23 +179,43 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def _grasp(folder: Path, number: int, record: Mapping[str, Any]) -> RealGrasp:
+def _grasp(folder: Path, number: int, record: Mapping[str, Any], unused: list[str]) -> RealGrasp:
     axes = {name: _number(record.get(name, "")) for name in CONFIGURATION}
     yaw_rad = float(record.get("yaw_rad") or 0.0)
     config = GraspConfig(index=number, object=record["object"], yaw_rad=yaw_rad, **axes)
     name, label = record["grasp_id"], int(float(record["label"]))
-    return RealGrasp(name, config, label, record.get("failure_mode", ""), _images(folder, name))
+    images = _images(folder, name, unused)
+    return RealGrasp(name, config, label, record.get("failure_mode", ""), images)
 
 
-def _images(folder: Path, grasp_id: str) -> tuple[Path, ...]:
-    """``images/<grasp_id>/<k>.png`` in time order; a name cannot lead out of the folder."""
+def _images(folder: Path, grasp_id: str, unused: list[str]) -> tuple[Path, ...]:
+    """The pictures in ``images/<grasp_id>`` in time order; a name cannot lead out of the folder.
+
+    Where not all names fit one order, those that are plain numbers are taken, and a line on the
+    others is added to ``unused``.
+    """
     if Path(grasp_id).name != grasp_id:
         return ()
     try:
-        found = list((folder / "images" / grasp_id).glob("*.png"))
+        names = sorted((folder / "images" / grasp_id).iterdir())
     except (OSError, ValueError):  # no name that a folder can have
         return ()
-    return tuple(sorted((p for p in found if p.stem.isdecimal()), key=lambda p: int(p.stem)))
+    found = [path for path in names if path.suffix.lower() in IMAGE_SUFFIXES]
+    reason = "no PNG or JPEG"
+    try:
+        ordered = in_time_order(found, DatasetError)
+    except DatasetError as error:
+        reason = str(error).partition(": ")[2]
+        plain = [path for path in found if path.stem.isdecimal()]
+        try:
+            ordered = in_time_order(plain, DatasetError)
+        except DatasetError:
+            ordered = []
+    if len(ordered) < len(names):
+        others = [path.name for path in names if path not in ordered]
+        listed = ", ".join(others[:MAX_PROBLEMS_SHOWN])
+        unused.append(f"{folder / 'images' / grasp_id}: {listed} not used: {reason}")
+    return tuple(ordered)
 
 
 def _warnings(grasps: Sequence[RealGrasp], path: Path) -> list[str]:

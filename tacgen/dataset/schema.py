@@ -21,6 +21,7 @@ from operator import attrgetter
 from typing import Any
 
 FORMAT_VERSION = 1
+ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")  # of a grasp, in exports for policies
 SPLITS = ("train", "test")
 STATUSES = ("executed", "unreachable", "no_contact", "crashed")
 FAILURE_MODES = ("", "translational_slip", "rotational_slip")

@@ -10,16 +10,15 @@ import torch
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
+from tacgen.core.frame_order import in_time_order
 from tacgen.core.progress import print_status
-from tacgen.core.safe_io import read_rgb
+from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.inputs import InputSpec, chosen_frames, resized
 from tacgen.learning.loader import as_batch
 from tacgen.learning.predictions import input_statistics, notes_on_images, predict
 from tacgen.learning.run_folder import RunFolder
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 class Predictor:
@@ -91,13 +90,14 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
     """Probability of success for image files, or folders of them.
 
     For a network of single images every image is a grasp; for one of sequences those of a folder,
-    in order of their names, or all that are given. Raises ``LearningError`` if a file is no image,
-    or a folder has none.
+    or all that are given, in the order that the numbers in their names tell. Raises
+    ``LearningError`` if a file is no image, a folder has none, or names have no one order.
     """
-    groups = [(path, _images_of(path)) for path in paths if path.is_dir()]
+    sequence = predictor.spec.kind == "sequence"
+    groups = [(path, _images_of(path, sequence=sequence)) for path in paths if path.is_dir()]
     loose = [path for path in paths if not path.is_dir()]
-    if predictor.spec.kind == "sequence":
-        groups += [(loose[0], loose)] if loose else []
+    if sequence:
+        groups += [(loose[0], in_time_order(loose, LearningError))] if loose else []
     else:
         listed = dict(groups)
         groups = [(one, [one]) for path in paths for one in listed.get(path, [path])]
@@ -108,13 +108,22 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
     ]
 
 
-def _images_of(folder: Path) -> list[Path]:
-    found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+def _images_of(folder: Path, *, sequence: bool = True) -> list[Path]:
+    """The pictures in a folder in time order, which a network of sequences needs."""
+    names = sorted(path for path in folder.iterdir() if path.is_file())
+    found = [path for path in names if path.suffix.lower() in IMAGE_SUFFIXES]
     if not found:
         msg = f"{folder}: has no images ({', '.join(IMAGE_SUFFIXES)})"
         raise LearningError(msg)
-    # 10.png comes after 9.png.
-    return sorted(found, key=lambda path: (len(path.stem), path.stem))
+    if len(found) < len(names):
+        unused = ", ".join(path.name for path in names if path not in found)
+        print_status(f"{folder}: not used, for they are no images: {unused}")
+    try:
+        return in_time_order(found, LearningError)
+    except LearningError:
+        if sequence:
+            raise
+        return found
 
 
 def _model_for(models: dict[str, Any], object_name: str | None, run: str) -> str:

@@ -15,7 +15,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.columns import PRESSES, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
-from tacgen.core.safe_io import check_archive, read_rgb
+from tacgen.core.safe_io import check_archive, read_rgb, rgb_of_array
 from tacgen.core.yaml_source import read_yaml
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.press_log import (
@@ -167,8 +167,10 @@ def _read_datapack(
         raise PressError(msg) from None
     problems = _datapack_problems(path, arrays)
     PressError.raise_if(problems)
-    images = np.ascontiguousarray(arrays["imgs"][..., ::-1].astype(np.uint8))
-    count, _, width = images.shape[:3]
+    count, height, width = arrays["imgs"].shape[:3]
+    stacked = arrays["imgs"].reshape(count * height, width, 3)
+    stacked = rgb_of_array(stacked[..., ::-1], f"{path}: imgs", PressError)
+    images = stacked.reshape(count, height, width, 3)
     warnings = []
     if mm_per_px is None:
         mm_per_px = TAXIM_FULL_MM_PER_PX * TAXIM_FULL_WIDTH_PX / width
@@ -182,7 +184,7 @@ def _read_datapack(
         warnings.append(f"the ball's radius is not in a dataPack; {taken}")
     return PressImages(
         images=images,
-        background=np.ascontiguousarray(arrays["f0"][..., ::-1].astype(np.uint8)),
+        background=rgb_of_array(arrays["f0"][..., ::-1], f"{path}: f0", PressError),
         names=names,
         center_px=arrays["touch_center"].astype(np.float64),
         radius_px=arrays["touch_radius"].astype(np.float64).reshape(count),
@@ -240,6 +242,7 @@ def _images_of(folder: PressFolder) -> PressImages:
         dome_radius_mm=folder.dome_radius_mm,
         sensor=folder.sensor,
         stage_mm=np.column_stack([folder.numbers(name) for name in STAGE]),
+        trial=folder.numbers("trial"),
         dot_pitch_mm=folder.dot_pitch_mm,
         warnings=tuple(similar_columns(folder.table.columns, PRESSES, listing)),
         sha256={

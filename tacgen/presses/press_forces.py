@@ -15,8 +15,9 @@ from tacgen.optics.dots import MIN_TRACKED, Dots, Image, dots_at_rest, dots_in, 
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.table import LookupTable
 from tacgen.presses.circles import find_circle
+from tacgen.presses.experiments import grouped
 from tacgen.presses.geometry import cap_volume_from_circle_mm3
-from tacgen.presses.press_folder import COORDINATES, PressFolder
+from tacgen.presses.press_folder import COORDINATES, STAGE, PressFolder
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
     contact.
     """
     warnings: list[str] = []
-    rows, listing = folder.table, folder.path / "presses.csv"
+    rows, listing = _with_trials(folder), folder.path / "presses.csv"
     if table is None:
         if not np.isfinite(folder.numbers("radius_mm")).any():
             fix = "give the ball's radius or the sensor's table.npz"
@@ -100,11 +101,25 @@ def _ball_volume(
     return volume, ""
 
 
+def _with_trials(folder: PressFolder) -> pd.DataFrame:
+    """The list of pictures; where it has no trials, pictures of one press are a trial."""
+    if "trial" in folder.table:
+        return folder.table
+    count = len(folder.table)
+    trial = grouped(
+        (folder.picture(index) for index in range(count)),
+        folder.background,
+        circle_px=np.column_stack([folder.numbers(name) for name in COORDINATES]),
+        stage_px=np.column_stack([folder.numbers(name) for name in STAGE]) / folder.mm_per_px,
+        ball_radius_mm=folder.numbers("radius_mm"),
+        trial=np.full(count, np.nan),
+    )
+    return folder.table.assign(trial=trial)
+
+
 def _log_frame(rows: pd.DataFrame, volumes: FloatArray) -> pd.DataFrame:
     """Columns that a press log shares with the list of images, and all its covariates."""
     frame = rows.drop(columns=["file", *COORDINATES], errors="ignore")
-    if "trial" not in frame:
-        frame["trial"] = np.arange(len(rows))
     frame["trial"] = frame["trial"].astype(int)
     if "time_s" not in frame:
         frame["time_s"] = np.arange(len(rows), dtype=float)

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 
 _OF_EACH_PRESS = (
     *("images", "center_px", "radius_px", "ball_radius_mm"),
-    *("found", "seen_px", "stage_mm", "hidden"),
+    *("found", "seen_px", "stage_mm", "hidden", "trial", "experiment"),
 )
 
 
@@ -46,6 +46,9 @@ class PressImages:
     # not
     stage_mm: FloatArray | None = None  # (N, 2), where a stage says that each press was
     dot_pitch_mm: float = 0.0  # of printed dots, 0 where it is not known
+    trial: FloatArray | None = None  # (N,), as listed
+    experiment: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (N,), the
+    # press that a picture is of; by default each of its own
     found: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,), whether the
     # circle is found in the image instead of labelled; by default where a label is missing
     dots: BoolArray | None = None  # (H, W), what printed dots cover in the background, if any
@@ -55,12 +58,19 @@ class PressImages:
     sha256: Mapping[str, str] = field(default_factory=dict)  # of each file read, by its name
 
     def __post_init__(self) -> None:
-        """Fill in ``found``."""
+        """Fill in ``found`` and ``experiment``."""
         if len(self.found) != len(self.images):
             object.__setattr__(self, "found", ~self.labelled)
+        if len(self.experiment) != len(self.images):
+            object.__setattr__(self, "experiment", np.arange(len(self.images)))
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @property
+    def n_experiments(self) -> int:
+        """How many presses the pictures are of."""
+        return len(np.unique(self.experiment))
 
     @property
     def shape_px(self) -> tuple[int, int]:

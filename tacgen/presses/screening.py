@@ -11,6 +11,7 @@ from tacgen.core.errors import PressError
 from tacgen.core.workers import map_in_processes
 from tacgen.optics.dots import coarse, dots_in, printed_dots
 from tacgen.presses.circles import Circle, find_circle, outside_share
+from tacgen.presses.experiments import experiments_of
 from tacgen.presses.press_images import DroppedPress, PressImages
 
 MIN_PRESSES = 3  # fewer cannot separate light from place
@@ -45,10 +46,11 @@ def usable_presses(
 ) -> PressImages:
     """The presses that a fit or a score can use, each with a circle; the others are listed.
 
-    Printed dots are found and masked. Without ``same_light`` the background may differ.
+    Printed dots are found and masked. Pictures of one press are marked as one experiment. Without
+    ``same_light`` the background may differ.
 
-    Raises ``PressError`` if the background does not match the presses or fewer than ``least`` are
-    left.
+    Raises ``PressError`` if the background does not match the presses or pictures of fewer than
+    ``least`` presses are left.
     """
     if same_light:
         _check_background(presses)
@@ -80,16 +82,19 @@ def usable_presses(
         if reason:
             dropped.append(DroppedPress(presses.names[k], k + 2, reason, fix))
     keep = np.delete(np.arange(len(presses)), [press.row - 2 for press in dropped])
-    if len(keep) < least:
-        head = f"{len(keep)} usable presses, at least {least} are needed; press all over the gel"
+    marked = replace(presses, center_px=center, radius_px=radius, found=found, seen_px=seen_px)
+    marked = replace(marked, experiment=experiments_of(marked)).select(keep)
+    if marked.n_experiments < least:
+        pictures = f" in {len(keep)} pictures" if len(keep) > marked.n_experiments else ""
+        head = f"{marked.n_experiments} usable presses{pictures}, at least {least} are needed"
+        head += "; press all over the gel"
         raise PressError.from_problems([head, *(str(press) for press in dropped)])
     warnings = presses.warnings
     if not np.ptp(presses.background, axis=2).any():
         grey = "the pictures are grey: slopes that are alike in brightness look the same"
         warnings += (f"{grey}; save them in colour",)
-    marked = replace(presses, center_px=center, radius_px=radius, found=found, seen_px=seen_px)
     dropped = [*presses.dropped, *dropped]
-    return replace(marked.select(keep), dropped=tuple(dropped), warnings=warnings)
+    return replace(marked, dropped=tuple(dropped), warnings=warnings)
 
 
 def _with_dots_masked(presses: PressImages) -> PressImages:

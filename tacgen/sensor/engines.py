@@ -4,6 +4,8 @@ Engines are in metres; what leaves this module is in mm, N and the gel frame.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,10 @@ from tacgen.physics.frames import inverse, pose, rotation_of
 from tacgen.physics.world import contact_points
 
 SPHERE_SUBDIVISIONS = 6  # 82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm
+TOUCHING_GAP_M = 2e-3
+"""Bodies farther apart than this, and than they move in a step, do not press on each other: Bullet
+lets bodies sink in and rebound by tenths of a millimetre."""
+
 SECTIONS = 512  # around a cylinder or capsule: on 20 mm of radius its facets are within 0.4 µm
 
 
@@ -45,7 +51,7 @@ class EngineContacts(ABC):
         arms_mm = points_mm[:, :2] - self.center_mm
         torsion = np.sum(arms_mm[:, 0] * local_n[:, 1] - arms_mm[:, 1] * local_n[:, 0])
         total = local_n.sum(axis=0)
-        force = np.array([total[0], total[1], -total[2]])
+        force = np.array([total[0], total[1], 0.0 - total[2]])
         meshes = [mesh for _, mesh in self._objects]
         if len(meshes) == 1:
             return meshes[0], poses[0], force, float(torsion)
@@ -76,6 +82,35 @@ class EngineContacts(ABC):
         """Contact points (n, 3), m, and the forces (n, 3) on the gel there, N, in the world."""
 
 
+@dataclass(slots=True)
+class _BulletStep:
+    """What PyBullet said when it was last read.
+
+    Attributes
+    ----------
+    contacts : (n, 13) float
+        Points on both bodies, normal, distance, and the impulses of the last substep, N s.
+    poses_m : (1 + bodies, 4, 4) float
+        Of the gel and of the objects.
+    step_s, substeps : float, int
+        With which the step was made.
+    """
+
+    contacts: FloatArray
+    poses_m: FloatArray
+    step_s: float
+    substeps: int
+
+    def is_of_the_step_of(self, other: "_BulletStep") -> bool:
+        """Whether no step was made in between: contacts and impulses are the same."""
+        return (
+            self.contacts.shape == other.contacts.shape
+            and self.poses_m.shape == other.poses_m.shape
+            and np.array_equal(self.contacts[:, :10], other.contacts[:, :10])
+            and np.allclose(self.contacts[:, 10:], other.contacts[:, 10:], rtol=1e-9, atol=0.0)
+        )
+
+
 class PyBulletContacts(EngineContacts):
     """A link of a PyBullet body that carries the gel."""
 
@@ -88,6 +123,7 @@ class PyBulletContacts(EngineContacts):
         self._bullet, self._client = pybullet, client_id
         self._body, self._link, self._gel = int(body_id), int(link_id), pose_link_gel_m
         self._base_in_inertial_m: dict[int, FloatArray] = {}
+        self._last: _BulletStep | None = None
         self._asked("body", body_id, pybullet.getBodyInfo, self._body)
         n_links = self._asked("body", body_id, pybullet.getNumJoints, self._body)
         if not -1 <= self._link < n_links:
@@ -145,9 +181,64 @@ class PyBulletContacts(EngineContacts):
     def _object_pose_m(self, body: int) -> FloatArray:
         return self._link_pose_m(body, -1)
 
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
+    def _fresh_contacts(self) -> list[tuple[Any, ...]]:
+        """The contact points of the last step, with the forces that acted in it.
+
+        PyBullet divides the impulse of the last substep by the whole ``fixedTimeStep``, as that is
+        now; and it keeps contacts of bodies that were moved since. Bodies that are apart do not
+        press on each other.
+
+        Raises ``SensorError`` where a body was moved since the last step and still touches: then
+        no force is known.
+        """
         raw = self._bullet.getContactPoints(physicsClientId=self._client)
+        known = self._bullet.getPhysicsEngineParameters(physicsClientId=self._client)
+        step_s, substeps = float(known["fixedTimeStep"]), max(1, int(known["numSubSteps"]))
+        touching = [contact for contact in raw if self._is_on_gel(contact) and contact[9] > 0]
+        numbers = [(*c[5], *c[6], *c[7], c[8], *(step_s * c[k] for k in (9, 10, 12))) for c in raw]
+        bodies = [self._object_pose_m(body) for body, _ in self._objects]
+        now = _BulletStep(np.array(numbers), np.array([self._gel_pose_m(), *bodies]), step_s,
+                          substeps)  # fmt: skip
+        touched = self._touched(touching)
+        near = {body for body in touched if self._is_near(body, step_s)}
+        moved = False
+        if self._last is not None and len(raw) and self._last.is_of_the_step_of(now):
+            moved = not np.allclose(now.poses_m, self._last.poses_m, rtol=0.0, atol=1e-6)
+            now = self._last  # the step was made with what was set then
+        self._last = now if near == touched or moved else None
+        if moved and near:
+            bodies_named = ", ".join(map(str, sorted(near)))
+            fix = "call stepSimulation after resetting poses or joints, before read()"
+            msg = f"body {bodies_named} or the gel was moved since the last step: {fix}"
+            raise SensorError(msg)
+        factor = now.substeps * step_s / now.step_s
+        return [
+            (*c[:9], factor * c[9], factor * c[10], c[11], factor * c[12], *c[13:])
+            for c in touching
+            if self._touched([c]) <= near
+        ]
+
+    def _is_on_gel(self, contact: tuple[Any, ...]) -> bool:
         gel = self._body, self._link
+        return gel in ((contact[1], contact[3]), (contact[2], contact[4]))
+
+    def _touched(self, contacts: Sequence[tuple[Any, ...]]) -> set[int]:
+        """The objects of contacts with the gel."""
+        sides = {side for contact in contacts for side in contact[1:3]}
+        return sides & {body for body, _ in self._objects}
+
+    def _is_near(self, body: int, step_s: float) -> bool:
+        """Whether an object and the gel are as near as pressing bodies are."""
+        speeds = [self._asked("body", b, self._bullet.getBaseVelocity, b)[0]
+                  for b in (body, self._body)]  # fmt: skip
+        reach = TOUCHING_GAP_M + step_s * float(np.linalg.norm(np.subtract(*speeds)))
+        found = self._bullet.getClosestPoints(
+            body, self._body, reach, linkIndexB=self._link, physicsClientId=self._client
+        )
+        return bool(found)
+
+    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
+        raw, gel = self._fresh_contacts(), (self._body, self._link)
         touching = [
             point
             for number, _ in self._objects

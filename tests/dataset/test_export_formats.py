@@ -99,17 +99,28 @@ def test_robomimic_has_what_its_documentation_asks_for(with_depth, tmp_path):
             total += n
             assert all(len(values) == n for values in demo["obs"].values())
             assert demo["actions"].shape == (n, 5)
-            assert demo["actions"][0, 0] == sample.config.force_n
+            low, high = (file["data"].attrs[f"action_{end}"] for end in ("low", "high"))
+            scaled = demo["actions"][0]
+            assert np.abs(scaled).max() <= 1.0
+            assert file["data"].attrs["action_names"][0] == "force_n"
+            value = low + (scaled + 1) / 2 * (high - low)
+            changing = high > low
+            wanted = [getattr(sample.config, a) for a in file["data"].attrs["action_names"]]
+            np.testing.assert_allclose(value[changing], np.array(wanted)[changing], rtol=1e-12)
+            assert not scaled[~changing].any()
             assert demo["rewards"][-1] == sample.label
             assert demo["dones"][:].tolist() == [0] * (n - 1) + [1]
             np.testing.assert_array_equal(demo["obs/left_rgb"], sample.pads["left"].rgb)
             np.testing.assert_array_equal(demo["depth_mm/left"], sample.pads["left"].depth_mm)
         assert total == file["data"].attrs["total"]
-        masks = {key: [name.decode() for name in file["mask"][key]] for key in ("train", "valid")}
+        masks = {key: [name.decode() for name in names] for key, names in file["mask"].items()}
         columns = with_depth.columns()
-        split = columns["split"][columns["label"] >= 0]
-        assert masks["train"] == [d for d, s in zip(demos, split, strict=True) if s == "train"]
-        assert sorted(masks["train"] + masks["valid"]) == sorted(demos)
+        split, label = (columns[name][columns["label"] >= 0] for name in ("split", "label"))
+        for mask, wanted in (("train", ("train", 1)), ("train_failed", ("train", 0)),
+                             ("valid", ("test", 1)), ("valid_failed", ("test", 0))):  # fmt: skip
+            both = zip(demos, split, label, strict=True)
+            assert masks[mask] == [name for name, *found in both if tuple(found) == wanted]
+        assert sorted(name for listed in masks.values() for name in listed) == sorted(demos)
 
 
 def test_lerobot_has_the_depth_of_each_episode(with_depth, tmp_path):

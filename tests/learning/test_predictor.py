@@ -80,6 +80,37 @@ def test_the_command_reads_a_folder(run, grasps_to_test, tmp_path):
     )
 
 
+TIMES = ["1764234000.9731", "1764234001.0064", "1764234001.04", "1764234001.0732"]
+"""Seconds since 1970 as Python writes them, without zeros at the end."""
+
+
+@pytest.mark.parametrize(
+    ("names", "loose"),
+    [(TIMES, False), (["f8", "f9", "f10", "f11"], False), (["f8", "f9", "f10", "f11"], True)],
+)
+def test_frames_named_by_time_or_number_are_those_of_the_grasp(
+    sequence, toy, tmp_path, names, loose
+):
+    frames = Dataset(toy).rgb(0)
+    named = [*names, *(f"f{12 + k}" for k in range(len(frames)))][: len(frames)]
+    for name, frame in zip(named, frames, strict=True):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), frame[..., ::-1])
+    given = sorted(map(str, tmp_path.iterdir())) if loose else [str(tmp_path)]
+    result = CliRunner().invoke(app, ["predict", str(sequence), *given, "--json"])
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads(result.stdout)
+    wanted = tacgen.Predictor(sequence).predict([frames])[0]
+    assert row["probability"] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_frames_without_one_order_are_refused(sequence, toy, tmp_path):
+    for name, frame in zip(("before", "during", "after"), Dataset(toy).rgb(0), strict=False):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), frame[..., ::-1])
+    result = CliRunner().invoke(app, ["predict", str(sequence), str(tmp_path)])
+    assert result.exit_code != 0
+    assert "do not tell the order of the pictures" in str(result.exception) + result.output
+
+
 @pytest.mark.parametrize(
     ("images", "words"),
     [

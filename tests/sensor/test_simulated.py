@@ -89,15 +89,19 @@ def bullet():
     pybullet.disconnect(client)
 
 
-def rest_ball_on_pad(client, mass_kg, *, at_m=(0.0, 0.0)):
-    """A ball at rest on a fixed block whose upper face is the gel."""
+def rest_on_pad(client, mass_kg, *, at_m=(0.0, 0.0), box=False):
+    """A ball, or a box, at rest on a fixed block whose upper face is the gel."""
     import pybullet as p
 
     block = p.createCollisionShape(
         p.GEOM_BOX, halfExtents=[0.05, 0.05, 0.01], physicsClientId=client
     )
     pad = p.createMultiBody(0, block, physicsClientId=client)
-    sphere = p.createCollisionShape(p.GEOM_SPHERE, radius=0.004, physicsClientId=client)
+    if box:
+        half = {"shapeType": p.GEOM_BOX, "halfExtents": [0.004, 0.004, 0.004]}
+    else:
+        half = {"shapeType": p.GEOM_SPHERE, "radius": 0.004}
+    sphere = p.createCollisionShape(**half, physicsClientId=client)
     ball = p.createMultiBody(mass_kg, sphere, basePosition=[*at_m, 0.0141], physicsClientId=client)
     for _ in range(480):
         p.stepSimulation(physicsClientId=client)
@@ -111,7 +115,7 @@ def gel_on_top():
 
 
 def test_a_ball_at_rest_in_pybullet_is_a_ball_pressed_by_its_weight(bullet):
-    pad, ball = rest_ball_on_pad(bullet, 0.3)
+    pad, ball = rest_on_pad(bullet, 0.3)
     sensor = Sensor("gelsight_mini")
     sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet).add_object(ball)
     frame = sensor.read()
@@ -124,7 +128,7 @@ def test_a_ball_at_rest_in_pybullet_is_a_ball_pressed_by_its_weight(bullet):
 
 
 def test_the_imprint_is_where_the_ball_is(bullet):
-    pad, ball = rest_ball_on_pad(bullet, 0.3, at_m=(0.003, -0.002))
+    pad, ball = rest_on_pad(bullet, 0.3, at_m=(0.003, -0.002))
     sensor = Sensor("gelsight_mini")
     sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet)
     frame = sensor.add_object(ball).read()
@@ -134,8 +138,102 @@ def test_the_imprint_is_where_the_ball_is(bullet):
     assert (rows.mean() + 0.5 - height / 2) * s == pytest.approx(-2.0, abs=0.3)
 
 
+@pytest.mark.parametrize("substeps", [0, 1, 3, 10])
+def test_substeps_of_pybullet_do_not_divide_the_force(bullet, substeps):
+    import pybullet as p
+
+    p.setPhysicsEngineParameter(numSubSteps=substeps, physicsClientId=bullet)
+    # On a slope of 3 in 5 the weight acts as 4/5 into the gel and 3/5 along it.
+    p.setGravity(0.2 * GRAVITY_M_S2, 0, -GRAVITY_M_S2, physicsClientId=bullet)
+    pad, box = rest_on_pad(bullet, 0.3, box=True)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet).add_object(box)
+    force_n = sensor.read().force_n
+    assert force_n[2] == pytest.approx(0.3 * GRAVITY_M_S2, rel=0.02)
+    assert force_n[0] == pytest.approx(0.06 * GRAVITY_M_S2, rel=0.05)
+
+
+@pytest.mark.parametrize("changed", [{"fixedTimeStep": 1 / 60}, {"numSubSteps": 8}])
+def test_what_is_set_after_a_step_does_not_change_its_force(bullet, changed):
+    import pybullet as p
+
+    pad, ball = rest_on_pad(bullet, 0.3)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet).add_object(ball)
+    before = sensor.read().force_n[2]
+    p.setPhysicsEngineParameter(**changed, physicsClientId=bullet)
+    assert sensor.read().force_n[2] == pytest.approx(before, rel=1e-9)
+    for _ in range(240):
+        p.stepSimulation(physicsClientId=bullet)
+    assert sensor.read().force_n[2] == pytest.approx(before, rel=0.02)
+
+
+@pytest.mark.parametrize("read_before", [False, True])
+@pytest.mark.parametrize("what", ["object", "gel"])
+def test_what_was_moved_away_since_the_step_does_not_press(bullet, what, read_before):
+    import pybullet as p
+
+    pad, ball = rest_on_pad(bullet, 0.3)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet).add_object(ball)
+    if read_before:
+        assert sensor.read().force_n[2] > 2.0
+    body, at = (ball, [0.0, 0.0, 0.03]) if what == "object" else (pad, [0.0, 0.0, -0.03])
+    p.resetBasePositionAndOrientation(body, at, [0, 0, 0, 1], physicsClientId=bullet)
+    frame = sensor.read()
+    assert frame.force_n.tolist() == [0.0, 0.0, 0.0]
+    assert not frame.contact_mask.any()
+    p.resetBasePositionAndOrientation(pad, [0, 0, 0], [0, 0, 0, 1], physicsClientId=bullet)
+    p.resetBasePositionAndOrientation(ball, [0, 0, 0.0141], [0, 0, 0, 1], physicsClientId=bullet)
+    for _ in range(480):
+        p.stepSimulation(physicsClientId=bullet)
+    assert sensor.read().force_n[2] == pytest.approx(0.3 * GRAVITY_M_S2, rel=0.02)
+
+
+def test_what_was_moved_and_still_touches_has_no_known_force(bullet):
+    import pybullet as p
+
+    pad, ball = rest_on_pad(bullet, 0.3)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(pad, pose_link_gel=gel_on_top(), client_id=bullet).add_object(ball)
+    sensor.read()
+    at, turned = p.getBasePositionAndOrientation(ball, physicsClientId=bullet)
+    p.resetBasePositionAndOrientation(ball, [0.005, 0.0, at[2]], turned, physicsClientId=bullet)
+    with pytest.raises(SensorError, match="moved since the last step: call stepSimulation"):
+        sensor.read()
+    p.stepSimulation(physicsClientId=bullet)
+    sensor.read()
+
+
+def test_a_joint_that_was_reset_takes_the_gel_away(bullet):
+    import pybullet as p
+
+    block = p.createCollisionShape(
+        p.GEOM_BOX, halfExtents=[0.05, 0.05, 0.01], physicsClientId=bullet
+    )
+    slide = p.createMultiBody(
+        0, linkMasses=[1.0], linkCollisionShapeIndices=[block], linkVisualShapeIndices=[-1],
+        linkPositions=[[0, 0, 0]], linkOrientations=[[0, 0, 0, 1]],
+        linkInertialFramePositions=[[0, 0, 0]], linkInertialFrameOrientations=[[0, 0, 0, 1]],
+        linkParentIndices=[0], linkJointTypes=[p.JOINT_PRISMATIC], linkJointAxis=[[0, 0, 1]],
+        physicsClientId=bullet,
+    )  # fmt: skip
+    held = {"controlMode": p.POSITION_CONTROL, "targetPosition": 0.0, "force": 500.0}
+    p.setJointMotorControl2(slide, 0, **held, physicsClientId=bullet)
+    sphere = p.createCollisionShape(p.GEOM_SPHERE, radius=0.004, physicsClientId=bullet)
+    ball = p.createMultiBody(0.3, sphere, basePosition=[0, 0, 0.0141], physicsClientId=bullet)
+    for _ in range(480):
+        p.stepSimulation(physicsClientId=bullet)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(slide, 0, pose_link_gel=gel_on_top(), client_id=bullet)
+    sensor.add_object(ball)
+    assert sensor.read().force_n[2] == pytest.approx(0.3 * GRAVITY_M_S2, rel=0.02)
+    p.resetJointState(slide, 0, -0.02, physicsClientId=bullet)
+    assert sensor.read().force_n.tolist() == [0.0, 0.0, 0.0]
+
+
 def test_an_object_that_is_not_there_is_refused(bullet):
-    pad, _ = rest_ball_on_pad(bullet, 0.1)
+    pad, _ = rest_on_pad(bullet, 0.1)
     sensor = Sensor("gelsight_mini").attach_pybullet(pad, client_id=bullet)
     with pytest.raises(SensorError, match="knows of no object"):
         sensor.read()

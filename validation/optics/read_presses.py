@@ -48,7 +48,7 @@ def sphere_rmse_mm(
 
 def press_errors(presses: PressImages, n_folds: int) -> np.ndarray:
     """RMSE in mm of every press that shows a contact, NaN where none was read."""
-    folds, errors = fold_of(len(presses), n_folds), np.full(len(presses), np.nan)
+    folds, errors = fold_of(presses.experiment, n_folds), np.full(len(presses), np.nan)
     for fold in np.unique(folds):
         reader = Reconstructor(
             fit_lookup(presses.select(folds != fold)), presses.background, presses.dome_radius_mm

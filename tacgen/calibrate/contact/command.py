@@ -21,8 +21,9 @@ from tacgen.presses.press_forces import MeasuredLog, measure_presses
 from tacgen.presses.press_log import read_press_log
 from tacgen.presses.screening import usable_presses
 
-MIN_FOR_OWN_TABLE = 10
-"""Pictures that a table has to be fitted to before volumes by it are better than by the circle."""
+MIN_FOR_OWN_TABLE, MIN_PRESSES_FOR_OWN_TABLE = 10, 6
+"""Pictures, and presses that they are of, that a table has to be fitted to before volumes by it are
+better than by the circle."""
 
 CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
 
@@ -99,7 +100,8 @@ def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, 
     own = None
     if lookup is None:
         with contextlib.suppress(PressError):  # too few balls of known radius
-            own = fit_lookup(usable_presses(read_presses(folder), least=MIN_FOR_OWN_TABLE))
+            presses = usable_presses(read_presses(folder), least=MIN_PRESSES_FOR_OWN_TABLE)
+            own = fit_lookup(presses) if len(presses) >= MIN_FOR_OWN_TABLE else None
     found = measure_presses(images, lookup or own)
     if own is not None:
         warning = (

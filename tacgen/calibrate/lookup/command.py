@@ -132,8 +132,10 @@ def what_to_press_next(presses: PressImages, made: Calibration) -> list[str]:
         f"The steepest slope in the presses is {np.degrees(made.table.max_slope_rad):.0f}°; "
         "steeper ones are rendered like it. A smaller ball or a deeper press reaches further."
     )
-    if len(presses) < MANY_PRESSES:
-        advice.append(f"{len(presses)} presses; with {MANY_PRESSES} to 50 the error settles.")
+    if presses.n_experiments < MANY_PRESSES:
+        advice.append(
+            f"{presses.n_experiments} presses; with {MANY_PRESSES} to 50 the error settles."
+        )
     return advice
 
 
@@ -148,8 +150,8 @@ def score_text(score: TableScore) -> str:
     normals = found.get("gradient_error_deg")
     return "\n".join(
         [
-            f"{found['n_images']} presses, {found['n_pixels']} pixels inside the contact circles; "
-            "RMSE in grey levels (R, G, B)",
+            f"{found['n_presses']} presses in {found['n_images']} pictures, {found['n_pixels']} "
+            "pixels inside the contact circles; RMSE in grey levels (R, G, B)",
             line("labels as given", "labels"),
             line("centre, radius re-estimated", "refined"),
             *(

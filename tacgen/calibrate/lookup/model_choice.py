@@ -1,4 +1,7 @@
-"""Choosing a table's degrees, ridge and background by cross-validation over whole presses."""
+"""Choosing a table's degrees, ridge and background by cross-validation over whole presses.
+
+The pictures of one press are in one fold and count as one.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +21,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     n_position_features,
 )
 from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.presses.experiments import per_experiment, ranked
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +33,10 @@ class Choice:
     errors: dict[str, float]
 
 
-def fold_of(count: int, n_folds: int = RULES.n_folds) -> IntArray:
-    """Which fold each of ``count`` presses is in; neighbours in time go to different folds."""
-    return np.arange(count) % min(n_folds, count)
+def fold_of(experiment: IntArray, n_folds: int = RULES.n_folds) -> IntArray:
+    """Which fold each picture (N,) is in, by the press it is of; neighbours in time go apart."""
+    number = ranked(experiment)
+    return np.asarray(number % min(n_folds, int(number.max()) + 1))
 
 
 def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
@@ -40,7 +45,8 @@ def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
     The error is weighted as the fit is. A background other than the reference image is chosen only
     where it is better by more than one standard error, over the presses, of the difference.
     """
-    folds = fold_of(len(prepared))
+    experiment = prepared.presses.experiment
+    folds = fold_of(experiment)
     nothing = np.zeros((*prepared.presses.shape_px, 3))
     samples = prepared.samples(nothing, RULES.pixels_to_choose)
     highest = FitSettings(max(RULES.degrees), max(RULES.position_degrees))
@@ -68,7 +74,8 @@ def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
     }
     chosen = 0
     for k in range(1, len(backgrounds)):
-        gain = of_presses[best[chosen]][:, chosen] - of_presses[best[k]][:, k]
+        by_picture = of_presses[best[chosen]][:, chosen] - of_presses[best[k]][:, k]
+        gain = per_experiment(by_picture, experiment)
         if gain.sum() > np.sqrt(len(gain)) * gain.std(ddof=1):
             chosen = k
     weight = 3 * sum(entry.weight for entry in sums)

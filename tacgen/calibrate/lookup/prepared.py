@@ -14,6 +14,7 @@ from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import coarse, filled_in
 from tacgen.optics.smooth import Window
 from tacgen.optics.table import features
+from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 BLOCK_PX = 8  # side of the blocks that take turns in estimating and scoring: those of JPEG
@@ -140,7 +141,7 @@ class PreparedPresses:
     def of(cls, presses: PressImages, bare_changes: FloatArray | None = None) -> "PreparedPresses":
         """The set of these presses; their ``bare_changes`` are computed unless they are known."""
         changes = _bare_changes(presses) if bare_changes is None else bare_changes
-        change = _bare_gel_change(changes)
+        change = _bare_gel_change(per_experiment(changes, presses.experiment))
         backgrounds = {
             recipe: make_background(presses.background, change, recipe, presses.dots)
             for recipe in RULES.backgrounds

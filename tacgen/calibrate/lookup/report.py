@@ -61,7 +61,7 @@ def _pictures(
     strips = []
     scored = list(enumerate(calibration.heldout.presses[:MAX_PICTURES]))
     for k, press in sorted(scored, key=lambda item: item[1].rmse("refined")):
-        renderer = renderers[k % len(renderers)]
+        renderer = renderers[calibration.folds[k]]
         made = renderer.picture(press.refined_mm, float(presses.ball_radius_mm[k]))
         real = presses.images[k]
         strip = [real, made, difference(real, made, DIFFERENCE_GAIN)]

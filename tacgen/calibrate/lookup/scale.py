@@ -19,6 +19,7 @@ from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, press_sum
 from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.dots import find_spots, nearest_px
+from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages
 
 MIN_RULER_PRESSES = 4  # two places fix a scale and a turn; as many more tell the error
@@ -115,10 +116,12 @@ def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
     if presses.stage_mm is None:
         return None
     known = np.isfinite(presses.stage_mm).all(axis=1)
-    if known.sum() < MIN_RULER_PRESSES:
+    each = presses.experiment[known]
+    if len(np.unique(each)) < MIN_RULER_PRESSES:
         return None
-    stage = presses.stage_mm[known] @ np.array([1.0, 1.0j])
-    place = fit.geometry[known, :2] @ np.array([1.0, 1.0j]) / presses.mm_per_px
+    stage = per_experiment(presses.stage_mm[known], each) @ np.array([1.0, 1.0j])
+    place = per_experiment(fit.geometry[known, :2], each) @ np.array([1.0, 1.0j])
+    place /= presses.mm_per_px
     stage, place = stage - stage.mean(), place - place.mean()
     power = float((np.abs(stage) ** 2).sum())
     if power <= 0:
@@ -171,7 +174,8 @@ def largest_scale(presses: PressImages) -> float:
 
 def ball_ratios(prepared: PreparedPresses, fit: JointFit) -> tuple[BallRatio, ...]:
     """How large each ball looks against the ball that pressed most often."""
-    radii, counts = np.unique(prepared.presses.ball_radius_mm, return_counts=True)
+    each = per_experiment(prepared.presses.ball_radius_mm, prepared.presses.experiment)
+    radii, counts = np.unique(each, return_counts=True)
     reference = radii[np.argmax(counts)]
     return tuple(
         _ratio(prepared, fit, float(radius), float(reference))
@@ -188,7 +192,8 @@ def _ratio(prepared: PreparedPresses, fit: JointFit, radius: float, reference: f
         balls = np.where(stated == radius, factor * radius, stated)
         presses = replace(prepared.presses, ball_radius_mm=balls)
         profile.append(_squares(replace(prepared, presses=presses), fit))
-    squares, count = np.array(profile), len(prepared)
+    squares = per_experiment(np.array(profile).T, prepared.presses.experiment).T
+    count = squares.shape[1]
     rng = np.random.default_rng(count)
     draws = [rng.integers(0, count, count) for _ in range(BOOTSTRAPS)]
     factors = [_lowest(squares[:, draw].sum(axis=1)) for draw in draws]
@@ -204,7 +209,7 @@ def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
         press_sums(sample, place, placed.press_model, RATIO_SETTINGS, sample.change)
         for sample, place in zip(samples, placed.geometry, strict=True)
     ]
-    folds = fold_of(len(prepared))
+    folds = fold_of(prepared.presses.experiment)
     return held_out_squares(sums, folds, RATIO_SETTINGS)[:, 0]
 
 

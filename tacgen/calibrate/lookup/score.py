@@ -48,7 +48,7 @@ class PressScore:
 
     def rmse(self, picture: str) -> float:
         """Inside the circle, over the channels, grey levels."""
-        return TableScore((self,)).rmse(picture)[0]
+        return TableScore((self,), 1).rmse(picture)[0]
 
     def as_dict(self) -> dict[str, Any]:
         """Its entry in the score's ``images``."""
@@ -63,9 +63,10 @@ class PressScore:
 
 @dataclass(frozen=True, slots=True)
 class TableScore:
-    """Errors of a table over a set of presses."""
+    """Errors of a table over pictures, which are of ``n_presses`` presses."""
 
     presses: tuple[PressScore, ...]
+    n_presses: int
 
     def rmse(self, picture: str, ring: int = 0) -> tuple[float, list[float]]:
         """Over all and per channel (RGB) in a ring; ``picture`` is one of ``PICTURES``."""
@@ -97,6 +98,7 @@ class TableScore:
             "rmse_labels_rgb": labels_rgb,
             "rmse_refined": refined,
             "rmse_refined_rgb": refined_rgb,
+            "n_presses": self.n_presses,
             "n_images": len(self.presses),
             "n_pixels": sum(int(press.counts[0]) for press in self.presses),
             "unit": "grey",
@@ -196,7 +198,7 @@ def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = F
             error = _gradient_error_deg(reader, press_model, presses, k, press.refined_mm)
             press = replace(press, likeness={**press.likeness, "gradient_error_deg": error})
         scored.append(press)
-    return TableScore(tuple(scored))
+    return TableScore(tuple(scored), presses.n_experiments)
 
 
 def _gradient_error_deg(

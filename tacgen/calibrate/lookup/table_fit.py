@@ -46,8 +46,7 @@ BEYOND_STEEPEST = 1.02  # the table ends a little above the steepest slope that 
 class Calibration:
     """A table, how it was fitted, and its score on held-out presses.
 
-    ``fold_tables`` are those that the score is of: press k was held out of table k mod their
-    number.
+    ``fold_tables`` are those that the score is of: picture k was held out of table ``folds[k]``.
     """
 
     presses: PreparedPresses
@@ -57,6 +56,7 @@ class Calibration:
     heldout: TableScore
     scale: ScaleEvidence
     fold_tables: tuple[LookupTable, ...]
+    folds: IntArray
 
     @property
     def background(self) -> FloatArray:
@@ -81,19 +81,17 @@ def calibrate(presses: PressImages, *, processes: int | None = None) -> Calibrat
     processes, by default one a core; the result does not depend on how many.
     """
     prepared = PreparedPresses.of(presses)
-    folds = fold_of(len(presses))
+    folds = fold_of(presses.experiment)
     task = _FoldTask(prepared, folds)
     whole, *parts = map_in_processes(task, [WHOLE, *np.unique(folds).tolist()], processes)
     table, fit, choice, scale = whole
-    # Fold f holds the presses f, f + n, f + 2n, … of n folds.
-    scores = [score.presses for _, score in parts]
-    total = TableScore(tuple(scores[k % len(parts)][k // len(parts)] for k in range(len(presses))))
+    scores = [iter(score.presses) for _, score in parts]
+    total = TableScore(tuple(next(scores[fold]) for fold in folds.tolist()), presses.n_experiments)
     found = {name: value for name, value in total.as_dict().items() if name != "images"}
     provenance = {**table.provenance, "heldout": found, "scale": scale.as_dict()}
     table = replace(table, provenance=MappingProxyType(provenance))
-    return Calibration(
-        prepared, table, fit, choice, total, scale, tuple(fold_table for fold_table, _ in parts)
-    )
+    tables = tuple(fold_table for fold_table, _ in parts)
+    return Calibration(prepared, table, fit, choice, total, scale, tables, folds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +139,8 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
     provenance: dict[str, Any] = {
         "made_by": f"tacgen {__version__} calibrate lookup",
         "data_sha256": dict(presses.sha256),
-        "n_presses": len(presses),
+        "n_presses": presses.n_experiments,
+        "n_images": len(presses),
         "left_out": [str(press) for press in presses.dropped],
         "ball_radius_mm": sorted({float(r) for r in presses.ball_radius_mm}),
         "press_model": fit.press_model.as_dict(),

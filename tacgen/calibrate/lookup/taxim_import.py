@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
-from tacgen.core.safe_io import check_archive, read_bgr
+from tacgen.core.safe_io import check_archive, read_rgb
 from tacgen.core.version import __version__
 from tacgen.optics.table import N_FEATURES, LookupTable
 
@@ -139,8 +139,8 @@ def _read_background(path: Path) -> NDArray[np.float64]:
         msg = f"{path}: cannot be read as an array: {error}"
         raise TableError(msg) from None
     if image is None:
-        image = read_bgr(path)
-    if image is None or image.ndim != 3 or image.shape[2] != 3:
+        return read_rgb(path, TableError).astype(np.float64)
+    if image.ndim != 3 or image.shape[2] != 3:
         msg = f"{path}: is not an image of shape (H, W, 3)"
         raise TableError(msg)
     return np.asarray(image[..., ::-1], dtype=np.float64)

@@ -20,7 +20,7 @@ from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns
-from tacgen.dataset.schema import SPLITS, STATE_FIELDS
+from tacgen.dataset.schema import ACTION, SPLITS, STATE_FIELDS
 
 require_extra("parquet", "--format lerobot needs", DatasetError)
 import pyarrow as pa  # noqa: E402
@@ -29,7 +29,6 @@ import pyarrow.parquet as pq  # noqa: E402
 CODEBASE_VERSION = "v3.0"
 CHUNKS_SIZE, DATA_FILES_SIZE_MB, VIDEO_FILES_SIZE_MB = 1000, 100, 200
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 POSE = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 CONTACT_STATE = tuple(name for field in STATE_FIELDS for name in field.column_names)
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}

@@ -1,8 +1,12 @@
 """Export to robomimic's HDF5: one demonstration a grasp, for imitation learning.
 
-``data/demo_<k>/{obs/<name>, actions, rewards, dones}``, each (T, …), with ``num_samples``; the
-masks ``mask/{train, valid}`` list the demonstrations of each split. The layout: robomimic's
-documentation, "Dataset Contents and Structure".
+``data/demo_<k>/{obs/<name>, actions, rewards, dones}``, each (T, …), with ``num_samples``. The
+masks ``mask/{train, valid}`` list the demonstrations of each split that succeeded,
+``mask/{train_failed, valid_failed}`` those that did not: what is imitated should have worked.
+
+Actions lie in [−1, 1], which robomimic's policies can reach and its ``get_dataset_info`` demands:
+``action = 2 (value − action_low) / (action_high − action_low) − 1``, with the bounds as attributes
+of ``data``. Source: robomimic's documentation, "Dataset Contents and Structure".
 """
 
 import json
@@ -12,10 +16,11 @@ import h5py
 import numpy as np
 import pandas as pd
 
-from tacgen.dataset.export.lerobot import ACTION
+from tacgen.core.arrays import FloatArray
+from tacgen.core.records import LABEL_SUCCESS
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import FRAME_FIELDS
+from tacgen.dataset.schema import ACTION, FRAME_FIELDS
 
 FILE = "grasps.hdf5"
 MASKS = {"train": "train", "valid": "test"}  # robomimic's name of each split of the recipe
@@ -25,33 +30,45 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     """Write each of the chosen grasps as a demonstration into ``grasps.hdf5``.
 
     The action of every frame is the grasp's configuration, (T, 5): force_n, x_mm, y_mm, z_mm,
-    yaw_rad. The reward of the last frame is the label.
+    yaw_rad, each scaled from its range over the grasps to [−1, 1]. The reward of the last frame is
+    the label.
     """
+    configurations = grasps[list(ACTION)].to_numpy(np.float64)
+    low, high = configurations.min(axis=0), configurations.max(axis=0)
+    actions = _scaled(configurations, low, high)
     with h5py.File(folder / FILE, "w") as file:
         data = file.create_group("data")
-        names = [f"demo_{k}" for k in range(len(grasps))]
-        for name, index in zip(names, grasps["index"], strict=True):
-            _write_demo(data.create_group(name), dataset.read(int(index)))
+        names = np.array([f"demo_{k}" for k in range(len(grasps))], dtype="S")
+        for name, index, action in zip(names, grasps["index"], actions, strict=True):
+            _write_demo(data.create_group(name.decode()), dataset.read(int(index)), action)
         data.attrs["total"] = len(grasps) * dataset.n_frames
+        data.attrs.update({"action_names": list(ACTION), "action_low": low, "action_high": high})
         # robomimic builds its environment from these; type 2 is its general (gym) one.
         about = {"env_name": "tacgen", "type": 2, "env_kwargs": {"sensor": dataset.sensor}}
         data.attrs["env_args"] = json.dumps(about)
-        split = grasps["split"].to_numpy()
+        split, held = grasps["split"].to_numpy(), grasps["label"].to_numpy() == LABEL_SUCCESS
         for mask, of in MASKS.items():
-            chosen = [name for name, here in zip(names, split, strict=True) if here == of]
-            file.create_dataset(f"mask/{mask}", data=np.array(chosen, dtype="S"))
-    return f"{len(grasps)} demonstrations in robomimic's HDF5 format"
+            file.create_dataset(f"mask/{mask}", data=names[(split == of) & held])
+            file.create_dataset(f"mask/{mask}_failed", data=names[(split == of) & ~held])
+    masks = f"{held.sum()} successes in mask/train and mask/valid, {(~held).sum()} failures apart"
+    return f"{len(grasps)} demonstrations in robomimic's HDF5 format: {masks}"
 
 
-def _write_demo(demo: h5py.Group, sample: GraspSample) -> None:
+def _scaled(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Values (N, n) from [low, high] to [−1, 1]; 0 for one that never changes."""
+    span = np.where(high > low, high - low, 1.0)
+    scaled = np.where(high > low, 2 * (values - low) / span - 1, 0.0)
+    return np.asarray(np.clip(scaled, -1.0, 1.0))
+
+
+def _write_demo(demo: h5py.Group, sample: GraspSample, action: FloatArray) -> None:
     object_pose = np.asarray(sample.object_pose)
     count = len(object_pose)
-    configuration = [getattr(sample.config, name) for name in ACTION]
     rewards, dones = np.zeros(count), np.zeros(count, np.int64)
     rewards[-1], dones[-1] = sample.label, 1
     moment = {"grasp_frame": sample.grasp_frame, "grasp_time_s": sample.grasp_time_s}
     demo.attrs.update({"num_samples": count, "object": sample.config.object, **moment})
-    demo["actions"] = np.tile(np.array(configuration), (count, 1))
+    demo["actions"] = np.tile(action, (count, 1))
     demo["rewards"], demo["dones"] = rewards, dones
     observed = demo.create_group("obs")
     observed["object_pose"] = object_pose

@@ -5,6 +5,7 @@ diagnosis of labels considers: V = k_n F. So how strongly a real image differs f
 one is compared with simulated images of the same grasp at several forces.
 """
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,8 @@ from tacgen.collection.grid import PlannedGrasp
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import Randomize, Recipe
 from tacgen.core.arrays import FloatArray
-from tacgen.core.safe_io import read_bgr
+from tacgen.core.errors import TacgenError
+from tacgen.core.safe_io import read_rgb
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
 from tacgen.diagnose.grasps.rules import RULES
@@ -144,5 +146,6 @@ def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Rec
 
 def _read(path: Path) -> Image | None:
     """An RGB image, or None where there is none that can be read."""
-    found = read_bgr(path)
-    return None if found is None else np.ascontiguousarray(found[..., ::-1])
+    with contextlib.suppress(TacgenError):
+        return read_rgb(path)
+    return None

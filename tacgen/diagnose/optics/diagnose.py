@@ -21,6 +21,7 @@ from tacgen.diagnose.optics.selection import Scored, Selection, Step, log_gain, 
 from tacgen.diagnose.optics.sharpness import LostNoise, lost_noise
 from tacgen.optics.effects import Candidate, PressScene, Stage, optical_effect, optical_effects
 from tacgen.optics.table import LookupTable
+from tacgen.presses.experiments import ranked
 from tacgen.presses.press_images import PressImages
 
 
@@ -51,7 +52,7 @@ class PressErrors:
 
     Attributes
     ----------
-    squares : (n_test,) float
+    squares : (E,) float
         Mean squared error of each press, with place and exposure as stated.
     inside : float
         Within the labelled circles alone.
@@ -156,7 +157,7 @@ class OpticsDiagnosis:
                 "rmse": self.noise_floor,
                 "how": "second differences of neighbouring pixels: the camera's noise alone",
             },
-            "trials": {"fit": self.n_fit, "test": len(self.tests)},
+            "trials": {"fit": self.n_fit, "test": self.test_fit.n_presses},
             "steps": [
                 {
                     "error_before": step.before,
@@ -192,9 +193,11 @@ def diagnose_optics(
     PressError
         If there are too few presses to hold any out, or the table is of another resolution.
     """
-    if len(presses) < rules.min_presses:
+    n_presses = presses.n_experiments
+    if n_presses < rules.min_presses:
+        pictures = f" in {len(presses)} pictures" if len(presses) > n_presses else ""
         msg = (
-            f"{len(presses)} usable presses are too few to hold any out; take at least "
+            f"{n_presses} usable presses{pictures} are too few to hold any out; take at least "
             f"{rules.min_presses}, better 30, spread over the gel"
         )
         raise PressError(msg)
@@ -204,15 +207,17 @@ def diagnose_optics(
     scatter = max(known.get("label_scatter_radii", 0.0), rules.usual_scatter_radii)
     count = known.get("n_presses", rules.table_presses)
     rules = replace(rules, usual_scatter_radii=scatter, table_presses=count)
-    testing = np.arange(len(presses)) % rules.test_every == rules.test_every - 1
+    testing = ranked(presses.experiment) % rules.test_every == rules.test_every - 1
     shown, tests = presses.select(~testing), presses.select(testing)
+    folds = None
     if table is None:
         calibration = calibrate(shown)
-        whole, tables = calibration.table, list(calibration.fold_tables)
+        whole, tables, folds = calibration.table, calibration.fold_tables, calibration.folds
     else:
-        whole, tables = table, [table]
-    fit = PressFit(views_of(presses, ~testing, tables, rules), rules)
-    test_fit = PressFit(views_of(presses, testing, [whole], rules), rules)
+        whole, tables = table, (table,)
+    views = views_of(presses, ~testing, tables, rules, folds)
+    fit = PressFit(views, rules, shown.experiment)
+    test_fit = PressFit(views_of(presses, testing, [whole], rules), rules, tests.experiment)
     noise = camera_noise_grey(presses)
     scene = PressScene(
         contact_radius_mm=float(np.mean([view.radius_mm for view in fit.views])),
@@ -258,7 +263,7 @@ def diagnose_optics(
         before=_errors(test_fit, test_start),
         after=_errors(test_fit, on_presses(test_fit, test_start, found)),
         noise_floor=noise,
-        n_fit=len(shown),
+        n_fit=shown.n_experiments,
         mean_grey=float(presses.images.mean()),
     )
 
@@ -287,7 +292,7 @@ def _gain(fit: PressFit, start: Model, selection: Selection, k: int) -> tuple[fl
         fit.squares(on_presses(fit, start, model), step.known, heldout=False)
         for model in (before, _chosen(step).model)
     ]
-    objected = len(fit.views) >= fit.rules.min_objecting and log_gain(*pairs)[0] <= 0
+    objected = fit.n_presses >= fit.rules.min_objecting and log_gain(*pairs)[0] <= 0
     before_squares = np.append(step.squares, pairs[0])
     gain, error = log_gain(before_squares, np.append(_chosen(step).squares, pairs[1]))
     rmse = math.sqrt(typical(before_squares))
@@ -299,7 +304,7 @@ def _errors(fit: PressFit, model: Model) -> PressErrors:
     inside = [r[view.pixels.inside] for r, view in zip(stated, fit.views, strict=True)]
     refined = fit.squares(model, heldout=False)
     return PressErrors(
-        np.array([(residual**2).mean() for residual in stated]),
+        fit.mean_squares(stated),
         float(np.sqrt((np.concatenate(inside) ** 2).mean())),
         float(np.sqrt(refined.mean())),
     )
@@ -352,7 +357,7 @@ def _parameters(
     }
     for name, value in chosen.items():
         found[name] = _number(value, None, effect.parameters[name].unit)
-    own = fit.own_values(model, known) if candidate.each else np.zeros((0, 3))
+    own = fit.by_press(fit.own_values(model, known)) if candidate.each else np.zeros((0, 3))
     for name, values in zip(candidate.each, own.T, strict=False):
         unit, count = effect.parameters[name].unit, len(values)
         mean, scatter = float(values.mean()), float(values.std(ddof=1))

@@ -7,11 +7,12 @@ from enum import IntFlag
 import numpy as np
 
 from tacgen.calibrate.lookup.model_choice import fold_of
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.optics.rendering import PressView
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import Candidate, Parameter, Stage, optical_effect
 from tacgen.optics.render import Effects
+from tacgen.presses.experiments import per_experiment
 
 Key = tuple[str, str]
 """An effect and one of its parameters."""
@@ -119,9 +120,12 @@ class Linearised:
 class PressFit:
     """Fits models to a set of presses and scores them on held-out ones."""
 
-    def __init__(self, views: Sequence[PressView], rules: SelectionRules) -> None:
+    def __init__(
+        self, views: Sequence[PressView], rules: SelectionRules, experiment: IntArray | None = None
+    ) -> None:
         self.views, self.rules = views, rules
-        self.folds = fold_of(len(views), rules.folds)
+        self.experiment = np.arange(len(views)) if experiment is None else experiment
+        self.folds = fold_of(self.experiment, rules.folds)
         self._lit: dict[tuple[int, str, bytes], FloatArray] = {}
         self._latest: list[tuple[Model, Known, list[Linearised]]] = []
 
@@ -186,13 +190,27 @@ class PressFit:
     def squares(
         self, model: Model, known: Known = Known.NOTHING, *, heldout: bool = True
     ) -> FloatArray:
-        """Mean squared error (N,) of each press; ``heldout`` by the other folds' parameters."""
-        return mean_squares(self.residuals(model, known, heldout=heldout))
+        """Mean squared error (E,) of each press; ``heldout`` by the other folds' parameters."""
+        return self.mean_squares(self.residuals(model, known, heldout=heldout))
+
+    def mean_squares(self, residuals: Sequence[FloatArray]) -> FloatArray:
+        """Of the residuals (n, 3) of each picture, by press (E,)."""
+        by_picture = np.array([(residual**2).mean() for residual in residuals])
+        return self.by_press(by_picture)
+
+    def by_press(self, values: FloatArray) -> FloatArray:
+        """Means (E, …) over the pictures of each press of values (N, …)."""
+        return per_experiment(values, self.experiment)
+
+    @property
+    def n_presses(self) -> int:
+        """How many presses the pictures are of."""
+        return len(np.unique(self.experiment))
 
     def residuals(
         self, model: Model, known: Known = Known.NOTHING, *, heldout: bool = True
     ) -> list[FloatArray]:
-        """Residuals (n, 3) of each press, as ``squares`` takes them."""
+        """Residuals (n, 3) of each picture, as ``squares`` takes them."""
         parts, still = self.linearised(model, known), np.zeros(len(model.free))
         steps = self.fold_steps(model, parts) if heldout else None
         return [
@@ -216,7 +234,7 @@ class PressFit:
         return dict(zip(model.free, errors.tolist(), strict=True))
 
     def own_values(self, model: Model, known: Known) -> FloatArray:
-        """What each press (N, 3) differs by in what else is ``known``: radii, or shares of gain."""
+        """What each picture (N, 3) differs by in what else is ``known``: radii, shares of gain."""
         parts = self.linearised(model)
         own = np.array([part.off + part.own_step(part.residual) for part in parts])
         radii = np.array([[view.radius_mm] for view in self.views])
@@ -279,11 +297,6 @@ class PressFit:
         return view.finished(self._lit[key], effects)
 
 
-def mean_squares(residuals: Sequence[FloatArray]) -> FloatArray:
-    """Of the residuals (n, 3) of each press, (N,)."""
-    return np.array([(residual**2).mean() for residual in residuals])
-
-
 def typical(squares: FloatArray) -> float:
-    """Geometric mean over the presses (N,): one that is off does not decide."""
+    """Geometric mean over the presses (E,): one that is off does not decide."""
     return float(np.exp(np.log(squares + 1e-6).mean()))

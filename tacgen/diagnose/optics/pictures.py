@@ -8,6 +8,7 @@ from tacgen.core.images import difference, side_by_side
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis, on_presses
 from tacgen.diagnose.optics.fit import Model
 from tacgen.diagnose.optics.rendering import PressView
+from tacgen.presses.experiments import ranked
 from tacgen.presses.press_images import PressImages
 
 SHOWN = 3
@@ -25,7 +26,8 @@ def press_pictures(
     start = diagnosis.test_start
     models = [start, on_presses(fit, start, diagnosis.selection.chosen)]
     by_error = np.argsort(diagnosis.after.squares)[::-1]
-    shown = by_error[:: max(1, len(tests) // SHOWN)][:SHOWN].tolist()
+    first = np.unique(ranked(fit.experiment), return_index=True)[1]  # picture of each press
+    shown = first[by_error[:: max(1, len(first) // SHOWN)][:SHOWN]].tolist()
     return [
         (
             presses.names[tests[k]],

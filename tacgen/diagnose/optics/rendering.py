@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.score import PressRenderer, press_model_of
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
 from tacgen.optics.render import Effects
@@ -132,11 +132,15 @@ def _active(
 
 
 def views_of(
-    presses: PressImages, shown: BoolArray, tables: Sequence[LookupTable], rules: SelectionRules
+    presses: PressImages,
+    shown: BoolArray,
+    tables: Sequence[LookupTable],
+    rules: SelectionRules,
+    folds: IntArray | None = None,
 ) -> list[PressView]:
-    """The k-th of the presses that are shown, rendered by table k mod their number."""
+    """The pictures that are shown, each rendered by the table of its fold, by default the first."""
     renderers = [PressRenderer(table, press_model_of(table, presses)) for table in tables]
     return [
-        PressView.of(presses, number, renderers[k % len(tables)], rules)
+        PressView.of(presses, number, renderers[0 if folds is None else folds[k]], rules)
         for k, number in enumerate(np.nonzero(shown)[0].tolist())
     ]

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.optics.fit import Model, PressFit, mean_squares, typical
+from tacgen.diagnose.optics.fit import Model, PressFit, typical
 from tacgen.diagnose.optics.selection import log_gain
 
 PLACE = "place_on_gel"
@@ -29,13 +29,14 @@ def dependences(fit: PressFit, model: Model) -> list[Dependence]:
     """
     rules = fit.rules
     residuals = fit.residuals(model)
-    errors = {PLACE: (mean_squares(residuals), _squares(residuals, _pattern(fit, residuals)))}
+    pattern = _pattern(fit, residuals)
+    errors = {PLACE: (fit.mean_squares(residuals), _squares(fit, residuals, pattern))}
     changes = _changes(fit, model)
     constant = np.ones((len(residuals), 1))
-    without = _squares(residuals, _predicted(fit, changes, residuals, constant))
+    without = _squares(fit, residuals, _predicted(fit, changes, residuals, constant))
     for name, values in _conditions(fit).items():
         trend = _predicted(fit, changes, residuals, np.column_stack([constant, values]))
-        errors[name] = (without, _squares(residuals, trend))
+        errors[name] = (without, _squares(fit, residuals, trend))
     found = []
     for name, (before, after) in errors.items():
         gain, error = log_gain(before, after)
@@ -47,9 +48,9 @@ def dependences(fit: PressFit, model: Model) -> list[Dependence]:
     return sorted(found, key=lambda dependence: -dependence.gain_grey)
 
 
-def _squares(residuals: list[FloatArray], predicted: list[FloatArray]) -> FloatArray:
-    """Mean squares (N,) of what a prediction leaves of the residuals."""
-    return mean_squares([r - p for r, p in zip(residuals, predicted, strict=True)])
+def _squares(fit: PressFit, residuals: list[FloatArray], predicted: list[FloatArray]) -> FloatArray:
+    """Mean squares (E,) of what a prediction leaves of the residuals."""
+    return fit.mean_squares([r - p for r, p in zip(residuals, predicted, strict=True)])
 
 
 def _conditions(fit: PressFit) -> dict[str, FloatArray]:

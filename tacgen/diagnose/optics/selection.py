@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, mean_squares, typical
+from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, typical
 from tacgen.optics.effects import Candidate, PressScene, optical_effect, optical_effects
 
 Kind = tuple[Known, bool, bool]
@@ -33,14 +33,14 @@ def _kind(candidate: Candidate) -> Kind:
 
 
 def log_gain(before: FloatArray, after: FloatArray) -> tuple[float, float]:
-    """Mean over presses of the fall of the logarithm of squared errors (N,), and its error."""
+    """Mean over presses of the fall of the logarithm of squared errors (E,), and its error."""
     gain = np.log(before + 1e-6) - np.log(after + 1e-6)
     return float(gain.mean()), float(gain.std(ddof=1) / math.sqrt(len(gain)) + 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """A model with one candidate more, and its squared errors (N,) on held-out presses."""
+    """A model with one candidate more, and its squared errors (E,) on held-out presses."""
 
     model: Model
     squares: FloatArray
@@ -66,7 +66,7 @@ class Scored:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step: squared errors (N,) before it, every candidate, and which was chosen."""
+    """One step: squared errors (E,) before it, every candidate, and which was chosen."""
 
     known: Known
     squares: FloatArray
@@ -138,7 +138,7 @@ def _step(
     if not listed:
         return None
     residuals = fit.residuals(model, known)
-    before = mean_squares(residuals)
+    before = fit.mean_squares(residuals)
     tried = sorted(
         (_scored(fit, model, candidate, known, residuals) for candidate in listed),
         key=lambda one: -one.gain,
@@ -171,19 +171,20 @@ def _scored(
         evidence = np.log(apart / fit.rules.usual_scatter_radii**2)
     else:
         evidence = correlations(before, [b - a for b, a in zip(before, after, strict=True)])
-    squares = mean_squares(after)
-    gain, error = log_gain(mean_squares(before), squares)
-    return Scored(fitted, squares, gain, error, _chance(evidence, fit.rules.table_presses))
+    squares = fit.mean_squares(after)
+    gain, error = log_gain(fit.mean_squares(before), squares)
+    chance = _chance(fit.by_press(evidence), fit.rules.table_presses)
+    return Scored(fitted, squares, gain, error, chance)
 
 
 def correlations(residuals: list[FloatArray], changes: list[FloatArray]) -> FloatArray:
-    """Of each press's residual (n, 3) with what parameters of other presses change it by."""
+    """Of each picture's residual (n, 3) with what parameters of other presses change it by."""
     pairs = [(r / np.linalg.norm(r), c) for r, c in zip(residuals, changes, strict=True)]
     return np.array([np.vdot(r, c) / (np.linalg.norm(c) + 1e-9) for r, c in pairs])
 
 
 def _chance(evidence: FloatArray, table_presses: float) -> float:
-    """The chance of a mean over presses (N,) as high as this where there is no effect.
+    """The chance of a mean over presses (E,) as high as this where there is no effect.
 
     The table is off by the mean of its own presses, which scatter as these do.
     """

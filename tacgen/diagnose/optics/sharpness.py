@@ -11,6 +11,7 @@ from tacgen.calibrate.lookup.table_fit import image_noise_grey
 from tacgen.diagnose.optics.rules import SelectionRules
 from tacgen.optics.effects import OpticalEffect, Stage, optical_effects
 from tacgen.optics.table import LookupTable
+from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages
 
 ROUNDING = 1 / 12
@@ -66,8 +67,9 @@ def lost_noise(
     if table is None or table.noise_grey**2 <= 2 * ROUNDING:
         return None
     share, tested = (
-        np.array([image_noise_grey(image) for image in presses.images]) / table.noise_grey
-        for presses in (shown, tests)
+        per_experiment(np.array([image_noise_grey(image) for image in presses.images]), each)
+        / table.noise_grey
+        for presses, each in ((shown, shown.experiment), (tests, tests.experiment))
     )
     error = share.std(ddof=1) / np.sqrt(len(share)) + 1e-12
     p_value = float(student.sf((rules.sharp_noise_share - share.mean()) / error, len(share) - 1))

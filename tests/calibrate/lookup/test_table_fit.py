@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tacgen.calibrate.lookup.model_choice import fold_of
 from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.table_fit import calibrate, fit_lookup
 from tacgen.optics import load_table, render_rgb, save_table
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
-from tests.virtual_presses import virtual_presses, virtual_sensor
+from tests.virtual_presses import repeated, virtual_presses, virtual_sensor
 
 
 @pytest.mark.slow
@@ -125,3 +126,28 @@ def test_measured_presses(measured_data):
     assert heldout.rmse("refined")[0] <= 5.8
     assert heldout.rmse("labels")[0] <= 7.5
     assert len(heldout.presses) == 37
+
+
+def test_pictures_of_a_press_are_in_one_fold():
+    assert fold_of(np.array([7, 7, 2, 3, 7, 3, 9]), 3).tolist() == [0, 0, 1, 2, 0, 2, 0]
+    # Presses pictured once each are dealt out in turn.
+    np.testing.assert_array_equal(fold_of(np.arange(12), 5), np.arange(12) % 5)
+    assert fold_of(np.array([4, 4, 4, 1]), 5).max() == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [11, 12])
+def test_several_pictures_of_each_press_state_the_error_of_the_presses(seed):
+    few = virtual_presses(seed, count=6)
+    once = calibrate(few)
+    many = calibrate(usable_presses(repeated(few, 5)))
+    assert many.heldout.n_presses == 6
+    assert many.table.provenance["n_presses"] == 6
+    # Five folds of six presses; the frames' own noise of 1 grey level is all that differs.
+    stated, wanted = (made.heldout.rmse("labels")[0] for made in (many, once))
+    assert stated == pytest.approx(wanted, rel=0.2)
+    for fold, table in enumerate(many.fold_tables):
+        held_out = many.presses.presses.select(many.folds == fold)
+        own = [many.heldout.presses[k] for k in np.nonzero(many.folds == fold)[0]]
+        again = score_table(table, held_out)
+        assert TableScore(tuple(own), 1).rmse("labels") == again.rmse("labels")

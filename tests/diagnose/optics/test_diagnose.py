@@ -15,7 +15,8 @@ from tacgen.diagnose.optics.rules import RULES
 from tacgen.diagnose.optics.sharpness import lost_noise
 from tacgen.optics import render_rgb
 from tacgen.presses.press_images import PressImages
-from tests.virtual_presses import virtual_presses
+from tacgen.presses.screening import usable_presses
+from tests.virtual_presses import repeated, virtual_presses
 from validation.optics.optics_images import make
 
 
@@ -163,6 +164,28 @@ def test_the_json_has_the_contracts_fields():
 def test_too_few_presses():
     with pytest.raises(PressError, match="5 usable presses are too few to hold any out"):
         diagnose_optics(presses("four", count=5))
+
+
+def test_many_pictures_of_few_presses_are_too_few():
+    several = usable_presses(repeated(virtual_presses(1, count=5), 6))
+    with pytest.raises(PressError, match="5 usable presses in 30 pictures are too few"):
+        diagnose_optics(several)
+
+
+@pytest.mark.slow
+def test_several_pictures_of_each_press_count_as_one():
+    table = table_of_before("three")
+    once = presses("three", "vignetting")
+    several = replace(repeated(once, 3), experiment=np.repeat(np.arange(len(once)), 3))
+    found, wanted = diagnose_optics(several, table), diagnosed("three", "vignetting")
+    assert names(found) == names(wanted)
+    trials = [one.as_dict()["channels"]["rgb"]["trials"] for one in (found, wanted)]
+    assert trials[0] == trials[1] == {"fit": 12, "test": 4}
+    # Frames that differ by noise alone make nothing surer: three of each would by a factor of 1.7.
+    widths = [np.ptp(one.gain_interval) for one in (found, wanted)]
+    assert widths[0] == pytest.approx(widths[1], rel=0.25)
+    errors = [one.effects[0].heldout_gain_stderr for one in (found, wanted)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.25)
 
 
 @pytest.mark.slow
