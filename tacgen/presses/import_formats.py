@@ -21,6 +21,7 @@ from tacgen.core.columns import csv_problem
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_folder
 from tacgen.core.images import encode_png
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.progress import print_status
 from tacgen.core.safe_io import check_archive, decode_rgb, read_rgb
 from tacgen.presses.circles import find_circle
