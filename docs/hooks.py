@@ -1,15 +1,22 @@
-"""MkDocs hooks: tables of every key of every kind of YAML file, generated from its model."""
+"""MkDocs hooks: tables of keys, columns and commands from the code itself; formulas as pictures."""
 
 from __future__ import annotations
 
+import base64
+import io
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import matplotlib as mpl
+import typer
 import yaml
+from matplotlib.font_manager import FontProperties
+from matplotlib.mathtext import math_to_image
 from pydantic import BaseModel
 
+from tacgen.cli.common import app
 from tacgen.cli.recipes import recipe_kinds
 from tacgen.core import columns
 from tacgen.core.resources import packaged
@@ -98,10 +105,81 @@ def keys_of(kind: str) -> list[Key]:
     return list(_keys(schema, schema.get("$defs", {}), "", list(_shipped(kind))))
 
 
+FORMULA = re.compile(r"```.*?```|`[^`\n]*`|\$\$(?P<display>.+?)\$\$|\$(?P<inline>[^$]+)\$", re.S)
+"""Code, which stays as it is, or a formula in TeX."""
+
+
+TEX = {
+    r"\\(mathbf|mathbb|tilde|hat|bar|mathrm|sqrt) ?([A-Za-z])(?![A-Za-z])": r"\\\1{\2}",
+    r"\\[td]frac ?(\d)(\d)": r"\\frac{\1}{\2}",
+    r"\\[td]frac": r"\\frac",
+    r"\\[bB]ig[lrg]*": "",
+    r"\\(lVert|rVert)": r"\\Vert",
+}
+"""TeX that matplotlib does not know, and what it knows instead."""
+
+
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Replace ``<!-- keys: KIND -->`` and ``<!-- columns: LIST -->`` by their tables."""
+    """Replace formulas and the comments that stand for tables.
+
+    They are ``<!-- keys: KIND -->``, ``<!-- columns: LIST -->`` and ``<!-- commands -->``.
+    """
+    markdown = FORMULA.sub(_formula, markdown)
     markdown = re.sub(r"<!-- keys: (\w+) -->", lambda found: _tables(found[1]), markdown)
+    markdown = re.sub("<!-- commands -->", lambda _: "\n\n".join(_commands()), markdown)
     return re.sub(r"<!-- columns: (\w+) -->", lambda found: _columns(found[1]), markdown)
+
+
+def _formula(found: re.Match[str]) -> str:
+    """A formula as a picture, which browsers show without a script or network."""
+    tex = found["display"] or found["inline"]
+    if tex is None:
+        return found[0]
+    tex = " ".join(tex.split())
+    for other, known in TEX.items():
+        tex = re.sub(other, known, tex)
+    buffer = io.BytesIO()
+    with mpl.rc_context({"mathtext.fontset": "stix", "svg.hashsalt": tex}):
+        depth = math_to_image(f"${tex}$", buffer, FontProperties(size=12), dpi=72, format="svg")
+    code = base64.b64encode(buffer.getvalue()).decode()
+    kind = "display" if found["display"] else "inline"
+    text = tex.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+    style = "" if found["display"] else f' style="vertical-align:-{depth / 12:.2f}em"'
+    return (
+        f'<img class="formula {kind}" alt="{text}"{style} src="data:image/svg+xml;base64,{code}">'
+    )
+
+
+def _commands() -> Iterator[str]:
+    """Every command with its arguments and options, in the order of ``tacgen --help``."""
+
+    def walk(command: Any, name: str) -> Iterator[str]:
+        if hasattr(command, "commands"):
+            for part, inner in command.commands.items():
+                yield from walk(inner, f"{name} {part}")
+            return
+        rows = [
+            f"| {_parameter(one)} | {_default(one)} | {' '.join((one.help or '').split())} |"
+            for one in command.params
+            if one.name != "help"
+        ]
+        help_text = "\n\n".join(part.strip() for part in (command.help or "").split("\n\n"))
+        table = ["| argument or option | default | meaning |", "|---|---|---|", *rows]
+        yield "\n".join([f"## `{name}`", "", help_text, "", *(table if rows else ())])
+
+    yield from walk(typer.main.get_command(app), "tacgen")
+
+
+def _parameter(one: Any) -> str:
+    if one.param_type_name == "argument":
+        return f"`{(one.metavar or one.name).strip('{}')}`"
+    return ", ".join(f"`{name}`" for name in (*one.opts, *one.secondary_opts))
+
+
+def _default(one: Any) -> str:
+    if one.required:
+        return "required"
+    return "" if one.default in (None, False, "") or callable(one.default) else f"`{one.default}`"
 
 
 def _columns(name: str) -> str:
