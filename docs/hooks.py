@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import inspect
 import io
 import re
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,7 @@ from tacgen.cli.recipes import recipe_kinds
 from tacgen.core import columns
 from tacgen.core.resources import packaged
 from tacgen.core.yaml_source import kind_of, read_yaml
+from tacgen.diagnose.contact.rules import SelectionRules
 from tacgen.objects.description import ObjectDescription
 from tacgen.sensor.description import _SensorYaml
 
@@ -122,11 +124,13 @@ TEX = {
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Replace formulas and the comments that stand for tables.
 
-    They are ``<!-- keys: KIND -->``, ``<!-- columns: LIST -->`` and ``<!-- commands -->``.
+    They are ``<!-- keys: KIND -->``, ``<!-- columns: LIST -->``, ``<!-- commands -->`` and
+    ``<!-- rules -->``.
     """
     markdown = FORMULA.sub(_formula, markdown)
     markdown = re.sub(r"<!-- keys: (\w+) -->", lambda found: _tables(found[1]), markdown)
     markdown = re.sub("<!-- commands -->", lambda _: "\n\n".join(_commands()), markdown)
+    markdown = re.sub("<!-- rules -->", lambda _: _rules(), markdown)
     return re.sub(r"<!-- columns: (\w+) -->", lambda found: _columns(found[1]), markdown)
 
 
@@ -148,6 +152,13 @@ def _formula(found: re.Match[str]) -> str:
     return (
         f'<img class="formula {kind}" alt="{text}"{style} src="data:image/svg+xml;base64,{code}">'
     )
+
+
+def _rules() -> str:
+    """The thresholds of the contact diagnosis, each with the reason that stands beside it."""
+    lines = re.findall(r"^    (\w+): .* = (.*)  # (.+)$", inspect.getsource(SelectionRules), re.M)
+    rows = [f"| `{name}` | {value} | {reason} |" for name, value, reason in lines]
+    return "\n".join(["| rule | value | reason |", "|---|---|---|", *rows])
 
 
 def _commands() -> Iterator[str]:

@@ -41,7 +41,7 @@ def force_problem(force_n: float, limit_n: float) -> str:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class PhysicsSettings:
-    """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure.
+    """How a grasp is simulated; ``docs/explanation/physics.md`` has their reasons.
 
     Raises pydantic's ``ValidationError``, which lists every figure that cannot be.
     """

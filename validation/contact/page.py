@@ -30,16 +30,16 @@ def write_page(outcomes: list[Outcome], page: Path, note: str = "") -> None:
     _save(_power_figure(single), figures / "trust_power.png")
     _save(_confusion_figure(strong), figures / "trust_confusion.png")
     rows = [
-        ("one effect, at least 1.5 × the noise: exactly it named", _share(strong), "97 %"),
-        ("two effects at once, 1.5 × the noise each: exactly both named", _share(pairs), "88 %"),
+        ("one effect, at least 1.5 × the noise: found, and nothing else", _share(strong), "97 %"),
+        ("two effects at once, 1.5 × the noise each: found, and nothing else", _share(pairs), "88 %"),
         ("no effect: `sufficient`", _share(clean), "97 %"),
         (
             "a channel without effect, beside one with an effect: `sufficient`",
             _share(beside),
             "97 %",
         ),
-        ("unlisted covariate: no effect named, the right covariate", _share(outside), "95 %"),
-        ("unlisted covariate: an effect falsely named", f"{len(named)} of {len(outside)}", ""),
+        ("unlisted covariate: no effect found, the right covariate", _share(outside), "95 %"),
+        ("unlisted covariate: an effect found falsely", f"{len(named)} of {len(outside)}", ""),
         (
             "remaining structure and noise, over the noise: at most 1.10",
             _share_of(after, 1.10),
@@ -78,20 +78,18 @@ The figure omits strengths that were not run.
 
 {note}
 
-A result is right if exactly the simulated effects are named and nothing is unexplained.
-
 ![Found against strength](figures/trust_power.png)
 
-Share of logs in which exactly the simulated effect was named, by strength.
+Share of logs in which the simulated effect was found and nothing else, by strength.
 
 ![Confusion matrix](figures/trust_confusion.png)
 
-Simulated effects (rows, at 1.5 times the noise and more) against named effects (columns), in per
+Simulated effects (rows, at 1.5 times the noise and more) against effects found (columns), in per
 cent of the row.
 
 ## All wrong results
 
-| class | channel | simulated (form) | named | | seed |
+| class | channel | simulated (form) | found | | seed |
 |---|---|---|---|---|---|
 {wrong}
 

@@ -1,6 +1,6 @@
 """Every threshold of the diagnosis of a press log, with its reason, in one record.
 
-``docs/method.md`` has them as a table, with the study that set each.
+``docs/explanation/diagnosis_contact.md`` has them as a table, with the study that set each.
 """
 
 from dataclasses import dataclass
