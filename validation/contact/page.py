@@ -60,17 +60,11 @@ def write_page(outcomes: list[Outcome], page: Path, note: str = "") -> None:
 
 _PAGE = """# Error rates of the contact diagnosis
 
-Written by `make trust` (`python -m validation.contact`). Simulated press logs with known effects,
-or none, were diagnosed as by `tacgen diagnose contact`. The formulas of the logs
-(`validation/contact/forms.py`) differ from those that are fitted: creep as a logarithm or
-a power of time against Prony terms, stiffening as tanh or a fraction against powers, hysteresis
-by Bouc-Wen against plays and loops, one Gaussian bump against polynomials and a grid of
-Gaussians, and so on. Loads, sizes, numbers of trials (30 to 80), noise in volume and in force, and
-schedules are drawn at random.
-The strength of an effect is the RMS residual of the best linear law, in units of the noise of one
-sample. {count} channels were diagnosed. Thresholds were set on other seeds and on
-`validation/blind`'s logs, but also after inspecting wrong results of earlier runs of this study.
-The figure omits strengths that were not run.
+Written by `make trust` (`python -m validation.contact`). Simulated press logs were diagnosed as by
+`tacgen diagnose contact`. Their formulas (`validation/contact/forms.py`) differ from those that are fitted. Loads,
+numbers of trials (30 to 80), noise and schedules are drawn at random. The strength of an effect is the RMS residual of the
+best linear law, in units of the noise of one sample. Thresholds were set on other logs, but also after wrong results of
+earlier runs of this study were inspected. {count} channels were diagnosed.
 
 | | measured (95 % interval) | aim |
 |---|---|---|
@@ -95,12 +89,8 @@ cent of the row.
 
 ## Limits of this study
 
-All sessions are from one kind of rig: every press is loaded and unloaded, trials are
-independent, the noise is white. `validation/blind/evaluate.py` has other rigs, correlated
-noise, and 12 to 80 trials. A log without an unloading phase cannot show hysteresis,
-one ball cannot show geometry, and a soft limit that is approached but not reached cannot be
-separated from stiffening; the report of a diagnosis lists the effects that its data cannot
-separate.
+Every press is loaded and unloaded, and the noise is white. [Other logs](diagnosis_logs.md) have other rigs, correlated noise, and 12
+to 80 trials.
 """
 
 
