@@ -145,12 +145,15 @@ def _formula(found: re.Match[str]) -> str:
     buffer = io.BytesIO()
     with mpl.rc_context({"mathtext.fontset": "stix", "svg.hashsalt": tex}):
         depth = math_to_image(f"${tex}$", buffer, FontProperties(size=12), dpi=72, format="svg")
-    code = base64.b64encode(buffer.getvalue()).decode()
-    kind = "display" if found["display"] else "inline"
+    svg = buffer.getvalue()
+    height = float(re.search(rb'height="([\d.]+)pt"', svg)[1])  # type: ignore[index]
+    code = base64.b64encode(svg).decode()
+    kind = "shown" if found["display"] else "within"
     text = tex.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-    style = "" if found["display"] else f' style="vertical-align:-{depth / 12:.2f}em"'
+    style = f"height:{height / 11:.2f}em;vertical-align:-{depth / 11:.2f}em"  # as large as text
     return (
-        f'<img class="formula {kind}" alt="{text}"{style} src="data:image/svg+xml;base64,{code}">'
+        f'<img class="formula-{kind}" alt="{text}" style="{style}" '
+        f'src="data:image/svg+xml;base64,{code}">'
     )
 
 
@@ -166,8 +169,8 @@ def _commands() -> Iterator[str]:
 
     def walk(command: Any, name: str) -> Iterator[str]:
         if hasattr(command, "commands"):
-            for part, inner in command.commands.items():
-                yield from walk(inner, f"{name} {part}")
+            for part in command.list_commands(typer.Context(command)):
+                yield from walk(command.commands[part], f"{name} {part}")
             return
         rows = [
             f"| {_parameter(one)} | {_default(one)} | {' '.join((one.help or '').split())} |"

@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from docs.make_pictures import FIGURES, MAX_KB
-
+FIGURES, MAX_KB = Path(__file__).parent / "figures", 100
 TUTORIAL = Path(__file__).parent / "tutorial" / "first_network.md"
 WRONG_RECIPE = """
 extends: recipe.yaml

@@ -31,7 +31,7 @@ def write_page(outcomes: list[Outcome], page: Path, note: str = "") -> None:
     _save(_confusion_figure(strong), figures / "trust_confusion.png")
     rows = [
         ("one effect, at least 1.5 × the noise: found, and nothing else", _share(strong), "97 %"),
-        ("two effects at once, 1.5 × the noise each: found, and nothing else", _share(pairs), "88 %"),
+        ("two effects, 1.5 × the noise each: found, and nothing else", _share(pairs), "88 %"),
         ("no effect: `sufficient`", _share(clean), "97 %"),
         (
             "a channel without effect, beside one with an effect: `sufficient`",
@@ -61,10 +61,11 @@ def write_page(outcomes: list[Outcome], page: Path, note: str = "") -> None:
 _PAGE = """# Error rates of the contact diagnosis
 
 Written by `make trust` (`python -m validation.contact`). Simulated press logs were diagnosed as by
-`tacgen diagnose contact`. Their formulas (`validation/contact/forms.py`) differ from those that are fitted. Loads,
-numbers of trials (30 to 80), noise and schedules are drawn at random. The strength of an effect is the RMS residual of the
-best linear law, in units of the noise of one sample. Thresholds were set on other logs, but also after wrong results of
-earlier runs of this study were inspected. {count} channels were diagnosed.
+`tacgen diagnose contact`. Their formulas (`validation/contact/forms.py`) differ from those that
+are fitted. Loads, numbers of trials (30 to 80), noise and schedules are drawn at random. The
+strength of an effect is the RMS residual of the best linear law, in units of the noise of one
+sample. Thresholds were set on other logs, but also after wrong results of earlier runs of this
+study were inspected. {count} channels were diagnosed.
 
 | | measured (95 % interval) | aim |
 |---|---|---|
@@ -89,8 +90,8 @@ cent of the row.
 
 ## Limits of this study
 
-Every press is loaded and unloaded, and the noise is white. [Other logs](diagnosis_logs.md) have other rigs, correlated noise, and 12
-to 80 trials.
+Every press is loaded and unloaded, and the noise is white. [Other logs](diagnosis_logs.md) have
+other rigs, correlated noise, and 12 to 80 trials.
 """
 
 
