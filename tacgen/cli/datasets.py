@@ -52,10 +52,7 @@ def collect(
         loaded, out, workers=workers, shards=share, redo=redo, item_limit_s=grasp_limit_s,
         progress=not json_output,
     )  # fmt: skip
-    shown = result.summary()
-    if not (json_output or result.claimed_elsewhere):
-        del shown["shards_claimed_by_another_job"]
-    common.print_record(shown, json_output)
+    common.print_record(result.summary(), json_output)
     if not (result.made or result.found):
         return
     summary = summarize(out)

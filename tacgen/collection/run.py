@@ -22,7 +22,7 @@ from tacgen.dataset.summary import write_card
 
 @dataclass(slots=True)
 class Collected:
-    """What a run of ``collect`` did: shards it made, found done, or claimed by another job.
+    """What a run of ``collect`` did: shards it made, found done, and left to other processes.
 
     ``labels`` are those of the grasps that were simulated, ``crashed`` the reasons of the others,
     both by the grasp's index; ``n_succeeded`` counts the successes among them. ``thumbnails`` are
@@ -31,7 +31,7 @@ class Collected:
 
     found: tuple[int, ...]
     made: list[int] = field(default_factory=list)
-    claimed_elsewhere: list[int] = field(default_factory=list)
+    left_to_others: list[int] = field(default_factory=list)
     labels: dict[int, int] = field(default_factory=dict)
     crashed: dict[int, str] = field(default_factory=dict)
     n_succeeded: int = 0
@@ -52,7 +52,7 @@ class Collected:
         elif event.kind == "crashed":
             self.crashed[event.item] = event.value
         elif event.kind == "done":
-            (self.made if event.value else self.claimed_elsewhere).append(event.task)
+            (self.made if event.value else self.left_to_others).append(event.task)
 
     def summary(self) -> dict[str, int]:
         """Counts to show."""
@@ -60,7 +60,7 @@ class Collected:
         return {
             "shards_made": len(self.made),
             "shards_found": len(self.found),
-            "shards_claimed_by_another_job": len(self.claimed_elsewhere),
+            "shards_left_to_others": len(self.left_to_others),
             "grasps_made": len(self.labels) + len(self.crashed),
             "successes": labels[1],
             "failures": labels[0],
@@ -124,7 +124,7 @@ def collect(
                 what = f"grasp {event.item}" if event.kind == "crashed" else f"shard {event.task}"
                 print_status(f"{what} {event.kind}: {event.value}")
     result.made.sort()
-    result.claimed_elsewhere.sort()
+    result.left_to_others.sort()
     is_whole = len(folder.merge()) == spec.n_shards
     if is_whole and (result.made or not folder.gallery_path.is_file()):
         with disk_errors(folder.root):
