@@ -1,7 +1,8 @@
 """Every threshold of the diagnosis of grasp labels, with its reason and the study that set it.
 
 "Trust study" is ``python -m validation.grasps``, whose figures are in
-``docs/results/diagnosis_grasps.md``, on sets of grasps that are not among the reported ones. "Chosen" means that no study varied the figure.
+``docs/results/diagnosis_grasps.md``, on sets of grasps that are not among
+the reported ones. "Chosen" means that no study varied the figure.
 """
 
 import math
