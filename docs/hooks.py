@@ -1,19 +1,28 @@
-"""MkDocs hooks: tables of every key of every kind of YAML file, generated from its model."""
+"""MkDocs hooks: tables of keys, columns and commands from the code itself; formulas as pictures."""
 
 from __future__ import annotations
 
+import base64
+import inspect
+import io
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import matplotlib as mpl
+import typer
 import yaml
+from matplotlib.font_manager import FontProperties
+from matplotlib.mathtext import math_to_image
 from pydantic import BaseModel
 
+from tacgen.cli.common import app
 from tacgen.cli.recipes import recipe_kinds
 from tacgen.core import columns
 from tacgen.core.resources import packaged
 from tacgen.core.yaml_source import kind_of, read_yaml
+from tacgen.diagnose.contact.rules import SelectionRules
 from tacgen.objects.description import ObjectDescription
 from tacgen.sensor.description import _SensorYaml
 
@@ -98,10 +107,93 @@ def keys_of(kind: str) -> list[Key]:
     return list(_keys(schema, schema.get("$defs", {}), "", list(_shipped(kind))))
 
 
+FORMULA = re.compile(r"```.*?```|`[^`\n]*`|\$\$(?P<display>.+?)\$\$|\$(?P<inline>[^$]+)\$", re.S)
+"""Code, which stays as it is, or a formula in TeX."""
+
+
+TEX = {
+    r"\\(mathbf|mathbb|tilde|hat|bar|mathrm|sqrt) ?([A-Za-z])(?![A-Za-z])": r"\\\1{\2}",
+    r"\\[td]frac ?(\d)(\d)": r"\\frac{\1}{\2}",
+    r"\\[td]frac": r"\\frac",
+    r"\\[bB]ig[lrg]*": "",
+    r"\\(lVert|rVert)": r"\\Vert",
+}
+"""TeX that matplotlib does not know, and what it knows instead."""
+
+
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Replace ``<!-- keys: KIND -->`` and ``<!-- columns: LIST -->`` by their tables."""
+    """Replace formulas and the comments that stand for tables.
+
+    They are ``<!-- keys: KIND -->``, ``<!-- columns: LIST -->``, ``<!-- commands -->`` and
+    ``<!-- rules -->``.
+    """
+    markdown = FORMULA.sub(_formula, markdown)
     markdown = re.sub(r"<!-- keys: (\w+) -->", lambda found: _tables(found[1]), markdown)
+    markdown = re.sub("<!-- commands -->", lambda _: "\n\n".join(_commands()), markdown)
+    markdown = re.sub("<!-- rules -->", lambda _: _rules(), markdown)
     return re.sub(r"<!-- columns: (\w+) -->", lambda found: _columns(found[1]), markdown)
+
+
+def _formula(found: re.Match[str]) -> str:
+    """A formula as a picture, which browsers show without a script or network."""
+    tex = found["display"] or found["inline"]
+    if tex is None:
+        return found[0]
+    tex = " ".join(tex.split())
+    for other, known in TEX.items():
+        tex = re.sub(other, known, tex)
+    buffer = io.BytesIO()
+    with mpl.rc_context({"mathtext.fontset": "stix", "svg.hashsalt": tex}):
+        depth = math_to_image(f"${tex}$", buffer, FontProperties(size=12), dpi=72, format="svg")
+    svg = buffer.getvalue()
+    height = float(re.search(rb'height="([\d.]+)pt"', svg)[1])  # type: ignore[index]
+    code = base64.b64encode(svg).decode()
+    kind = "shown" if found["display"] else "within"
+    text = tex.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+    style = f"height:{height / 11:.2f}em;vertical-align:-{depth / 11:.2f}em"  # as large as text
+    return (
+        f'<img class="formula-{kind}" alt="{text}" style="{style}" '
+        f'src="data:image/svg+xml;base64,{code}">'
+    )
+
+
+def _rules() -> str:
+    """The thresholds of the contact diagnosis, each with the reason that stands beside it."""
+    lines = re.findall(r"^    (\w+): .* = (.*)  # (.+)$", inspect.getsource(SelectionRules), re.M)
+    rows = [f"| `{name}` | {value} | {reason} |" for name, value, reason in lines]
+    return "\n".join(["| rule | value | reason |", "|---|---|---|", *rows])
+
+
+def _commands() -> Iterator[str]:
+    """Every command with its arguments and options, in the order of ``tacgen --help``."""
+
+    def walk(command: Any, name: str) -> Iterator[str]:
+        if hasattr(command, "commands"):
+            for part in command.list_commands(typer.Context(command)):
+                yield from walk(command.commands[part], f"{name} {part}")
+            return
+        rows = [
+            f"| {_parameter(one)} | {_default(one)} | {' '.join((one.help or '').split())} |"
+            for one in command.params
+            if one.name != "help"
+        ]
+        help_text = "\n\n".join(part.strip() for part in (command.help or "").split("\n\n"))
+        table = ["| argument or option | default | meaning |", "|---|---|---|", *rows]
+        yield "\n".join([f"## `{name}`", "", help_text, "", *(table if rows else ())])
+
+    yield from walk(typer.main.get_command(app), "tacgen")
+
+
+def _parameter(one: Any) -> str:
+    if one.param_type_name == "argument":
+        return f"`{(one.metavar or one.name).strip('{}')}`"
+    return ", ".join(f"`{name}`" for name in (*one.opts, *one.secondary_opts))
+
+
+def _default(one: Any) -> str:
+    if one.required:
+        return "required"
+    return "" if one.default in (None, False, "") or callable(one.default) else f"`{one.default}`"
 
 
 def _columns(name: str) -> str:

@@ -6,14 +6,17 @@ import shlex
 import subprocess
 import sys
 from copy import deepcopy
+from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
 
 from docs import hooks
 from tacgen.cli import app
+from tacgen.diagnose.contact.rules import SelectionRules
 
 ROOT = Path(__file__).resolve().parents[1]
 FILE = re.compile(r'```yaml title="(.+?)"\n(.*?)```', re.S)
@@ -55,7 +58,7 @@ def write_shorter_recipes(folder: Path) -> None:
 @pytest.mark.slow
 def test_every_command_of_the_tutorial_runs(tmp_path, monkeypatch):
     """As written, with fewer presses, grasps and epochs."""
-    text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "tutorial" / "first_network.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     files = dict(FILE.findall(text))
     files["session.yaml"] = replaced(files["session.yaml"], "presses: 30", "presses: 8")
@@ -94,6 +97,12 @@ def test_the_site_builds_without_a_warning(tmp_path):
     page = (tmp_path / "reference" / "recipes" / "index.html").read_text(encoding="utf-8")
     for word in ("randomize", "tactile_pads", "depth", "extends", "learning_rate", "indenters"):
         assert word in page
+    page = (tmp_path / "reference" / "commands" / "index.html").read_text(encoding="utf-8")
+    for word in ("tacgen calibrate contact", "--radius-mm", "Ball of force-depth curves, mm."):
+        assert word in page
+    page = (tmp_path / "reference" / "rules" / "index.html").read_text(encoding="utf-8")
+    for rule in fields(SelectionRules):
+        assert f"<code>{rule.name}</code>" in page
 
 
 @pytest.mark.parametrize("kind", hooks.KINDS)
@@ -125,6 +134,26 @@ def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
         model.model_validate(data)
 
 
+@pytest.mark.slow
+def test_the_script_for_a_labs_csv_gives_the_law(tmp_path, monkeypatch):
+    """Presses of a ball of 4 mm into a gel of 5.2 mm³/N, as the page describes the file."""
+    text = (ROOT / "docs" / "howto" / "csv_to_law.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    lines = ["# rig 3, 4 May", "Timestamp;Press #;Fz [N];Depth [mm]"]
+    for row in range(640):
+        press, sample = divmod(row, 80)
+        depth = max(0.0, (0.6 + 0.05 * press) * np.sin(np.pi * sample / 79) - 0.05)
+        force = np.pi * depth**2 * (4.0 - depth / 3) / 5.2 + 0.05 + rng.normal(0.0, 0.01)
+        lines.append(f"{20 * row};{press};{-force:.4f};{depth:.4f}".replace(".", ","))
+    (tmp_path / "lab.csv").write_text("\n".join(lines), encoding="utf-8")
+    script = re.search(r'```python title="convert.py"\n(.*?)```', text, re.S)[1]
+    subprocess.run([sys.executable, "-c", script], check=True)
+    run("tacgen calibrate contact press_log.csv --out contact.yaml")
+    law = yaml.safe_load((tmp_path / "contact.yaml").read_text(encoding="utf-8"))
+    assert law["k_n_mm3_per_n"]["value"] == pytest.approx(5.2, rel=0.02)  # three times the noise
+
+
 def test_units_follow_from_the_names_of_the_keys():
     units = {key.path: key.unit for key in hooks.keys_of("collect")}
     assert units["grid.force_n"] == "N"
@@ -134,5 +163,5 @@ def test_units_follow_from_the_names_of_the_keys():
 
 
 def test_pictures_are_small():
-    for path in (ROOT / "docs" / "figures").glob("*.png"):
+    for path in (ROOT / "docs").rglob("figures/*.*"):
         assert path.stat().st_size <= 100_000, path

@@ -51,13 +51,13 @@ def counts_of(found: pd.DataFrame) -> pd.DataFrame:
     """Grasps and equal labels by object.
 
     ``executed``: in one engine at least; ``far``: of those, PyBullet's margin, if it has one, is
-    beyond ``NEAR_MARGIN``.
+    beyond ``NEAR_MARGIN``, away from the border between success and failure.
     """
     executed = (found[[f"{engine}_label" for engine in ENGINES]] >= 0).any(axis=1)
     far = executed & ~(found["pybullet_margin"].abs() <= NEAR_MARGIN)
     agree = found["agree"]
     flags = {"grasps": True, "executed": executed, "agree": agree, "far": far}
-    flags["far_agree"] = far & agree
+    flags["agree_far"] = far & agree
     counts = pd.DataFrame(flags, found.index).groupby(found["object"], sort=False).sum()
     counts.loc["all"] = counts.sum()
     return counts

@@ -1,6 +1,6 @@
 """The frozen records that the stages exchange; nothing here computes.
 
-Units: N, mm, s, rad, kg. Frames: see ``docs/frames.md``. The gel frame has its origin at the
+Units: N, mm, s, rad, kg. Frames: ``docs/reference/frames.md``. The gel frame has its origin at the
 centre of the gel surface at rest, x along image columns, y along image rows (down) and z out of
 the gel towards the object. Poses are 4×4 homogeneous matrices with translations in mm.
 """

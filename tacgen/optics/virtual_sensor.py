@@ -2,7 +2,7 @@
 
 It replaces a real sensor: its ball presses are what the shipped tables are fitted to, and
 what tests compare the table renderer with. It shares no code with the renderer. Its figures are
-those that agree best with real presses of a GelSight (``docs/contact_optics.md``).
+those that agree best with real presses of a GelSight (``docs/explanation/contact_optics.md``).
 """
 
 import math

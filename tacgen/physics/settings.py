@@ -56,7 +56,7 @@ def engine_of(choice: EngineChoice) -> EngineName:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class PhysicsSettings:
-    """How a grasp is simulated; ``docs/physics.md`` gives the reason for each figure.
+    """How a grasp is simulated; ``docs/explanation/physics.md`` has their reasons.
 
     Raises pydantic's ``ValidationError``, which lists every figure that cannot be.
     """

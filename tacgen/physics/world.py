@@ -161,7 +161,7 @@ class World:
         """Empty the world and lay the table: the state that every grasp starts from.
 
         A rebuild rather than ``restoreState``: that leaves out the motors, and does not repeat
-        bit for bit once an object of many parts is in contact (``docs/physics.md``).
+        bit for bit once an object of many parts is in contact (``docs/explanation/physics.md``).
         """
         bullet = self.bullet
         bullet.resetSimulation()

@@ -32,7 +32,7 @@ def test_grasps_near_slipping_count_apart() -> None:
         }
     )
     counts = counts_of(found)
-    assert counts.columns.tolist() == ["grasps", "executed", "agree", "far", "far_agree"]
+    assert counts.columns.tolist() == ["grasps", "executed", "agree", "far", "agree_far"]
     assert counts.loc["cup"].tolist() == [3, 3, 1, 2, 1]
     assert counts.loc["ball"].tolist() == [2, 1, 2, 1, 1], "no engine could make the last"
     assert counts.loc["all"].tolist() == [5, 4, 3, 3, 2]

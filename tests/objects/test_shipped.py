@@ -205,7 +205,7 @@ def test_ranges_bring_both_outcomes(folder):
 
 
 def test_the_manual_gives_the_same_figures():
-    manual = Path(__file__).resolve().parents[2] / "docs" / "objects.md"
+    manual = Path(__file__).resolve().parents[2] / "docs" / "reference" / "objects.md"
     lines = manual.read_text(encoding="utf-8").splitlines()
     for folder in FOLDERS:
         description = read_description(folder)

@@ -2,7 +2,7 @@
 
 Two grasps show that a threshold lies between two bounds. With
 ``pytest tests/physics/test_closed_forms.py -o junit_family=xunit1 --junitxml=measured.xml`` it is
-also bisected between them, and the measured ratios of docs/physics.md are written.
+also bisected between them, and the measured ratios of docs/results/physics.md are written.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ def main() -> None:
     """Run the study and write the page."""
     parser = argparse.ArgumentParser(description=(run.__doc__ or "").splitlines()[0])
     parser.add_argument("--repeats", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("docs/trust.md"))
+    parser.add_argument("--out", type=Path, default=Path("docs/results/diagnosis_contact.md"))
     parser.add_argument("--store", type=Path, default=Path("out/trust/outcomes.jsonl"))
     parser.add_argument("--kept-only", action="store_true", help="trace nothing that is not kept")
     parser.add_argument("--note", default="", help="a sentence for the page, under its table")

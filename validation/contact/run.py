@@ -1,6 +1,6 @@
 """How far the tracer can be trusted: inject effects, by other formulas, and count.
 
-    python -m validation.contact [--repeats N] [--out docs/trust.md]
+    python -m validation.contact [--repeats N] [--out docs/results/diagnosis_contact.md]
 
 Every effect of the lists, none, effects outside the lists, and pairs are put into made-up logs
 (`cases.py`) at several strengths; the page says what was found. It takes about one and a half

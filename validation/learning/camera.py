@@ -1,7 +1,8 @@
 """How pictures of one sensor differ where nothing touches it: gain by channel, noise, sharpness.
 
 ``python -m validation.learning.camera PRESSES…`` prints a row for each folder of ball presses. The
-augmentation of the training recipes has the size of these figures (``docs/training.md``).
+augmentation of the training recipes has the size of these figures
+(``docs/explanation/networks.md``).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Error rates of ``tacgen diagnose optics`` on images with effects by independent formulas.
 
-    python -m validation.optics.trust_optics --kept FOLDER --out docs/trust_optics.md
+    python -m validation.optics.trust_optics --kept FOLDER --out out/trust_optics.md
 
 Results are kept in FOLDER, one line a case, so that a run goes on where it stopped.
 """

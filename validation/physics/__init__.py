@@ -1,1 +1,1 @@
-"""Studies of the simulated grasp; see docs/physics.md."""
+"""Studies of the simulated grasp; see docs/results/physics.md."""

@@ -268,7 +268,7 @@ def _warnings(fit: ContactFit) -> tuple[str, ...]:
             texts.append(
                 f"{fit.log.path}: {channel.channel}: k differs between values of {channel.by!r} "
                 f"(p = {agreement.p_value:.2g}, spread {100 * agreement.spread:.1f} %): the pooled "
-                "k is an average of unlike things; `tacgen diagnose contact` looks for the cause"
+                "k averages presses that differ; `tacgen diagnose contact` looks for the cause"
             )
         held_out, unit = channel.held_out.rmse, unit_text(channel.held_out.unit)
         if held_out > STRUCTURE_FACTOR * channel.noise > 0:

@@ -28,7 +28,7 @@ from tacgen.diagnose.grasps.model_comparison import (
     ModelComparison,
     posterior,
 )
-from tacgen.diagnose.grasps.next_grasps import Proposal, propose_grasps, rivals_of
+from tacgen.diagnose.grasps.next_grasps import Proposal, competing_explanations, propose_grasps
 from tacgen.diagnose.grasps.perturbed_simulations import (
     DECLARED,
     PerturbedSimulations,
@@ -95,7 +95,7 @@ def diagnose_grasps(
     findings = GraspFindings(
         diagnosis,
         after,
-        propose_grasps(simulations, rivals_of(found)),
+        propose_grasps(simulations, competing_explanations(found)),
         extended_recipe(recipe, found.found, names),
     )
     inputs = {

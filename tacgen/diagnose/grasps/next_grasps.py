@@ -14,7 +14,7 @@ from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations, c
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import margins_of
 
-Rivals = dict[str, tuple[Cause, ...]]
+Competing = dict[str, tuple[Cause, ...]]
 _RATIO_SIGN = {Prediction.FORCE: 1, Prediction.FRICTION: 1, Prediction.MASS: -1}
 """Whether force over weight grows or falls by a factor."""
 
@@ -32,25 +32,25 @@ class Proposal:
         return max(self.success.values()) - min(self.success.values())
 
 
-def rivals_of(posterior: Posterior) -> Rivals:
+def competing_explanations(posterior: Posterior) -> Competing:
     """The explanations to separate, by name; one without causes is the declared simulation."""
     best = posterior.best
-    rivals: Rivals = {} if posterior.found else {"as declared": ()}
+    competing: Competing = {} if posterior.found else {"as declared": ()}
     for cause in best.causes:
         if cause.second_mode is not None:
             there = float(cause.candidate.parameter.coordinate(np.array([cause.second_mode]))[0])
             other = replace(cause, coordinate=there)
-            rivals[best.name] = best.causes
-            rivals[f"{best.name}, {cause.name} at {cause.second_mode:.3g}"] = tuple(
+            competing[best.name] = best.causes
+            competing[f"{best.name}, {cause.name} at {cause.second_mode:.3g}"] = tuple(
                 other if one is cause else one for one in best.causes
             )
     for one in posterior.explanations:
         close = one.gain > best.gain - RULES.confusable_gain
-        if len(rivals) < RULES.max_rivals and close and len(one.causes) == len(best.causes):
-            rivals.setdefault(one.name, _at_the_same_ratio(one, best))
-    if len(rivals) < 2:
-        rivals["as declared"] = ()
-    return rivals
+        if len(competing) < RULES.max_competing and close and len(one.causes) == len(best.causes):
+            competing.setdefault(one.name, _at_the_same_ratio(one, best))
+    if len(competing) < 2:
+        competing["as declared"] = ()
+    return competing
 
 
 def _at_the_same_ratio(one: Explanation, best: Explanation) -> tuple[Cause, ...]:
@@ -73,8 +73,8 @@ def _at_the_same_ratio(one: Explanation, best: Explanation) -> tuple[Cause, ...]
     return (*kept, replace(new[0], coordinate=there))
 
 
-def propose_grasps(simulations: PerturbedSimulations, rivals: Rivals) -> tuple[Proposal, ...]:
-    """Grasps of the recipe's grid, none of them made before, that separate ``rivals``.
+def propose_grasps(simulations: PerturbedSimulations, competing: Competing) -> tuple[Proposal, ...]:
+    """Grasps of the recipe's grid, none of them made before, that separate ``competing``.
 
     A part of the grid is drawn and simulated under each explanation. What belongs to the gripper
     also acts on objects that have not been grasped yet, so they may tell where no further grasp
@@ -83,14 +83,14 @@ def propose_grasps(simulations: PerturbedSimulations, rivals: Rivals) -> tuple[P
     configs = _considered(simulations)
     wanted = [
         (config, combined_perturbation(causes, config.object))
-        for causes in rivals.values()
+        for causes in competing.values()
         for config in configs
     ]
     simulations.simulate(wanted)
     proposals = []
     for config in configs:
         success = {}
-        for name, causes in rivals.items():
+        for name, causes in competing.items():
             change = combined_perturbation(causes, config.object)
             outcome = simulations.known[place_of(config), change]
             margin, _ = margins_of([outcome])

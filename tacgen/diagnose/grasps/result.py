@@ -79,12 +79,12 @@ class GraspDiagnosis:
 
     @property
     def undecided(self) -> bool:
-        """Whether labels differ from the simulation, but too few to name a cause."""
+        """Whether labels differ from the simulation, but too few to accept a cause."""
         return self.verdict == "sufficient" and self.rate_before > 0
 
     @property
     def products(self) -> tuple[Cause, ...]:
-        """Factors that the labels determine in products with others alone, if none is named."""
+        """Factors that the labels determine in products with others alone, if none is accepted."""
         return self.posterior.products if self.undecided else ()
 
     @property
@@ -104,8 +104,8 @@ class GraspDiagnosis:
             )
             return (
                 f"Of {n} labels, {before} {'differs' if before == 1 else 'differ'} from the "
-                "simulation, too few to name a cause: even if nothing is wrong, some cause looks "
-                f"as likely as here in {100 * self.posterior.p_value:.1f} % of cases. "
+                "simulation, too few to accept a cause: with every value right, some cause seems "
+                f"as likely as this in {100 * self.posterior.p_value:.1f} % of cases. "
                 f"Most probable: {possible}.{self._compensating()}{few}"
             )
         followed = ", ".join(self.dependences)
@@ -150,7 +150,7 @@ class GraspDiagnosis:
         return f" This explanation is {share:.0f} % probable{text}." if text else ""
 
     def _compensating(self) -> str:
-        """The products that the labels determine where nothing is named, in words."""
+        """The products that the labels determine where no cause is accepted, in words."""
         return "".join(
             f" These labels determine only {self._described(cause)}; its parts may be wrong "
             "together, where they compensate."
@@ -180,7 +180,7 @@ class GraspDiagnosis:
     def _listed(self, explanations: Iterable[Explanation]) -> str:
         """Explanations with their probabilities, in words."""
         return ", or ".join(
-            f"{' beside '.join(map(describe, one.causes)) or 'flipped labels alone'} "
+            f"{' with '.join(map(describe, one.causes)) or 'flipped labels alone'} "
             f"({100 * self.posterior.share(one):.0f} %)"
             for one in explanations
         )
@@ -198,7 +198,7 @@ class GraspDiagnosis:
         ]
         beside = dict.fromkeys(other.candidate.title for other in others)
         if beside:
-            text += f" Beside {cause.name}, {' or '.join(beside)} may be wrong as well."
+            text += f" In addition to {cause.name}, {' or '.join(beside)} may be wrong."
         return text
 
 
@@ -304,7 +304,7 @@ def diagnosis_record(
         "error_after": _error(diagnosis.rate_after, n),
         "noise_floor": {
             "rmse": diagnosis.n_remaining / n,
-            "how": "labels that no value of what was found matches",
+            "how": "labels that the simulation does not reproduce with the values found",
         },
         "trials": {"fit": n, "test": n},
         "held_out": f"{min(RULES.max_folds, n)} folds of {n} grasps; the explanations weighed "

@@ -1,7 +1,8 @@
 """Every threshold of the diagnosis of grasp labels, with its reason and the study that set it.
 
-"Trust study" is ``python -m validation.grasps``, whose figures are in ``docs/grasps.md``, on sets
-of grasps that are not among the reported ones. "Chosen" means that no study varied the figure.
+"Trust study" is ``python -m validation.grasps``, whose figures are in
+``docs/results/diagnosis_grasps.md``, on sets of grasps that are not among
+the reported ones. "Chosen" means that no study varied the figure.
 """
 
 import math
@@ -49,7 +50,7 @@ class GraspRules:
     # included: one with less is not reported; chosen
     same_errors: float = 3.0  # by which other factors may miss the value of a product; chosen
     least_variance: float = 1e-8  # of a coordinate; numerical
-    confusable_gain: float = math.log(100)  # further behind in evidence is no rival; chosen
+    confusable_gain: float = math.log(100)  # further behind in evidence competes no more; chosen
 
     # Simulations about the leading values.
     leading_gain: float = 5.0  # in log-evidence: those further behind do not come first; chosen
@@ -71,7 +72,7 @@ class GraspRules:
     # Grasps to make next.
     grasps_considered: int = 24  # of the grid; chosen for time
     grasps_proposed: int = 5  # chosen
-    max_rivals: int = 3  # explanations to separate; chosen
+    max_competing: int = 3  # explanations to separate; chosen
     proposal_width: float = 0.1  # the wider of ``border_widths``
     least_disagreement: float = 0.2  # between probabilities of success; chosen
 

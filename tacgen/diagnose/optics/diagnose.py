@@ -389,7 +389,7 @@ def _extended(table: LookupTable, found: Model, noise_grey: float) -> LookupTabl
 
 
 def _cannot_tell(scene: PressScene, selection: Selection) -> tuple[str, ...]:
-    """What these presses cannot tell apart, and what measurement would."""
+    """What these presses cannot separate, and what measurement would."""
     found = selection.chosen.candidates
     lines = [
         line
@@ -399,7 +399,7 @@ def _cannot_tell(scene: PressScene, selection: Selection) -> tuple[str, ...]:
     for step in selection.added:
         if step.as_good:
             lines.append(
-                f"{_chosen(step).name} was selected; the presses hardly tell it from "
+                f"{_chosen(step).name} was selected; the presses hardly separate it from "
                 f"{', '.join(step.as_good)}: more presses, over the whole gel, would."
             )
     return tuple(lines)

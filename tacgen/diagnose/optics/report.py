@@ -81,7 +81,7 @@ def write_optics_page(
         ),
         text_section(
             "What the renderer applies with the new table",
-            ", ".join(applied) or "Nothing beside the table's own colours.",
+            ", ".join(applied) or "Only the table's own colours.",
             "Name table.npz as the sensor's table and tacgen collect renders with it. Centres, "
             "radii and the scatter of exposure belong to single presses and are not in it.",
         ),

@@ -534,7 +534,7 @@ def test_a_product_holds_each_figure_once_and_only_what_is_correlated():
     apart = (of("force_scale", ("a", "b"), 0.8, 0.05), of("friction_factor", ("a",), 0.3, 0.05))
     diagnosis = diagnosis_of(force, (apart, np.diag([0.05**2, 0.05**2]), 29.0))
     assert "wrongly: grip_force at 1.49" in diagnosis.sentence
-    assert "Beside grip_force, friction of a may be wrong as well." in diagnosis.sentence
+    assert "In addition to grip_force, friction of a may be wrong." in diagnosis.sentence
 
 
 def test_what_the_labels_do_not_exclude_is_reported_with_its_probability():
@@ -661,7 +661,7 @@ def test_another_object_s_figure_of_a_found_name_is_mentioned():
     assert found.confusable_with(force) == ("friction",)
     labels = np.ones(4, int)
     diagnosis = GraspDiagnosis(found, labels, 1 - labels, labels, labels, {}, ())
-    assert "Beside grip_force, friction of b may be wrong as well." in diagnosis.sentence
+    assert "In addition to grip_force, friction of b may be wrong." in diagnosis.sentence
 
 
 def test_many_improbable_explanations_leave_a_whole_sentence():

@@ -22,7 +22,7 @@ from tacgen.diagnose.grasps.model_comparison import (
     Posterior,
     interpolated,
 )
-from tacgen.diagnose.grasps.next_grasps import rivals_of
+from tacgen.diagnose.grasps.next_grasps import competing_explanations
 from tacgen.diagnose.grasps.perturbed_simulations import (
     PerturbedSimulations,
     combined_perturbation,
@@ -89,8 +89,10 @@ def test_a_finding_is_reported_with_its_object_and_as_many_digits_as_its_error()
 
 def test_grasps_to_make_next_separate_the_two_sides_of_a_shift():
     shifted = replace(cause("center_of_mass_y_mm", -21.0), second_mode=22.0)
-    rivals = rivals_of(Posterior((Explanation((shifted,), 5.0, 5.0, np.eye(1)),), 0.0, 0.0))
-    sides = [combined_perturbation(found, BOX).center_of_mass_y_mm for found in rivals.values()]
+    competing = competing_explanations(
+        Posterior((Explanation((shifted,), 5.0, 5.0, np.eye(1)),), 0.0, 0.0)
+    )
+    sides = [combined_perturbation(found, BOX).center_of_mass_y_mm for found in competing.values()]
     assert sides == [-21.0, 22.0]
 
 
