@@ -256,11 +256,13 @@ def render(
     recipe: common.RecipeArgument,
     out: Annotated[Path, Option("--gif", help="Animation (GIF) to write.")],
     grasp: Annotated[int, Option(min=0, help="Number of the grasp.")] = 0,
+    force: common.ForceFlag = False,
 ) -> None:
     """Simulate one grasp of a recipe and write its tactile images as an animation."""
     from tacgen.collection.grasp_gif import write_gif
     from tacgen.collection.recipe import load_recipe
 
+    common.refuse_existing(force, out)
     outcome = write_gif(load_recipe(recipe), grasp, out)
     typer.echo(f"{out}: grasp {grasp}, {outcome}")
     common.hand_over(f"tacgen collect {quoted(recipe)} --out data")

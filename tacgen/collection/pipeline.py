@@ -214,7 +214,7 @@ def dataset_spec(
         recipe=recipe.resolved(),
         recipe_sha256=inputs.sha256["recipe"],
         calibration={k: inputs.sha256[k] for k in CALIBRATION if k in inputs.sha256},
-        inputs=inputs,
+        inputs=inputs.with_grids(grids),
         grids=grids,
         parts=parts,
         sensor=sensor,

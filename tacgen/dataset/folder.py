@@ -26,7 +26,7 @@ from tacgen.core.version import __version__
 from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset.check import content_problems
 from tacgen.dataset.disk import disk_errors
-from tacgen.dataset.inputs import changed_roles
+from tacgen.dataset.inputs import GRID, changed_roles
 from tacgen.dataset.manifest import (
     ShardLine,
     merge_manifest,
@@ -269,6 +269,7 @@ class DatasetFolder:
                 line = read_part(path)
                 here = (line.recipe_sha256, line.calibration, line.versions.get("tacgen"))
                 roles = changed_roles(line.inputs, spec.inputs.sha256)
+                roles += ["grid"] if line.part >= len(spec.part_sizes) else []
             if here != wanted or roles:
                 what = ", ".join(roles) or "recipe, calibration or version"
                 fix = "give another --out, or delete the folder"
@@ -291,6 +292,7 @@ class DatasetFolder:
             )
             raise DatasetError(msg)
         roles = changed_roles(made["inputs"], plan["inputs"])
+        roles = [role for role in roles if not role.startswith(GRID)]  # see the parts
         n_parts = len(made["parts"])
         is_grown = made["parts"] == plan["parts"][:n_parts]
         is_grown &= made["grids"] in ([], plan["grids"][:n_parts])
@@ -300,7 +302,8 @@ class DatasetFolder:
         lines = list(
             differences({key: made[key] for key in same}, {key: plan[key] for key in same})
         )
-        if made["recipe_sha256"] != plan["recipe_sha256"] or not is_grown:
+        is_said = any(role.endswith("recipe") for role in roles)
+        if made["recipe_sha256"] != plan["recipe_sha256"] or is_said or not is_grown:
             lines += self._changed_settings(made, plan, spec.recipe)
         lines += [text for role in roles for text in _changed_input(role, made, plan, spec)]
         if not lines and (made["parts"] == plan["parts"] or grow):

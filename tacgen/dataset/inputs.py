@@ -8,12 +8,14 @@ The roles: ``recipe`` (every setting but the list of grasps), ``sensor``, ``tabl
 ``contact_law`` (where the recipe names a file), ``engine``, ``versions`` (of the libraries that
 the bytes of a shard depend on), and of each object ``object/<name>`` (its ``object.yaml``),
 ``object/<name>/recipe`` (what the recipe says of it), ``object/<name>/mesh`` and
-``object/<name>/collision``.
+``object/<name>/collision``. Those of a dataset have ``grid/<k>`` besides: the grids from the first
+to the one with which the dataset grew the k-th time.
 """
 
 import contextlib
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, field
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -31,7 +33,7 @@ LIBRARIES = (
     *("numpy", "scipy", "numba", "opencv-python-headless", "manifold3d", "trimesh"),
     *("h5py", "hdf5plugin", "zstandard"),
 )
-_OBJECT = "object/"
+_OBJECT, GRID = "object/", "grid/"
 _OF_THE_GRID = {"name", "description", "objects", "grid", "sensor"}
 _ABOUT_AN_OBJECT = {"name", "description", "grasp_ranges", "dimensions_mm"}
 
@@ -48,13 +50,20 @@ class Inputs:
     engine: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
 
-    def of_objects(self, names: Collection[str]) -> dict[str, str]:
-        """The hashes that grasps of these objects depend on."""
+    def of_objects(self, names: Collection[str], part: int = 0) -> dict[str, str]:
+        """The hashes that grasps of these objects depend on, in that part of a dataset."""
         return {
             role: digest
             for role, digest in self.sha256.items()
-            if not role.startswith(_OBJECT) or role.split("/")[1] in names
+            if (not role.startswith(_OBJECT) or role.split("/")[1] in names)
+            and (not role.startswith(GRID) or role == f"{GRID}{part}")
         }
+
+    def with_grids(self, grids: Sequence[Any]) -> "Inputs":
+        """The inputs of a dataset that has these grids, one after another."""
+        listed = json.loads(json.dumps(grids))
+        hashes = {f"{GRID}{k}": sha256_of_content(listed[: k + 1]) for k in range(len(listed))}
+        return replace(self, sha256={**self.sha256, **hashes})
 
 
 @cache

@@ -31,7 +31,7 @@ def write_shard_file(
     Grasps are taken one at a time, in the order of their indices; only one is in memory. Whether
     they fit is seen when the file is checked.
     """
-    indices = spec.shard_range(shard)
+    part, indices = shard_range(spec.part_sizes, spec.shard_size, shard)
     layout, sizes = spec.layout, spec.sizes(len(indices))
     outcomes: list[Outcome] = []
     with DiskFile(path) as disk:
@@ -70,9 +70,9 @@ def write_shard_file(
         pads=spec.pads,
         frames=len(spec.time_s),
         versions=library_versions(spec.inputs.engine),
-        inputs=spec.inputs.of_objects({name for *_, name in outcomes}),
+        inputs=spec.inputs.of_objects({name for *_, name in outcomes}, part),
         engine=spec.inputs.engine,
-        part=shard_range(spec.part_sizes, spec.shard_size, shard)[0],
+        part=part,
         **tally(outcomes),
     )
 

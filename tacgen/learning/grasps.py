@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
-from tacgen.core.files import sha256_of_content
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.core.safe_io import read_rgb
-from tacgen.dataset import Dataset, DatasetFolder
+from tacgen.dataset import Dataset
 from tacgen.dataset.real_grasps import BACKGROUND, read_real_grasps
 
 CONFIGURATION_DIGITS = 6
@@ -111,7 +110,6 @@ class SimulatedGrasps:
         return {
             "recipe_sha256": self.made_with,
             "inputs": self.dataset.inputs,
-            "grids_sha256": sha256_of_content(DatasetFolder(self.root).grids()),
             "shards_sha256": [line.sha256 for line in self.dataset.lines],
             "sensor": self.dataset.sensor,
             "pad": self.pad or self.dataset.pads[0],

@@ -78,3 +78,12 @@ def test_a_run_is_not_put_beside_a_recipe_of_the_users(tmp_path):
     with pytest.raises(TacgenError, match="give an empty or a new folder"):
         RunFolder(tmp_path).prepare({}, {})
     assert recipe.read_text() == "mine"
+
+
+def test_an_animation_does_not_replace_a_file(recipe, tmp_path):
+    there = tmp_path / "grasp.gif"
+    there.write_bytes(b"mine")
+    result = run("render", recipe, "--gif", there)
+    assert result.exit_code != 0
+    assert "exists already; pass --force" in str(result.exception)
+    assert there.read_bytes() == b"mine"

@@ -10,6 +10,7 @@ import yaml
 from tacgen.collection.perturbed import (
     Outcome,
     Perturbation,
+    perturbed_object,
     place_of,
     recipe_object,
     simulate_perturbed,
@@ -116,6 +117,13 @@ def test_changes_on_top_of_each_other_multiply_and_add():
         Perturbation(mass_factor=2.0, center_of_mass_y_mm=-4.0, friction=0.5)
     )
     assert both == Perturbation(mass_factor=3.0, center_of_mass_y_mm=6.0, friction=0.5)
+    # A figure that is replaced is the one given, whatever factor was on the one before.
+    replaced = Perturbation(mass_factor=1.5, friction_factor=2.0).and_then(
+        Perturbation(mass_kg=0.4, friction=0.3, friction_factor=0.5)
+    )
+    assert replaced == Perturbation(mass_kg=0.4, friction=0.3, friction_factor=0.5)
+    box = recipe_object(ObjectEntry(name=BOX))
+    assert perturbed_object(box, replaced).mass_kg == 0.4
     table = Perturbation(settings_factors=(("table_friction", 0.5),))
     assert table.and_then(table).settings_factors == (("table_friction", 0.25),)
 

@@ -113,3 +113,12 @@ def test_refusals_leave_nothing(toy, tmp_path):
     with pytest.raises(DatasetError, match="shard is missing"):
         export_dataset(toy.root, tmp_path / "out", "lerobot")
     assert [path.name for path in tmp_path.iterdir()] == ["toy"]
+
+
+@pytest.mark.parametrize("robot", ["wsg50", "ur5e_wsg50", None])
+def test_the_robot_is_the_recipes(tmp_path, robot):
+    recipe = {"name": "toy"} | ({"robot": {"name": robot}} if robot else {})
+    toy = collect_toy(tmp_path / "data", make_spec(recipe=recipe))
+    export_dataset(toy.root, tmp_path / "out", "lerobot")
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    assert info["robot_type"] == robot

@@ -20,7 +20,7 @@ from tacgen.core.errors import DatasetError, TacgenError
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder
 from tacgen.dataset import Dataset, DatasetFolder
-from tacgen.dataset.inputs import Inputs
+from tacgen.dataset.inputs import Inputs, changed_roles
 from tacgen.dataset.verify import verify
 from tests.dataset.conftest import collect_toy, make_spec
 from tests.small_world import write_world
@@ -252,6 +252,17 @@ def test_a_dataset_of_before_is_read_and_not_resumed(tmp_path):
         toy.prepare(spec)
 
 
+def test_shards_of_another_grid_are_not_taken_for_its_own(world):
+    """Of the same settings and as many grasps, so that nothing but the grasps differs."""
+    prepare(load_recipe(world), Path("out"))
+    _, spec = prepare(load_recipe(world), Path("out"))
+    edit(world, grid={"force_n": [3, 24], "y_mm": [0], "z_mm": [60, 90, 140]})
+    _, other = prepare(load_recipe(world), Path("other"))
+    assert changed_roles(spec.inputs.sha256, other.inputs.sha256) == ["grid/0"]
+    with pytest.raises(DatasetError, match=r"grid.force_n: \[3.0, 25.0\] there, \[3.0, 24.0\] now"):
+        prepare(load_recipe(world), Path("out"))
+
+
 # Growing: what is there stays as it is.
 
 GRID = {"force_n": [3, 25], "z_mm": [60, 90, 140], "y_mm": [0, 1]}
@@ -357,10 +368,17 @@ def test_a_grown_dataset_holds_what_one_collected_at_once_does(world):
     edit(world, grid=grid, objects=[cup, "sugar_box"])
     grown = load_recipe(world)
     collect(grown, Path("out"), grow=True, progress=False)
+    plan = Path("out/dataset.json").read_text()
     assert {name: Path("out/shards", name).read_bytes() for name in before} == before
     assert not verify("out", decode=True).problems
     assert "6 grasps at first, then 6 more" in Path("out/README.md").read_text()
-    assert [line.part for line in Dataset("out").lines] == [0, 0, 0, 1, 1, 1]
+    lines = Dataset("out").lines
+    assert [line.part for line in lines] == [0, 0, 0, 1, 1, 1]
+    assert ["grid/1" in line.inputs for line in lines] == [line.part == 1 for line in lines]
+    Path("out/dataset.json").unlink()
+    with pytest.raises(DatasetError, match="is of another grid"):
+        prepare(grown, Path("out"))
+    (Path("out/dataset.json")).write_text(plan)
     edit(world, dataset={"shard_size": 5}, objects=["sugar_box", cup])
     collect(load_recipe(world), Path("once"), workers=2, progress=False)
     # The share of test grasps is exact in both, so that sides may differ.
