@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacgen.core.records import GraspTrace
+from tacgen.core.records import PADS, GraspTrace
 from tacgen.core.resources import packaged
 from tacgen.core.units import MM_PER_M
 from tacgen.objects import load_object
@@ -233,7 +233,7 @@ def test_what_hangs_below_the_pads_swings_to_twice_the_turn_of_balance(
     for expected_rad in (0.04, 0.08):
         # The table takes a part of the energy while the object leaves it. In MuJoCo a patch that
         # turns slides too, which adds the weight's work over that slide.
-        tolerance = {"pybullet": 0.2, "mujoco": 0.3}[simulator.engine]
+        tolerance = {"pybullet": 0.2, "mujoco": 0.25}[simulator.engine]
         assert turn_rad(expected_rad) == pytest.approx(expected_rad, rel=tolerance)
 
 
@@ -295,6 +295,39 @@ def test_each_pad_presses_with_the_commanded_force(
         record_property(f"worst_relative_error_{pad}", worst)
         assert held == pytest.approx([force_n] * len(held), rel=0.02)
         assert single.frames[pad][0].force_normal_n == pytest.approx(force_n, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "friction", "ratio"), [(0.5, 0.2, 0.6), (0.1, 0.8, 0.6), (1.5, 0.4, 0.8)]
+)
+def test_a_pad_keeps_its_force_while_the_object_slides(
+    simulator: GraspSimulator,
+    monkeypatch: pytest.MonkeyPatch,
+    mass_kg: float,
+    friction: float,
+    ratio: float,
+) -> None:
+    """At so much of the least holding force, over 35 mm of the lift in which the block stands."""
+    world, forces_n = simulator.world, []
+    step = world.step
+
+    def watched(count: int) -> None:
+        for _ in range(count):
+            step(1)
+            points = world.contacts()
+            forces_n.append(
+                [sum(p.normal_force_n for p in points if p.part == pad) for pad in PADS]
+            )
+
+    monkeypatch.setattr(world, "step", watched)
+    force_n = ratio * mass_kg * GRAVITY_M_S2 / (2 * friction)
+    assert grasp(simulator, block(mass_kg=mass_kg, friction=friction), force_n=force_n).label == 0
+    lift_s = 0.18 / 0.12 + 1.0
+    first, last = (len(forces_n) - round((lift_s - s) / SETTINGS.time_step_s) for s in (0.2, 0.75))
+    shares = np.array(forces_n[first:last]) / force_n
+    assert shares.min() > 0
+    # Of both: the coupled jaws can hold a difference.
+    assert shares.mean() == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.slow
