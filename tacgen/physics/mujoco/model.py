@@ -22,7 +22,7 @@ DRIVEN_MASS = 1e6
 a step."""
 FINGER_INERTIA_KG_M2 = 1e-3  # a finger turns with the hand alone; MuJoCo wants one
 SOFTNESS = {"solref": [0.005, 1.0], "solimp": [0.99, 0.999, 0.0001, 0.5, 2.0]}
-"""Of the table and the fingers' motors: two time steps, and 0.01 mm under a few kilograms."""
+"""Of the fingers' boxes, motors and coupling: two time steps, and 0.01 mm under a few kilograms."""
 IMPEDANCE_RATIO = 1e3  # friction is that much stiffer than the normal …
 NOSLIP_ITERATIONS = 5  # … and after five of these a held object creeps by less than 1 µm/s
 ITERATIONS = 100  # of Newton's method, which needs some ten
@@ -39,9 +39,9 @@ def motor_of(pad: str) -> str:
     return f"{pad} motor"
 
 
-def pair_of(pad: str, part: str) -> str:
-    """Name of the pair of a pad and a part of the object."""
-    return f"{pad} and {part}"
+def pair_of(touched: str, part: str) -> str:
+    """Name of the pair of a pad or the table and a part of the object."""
+    return f"{touched} and {part}"
 
 
 class Scene:
@@ -67,8 +67,7 @@ class Scene:
         option.disableflags = int(disabled.mjDSBL_MULTICCD | disabled.mjDSBL_AUTORESET)
         self._spec.worldbody.add_geom(
             name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0],
-            friction=[settings.table_friction, 0.0, 0.0], contype=int(Collides.TABLE),
-            conaffinity=0, priority=1, **SOFTNESS,
+            contype=0, conaffinity=0,
         )  # fmt: skip
 
     def compiled(self) -> Any:
@@ -81,18 +80,20 @@ class Scene:
         body.add_freejoint(name=OBJECT)
         _set_inertia(body, obj.mass_kg, moments_kg_m2, inertial)
         parts, alone = obj.collision, len(obj.collision) == 1
-        group = Collides.GRIPPER | Collides.TABLE if alone else Collides.GRIPPER
         self._parts = [f"part {number}" for number in range(len(parts))]
         for name, part in zip(self._parts, parts, strict=True):
-            touch = {"contype": 0, "conaffinity": int(group)}
+            touch = {"contype": 0, "conaffinity": int(Collides.GRIPPER)}
             if alone and (ball := ball_of(part)):
                 sphere, size = self._mujoco.mjtGeom.mjGEOM_SPHERE, [ball[1] * M_PER_MM, 0.0, 0.0]
                 body.add_geom(name=name, type=sphere, pos=ball[0] * M_PER_MM, size=size, **touch)
-                return
-            self._add_hull(body, name, part.vertices_mm * M_PER_MM, **touch)
+            else:
+                self._add_hull(body, name, part.vertices_mm * M_PER_MM, **touch)
+        standing = self._parts[0]
         if not alone:
+            standing = "hull"
             vertices_m = np.concatenate([part.vertices_mm for part in parts]) * M_PER_MM
-            self._add_hull(body, "hull", vertices_m, contype=0, conaffinity=int(Collides.TABLE))
+            self._add_hull(body, standing, vertices_m, contype=0, conaffinity=0)
+        self._add_pair(TABLE, standing, self._settings.table_friction, condim=3)
 
     def add_robot(self, robot: RobotSpec, friction: float) -> None:
         """The links that carry the hand, and the gripper with ``friction`` of its pads."""
@@ -133,13 +134,16 @@ class Scene:
         margin = PAD_MARGIN_MM * M_PER_MM
         self._add_hull(finger, pad, vertices_m, margin=margin, contype=0, conaffinity=0)
         for part in self._parts:
-            # Of a pair of its own alone does MuJoCo take a damping of the friction.
-            self._spec.add_pair(
-                name=pair_of(pad, part), geomname1=pad, geomname2=part, condim=4, margin=margin,
-                friction=[friction, friction, 0.0, 0.0, 0.0],
-            )  # fmt: skip
+            self._add_pair(pad, part, friction, condim=4, margin=margin)
         for number, (half_mm, center_mm) in enumerate(gripper.finger_boxes_mm(pad)):
             self._add_box(finger, f"{pad} finger {number}", half_mm, center_mm)
+
+    def _add_pair(self, touched: str, part: str, friction: float, **attributes: Any) -> None:
+        """Of a pair alone does MuJoCo take a damping of the friction."""
+        self._spec.add_pair(
+            name=pair_of(touched, part), geomname1=touched, geomname2=part,
+            friction=[friction, friction, 0.0, 0.0, 0.0], **attributes,
+        )  # fmt: skip
 
     def _add_hull(self, body: Any, name: str, vertices_m: FloatArray, **attributes: Any) -> None:
         """A mesh that collides as the convex hull of its vertices."""

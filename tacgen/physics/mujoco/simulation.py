@@ -9,10 +9,10 @@ import numpy as np
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, GraspObject
-from tacgen.core.units import M_PER_MM
+from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics import engine
 from tacgen.physics.bodies import principal_axes
-from tacgen.physics.engine import ContactPoint, Place, Vector
+from tacgen.physics.engine import TABLE, ContactPoint, Place, Vector
 from tacgen.physics.frames import pose, quaternion_from_rotation, rotation_of
 from tacgen.physics.margins import torsion_factor
 from tacgen.physics.mujoco.model import (
@@ -32,6 +32,7 @@ from tacgen.physics.world import Collides
 LARGEST_STIFFNESS_N_M = 1e6  # of a pad
 SLIP_DAMPING_1_S = 100.0
 """Of friction: a slide decays in 10 ms or sooner. More needs softer pads (0.3 mm at μ = 0.5)."""
+POINTS_ON_TABLE = 4  # at which an object stands: a box's; others stand on fewer or as many
 SLIDE_RESERVE = 1.5  # of the force that keeps a sliding touch: 0.6 of it slide faster than the lift
 RESPONSE_STEPS = 2.4  # time constant of a contact; below two it is unstable
 LARGEST_IMPEDANCE = 0.9999  # Source: MuJoCo's documentation, solver parameters
@@ -75,6 +76,7 @@ class Engine:
         self._model = model = scene.compiled()
         self._data = data = self._mujoco.MjData(model)
         _set_compliance(model, settings, friction, settings.delivered_force_n(force_n))
+        _soften_table(model, settings, obj.mass_kg)
         geoms = range(model.ngeom)
         self._names = [model.geom(geom).name for geom in geoms]
         self._of_object = (model.geom_bodyid == model.body(OBJECT).id).tolist()
@@ -126,6 +128,17 @@ class Engine:
         return found
 
 
+def _soften_table(model: Any, settings: PhysicsSettings, mass_kg: float) -> None:
+    """The table's softness, so that an object that the fingers push keeps its touch."""
+    force_n = mass_kg * STANDARD_GRAVITY_M_S2 / POINTS_ON_TABLE
+    speed_m_s = settings.closing_speed_mm_s * M_PER_MM
+    stiffness = 1 / (RESPONSE_STEPS * settings.time_step_s) ** 2
+    pushed_off = SLIDE_RESERVE * settings.table_friction * speed_m_s
+    inverse_mass = max(stiffness / LARGEST_STIFFNESS_N_M, SLIP_DAMPING_1_S * pushed_off / force_n)
+    _set_spring(model, TABLE, stiffness, inverse_mass, 2 * stiffness**0.5, SLIP_DAMPING_1_S)
+    model.pair_margin[_pairs(model, TABLE)] += inverse_mass * force_n / stiffness
+
+
 def _set_compliance(model: Any, settings: PhysicsSettings, friction: float, force_n: float) -> None:
     """Stiffness and damping of the pads in N/m and N s/m, whatever the object's mass.
 
@@ -159,20 +172,32 @@ def _set_compliance(model: Any, settings: PhysicsSettings, friction: float, forc
             inverse_mass = max(inverse_mass, slip_damping * pushed_off / force_n)
         sunk_m = inverse_mass * force_n / stiffness
     for pad in PADS:
-        bodies = model.body(pad), model.body(OBJECT)
-        of_bodies = sum(float(body.invweight0[0]) for body in bodies)
-        impedance = min(of_bodies / (of_bodies + inverse_mass), LARGEST_IMPEDANCE)
-        pairs = _pairs(model, pad)
-        # MuJoCo multiplies the first by 1/d and divides the second by it.
-        model.pair_solref[pairs] = [-stiffness * impedance, -damping * impedance]
-        model.pair_solreffriction[pairs] = [-stiffness * impedance, -slip_damping * impedance]
-        model.pair_solimp[pairs, :2] = impedance
-        model.pair_margin[pairs] += sunk_m
+        _set_spring(model, pad, stiffness, inverse_mass, damping, slip_damping)
+        model.pair_margin[_pairs(model, pad)] += sunk_m
 
 
-def _pairs(model: Any, pad: str) -> list[int]:
-    """Numbers of the pairs of ``pad`` and a part of the object."""
-    return [k for k in range(model.npair) if model.pair(k).name.startswith(pair_of(pad, ""))]
+def _set_spring(
+    model: Any,
+    touched: str,
+    stiffness: float,
+    inverse_mass: float,
+    damping: float,
+    slip_damping: float,
+) -> None:
+    """The springs of the object's pairs with a geom: stiffness 1/s², R 1/kg, dampings 1/s."""
+    bodies = model.geom_bodyid[model.geom(touched).id], model.body(OBJECT).id
+    of_bodies = float(sum(model.body_invweight0[body, 0] for body in bodies))
+    impedance = min(of_bodies / (of_bodies + inverse_mass), LARGEST_IMPEDANCE)
+    pairs = _pairs(model, touched)
+    # MuJoCo multiplies the first by 1/d and divides the second by it.
+    model.pair_solref[pairs] = [-stiffness * impedance, -damping * impedance]
+    model.pair_solreffriction[pairs] = [-stiffness * impedance, -slip_damping * impedance]
+    model.pair_solimp[pairs, :2] = impedance
+
+
+def _pairs(model: Any, touched: str) -> list[int]:
+    """Numbers of the pairs of a pad or the table and a part of the object."""
+    return [k for k in range(model.npair) if model.pair(k).name.startswith(pair_of(touched, ""))]
 
 
 class ObjectBody:
