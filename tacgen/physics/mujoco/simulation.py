@@ -32,7 +32,7 @@ from tacgen.physics.world import Collides
 LARGEST_STIFFNESS_N_M = 1e6  # of a pad
 SLIP_DAMPING_1_S = 100.0
 """Of friction: a slide decays in 10 ms or sooner. More needs softer pads (0.3 mm at μ = 0.5)."""
-POINTS_ON_TABLE = 4  # at which an object stands: a box's; others stand on fewer or as many
+POINTS_ON_TABLE = 4  # at which an object that is no ball stands: a box's
 SLIDE_RESERVE = 1.5  # of the force that keeps a sliding touch: 0.6 of it slide faster than the lift
 RESPONSE_STEPS = 2.4  # time constant of a contact; below two it is unstable
 LARGEST_IMPEDANCE = 0.9999  # Source: MuJoCo's documentation, solver parameters
@@ -76,7 +76,7 @@ class Engine:
         self._model = model = scene.compiled()
         self._data = data = self._mujoco.MjData(model)
         _set_compliance(model, settings, friction, settings.delivered_force_n(force_n))
-        _soften_table(model, settings, obj.mass_kg)
+        _soften_table(self._mujoco.mjtGeom, model, settings, obj.mass_kg)
         geoms = range(model.ngeom)
         self._names = [model.geom(geom).name for geom in geoms]
         self._of_object = (model.geom_bodyid == model.body(OBJECT).id).tolist()
@@ -128,15 +128,17 @@ class Engine:
         return found
 
 
-def _soften_table(model: Any, settings: PhysicsSettings, mass_kg: float) -> None:
+def _soften_table(kinds: Any, model: Any, settings: PhysicsSettings, mass_kg: float) -> None:
     """The table's softness, so that an object that the fingers push keeps its touch."""
-    force_n = mass_kg * STANDARD_GRAVITY_M_S2 / POINTS_ON_TABLE
+    pairs = _pairs(model, TABLE)
+    ball = int(kinds.mjGEOM_SPHERE) in model.geom_type[model.pair_geom2[pairs]]
+    force_n = mass_kg * STANDARD_GRAVITY_M_S2 / (1 if ball else POINTS_ON_TABLE)
     speed_m_s = settings.closing_speed_mm_s * M_PER_MM
     stiffness = 1 / (RESPONSE_STEPS * settings.time_step_s) ** 2
     pushed_off = SLIDE_RESERVE * settings.table_friction * speed_m_s
     inverse_mass = max(stiffness / LARGEST_STIFFNESS_N_M, SLIP_DAMPING_1_S * pushed_off / force_n)
     _set_spring(model, TABLE, stiffness, inverse_mass, 2 * stiffness**0.5, SLIP_DAMPING_1_S)
-    model.pair_margin[_pairs(model, TABLE)] += inverse_mass * force_n / stiffness
+    model.pair_margin[pairs] += inverse_mass * force_n / stiffness
 
 
 def _set_compliance(model: Any, settings: PhysicsSettings, friction: float, force_n: float) -> None:
