@@ -53,7 +53,9 @@ from tacgen.physics.settings import (
 CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
 PAST_STEPS = 5  # between samples of a load's past: 10 ms
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
-STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that a pad may be off
+FORCE_TOLERANCE = 0.02  # of the delivered force, by which a pad may be off at the moment of grasp
+STEADY_TOLERANCE = 0.01  # the same while the fingers close
+OBSERVATIONS = 20  # of the moment of grasp: 0.2 s, after which a force that is lost stays lost
 
 PatchOf = Callable[[ContactFrame], ContactPatch]
 """The patch in which a gel presses on the object at a pad's pose and normal force."""
@@ -186,7 +188,7 @@ class _Grasp:
         reason = self._close()
         if reason:
             return self._not_executed("no_contact", reason)
-        grasped = self.recorder.observe()
+        grasped = self._observe()
         capacity = self._load_pads(grasped)
         self.recorder.advance(self._steps(settings.hold_s))
         self.robot.fingers.couple()
@@ -225,6 +227,18 @@ class _Grasp:
             return f"the {' and the '.join(missing)} pad did not touch"
         self.note = f"the pads' force was not steady {limit_s:.1f} s after closing on"
         return ""
+
+    def _observe(self) -> list[Snapshot]:
+        """The moment of grasp: again where a pad's mean force is not the delivered one."""
+        force_n = self.settings.delivered_force_n(self.config.force_n)
+        for _ in range(OBSERVATIONS):
+            grasped = self.recorder.observe()
+            loads = contact_frames(grasped, self.bodies, PADS).values()
+            off = max(abs(load.force_normal_n / force_n - 1) for load in loads)
+            if off <= FORCE_TOLERANCE or self.note:
+                return grasped
+        self.note = f"a pad's force was off by {100 * off:.0f} % at the moment of grasp"
+        return grasped
 
     def _pad_forces_n(self) -> dict[str, float]:
         own = [p for p in self.world.contacts() if p.part != TABLE and p.normal_force_n > 0]

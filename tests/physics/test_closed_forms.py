@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacgen.core.records import GraspTrace
+from tacgen.core.records import PADS, GraspTrace
 from tacgen.core.resources import packaged
 from tacgen.core.units import MM_PER_M
 from tacgen.objects import load_object
@@ -23,7 +23,7 @@ from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.margins import torsion_factor
 
-from .conftest import GRAVITY_M_S2, block, grasp, solid, threshold
+from .conftest import GRAVITY_M_S2, block, grasp, opened, solid, threshold
 
 SETTINGS = PhysicsSettings(tactile_pads="both")
 Record = Callable[[str, object], None]
@@ -295,6 +295,49 @@ def test_each_pad_presses_with_the_commanded_force(
         record_property(f"worst_relative_error_{pad}", worst)
         assert held == pytest.approx([force_n] * len(held), rel=0.02)
         assert single.frames[pad][0].force_normal_n == pytest.approx(force_n, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "friction", "ratio"), [(0.5, 0.2, 0.6), (0.1, 0.8, 0.6), (1.5, 0.4, 0.8)]
+)
+def test_a_pad_keeps_its_force_while_the_object_slides(
+    simulator: GraspSimulator,
+    monkeypatch: pytest.MonkeyPatch,
+    mass_kg: float,
+    friction: float,
+    ratio: float,
+) -> None:
+    """At so much of the least holding force, over 35 mm of the lift in which the block stands."""
+    world, forces_n = simulator.world, []
+    step = world.step
+
+    def watched(count: int) -> None:
+        for _ in range(count):
+            step(1)
+            points = world.contacts()
+            forces_n.append(
+                [sum(p.normal_force_n for p in points if p.part == pad) for pad in PADS]
+            )
+
+    monkeypatch.setattr(world, "step", watched)
+    force_n = ratio * mass_kg * GRAVITY_M_S2 / (2 * friction)
+    assert grasp(simulator, block(mass_kg=mass_kg, friction=friction), force_n=force_n).label == 0
+    lift_s = 0.18 / 0.12 + 1.0
+    first, last = (len(forces_n) - round((lift_s - s) / SETTINGS.time_step_s) for s in (0.2, 0.75))
+    shares = np.array(forces_n[first:last]) / force_n
+    assert shares.min() > 0
+    # Of both: the coupled jaws can hold a difference.
+    assert shares.mean() == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("closing_speed_mm_s", [40.0, 420.0])
+def test_closing_on_flat_faces_leaves_no_shear(closing_speed_mm_s: float) -> None:
+    """The block stands on the table, which carries its weight; PyBullet's keeps up to 0.9 N."""
+    settings = replace(SETTINGS, closing_speed_mm_s=closing_speed_mm_s)
+    with opened("wsg50", "mujoco") as simulator:
+        trace = grasp(simulator, block(), force_n=10.0, settings=settings)
+    for pad in PADS:
+        assert trace.frames[pad][0].force_shear_n == pytest.approx([0.0, 0.0], abs=0.05)
 
 
 @pytest.mark.slow

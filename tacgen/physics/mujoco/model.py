@@ -18,13 +18,13 @@ from tacgen.physics.world import Collides, ball_of
 OBJECT, BASE, HAND = "object", "base", "hand"
 """Names of bodies; the object's is that of its free joint too."""
 DRIVEN_MASS = 1e6
-"""Added (kg or kg m²) to axes whose speed is set at every step: 100 N then bend it by 0.2 µm/s in
+"""Added (kg or kg m²) to axes whose speed is set at every step: 100 N then change it by 0.2 µm/s in
 a step."""
 FINGER_INERTIA_KG_M2 = 1e-3  # a finger turns with the hand alone; MuJoCo wants one
 SOFTNESS = {"solref": [0.005, 1.0], "solimp": [0.99, 0.999, 0.0001, 0.5, 2.0]}
-"""Of the table and the fingers' motors: two time steps, and 0.01 mm under a few kilograms."""
-IMPEDANCE_RATIO = 100.0  # friction is that much stiffer than the normal: 0.03 mm/s of creep …
-NOSLIP_ITERATIONS = 5  # … and 0.1 µm/s after five of these
+"""Of the fingers' boxes, motors and coupling: two time steps, and 0.01 mm under a few kilograms."""
+IMPEDANCE_RATIO = 1e3  # friction is that much stiffer than the normal …
+NOSLIP_ITERATIONS = 5  # … and after five of these a held object creeps by less than 1 µm/s
 ITERATIONS = 100  # of Newton's method, which needs some ten
 TOLERANCE = 1e-12  # relative; far below a pad's force of 1 N
 
@@ -39,6 +39,11 @@ def motor_of(pad: str) -> str:
     return f"{pad} motor"
 
 
+def pair_of(touched: str, part: str) -> str:
+    """Name of the pair of a pad or the table and a part of the object."""
+    return f"{touched} and {part}"
+
+
 class Scene:
     """Builds the model of one grasp.
 
@@ -48,6 +53,7 @@ class Scene:
 
     def __init__(self, mujoco: Any, settings: PhysicsSettings) -> None:
         self._mujoco, self._settings = mujoco, settings
+        self._parts: list[str] = []
         self._spec = mujoco.MjSpec()
         option, disabled = self._spec.option, mujoco.mjtDisableBit
         option.timestep = settings.time_step_s
@@ -61,8 +67,7 @@ class Scene:
         option.disableflags = int(disabled.mjDSBL_MULTICCD | disabled.mjDSBL_AUTORESET)
         self._spec.worldbody.add_geom(
             name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0],
-            friction=[settings.table_friction, 0.0, 0.0], contype=int(Collides.TABLE),
-            conaffinity=0, priority=1, **SOFTNESS,
+            contype=0, conaffinity=0,
         )  # fmt: skip
 
     def compiled(self) -> Any:
@@ -75,17 +80,20 @@ class Scene:
         body.add_freejoint(name=OBJECT)
         _set_inertia(body, obj.mass_kg, moments_kg_m2, inertial)
         parts, alone = obj.collision, len(obj.collision) == 1
-        group = Collides.GRIPPER | Collides.TABLE if alone else Collides.GRIPPER
-        for number, part in enumerate(parts):
-            touch = {"contype": 0, "conaffinity": int(group)}
+        self._parts = [f"part {number}" for number in range(len(parts))]
+        for name, part in zip(self._parts, parts, strict=True):
+            touch = {"contype": 0, "conaffinity": int(Collides.GRIPPER)}
             if alone and (ball := ball_of(part)):
                 sphere, size = self._mujoco.mjtGeom.mjGEOM_SPHERE, [ball[1] * M_PER_MM, 0.0, 0.0]
-                body.add_geom(type=sphere, pos=ball[0] * M_PER_MM, size=size, **touch)
-                return
-            self._add_hull(body, f"part {number}", part.vertices_mm * M_PER_MM, **touch)
+                body.add_geom(name=name, type=sphere, pos=ball[0] * M_PER_MM, size=size, **touch)
+            else:
+                self._add_hull(body, name, part.vertices_mm * M_PER_MM, **touch)
+        standing = self._parts[0]
         if not alone:
+            standing = "hull"
             vertices_m = np.concatenate([part.vertices_mm for part in parts]) * M_PER_MM
-            self._add_hull(body, "hull", vertices_m, contype=0, conaffinity=int(Collides.TABLE))
+            self._add_hull(body, standing, vertices_m, contype=0, conaffinity=0)
+        self._add_pair(TABLE, standing, self._settings.table_friction, condim=3)
 
     def add_robot(self, robot: RobotSpec, friction: float) -> None:
         """The links that carry the hand, and the gripper with ``friction`` of its pads."""
@@ -123,11 +131,19 @@ class Scene:
         limit = {f"{key}_friction": value for key, value in SOFTNESS.items()}
         finger.add_joint(name=pad, type=slide, axis=inwards, frictionloss=1.0, **limit)
         vertices_m = np.array(gripper.pad_vertices_m(pad, self._settings.pad_dome_radius_mm))
-        surface = {"condim": 4, "friction": [friction, 0.0, 0.0]}
         margin = PAD_MARGIN_MM * M_PER_MM
-        self._add_hull(finger, pad, vertices_m, margin=margin, **surface, **_GRIPPER)
+        self._add_hull(finger, pad, vertices_m, margin=margin, contype=0, conaffinity=0)
+        for part in self._parts:
+            self._add_pair(pad, part, friction, condim=4, margin=margin)
         for number, (half_mm, center_mm) in enumerate(gripper.finger_boxes_mm(pad)):
             self._add_box(finger, f"{pad} finger {number}", half_mm, center_mm)
+
+    def _add_pair(self, touched: str, part: str, friction: float, **attributes: Any) -> None:
+        """Of a pair alone does MuJoCo take a damping of the friction."""
+        self._spec.add_pair(
+            name=pair_of(touched, part), geomname1=touched, geomname2=part,
+            friction=[friction, friction, 0.0, 0.0, 0.0], **attributes,
+        )  # fmt: skip
 
     def _add_hull(self, body: Any, name: str, vertices_m: FloatArray, **attributes: Any) -> None:
         """A mesh that collides as the convex hull of its vertices."""

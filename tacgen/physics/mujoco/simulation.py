@@ -9,18 +9,31 @@ import numpy as np
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, GraspObject
-from tacgen.core.units import M_PER_MM
+from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics import engine
 from tacgen.physics.bodies import principal_axes
-from tacgen.physics.engine import ContactPoint, Place, Vector
+from tacgen.physics.engine import TABLE, ContactPoint, Place, Vector
 from tacgen.physics.frames import pose, quaternion_from_rotation, rotation_of
 from tacgen.physics.margins import torsion_factor
-from tacgen.physics.mujoco.model import BASE, HAND, OBJECT, Scene, carrying_joint, motor_of
+from tacgen.physics.mujoco.model import (
+    BASE,
+    DRIVEN_MASS,
+    HAND,
+    OBJECT,
+    Scene,
+    carrying_joint,
+    motor_of,
+    pair_of,
+)
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import Collides
 
-CONTACT_STIFFNESS_N_MM = 1000.0  # of rigid pads: they sink in by 0.04 mm under 40 N
+LARGEST_STIFFNESS_N_M = 1e6  # of a pad
+SLIP_DAMPING_1_S = 100.0
+"""Of friction: a slide decays in 10 ms or sooner. More needs softer pads (0.3 mm at μ = 0.5)."""
+POINTS_ON_TABLE = 4  # at which an object that is no ball stands: a box's
+SLIDE_RESERVE = 1.5  # of the force that keeps a sliding touch: 0.6 of it slide faster than the lift
 RESPONSE_STEPS = 2.4  # time constant of a contact; below two it is unstable
 LARGEST_IMPEDANCE = 0.9999  # Source: MuJoCo's documentation, solver parameters
 
@@ -58,14 +71,17 @@ class Engine:
         )
         scene = Scene(self._mujoco, settings)
         scene.add_object(obj, inertial, moments_kg_m2)
-        scene.add_robot(self._robot, obj.friction * settings.pad_friction)
+        friction = obj.friction * settings.pad_friction
+        scene.add_robot(self._robot, friction)
         self._model = model = scene.compiled()
         self._data = data = self._mujoco.MjData(model)
-        _set_compliance(model, settings)
+        _set_compliance(model, settings, friction, settings.delivered_force_n(force_n))
+        _soften_table(self._mujoco.mjtGeom, model, settings, obj.mass_kg)
         geoms = range(model.ngeom)
         self._names = [model.geom(geom).name for geom in geoms]
         self._of_object = (model.geom_bodyid == model.body(OBJECT).id).tolist()
-        self._gripper = [k for k in geoms if model.geom_contype[k] & int(Collides.GRIPPER)]
+        hand = model.body(HAND).id
+        self._gripper = [k for k in geoms if model.geom_bodyid[k] >= hand]  # and the fingers
         self._parts = [k for k in geoms if model.geom_conaffinity[k] & int(Collides.GRIPPER)]
         self._joints = Joints(self._mujoco, model, data, self._robot)
         self._fingers = Fingers(model, data)
@@ -75,9 +91,13 @@ class Engine:
 
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
+        model, data = self._model, self._data
         for _ in range(count):
-            self._data.qvel[self._driven] = *self._joints.next_speeds(), *self._fingers.speeds_m_s
-            self._mujoco.mj_step(self._model, self._data)
+            # By a force: friction does not lag behind a motion that the solver knows of.
+            missing = np.array([*self._joints.next_speeds(), *self._fingers.speeds_m_s])
+            missing -= data.qvel[self._driven]
+            data.qfrc_applied[self._driven] = missing * (DRIVEN_MASS / model.opt.timestep)
+            self._mujoco.mj_step(model, data)
 
     def contacts(self) -> tuple[ContactPoint, ...]:
         """All contact points of the last step on the object."""
@@ -108,28 +128,78 @@ class Engine:
         return found
 
 
-def _set_compliance(model: Any, settings: PhysicsSettings) -> None:
+def _soften_table(kinds: Any, model: Any, settings: PhysicsSettings, mass_kg: float) -> None:
+    """The table's softness, so that an object that the fingers push keeps its touch."""
+    pairs = _pairs(model, TABLE)
+    ball = int(kinds.mjGEOM_SPHERE) in model.geom_type[model.pair_geom2[pairs]]
+    force_n = mass_kg * STANDARD_GRAVITY_M_S2 / (1 if ball else POINTS_ON_TABLE)
+    speed_m_s = settings.closing_speed_mm_s * M_PER_MM
+    stiffness = 1 / (RESPONSE_STEPS * settings.time_step_s) ** 2
+    pushed_off = SLIDE_RESERVE * settings.table_friction * speed_m_s
+    inverse_mass = max(stiffness / LARGEST_STIFFNESS_N_M, SLIP_DAMPING_1_S * pushed_off / force_n)
+    _set_spring(model, TABLE, stiffness, inverse_mass, 2 * stiffness**0.5, SLIP_DAMPING_1_S)
+    model.pair_margin[pairs] += inverse_mass * force_n / stiffness
+
+
+def _set_compliance(model: Any, settings: PhysicsSettings, friction: float, force_n: float) -> None:
     """Stiffness and damping of the pads in N/m and N s/m, whatever the object's mass.
 
     A contact of MuJoCo is a spring of k = K R for each kilogram, R the reciprocal mass by which its
     impedance d = A/(A + R) lets the constraint yield; A is that of the two bodies.
+
+    Its friction is a relaxed one: a touch that slides at v is pushed off by μ b v, b the damping of
+    its friction, and is lost where that is more than the R F by which the force F presses it in. So
+    rigid pads are as soft as it takes to keep the touch at the lift's speed, and stand out by what
+    they sink in; with a given stiffness the friction's damping gives way.
+
+    Source: Todorov 2014, Convex and analytically-invertible dynamics with contacts and constraints.
     """
-    stiffness_n_m = (settings.pad_stiffness_n_mm or CONTACT_STIFFNESS_N_MM) / M_PER_MM
     response_s = RESPONSE_STEPS * settings.time_step_s
-    inverse_mass, damping = 1 / response_s**2 / stiffness_n_m, 2 / response_s
-    if settings.pad_stiffness_n_mm and settings.pad_damping_n_s_mm:
-        damping_n_s_m = settings.pad_damping_n_s_mm / M_PER_MM
-        inverse_mass = min(inverse_mass, damping / damping_n_s_m)
-        damping = damping_n_s_m * inverse_mass
+    damping = 2 / response_s
+    pushed_off = SLIDE_RESERVE * friction * settings.lift_speed_mm_s * M_PER_MM  # at b = 1
+    slip_damping, sunk_m = SLIP_DAMPING_1_S, 0.0
+    if settings.pad_stiffness_n_mm:
+        inverse_mass = M_PER_MM / (settings.pad_stiffness_n_mm * response_s**2)
+        if settings.pad_damping_n_s_mm:
+            damping_n_s_m = settings.pad_damping_n_s_mm / M_PER_MM
+            inverse_mass = min(inverse_mass, damping / damping_n_s_m)
+            damping = damping_n_s_m * inverse_mass
+        stiffness = settings.pad_stiffness_n_mm / M_PER_MM * inverse_mass
+        if pushed_off > 0:
+            slip_damping = min(slip_damping, inverse_mass * force_n / pushed_off)
+    else:
+        stiffness = 1 / response_s**2
+        inverse_mass = stiffness / LARGEST_STIFFNESS_N_M
+        if force_n > 0:
+            inverse_mass = max(inverse_mass, slip_damping * pushed_off / force_n)
+        sunk_m = inverse_mass * force_n / stiffness
     for pad in PADS:
-        bodies = model.body(pad), model.body(OBJECT)
-        of_bodies = sum(float(body.invweight0[0]) for body in bodies)
-        impedance = min(of_bodies / (of_bodies + inverse_mass), LARGEST_IMPEDANCE)
-        # MuJoCo multiplies the first by 1/d and divides the second by it.
-        spring = stiffness_n_m * inverse_mass * impedance, damping * impedance
-        geom = model.geom(pad).id
-        model.geom_solref[geom] = [-one for one in spring]
-        model.geom_solimp[geom, :2] = impedance
+        _set_spring(model, pad, stiffness, inverse_mass, damping, slip_damping)
+        model.pair_margin[_pairs(model, pad)] += sunk_m
+
+
+def _set_spring(
+    model: Any,
+    touched: str,
+    stiffness: float,
+    inverse_mass: float,
+    damping: float,
+    slip_damping: float,
+) -> None:
+    """The springs of the object's pairs with a geom: stiffness 1/s², R 1/kg, dampings 1/s."""
+    bodies = model.geom_bodyid[model.geom(touched).id], model.body(OBJECT).id
+    of_bodies = float(sum(model.body_invweight0[body, 0] for body in bodies))
+    impedance = min(of_bodies / (of_bodies + inverse_mass), LARGEST_IMPEDANCE)
+    pairs = _pairs(model, touched)
+    # MuJoCo multiplies the first by 1/d and divides the second by it.
+    model.pair_solref[pairs] = [-stiffness * impedance, -damping * impedance]
+    model.pair_solreffriction[pairs] = [-stiffness * impedance, -slip_damping * impedance]
+    model.pair_solimp[pairs, :2] = impedance
+
+
+def _pairs(model: Any, touched: str) -> list[int]:
+    """Numbers of the pairs of a pad or the table and a part of the object."""
+    return [k for k in range(model.npair) if model.pair(k).name.startswith(pair_of(touched, ""))]
 
 
 class ObjectBody:
@@ -205,7 +275,7 @@ class Fingers:
 
     def __init__(self, model: Any, data: Any) -> None:
         self._model, self._data = model, data
-        self._pads = {pad: model.geom(pad).id for pad in PADS}
+        self._pairs = {pad: _pairs(model, pad) for pad in PADS}
         self._places, self._dofs = _addresses(model, PADS)
         self._motor_places, self.motors = _addresses(model, [motor_of(pad) for pad in PADS])
         self.speeds_m_s = [0.0, 0.0]
@@ -227,9 +297,9 @@ class Fingers:
         The elliptic cone reduces the moment by the share itself, so what it takes off is added.
         """
         factor = torsion_factor(friction_share)
-        for pad, geom in self._pads.items():
+        for pad, pairs in self._pairs.items():
             alone_m = spinning_friction_m[pad] / factor if factor > 0 else 0.0
-            self._model.geom_friction[geom, 1] = alone_m
+            self._model.pair_friction[pairs, 2] = alone_m
 
     def couple(self) -> None:
         """From now on the fingers move by equal amounts, about where they are."""
