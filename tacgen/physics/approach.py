@@ -5,6 +5,7 @@ checked for collisions; no time is simulated.
 """
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -61,10 +62,19 @@ def approach(
             # Near the object, symmetrically, so that closing takes little time.
             found = world.distances(robot.body, body.body, STROKE_MM * M_PER_MM)
             near_m = min((distance for _, distance in found), default=0.0)
-            robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))
+            robot.fingers.place(max(0.0, near_m - _clearance_m(settings)))
             return ""
         reasons.append(reason)
     return reasons[-1]
+
+
+def _clearance_m(settings: PhysicsSettings) -> float:
+    """The clearance, to the nearest odd number of half steps: the pads touch between two steps.
+
+    At a whole number of them rounding would decide in which step each pad touches.
+    """
+    step_mm = settings.closing_speed_mm_s * settings.time_step_s
+    return (math.floor(settings.clearance_mm / step_mm + 1e-9) + 0.5) * step_mm * M_PER_MM
 
 
 def _ways(target: GripperTarget, above_m: float) -> Iterator[list[GripperTarget]]:

@@ -79,7 +79,11 @@ def finger_links(world: World, settings: PhysicsSettings, hand: int) -> list[Lin
                 parent=hand,
                 joint_type=world.bullet.JOINT_PRISMATIC,
                 mass_kg=FINGER_MASS_KG,
-                shape=create_shape(world.bullet.GEOM_MESH, vertices=vertices_m),
+                shape=create_shape(
+                    world.bullet.GEOM_SPHERE,
+                    radius=settings.pad_dome_radius_mm * M_PER_MM,
+                    collisionFramePosition=(side * settings.pad_dome_radius_mm * M_PER_MM, 0, 0),
+                ),
                 position_m=(side * STROKE_MM / 2 * M_PER_MM, 0.0, 0.0),
                 axis=(-side, 0.0, 0.0),
             )
