@@ -60,7 +60,7 @@ def approach(
         reason = _first_obstacle(world, robot, body, corners)
         if not reason:
             # Near the object, symmetrically, so that closing takes little time.
-            found = world.distances(robot.body, body.body, STROKE_MM * M_PER_MM)
+            found = _distances(world, robot, body, STROKE_MM * M_PER_MM)
             near_m = min((distance for _, distance in found), default=0.0)
             robot.fingers.place(max(0.0, near_m - _clearance_m(settings)))
             return ""
@@ -97,6 +97,14 @@ def _waypoints(corners: Sequence[GripperTarget]) -> Iterator[GripperTarget]:
             yield GripperTarget(x_m, y_m, z_m, end.yaw_rad)
 
 
+def _distances(
+    world: World, robot: Robot, body: ObjectBody, limit_m: float
+) -> list[tuple[int, float]]:
+    """Links and how near they are to the object; of the pads their outlines, not their domes."""
+    found = world.distances(robot.body, body.body, limit_m)
+    return [one for one in found if one[0] not in robot.fingers.links.values()]
+
+
 def _first_obstacle(
     world: World, robot: Robot, body: ObjectBody, corners: Sequence[GripperTarget]
 ) -> str:
@@ -105,7 +113,7 @@ def _first_obstacle(
         reason = robot.place(waypoint)
         if reason:
             return reason
-        met = world.distances(robot.body, body.body, 0.0)
+        met = _distances(world, robot, body, 0.0)
         if met:
             height = f"with the pads {waypoint.z_m * MM_PER_M:.0f} mm above the table"
             if {link for link, _ in met} == {robot.palm}:

@@ -1,5 +1,7 @@
 """PyBullet as an engine of grasps."""
 
+from collections.abc import Collection
+
 from tacgen.core.records import GraspObject
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.robots import ROBOTS, Robot
@@ -19,10 +21,13 @@ class Engine(World):
         self._robot = ROBOTS[robot]
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float
+        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, beside: Collection[int]
     ) -> tuple[ObjectBody, Robot]:
-        """Empty the world, then add the table, the object in its rest pose and the robot."""
+        """Empty the world, then add the table, the object in its rest pose and the robot.
+
+        The object's parts ``beside`` the pads cannot touch them.
+        """
         self.rebuild(settings, settings.iterations_for(force_n, obj.mass_kg))
-        body, robot = ObjectBody(self, obj), self._robot(self, settings)
+        body, robot = ObjectBody(self, obj, beside), self._robot(self, settings)
         robot.fingers.set_surface(settings, obj.friction)
         return body, robot

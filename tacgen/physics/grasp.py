@@ -32,7 +32,7 @@ from tacgen.physics.contacts import (
     contact_frames,
     object_contacts,
 )
-from tacgen.physics.gripper import STROKE_MM
+from tacgen.physics.gripper import STROKE_MM, beside_pads, touches_as_sphere
 from tacgen.physics.margins import (
     Capacity,
     TorsionLimit,
@@ -140,7 +140,10 @@ class _Grasp:
         self.patch_of = patch_of
         self.note = ""
         self.world = simulator.world
-        self.body, self.robot = self.world.build(obj, settings, config.force_n)
+        beside: tuple[int, ...] = ()
+        if touches_as_sphere(settings):
+            beside = beside_pads(obj.collision, config, config.z_mm + settings.height_offset_mm)
+        self.body, self.robot = self.world.build(obj, settings, config.force_n, beside)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
         self.bodies = Bodies(

@@ -4,11 +4,13 @@ The hand's link frame is the gripper frame (``frames.py``). Finger positions cou
 opening towards the middle. Bullet's lengths are metres.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
+from tacgen.core.records import GraspConfig, Mesh
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.frames import PAD_SIDE
 from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
@@ -22,6 +24,12 @@ PAD_WIDTH_MM, PAD_HEIGHT_MM = 24.0, 19.0
 """A GelSight's window of 18.9 × 14.2 mm (640 × 480 at 0.0295 mm/px) and 2.5 mm around it."""
 PAD_DEPTH_MM = 6.0  # from the dome's top to the finger; assumed
 PAD_PITCH_MM = 2.0  # of the vertices on the dome: chords of a 30 mm dome lie 17 µm inside it
+LARGEST_SPHERE_MM = 60.0
+"""A pad of this dome radius or less touches as a sphere: a face that is tilted by 0.15 rad or less
+then meets it on the pad. A flatter one is a hull, whose facets are off by 0.02 rad or less."""
+BESIDE_MM = 3.0
+"""How far beside or below a pad's outline what it cannot meet begins: 0.1 rad, the largest turn of
+a success, brings that of a part within 30 mm over it."""
 FINGER_THICKNESS_MM = 12.0  # assumed
 FINGER_LENGTH_MM = 150.0
 """From the pad's centre to the palm; assumed, so that tall objects can be held low."""
@@ -49,6 +57,28 @@ def pad_vertices_m(side: float, dome_radius_mm: float) -> tuple[tuple[float, flo
     return tuple((x, y, z) for x, y, z in vertices.tolist())
 
 
+def touches_as_sphere(settings: PhysicsSettings) -> bool:
+    """Whether the pads' domes are spheres, which reach beyond the pads' outline."""
+    return settings.pad_dome_radius_mm <= LARGEST_SPHERE_MM
+
+
+def beside_pads(parts: Sequence[Mesh], config: GraspConfig, pad_z_mm: float) -> tuple[int, ...]:
+    """Numbers of the parts that lie beside or below the pads of a grasp, which cannot meet them.
+
+    What is above them may come down to them, or meet the fingers.
+    """
+    along = np.array([-math.sin(config.yaw_rad), math.cos(config.yaw_rad), 0.0])
+    middle_mm = config.x_mm * along[0] + config.y_mm * along[1]
+    found = []
+    for number, part in enumerate(parts):
+        across_mm = part.vertices_mm @ along - middle_mm
+        outside_mm = max(across_mm.min(), -across_mm.max()) - PAD_WIDTH_MM / 2
+        below_mm = pad_z_mm - PAD_HEIGHT_MM / 2 - part.vertices_mm[:, 2].max()
+        if max(outside_mm, below_mm) > BESIDE_MM:
+            found.append(number)
+    return tuple(found)
+
+
 def _symmetric_range(half: float) -> np.ndarray:
     """Values over [−half, half] about ``PAD_PITCH_MM`` apart, 0 among them."""
     return np.linspace(-half, half, 2 * int(np.ceil(half / PAD_PITCH_MM)) + 1)
@@ -64,38 +94,34 @@ def create_body(world: World, links: Sequence[Link], base_position_m: Sequence[f
 
 
 def finger_links(world: World, settings: PhysicsSettings, hand: int) -> list[Link]:
-    """The fingers and their stems, to be added right after the link ``hand`` that carries them.
+    """The fingers, to be added right after the link ``hand`` that carries them.
 
-    Each stem follows its finger: PyBullet numbers links depth first, whatever it is given.
+    Each is followed by its stem and by its pad's outline, which counts on the way to the grasp
+    alone: PyBullet numbers links depth first, whatever it is given.
     """
     links: list[Link] = []
-    create_shape = world.bullet.createCollisionShape
-    x_mm, y_mm, z_mm = STEM_CENTER_MM
     for side in (PAD_SIDE[pad] for pad in PAD_NAMES):
         finger = hand + 1 + len(links)
         vertices_m = pad_vertices_m(side, settings.pad_dome_radius_mm)
-        links.append(
+        outline = world.bullet.createCollisionShape(world.bullet.GEOM_MESH, vertices=vertices_m)
+        fixed = world.bullet.JOINT_FIXED
+        links += [
             Link(
                 parent=hand,
                 joint_type=world.bullet.JOINT_PRISMATIC,
                 mass_kg=FINGER_MASS_KG,
-                shape=create_shape(
-                    world.bullet.GEOM_SPHERE,
-                    radius=settings.pad_dome_radius_mm * M_PER_MM,
-                    collisionFramePosition=(side * settings.pad_dome_radius_mm * M_PER_MM, 0, 0),
-                ),
+                shape=_dome(world, settings, side) if touches_as_sphere(settings) else outline,
                 position_m=(side * STROKE_MM / 2 * M_PER_MM, 0.0, 0.0),
                 axis=(-side, 0.0, 0.0),
-            )
-        )
-        links.append(
+            ),
             Link(
                 parent=finger,
-                joint_type=world.bullet.JOINT_FIXED,
+                joint_type=fixed,
                 shape=_box(world, STEM_HALF_EXTENTS_MM),
-                position_m=(side * x_mm * M_PER_MM, y_mm * M_PER_MM, z_mm * M_PER_MM),
-            )
-        )
+                position_m=tuple(M_PER_MM * np.array(STEM_CENTER_MM) * (side, 1.0, 1.0)),
+            ),
+            Link(parent=finger, joint_type=fixed, shape=outline),
+        ]
     return links
 
 
@@ -106,6 +132,17 @@ def palm_link(world: World, hand: int) -> Link:
         joint_type=world.bullet.JOINT_FIXED,
         shape=_box(world, PALM_HALF_EXTENTS_MM),
         position_m=(0.0, 0.0, (FINGER_LENGTH_MM + PALM_HALF_EXTENTS_MM[2]) * M_PER_MM),
+    )
+
+
+def _dome(world: World, settings: PhysicsSettings, side: float) -> int:
+    radius_m = settings.pad_dome_radius_mm * M_PER_MM
+    return int(
+        world.bullet.createCollisionShape(
+            world.bullet.GEOM_SPHERE,
+            radius=radius_m,
+            collisionFramePosition=(side * radius_m, 0.0, 0.0),
+        )
     )
 
 
@@ -128,7 +165,9 @@ class Fingers:
     def __init__(self, world: World, body: int, hand: int) -> None:
         self._world = world
         self._body = body
-        self.links = {"left": hand + 1, "right": hand + 3}
+        self.links = {"left": hand + 1, "right": hand + 4}
+        for finger in self.links.values():
+            world.collide(body, finger + 2, Collides.NOTHING)
 
     def set_surface(self, settings: PhysicsSettings, friction: float) -> None:
         """Friction and compliance of the pads against an object whose own friction is 1."""

@@ -116,12 +116,12 @@ class PhysicsSettings:
         return PAD_NAMES if self.tactile_pads == "both" else (self.tactile_pads,)
 
     def iterations_for(self, force_n: float, mass_kg: float) -> int:
-        """Solver iterations for ``force_n`` on an object of ``mass_kg``.
+        """Solver iterations for a commanded ``force_n`` on an object of ``mass_kg``.
 
         The solver's error is a part of the pads' force but moves the object by its mass: too few
         iterations let a light object creep in a strong grip.
         """
-        ratio = force_n / (mass_kg * STANDARD_GRAVITY_M_S2)
+        ratio = self.delivered_force_n(force_n) / (mass_kg * STANDARD_GRAVITY_M_S2)
         needed = min(math.ceil(ITERATIONS_PER_FORCE_RATIO * ratio), MOST_ITERATIONS)
         return max(self.solver_iterations, needed)
 

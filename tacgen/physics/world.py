@@ -193,8 +193,12 @@ class World:
 
     def distances(self, robot: int, body: int, limit_m: float) -> list[tuple[int, float]]:
         """Links of the robot and how near they are to the object, within ``limit_m``."""
-        points = self.bullet.getClosestPoints(robot, body, limit_m, linkIndexB=-1)
-        return [(point[3], point[8]) for point in points]
+        links = [-1, *range(1, self.bullet.getNumJoints(body))]  # 0: its hull on the table
+        return [
+            (point[3], point[8])
+            for link in links
+            for point in self.bullet.getClosestPoints(robot, body, limit_m, linkIndexB=link)
+        ]
 
     def hull_shape(self, parts: Sequence[Mesh], *, enclosing: bool = False) -> int:
         """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.

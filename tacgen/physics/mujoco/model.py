@@ -1,6 +1,6 @@
 """The MJCF model of one grasp: table, object and floating gripper. Lengths are in metres."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -18,6 +18,7 @@ from tacgen.physics.gripper import (
     STEM_HALF_EXTENTS_MM,
     STROKE_MM,
     pad_vertices_m,
+    touches_as_sphere,
 )
 from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
 from tacgen.physics.world import HULL_MARGIN_MM, Collides, ball_of
@@ -38,9 +39,15 @@ OPTIONS = {
 
 
 def scene_xml(
-    obj: GraspObject, settings: PhysicsSettings, inertial: Pose, moments_kg_m2: FloatArray
+    obj: GraspObject,
+    settings: PhysicsSettings,
+    inertial: Pose,
+    moments_kg_m2: FloatArray,
+    beside: Collection[int],
 ) -> str:
     """The model of ``obj`` with its inertial frame and principal moments, before the approach.
+
+    Its parts ``beside`` the pads touch nothing of the gripper.
 
     The joints are, in this order: the object's free one, the hand's height, and a motor and a
     finger for each pad. The motor moves at the commanded speed whatever acts on it and carries the
@@ -59,7 +66,7 @@ def scene_xml(
     body = _add(scene, "body", name="object")
     _add(body, "freejoint")
     _inertial(body, obj.mass_kg, moments_kg_m2, inertial)
-    _add_object(assets, body, obj.collision)
+    _add_object(assets, body, obj.collision, beside)
     hand = _add(scene, "body", name="hand")
     _slide(hand, "height", (0, 0, 1), armature=repr(DRIVEN_MASS_KG))
     _inertial(hand, HAND_MASS_KG, np.full(3, FINGER_INERTIA_KG_M2))
@@ -75,10 +82,17 @@ def scene_xml(
         _inertial(finger, FINGER_MASS_KG, np.full(3, FINGER_INERTIA_KG_M2))
         vertices_m = np.array(pad_vertices_m(side, settings.pad_dome_radius_mm))
         _mesh(assets, pad, vertices_m)
-        # The pad's vertices lie inside it by the margin in which it touches.
+        # The pad's surface lies inside it by the margin in which it touches.
         surface = {"condim": "4", "friction": _text((obj.friction * settings.pad_friction, 0, 0))}
-        margin = repr(HULL_MARGIN_MM * M_PER_MM)
-        _gripper_geom(finger, name=pad, type="mesh", mesh=pad, margin=margin, **surface)
+        margin_m = HULL_MARGIN_MM * M_PER_MM
+        outline = {"type": "mesh", "mesh": pad, "margin": repr(margin_m)}
+        shape = outline
+        if touches_as_sphere(settings):
+            radius_m = settings.pad_dome_radius_mm * M_PER_MM
+            place = {"pos": _text((side * radius_m, 0, 0)), "size": repr(radius_m - margin_m)}
+            shape = {"type": "sphere", "margin": repr(margin_m), **place}
+        _gripper_geom(finger, name=pad, **shape, **surface)
+        _add(finger, "geom", name=f"{pad}_outline", contype="0", conaffinity="0", **outline)
         x_mm, y_mm, z_mm = STEM_CENTER_MM
         _add_box(finger, f"{pad}_stem", STEM_HALF_EXTENTS_MM, (side * x_mm, y_mm, z_mm))
     equality = _add(root, "equality")
@@ -87,11 +101,14 @@ def scene_xml(
     return tostring(root, encoding="unicode")
 
 
-def _add_object(assets: Element, body: Element, parts: Sequence[Mesh]) -> None:
+def _add_object(
+    assets: Element, body: Element, parts: Sequence[Mesh], beside: Collection[int]
+) -> None:
     """Several parts meet the table as one hull, as in PyBullet."""
     alone = len(parts) == 1
     for number, part in enumerate(parts):
-        group = Collides.GRIPPER | Collides.TABLE if alone else Collides.GRIPPER
+        group = Collides.NOTHING if number in beside else Collides.GRIPPER
+        group |= Collides.TABLE if alone else Collides.NOTHING
         affinity = {"contype": "0", "conaffinity": str(int(group))}
         if alone and (ball := ball_of(part)):
             center, size = _text(ball[0] * M_PER_MM), repr(ball[1] * M_PER_MM)

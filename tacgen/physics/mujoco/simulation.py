@@ -1,7 +1,7 @@
 """The scene of one grasp in MuJoCo. Lengths are in metres, quaternions x, y, z, w."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -55,18 +55,21 @@ class Engine:
         """Nothing to close."""
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float
+        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, beside: Collection[int]
     ) -> tuple["ObjectBody", "FloatingGripper"]:
-        """A new scene: the table, the object in its rest pose and the gripper."""
+        """A new scene: the table, the object in its rest pose and the gripper.
+
+        The object's parts ``beside`` the pads cannot touch them.
+        """
         moments, axes = principal_axes(obj.inertia_kg_mm2)
         inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
-        xml = scene_xml(obj, settings, inertial, moments * M_PER_MM**2)
+        xml = scene_xml(obj, settings, inertial, moments * M_PER_MM**2, beside)
         self.model = self._mujoco.MjModel.from_xml_string(xml)
         self.data = self._mujoco.MjData(self.model)
         _set_compliance(self.model, settings)
         self._owner = np.minimum(self.model.geom_bodyid, ROBOT).tolist()
-        touches_gripper = (self.model.geom_conaffinity & int(Collides.GRIPPER)) > 0
-        self._parts = np.flatnonzero(touches_gripper).tolist()
+        of_object = self.model.geom_bodyid == OBJECT
+        self._parts = np.flatnonzero(of_object)[: len(obj.collision)].tolist()  # not their hull
         self._robot = FloatingGripper(self.model, self.data)
         body = ObjectBody(self.data, inertial, moments * M_PER_MM**2)
         return body, self._robot
