@@ -1,11 +1,12 @@
 """An object as a body of PyBullet."""
 
-from collections.abc import Collection
+import operator
+from collections.abc import Sequence
 
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import GraspObject
+from tacgen.core.records import GraspObject, Mesh
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.frames import pose, quaternion_from_rotation
 from tacgen.physics.world import HULL_MARGIN_MM, Collides, Link, World, link_arguments
@@ -26,26 +27,26 @@ class ObjectBody:
     """The object in the world, standing in its rest pose to begin with.
 
     An object of several convex parts meets the table as one convex hull: on a plane that is the
-    same, and it saves a pair of bodies for each part at every step. The parts ``beside`` the pads
-    count on the way to the grasp alone.
+    same, and it saves a pair of bodies for each part at every step. The pads can touch ``met``
+    alone; on the way to the grasp the whole parts count.
     """
 
-    def __init__(self, world: World, obj: GraspObject, beside: Collection[int] = ()) -> None:
+    def __init__(self, world: World, obj: GraspObject, met: Sequence[Mesh] | None = None) -> None:
         self._world = world
         moments, axes = principal_axes(obj.inertia_kg_mm2)
         self.principal_moments_kg_m2 = moments * M_PER_MM**2
         self.inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
         parts, links = obj.collision, []
-        met = [part for number, part in enumerate(parts) if number not in beside]
-        if len(parts) > 1:
+        met = parts if met is None else met
+        whole = len(met) == len(parts) and all(map(operator.is_, met, parts))
+        if len(parts) > 1 or not whole:
             # Massless, and raised by the margin that Bullet keeps around the hulls of links, so
             # that the object stands where it should.
             hull, raised_m = world.hull_shape(parts, enclosing=True), HULL_MARGIN_MM * M_PER_MM
             fixed = world.bullet.JOINT_FIXED
             links = [Link(-1, fixed, shape=hull, position_m=(0.0, 0.0, raised_m))]
-            if met and beside:
-                aside = world.hull_shape([parts[number] for number in beside])
-                links.append(Link(-1, fixed, shape=aside))
+            if not whole:
+                links.append(Link(-1, fixed, shape=world.hull_shape(parts)))
         self.body = world.bullet.createMultiBody(
             obj.mass_kg,
             world.hull_shape(met or parts),

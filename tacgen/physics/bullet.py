@@ -1,8 +1,8 @@
 """PyBullet as an engine of grasps."""
 
-from collections.abc import Collection
+from collections.abc import Sequence
 
-from tacgen.core.records import GraspObject
+from tacgen.core.records import GraspObject, Mesh
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.robots import ROBOTS, Robot
 from tacgen.physics.settings import PhysicsSettings, RobotName
@@ -21,13 +21,13 @@ class Engine(World):
         self._robot = ROBOTS[robot]
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, beside: Collection[int]
+        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, met: Sequence[Mesh]
     ) -> tuple[ObjectBody, Robot]:
         """Empty the world, then add the table, the object in its rest pose and the robot.
 
-        The object's parts ``beside`` the pads cannot touch them.
+        The pads can touch ``met`` of the object alone.
         """
         self.rebuild(settings, settings.iterations_for(force_n, obj.mass_kg))
-        body, robot = ObjectBody(self, obj, beside), self._robot(self, settings)
+        body, robot = ObjectBody(self, obj, met), self._robot(self, settings)
         robot.fingers.set_surface(settings, obj.friction)
         return body, robot

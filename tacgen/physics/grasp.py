@@ -32,7 +32,7 @@ from tacgen.physics.contacts import (
     contact_frames,
     object_contacts,
 )
-from tacgen.physics.gripper import STROKE_MM, beside_pads, touches_as_sphere
+from tacgen.physics.gripper import PAD_HEIGHT_MM, PAD_WIDTH_MM, STROKE_MM, touches_as_sphere
 from tacgen.physics.margins import (
     Capacity,
     TorsionLimit,
@@ -41,6 +41,7 @@ from tacgen.physics.margins import (
     torsion_factor,
     torsion_limit,
 )
+from tacgen.physics.reach import within_reach
 from tacgen.physics.recorder import Recorder, frame_end_steps
 from tacgen.physics.settings import (
     PAD_NAMES,
@@ -140,10 +141,11 @@ class _Grasp:
         self.patch_of = patch_of
         self.note = ""
         self.world = simulator.world
-        beside: tuple[int, ...] = ()
+        met, height_mm = obj.collision, config.z_mm + settings.height_offset_mm
         if touches_as_sphere(settings):
-            beside = beside_pads(obj.collision, config, config.z_mm + settings.height_offset_mm)
-        self.body, self.robot = self.world.build(obj, settings, config.force_n, beside)
+            pad_mm = PAD_WIDTH_MM, PAD_HEIGHT_MM
+            met = within_reach(obj.collision, config, height_mm=height_mm, pad_mm=pad_mm)
+        self.body, self.robot = self.world.build(obj, settings, config.force_n, met)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
         self.bodies = Bodies(

@@ -4,13 +4,11 @@ The hand's link frame is the gripper frame (``frames.py``). Finger positions cou
 opening towards the middle. Bullet's lengths are metres.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from tacgen.core.records import GraspConfig, Mesh
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.frames import PAD_SIDE
 from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
@@ -27,9 +25,6 @@ PAD_PITCH_MM = 2.0  # of the vertices on the dome: chords of a 30 mm dome lie 17
 LARGEST_SPHERE_MM = 60.0
 """A pad of this dome radius or less touches as a sphere: a face that is tilted by 0.15 rad or less
 then meets it on the pad. A flatter one is a hull, whose facets are off by 0.02 rad or less."""
-BESIDE_MM = 3.0
-"""How far beside or below a pad's outline what it cannot meet begins: 0.1 rad, the largest turn of
-a success, brings that of a part within 30 mm over it."""
 FINGER_THICKNESS_MM = 12.0  # assumed
 FINGER_LENGTH_MM = 150.0
 """From the pad's centre to the palm; assumed, so that tall objects can be held low."""
@@ -60,23 +55,6 @@ def pad_vertices_m(side: float, dome_radius_mm: float) -> tuple[tuple[float, flo
 def touches_as_sphere(settings: PhysicsSettings) -> bool:
     """Whether the pads' domes are spheres, which reach beyond the pads' outline."""
     return settings.pad_dome_radius_mm <= LARGEST_SPHERE_MM
-
-
-def beside_pads(parts: Sequence[Mesh], config: GraspConfig, pad_z_mm: float) -> tuple[int, ...]:
-    """Numbers of the parts that lie beside or below the pads of a grasp, which cannot meet them.
-
-    What is above them may come down to them, or meet the fingers.
-    """
-    along = np.array([-math.sin(config.yaw_rad), math.cos(config.yaw_rad), 0.0])
-    middle_mm = config.x_mm * along[0] + config.y_mm * along[1]
-    found = []
-    for number, part in enumerate(parts):
-        across_mm = part.vertices_mm @ along - middle_mm
-        outside_mm = max(across_mm.min(), -across_mm.max()) - PAD_WIDTH_MM / 2
-        below_mm = pad_z_mm - PAD_HEIGHT_MM / 2 - part.vertices_mm[:, 2].max()
-        if max(outside_mm, below_mm) > BESIDE_MM:
-            found.append(number)
-    return tuple(found)
 
 
 def _symmetric_range(half: float) -> np.ndarray:

@@ -193,12 +193,11 @@ class World:
 
     def distances(self, robot: int, body: int, limit_m: float) -> list[tuple[int, float]]:
         """Links of the robot and how near they are to the object, within ``limit_m``."""
-        links = [-1, *range(1, self.bullet.getNumJoints(body))]  # 0: its hull on the table
-        return [
-            (point[3], point[8])
-            for link in links
-            for point in self.bullet.getClosestPoints(robot, body, limit_m, linkIndexB=link)
-        ]
+        # Link 0 is its hull on the table, link 1 the whole object where the base is a part of it.
+        link = 1 if self.bullet.getNumJoints(body) == 2 else -1
+        margin_m = HULL_MARGIN_MM * M_PER_MM if link == 1 else 0.0
+        found = self.bullet.getClosestPoints(robot, body, limit_m - margin_m, linkIndexB=link)
+        return [(point[3], point[8] + margin_m) for point in found]
 
     def hull_shape(self, parts: Sequence[Mesh], *, enclosing: bool = False) -> int:
         """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.

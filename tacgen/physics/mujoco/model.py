@@ -1,6 +1,7 @@
 """The MJCF model of one grasp: table, object and floating gripper. Lengths are in metres."""
 
-from collections.abc import Collection, Iterable, Sequence
+import operator
+from collections.abc import Iterable, Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -43,11 +44,11 @@ def scene_xml(
     settings: PhysicsSettings,
     inertial: Pose,
     moments_kg_m2: FloatArray,
-    beside: Collection[int],
+    met: Sequence[Mesh],
 ) -> str:
     """The model of ``obj`` with its inertial frame and principal moments, before the approach.
 
-    Its parts ``beside`` the pads touch nothing of the gripper.
+    The pads can touch ``met`` alone; on the way to the grasp the whole parts count.
 
     The joints are, in this order: the object's free one, the hand's height, and a motor and a
     finger for each pad. The motor moves at the commanded speed whatever acts on it and carries the
@@ -66,7 +67,7 @@ def scene_xml(
     body = _add(scene, "body", name="object")
     _add(body, "freejoint")
     _inertial(body, obj.mass_kg, moments_kg_m2, inertial)
-    _add_object(assets, body, obj.collision, beside)
+    _add_object(assets, body, obj.collision, met)
     hand = _add(scene, "body", name="hand")
     _slide(hand, "height", (0, 0, 1), armature=repr(DRIVEN_MASS_KG))
     _inertial(hand, HAND_MASS_KG, np.full(3, FINGER_INERTIA_KG_M2))
@@ -102,12 +103,13 @@ def scene_xml(
 
 
 def _add_object(
-    assets: Element, body: Element, parts: Sequence[Mesh], beside: Collection[int]
+    assets: Element, body: Element, parts: Sequence[Mesh], met: Sequence[Mesh]
 ) -> None:
     """Several parts meet the table as one hull, as in PyBullet."""
-    alone = len(parts) == 1
+    whole = len(met) == len(parts) and all(map(operator.is_, met, parts))
+    alone = len(parts) == 1 and whole
     for number, part in enumerate(parts):
-        group = Collides.NOTHING if number in beside else Collides.GRIPPER
+        group = Collides.GRIPPER if whole else Collides.NOTHING
         group |= Collides.TABLE if alone else Collides.NOTHING
         affinity = {"contype": "0", "conaffinity": str(int(group))}
         if alone and (ball := ball_of(part)):
@@ -120,6 +122,11 @@ def _add_object(
         _mesh(assets, "hull", np.concatenate([part.vertices_mm for part in parts]) * M_PER_MM)
         group = Collides.TABLE
         _add(body, "geom", type="mesh", mesh="hull", contype="0", conaffinity=str(int(group)))
+    for number, part in enumerate(() if whole else met):
+        _mesh(assets, f"met{number}", part.vertices_mm * M_PER_MM)
+        group = Collides.GRIPPER
+        affinity = {"contype": "0", "conaffinity": str(int(group))}
+        _add(body, "geom", type="mesh", mesh=f"met{number}", **affinity)
 
 
 def _mesh(assets: Element, name: str, vertices_m: FloatArray) -> None:

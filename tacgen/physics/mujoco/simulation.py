@@ -1,7 +1,7 @@
 """The scene of one grasp in MuJoCo. Lengths are in metres, quaternions x, y, z, w."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
-from tacgen.core.records import GraspObject
+from tacgen.core.records import GraspObject, Mesh
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.bodies import principal_axes
 from tacgen.physics.frames import pose, quaternion_from_rotation, rotation_of
@@ -55,21 +55,21 @@ class Engine:
         """Nothing to close."""
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, beside: Collection[int]
+        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, met: Sequence[Mesh]
     ) -> tuple["ObjectBody", "FloatingGripper"]:
         """A new scene: the table, the object in its rest pose and the gripper.
 
-        The object's parts ``beside`` the pads cannot touch them.
+        The pads can touch ``met`` of the object alone.
         """
         moments, axes = principal_axes(obj.inertia_kg_mm2)
         inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
-        xml = scene_xml(obj, settings, inertial, moments * M_PER_MM**2, beside)
+        xml = scene_xml(obj, settings, inertial, moments * M_PER_MM**2, met)
         self.model = self._mujoco.MjModel.from_xml_string(xml)
         self.data = self._mujoco.MjData(self.model)
         _set_compliance(self.model, settings)
         self._owner = np.minimum(self.model.geom_bodyid, ROBOT).tolist()
         of_object = self.model.geom_bodyid == OBJECT
-        self._parts = np.flatnonzero(of_object)[: len(obj.collision)].tolist()  # not their hull
+        self._parts = np.flatnonzero(of_object)[: len(obj.collision)].tolist()  # its whole parts
         self._robot = FloatingGripper(self.model, self.data)
         body = ObjectBody(self.data, inertial, moments * M_PER_MM**2)
         return body, self._robot
