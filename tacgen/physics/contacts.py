@@ -4,6 +4,7 @@ Inside, lengths are in metres and axes are the world's; the frames that come out
 the gel frame.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -108,6 +109,40 @@ def mean_contacts(window: Sequence[Snapshot], object_body: int) -> Contacts:
         normal_force_n=contacts.normal_force_n / len(steps),
         force_n=contacts.force_n / len(steps),
     )
+
+
+def pressed(
+    touches: Sequence[tuple[Any, ...]],
+    closing_axis: FloatArray,
+    force_n: float,
+    stiffness_n_m2: float,
+) -> Contacts:
+    """The touches of a pad on the object as contact points that ``force_n`` is shared between.
+
+    Rigid bodies that touch in several points leave open how they share a force, and a solver's
+    answer varies with the last micrometre. As an elastic dome that has come nearer by δ the pad
+    presses with ``stiffness_n_m2`` (δ − gap)² at each, δ such that along the closing axis they
+    make up ``force_n``.
+    """
+    count = len(touches)
+    point_m = np.array([touch[6] for touch in touches]).reshape(-1, 3)
+    normal = -np.array([touch[7] for touch in touches]).reshape(-1, 3)
+    gap_m = np.array([touch[8] for touch in touches])
+    along = np.abs(normal @ closing_axis)
+    normal_force_n = np.zeros(count)
+    order = np.argsort(gap_m / along) if force_n > 0 else []
+    for number in range(1, len(order) + 1):
+        # The nearest touches, as many as come in before the δ at which they make up the force.
+        near, farther = order[:number], order[number:]
+        slope, gap = along[near], gap_m[near]
+        a, b, c = (slope**3).sum(), (slope**2 * gap).sum(), (slope * gap**2).sum()
+        delta_m = (b + math.sqrt(max(0.0, b * b - a * (c - force_n / stiffness_n_m2)))) / a
+        if (gap_m[farther] >= delta_m * along[farther]).all():
+            normal_force_n[near] = stiffness_n_m2 * (delta_m * slope - gap) ** 2
+            break
+    none = np.zeros(count, dtype=np.int64)
+    force = normal_force_n[:, None] * normal
+    return Contacts(none, none, point_m, normal, normal_force_n, force)
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,6 +56,8 @@ CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
 STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that a pad may be off
 
+TOUCH_REACH_M = 0.001  # by which no pad indents: ``margins.STIFFER_THAN_GEL``
+
 PatchOf = Callable[[ContactFrame], ContactPatch]
 """The patch in which a gel presses on the object at a pad's pose and normal force."""
 
@@ -228,7 +230,13 @@ class _Grasp:
         """Set the torsion that the pads can hold beside the weight."""
         loads = contact_frames(grasped, self.bodies, PAD_NAMES)
         torsion = {pad: self._torsion_limit(load) for pad, load in loads.items()}
-        capacity = outcome.capacity_of(grasped, self.bodies, self.obj, self.settings, torsion)
+        touches = {
+            pad: self.world.touches(self.robot.body, link, self.body.body, TOUCH_REACH_M)
+            for pad, link in self.bodies.pad_links.items()
+        }
+        capacity = outcome.capacity_of(
+            grasped, self.bodies, self.obj, self.settings, torsion, touches
+        )
         spinning_m = [mm * M_PER_MM for mm in capacity.spinning_mm]
         by_pad = dict(zip(self.bodies.pad_links, spinning_m, strict=True))
         self.bodies = replace(self.bodies, spinning_friction_m=by_pad)

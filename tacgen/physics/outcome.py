@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,15 @@ from tacgen.physics.contacts import (
     gripper_pose,
     mean_contacts,
     object_pose,
+    pressed,
 )
 from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, rotation_of, turn_rad
-from tacgen.physics.margins import Capacity, TorsionLimit, grasp_capacity
+from tacgen.physics.margins import (
+    Capacity,
+    TorsionLimit,
+    dome_stiffness_n_mm2,
+    grasp_capacity,
+)
 from tacgen.physics.settings import PhysicsSettings
 
 
@@ -96,18 +103,29 @@ def capacity_of(
     obj: GraspObject,
     settings: PhysicsSettings,
     torsion: Mapping[str, TorsionLimit],
+    touches: Mapping[str, Sequence[tuple[Any, ...]]],
 ) -> Capacity:
-    """What the pads can hold, by the contact forces at the moment of grasp; ``torsion`` by pad."""
+    """What the pads can hold, each pressing as at the moment of grasp, where it touches then.
+
+    ``torsion`` and ``touches`` (contact points of the engine) by pad.
+    """
     contacts = mean_contacts(grasped, bodies.object_body)
     last = grasped[-1]
+    closing_axis = gripper_pose(last)[:3, 0]
+    stiffness_n_m2 = dome_stiffness_n_mm2(settings.pad_dome_radius_mm) * MM_PER_M**2
+    pads = []
+    for pad, link in bodies.pad_links.items():
+        force_n = abs(float(contacts.of(bodies.robot_body, link).force_n.sum(axis=0) @ closing_axis))
+        pads.append(pressed(touches[pad], closing_axis, force_n, stiffness_n_m2))
     return grasp_capacity(
-        [contacts.of(bodies.robot_body, link) for link in bodies.pad_links.values()],
-        closing_axis=gripper_pose(last)[:3, 0],
+        pads,
+        closing_axis=closing_axis,
         center_of_mass_m=np.array(last.object_position_m),
         mass_kg=obj.mass_kg,
         friction=obj.friction * settings.pad_friction,
         torsion=[torsion[pad] for pad in bodies.pad_links],
         success_turn_rad=settings.success_turn_rad,
+        lift_acceleration_m_s2=settings.lift_acceleration_mm_s2 / MM_PER_M,
     )
 
 

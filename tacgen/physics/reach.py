@@ -47,7 +47,7 @@ def _cut(points_mm: FloatArray, normals: FloatArray, reach_mm: FloatArray) -> Me
     hull = ConvexHull(points_mm)
     for normal, reach in zip(normals, reach_mm, strict=True):
         beyond_mm = hull.points @ normal - reach
-        edges = hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        edges = hull.simplices[:, [[0, 1], [1, 2], [2, 0], [1, 0], [2, 1], [0, 2]]].reshape(-1, 2)
         edges = edges[(beyond_mm[edges[:, 0]] < 0) & (beyond_mm[edges[:, 1]] > 0)]
         near, far = hull.points[edges[:, 0]], hull.points[edges[:, 1]]
         share = beyond_mm[edges[:, :1]] / (beyond_mm[edges[:, :1]] - beyond_mm[edges[:, 1:]])

@@ -191,6 +191,15 @@ class World:
         """All contact points of the last step."""
         return tuple(self.bullet.getContactPoints())
 
+    def touches(self, robot: int, link: int, body: int, limit_m: float) -> list[tuple[Any, ...]]:
+        """Where each part of the object is nearest to a pad, within ``limit_m``, as contact points.
+
+        Anew, whereas a contact point that is kept has the normal with which it was found.
+        """
+        bullet = self.bullet
+        found = bullet.getClosestPoints(robot, body, limit_m, linkIndexA=link, linkIndexB=-1)
+        return list(found)
+
     def distances(self, robot: int, body: int, limit_m: float) -> list[tuple[int, float]]:
         """Links of the robot and how near they are to the object, within ``limit_m``."""
         # Link 0 is its hull on the table, link 1 the whole object where the base is a part of it.

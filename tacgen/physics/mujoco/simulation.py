@@ -102,6 +102,25 @@ class Engine:
             rows.append((0, *bodies, place, place, normal, float(found.dist[k]), push_n, *friction))
         return tuple(rows)
 
+    def touches(self, robot: int, link: int, body: int, limit_m: float) -> list[tuple[Any, ...]]:
+        """Where each part of the object is nearest to a pad, within ``limit_m``, as contact points.
+
+        Between the object's and the pad's own surfaces, whatever compliance lets them overlap.
+        """
+        self._mujoco.mj_kinematics(self.model, self.data)
+        margin_m, rows = float(self.model.geom_margin[link]), []
+        touched = self.model.geom_conaffinity & int(Collides.GRIPPER)
+        for part in np.flatnonzero(touched).tolist():
+            ends = np.zeros(6)
+            distance_m = self._mujoco.mj_geomDistance(
+                self.model, self.data, link, part, limit_m + margin_m, ends
+            )
+            if distance_m < limit_m + margin_m:
+                normal = tuple((math.copysign(1, distance_m) * _unit(ends[:3] - ends[3:])).tolist())
+                place, gap_m = tuple(ends[3:].tolist()), distance_m - margin_m
+                rows.append((0, robot, body, link, -1, place, place, normal, gap_m))
+        return rows
+
     def distances(self, robot: int, body: int, limit_m: float) -> list[tuple[int, float]]:
         """Links of the robot and how near they are to the object, within ``limit_m``."""
         self._mujoco.mj_kinematics(self.model, self.data)
@@ -114,6 +133,10 @@ class Engine:
             if nearest_m < most_m:
                 found.append((link, nearest_m - margin_m))
         return found
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _set_compliance(model: Any, settings: PhysicsSettings) -> None:
