@@ -10,7 +10,7 @@ from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import GraspConfig
 from tacgen.objects.description import read_description
-from tacgen.physics.settings import force_problem
+from tacgen.physics.settings import LOWEST_PAD_MM, force_problem
 
 AXES = ("force_n", "x_mm", "y_mm", "z_mm")
 MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
@@ -63,9 +63,16 @@ def _points(recipe: Recipe, entry: ObjectEntry, number: int) -> Sequence[tuple[f
     """(force_n, x_mm, y_mm, z_mm, yaw_rad) of every grasp of one object, in grid order."""
     own, common = entry.grid or Grid(), recipe.grid
     ranges = read_description(entry.object_folder()).grasp_ranges
-    axes = [getattr(own, axis) or getattr(common, axis) or getattr(ranges, axis) for axis in AXES]
-    if problem := force_problem(max(axes[0]), recipe.robot.max_force_n):
+    axes = [
+        getattr(own, axis) or getattr(common, axis) or _scaled(axis, getattr(ranges, axis), entry)
+        for axis in AXES
+    ]
+    largest_n, settings = max(axes[0]), recipe.physics_settings
+    if problem := force_problem(largest_n, settings.max_force_n):
         msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
+        raise RecipeError(msg)
+    if problem := settings.compliance_problem(largest_n):
+        msg = f"objects/{entry.name}: grasp force_n {problem}"
         raise RecipeError(msg)
     yaw = own.yaw_rad if entry.grid and "yaw_rad" in own.model_fields_set else common.yaw_rad
     axes.append(yaw)
@@ -79,6 +86,18 @@ def _points(recipe: Recipe, entry: ObjectEntry, number: int) -> Sequence[tuple[f
         return points
     rng = rng_of(recipe.seed, _STREAM_SAMPLE, number)
     return [points[i] for i in np.sort(rng.choice(size, sample, replace=False))]
+
+
+def _scaled(axis: str, values: tuple[float, ...], entry: ObjectEntry) -> tuple[float, ...]:
+    """An axis of the object's own ranges at the entry's scale; its mass stays, and so do forces.
+
+    Pads that clear the table still do.
+    """
+    if axis == "force_n" or entry.scale == 1.0:
+        return values
+    least = LOWEST_PAD_MM if axis == "z_mm" else -np.inf
+    scaled = (max(value * entry.scale, min(value, least)) for value in values)
+    return tuple(dict.fromkeys(scaled))
 
 
 def _splits(recipe: Recipe, number: int, count: int) -> list[str]:

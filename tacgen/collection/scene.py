@@ -14,7 +14,8 @@ from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.objects.meshes import from_manifold
 from tacgen.objects.shading import shaded_view
 from tacgen.physics import frames
-from tacgen.physics.gripper import FINGER_THICKNESS_MM, PAD_DEPTH_MM, PAD_HEIGHT_MM, PAD_WIDTH_MM
+from tacgen.physics.gripper import FINGER_THICKNESS_MM, PAD_HEIGHT_MM, PAD_WIDTH_MM
+from tacgen.physics.settings import PAD_DEPTH_MM
 
 PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}

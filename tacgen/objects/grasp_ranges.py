@@ -10,12 +10,11 @@ from tacgen.core.records import Mesh
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.physics.gripper import STROKE_MM
-from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.settings import LOWEST_PAD_MM, PhysicsSettings
 from tacgen.physics.world import ball_of
 
 MARGIN_MM = 5.0  # to either side between open pads and the object
 PAD_MM = (20.0, 16.0)  # width and height of the sensing surface
-LOWEST_PAD_MM = 10.5  # height of the pad's centre at which its lower edge clears the table
 MIN_FORCE_N, MAX_FORCE_N = 1.0, 40.0
 GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad

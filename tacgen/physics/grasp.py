@@ -54,6 +54,7 @@ from tacgen.physics.settings import (
 
 CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
+CREEP_TIMES = 5.0  # time constants of soft pads after which 0.7 % of their creep is left
 STEADY_TOLERANCE = 0.01  # relative to the delivered force; half of the 2 % that a pad may be off
 
 TOUCH_REACH_M = 0.001  # by which no pad indents: ``margins.STIFFER_THAN_GEL``
@@ -121,6 +122,7 @@ def run_grasp(
         )
         raise PhysicsError(msg)
     problem = force_problem(config.force_n, settings.max_force_n)
+    problem = problem or settings.compliance_problem(config.force_n)
     if problem:
         msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
         raise PhysicsError(msg)
@@ -195,14 +197,22 @@ class _Grasp:
         fingers.drive(speed_m_s, force_n)
         half_m = STROKE_MM / 2 * M_PER_MM
         limit_s = (half_m - min(fingers.travel_m())) / speed_m_s + settings.settle_limit_s
+        damping_n_s_m = 0.0
+        if settings.pad_stiffness_n_mm > 0:  # the pads' springs take up the force as they give way
+            damping_n_s_m = settings.pad_damping_n_s_mm / M_PER_MM
+            limit_s += CREEP_TIMES * settings.pad_damping_n_s_mm / settings.pad_stiffness_n_mm
+        opening_m = sum(recorder.pad_distance_m())
         steady = 0
         touched = dict.fromkeys(PAD_NAMES, 0.0)
         for _ in range(self._steps(limit_s) // CHUNK_STEPS):
             recorder.advance(CHUNK_STEPS)
-            if sum(recorder.pad_distance_m()) <= 0:
+            before_m, opening_m = opening_m, sum(recorder.pad_distance_m())
+            if opening_m <= 0:
                 return "the pads met with nothing between them"
             touched = self._pad_forces_n()
+            creep_m_s = abs(before_m - opening_m) / 2 / (CHUNK_STEPS * settings.time_step_s)
             off_n = max(abs(force - force_n) for force in touched.values())
+            off_n = max(off_n, damping_n_s_m * creep_m_s)
             steady = steady + 1 if off_n <= STEADY_TOLERANCE * force_n else 0
             if steady == STEADY_CHUNKS:
                 return ""

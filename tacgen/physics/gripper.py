@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen.core.units import M_PER_MM
 from tacgen.physics.frames import PAD_SIDE
-from tacgen.physics.settings import PAD_NAMES, PhysicsSettings
+from tacgen.physics.settings import PAD_DEPTH_MM, PAD_NAMES, PhysicsSettings
 from tacgen.physics.world import HULL_MARGIN_MM, Collides, Link, World, link_arguments
 
 STROKE_MM = 110.0  # largest opening. Source: Weiss Robotics, WSG 50 data sheet
@@ -20,7 +20,6 @@ FINGER_MASS_KG = 0.15  # a finger with its sensor; assumed
 
 PAD_WIDTH_MM, PAD_HEIGHT_MM = 24.0, 19.0
 """A GelSight's window of 18.9 × 14.2 mm (640 × 480 at 0.0295 mm/px) and 2.5 mm around it."""
-PAD_DEPTH_MM = 6.0  # from the dome's top to the finger; assumed
 PAD_PITCH_MM = 2.0  # of the vertices on the dome: chords of a 30 mm dome lie 17 µm inside it
 LARGEST_SPHERE_MM = 60.0
 """A pad of this dome radius or less touches as a sphere: a face that is tilted by 0.15 rad or less

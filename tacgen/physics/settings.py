@@ -21,6 +21,8 @@ Pads = Literal["left", "right", "both"]
 PAD_NAMES = ("left", "right")
 SMALLEST_DOME_RADIUS_MM = 20.0
 """A dome must be wider than the pad, whose half diagonal is 15.3 mm."""
+LOWEST_PAD_MM = 10.5  # height of the pad's centre at which its lower edge clears the table
+PAD_DEPTH_MM = 6.0  # from the dome's top to the finger; assumed
 ITERATIONS_PER_FORCE_RATIO = 0.5
 """Of force over weight: with 50 iterations a 2 g block creeps in a 20 N grip, a ratio of 1000."""
 MOST_ITERATIONS = 500  # what that block needs; a bound on the time of a grasp
@@ -85,7 +87,7 @@ class PhysicsSettings:
     table_friction: NonNegativeFloat = 0.4
     """Coefficient of friction between object and table."""
     pad_stiffness_n_mm: NonNegativeFloat = 0.0
-    """Normal stiffness of the pads; 0: rigid."""
+    """Normal stiffness of the pads, which are 6 mm deep; 0: rigid."""
     pad_damping_n_s_mm: NonNegativeFloat = 0.5
     """Normal damping of the pads."""
     delivered_force_scale: NonNegativeFloat = 1.0
@@ -124,6 +126,17 @@ class PhysicsSettings:
         ratio = self.delivered_force_n(force_n) / (mass_kg * STANDARD_GRAVITY_M_S2)
         needed = min(math.ceil(ITERATIONS_PER_FORCE_RATIO * ratio), MOST_ITERATIONS)
         return max(self.solver_iterations, needed)
+
+    def compliance_problem(self, force_n: float) -> str:
+        """What is wrong with the pads' stiffness under a commanded force; empty if nothing is."""
+        delivered_n = self.delivered_force_n(force_n)
+        if self.pad_stiffness_n_mm * PAD_DEPTH_MM > delivered_n or self.pad_stiffness_n_mm == 0:
+            return ""
+        given_mm, least = delivered_n / self.pad_stiffness_n_mm, delivered_n / PAD_DEPTH_MM
+        return (
+            f"= {force_n:g} presses the pads in by {given_mm:.3g} mm, but they are {PAD_DEPTH_MM:g} "
+            f"mm deep; raise physics.pad_stiffness_n_mm above {least:.3g} or lower the force"
+        )
 
     def delivered_force_n(self, commanded_n: float) -> float:
         """The force a finger presses with when ``commanded_n`` is asked for."""
