@@ -116,13 +116,15 @@ def pressed(
     closing_axis: FloatArray,
     force_n: float,
     stiffness_n_m2: float,
+    carried_n: float = 0.0,
 ) -> Contacts:
     """The touches of a pad on the object as contact points that ``force_n`` is shared between.
 
     Rigid bodies that touch in several points leave open how they share a force, and a solver's
     answer varies with the last micrometre. As an elastic dome that has come nearer by δ the pad
     presses with ``stiffness_n_m2`` (δ − gap)² at each, δ such that along the closing axis they
-    make up ``force_n``.
+    make up ``force_n``. The normal forces are those of an object that hangs in the air, of which
+    the pad carries ``carried_n``, at each touch its part.
     """
     count = len(touches)
     point_m = np.array([touch[6] for touch in touches]).reshape(-1, 3)
@@ -138,7 +140,9 @@ def pressed(
         a, b, c = (slope**3).sum(), (slope**2 * gap).sum(), (slope * gap**2).sum()
         delta_m = (b + math.sqrt(max(0.0, b * b - a * (c - force_n / stiffness_n_m2)))) / a
         if (gap_m[farther] >= delta_m * along[farther]).all():
-            normal_force_n[near] = stiffness_n_m2 * (delta_m * slope - gap) ** 2
+            along_n = stiffness_n_m2 * (delta_m * slope - gap) ** 2 * slope
+            hanging_n = along_n * (slope + normal[near, 2] * carried_n / force_n)
+            normal_force_n[near] = np.maximum(0.0, hanging_n)
             break
     none = np.zeros(count, dtype=np.int64)
     force = normal_force_n[:, None] * normal

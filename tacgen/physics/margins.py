@@ -153,7 +153,9 @@ def grasp_capacity(
     total_n = float(forces.sum())
     load = weight_n * up - pushes.sum(axis=0)
     load -= (load @ closing_axis) * closing_axis
-    friction_limit_n = friction * total_n
+    # Where the faces are slanted friction acts along them.
+    slopes = np.abs(np.concatenate([pad.normal for pad in pads]) @ closing_axis)
+    friction_limit_n = friction * float(forces @ slopes)
     tangential_load_n = float(np.linalg.norm(load))
     share = tangential_load_n / friction_limit_n if friction_limit_n > 0 else np.inf
 

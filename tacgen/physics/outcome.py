@@ -16,7 +16,7 @@ from tacgen.core.records import (
     GraspObject,
     frozen_array,
 )
-from tacgen.core.units import MM_PER_M
+from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 from tacgen.physics.contacts import (
     Bodies,
     Placement,
@@ -112,11 +112,13 @@ def capacity_of(
     contacts = mean_contacts(grasped, bodies.object_body)
     last = grasped[-1]
     closing_axis = gripper_pose(last)[:3, 0]
+    acceleration_m_s2 = settings.lift_acceleration_mm_s2 / MM_PER_M
+    carried_n = obj.mass_kg * (STANDARD_GRAVITY_M_S2 + acceleration_m_s2) / 2
     stiffness_n_m2 = dome_stiffness_n_mm2(settings.pad_dome_radius_mm) * MM_PER_M**2
     pads = []
     for pad, link in bodies.pad_links.items():
         force_n = abs(float(contacts.of(bodies.robot_body, link).force_n.sum(axis=0) @ closing_axis))
-        pads.append(pressed(touches[pad], closing_axis, force_n, stiffness_n_m2))
+        pads.append(pressed(touches[pad], closing_axis, force_n, stiffness_n_m2, carried_n))
     return grasp_capacity(
         pads,
         closing_axis=closing_axis,
@@ -125,7 +127,7 @@ def capacity_of(
         friction=obj.friction * settings.pad_friction,
         torsion=[torsion[pad] for pad in bodies.pad_links],
         success_turn_rad=settings.success_turn_rad,
-        lift_acceleration_m_s2=settings.lift_acceleration_mm_s2 / MM_PER_M,
+        lift_acceleration_m_s2=acceleration_m_s2,
     )
 
 
