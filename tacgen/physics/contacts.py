@@ -132,7 +132,7 @@ def pressed(
     gap_m = np.array([touch[8] for touch in touches])
     along = np.abs(normal @ closing_axis)
     normal_force_n = np.zeros(count)
-    order = np.argsort(gap_m / along) if force_n > 0 else []
+    order = np.argsort(gap_m / along)[: count if force_n > 0 else 0]
     for number in range(1, len(order) + 1):
         # The nearest touches, as many as come in before the δ at which they make up the force.
         near, farther = order[:number], order[number:]

@@ -134,10 +134,10 @@ def grasp_capacity(
 ) -> Capacity:
     """What ``pads``, by the contacts of each, can hold once the table is gone, world axes.
 
-    The load is the weight and what the lift's acceleration adds to it. Tangential is the part of it across ``closing_axis`` that the contact
-    normals do not carry; the moment is that of weight and normal forces about the axis through
-    the pads' centres of pressure. A pad's moment is that of its ``torsion``, or of its contact
-    points' friction about their own centre where that is larger.
+    The load is the weight and what the lift's acceleration adds to it. Tangential is the part of
+    it across ``closing_axis`` that the contact normals do not carry; the moment is that of load and
+    normal forces about the axis through the pads' centres of pressure. A pad's moment is that of
+    its ``torsion``, or of its contact points' friction about their own centre where that is larger.
 
     An object whose moment is not held swings, and dry friction stops it once the moment's mean over
     the turn is the limit: a mass that hangs below the pads is let go and caught again. That is of

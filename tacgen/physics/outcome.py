@@ -117,7 +117,9 @@ def capacity_of(
     stiffness_n_m2 = dome_stiffness_n_mm2(settings.pad_dome_radius_mm) * MM_PER_M**2
     pads = []
     for pad, link in bodies.pad_links.items():
-        force_n = abs(float(contacts.of(bodies.robot_body, link).force_n.sum(axis=0) @ closing_axis))
+        force_n = abs(
+            float(contacts.of(bodies.robot_body, link).force_n.sum(axis=0) @ closing_axis)
+        )
         pads.append(pressed(touches[pad], closing_axis, force_n, stiffness_n_m2, carried_n))
     return grasp_capacity(
         pads,

@@ -1,4 +1,4 @@
-"""What of an object the pads can meet: a pad's dome is a sphere, which reaches beyond its outline."""
+"""What of an object the pads can meet: their domes are spheres, which reach beyond the pads."""
 
 import math
 from collections.abc import Sequence
@@ -11,6 +11,8 @@ from tacgen.physics.world import ball_of
 
 SLACK_MM = 1.0
 """Around a pad's outline: the largest turn of a success, 0.1 rad, moves its rim by as much."""
+
+LEAST_MM = 0.01  # of a part that reaches in or out: less is rounding, or a sliver that has no hull
 
 
 def within_reach(
@@ -31,29 +33,32 @@ def within_reach(
     found = []
     for part in parts:
         beyond_mm = part.vertices_mm @ normals.T - reach_mm
-        if (beyond_mm.min(axis=0) >= 0).any():
+        crossed = beyond_mm.max(axis=0) > LEAST_MM
+        if (beyond_mm.min(axis=0) > -LEAST_MM).any():
             continue
-        crossed = beyond_mm.max(axis=0) > 0
         if crossed.any() and not (len(parts) == 1 and ball_of(part)):
-            part = _cut(part.vertices_mm, normals[crossed], reach_mm[crossed])
-        found.append(part)
+            found += _cut(part.vertices_mm, normals[crossed], reach_mm[crossed])
+        else:
+            found.append(part)
     return tuple(found)
 
 
-def _cut(points_mm: FloatArray, normals: FloatArray, reach_mm: FloatArray) -> Mesh:
-    """The convex hull of ``points_mm`` on the near side of each plane."""
+def _cut(points_mm: FloatArray, normals: FloatArray, reach_mm: FloatArray) -> list[Mesh]:
+    """The convex hull of ``points_mm`` on the near side of each plane, if any of it is."""
     from scipy.spatial import ConvexHull  # slow to import, and the package need not wait for it
 
     hull = ConvexHull(points_mm)
     for normal, reach in zip(normals, reach_mm, strict=True):
         beyond_mm = hull.points @ normal - reach
+        if beyond_mm.min() > -LEAST_MM:
+            return []
+        # Each edge in both directions: the faces of a hull are not turned the same way.
         edges = hull.simplices[:, [[0, 1], [1, 2], [2, 0], [1, 0], [2, 1], [0, 2]]].reshape(-1, 2)
         edges = edges[(beyond_mm[edges[:, 0]] < 0) & (beyond_mm[edges[:, 1]] > 0)]
         near, far = hull.points[edges[:, 0]], hull.points[edges[:, 1]]
         share = beyond_mm[edges[:, :1]] / (beyond_mm[edges[:, :1]] - beyond_mm[edges[:, 1:]])
-        inside = hull.points[hull.vertices]
-        inside = inside[inside @ normal <= reach]
-        hull = ConvexHull(np.concatenate([inside, near + share * (far - near)]))
+        inside = hull.vertices[beyond_mm[hull.vertices] <= 0]
+        hull = ConvexHull(np.concatenate([hull.points[inside], near + share * (far - near)]))
     numbers = np.full(len(hull.points), -1, dtype=np.int32)
     numbers[hull.vertices] = np.arange(len(hull.vertices), dtype=np.int32)
-    return Mesh(hull.points[hull.vertices], numbers[hull.simplices])
+    return [Mesh(hull.points[hull.vertices], numbers[hull.simplices])]

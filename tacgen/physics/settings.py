@@ -134,8 +134,9 @@ class PhysicsSettings:
             return ""
         given_mm, least = delivered_n / self.pad_stiffness_n_mm, delivered_n / PAD_DEPTH_MM
         return (
-            f"= {force_n:g} presses the pads in by {given_mm:.3g} mm, but they are {PAD_DEPTH_MM:g} "
-            f"mm deep; raise physics.pad_stiffness_n_mm above {least:.3g} or lower the force"
+            f"= {force_n:g} presses the pads in by {given_mm:.3g} mm, but they are "
+            f"{PAD_DEPTH_MM:g} mm deep; raise physics.pad_stiffness_n_mm above {least:.3g} or "
+            "lower the force"
         )
 
     def delivered_force_n(self, commanded_n: float) -> float:

@@ -13,6 +13,7 @@ from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 
 GRAVITY_M_S2 = 9.80665
+LIFT_LOAD = 1 + 0.12 / GRAVITY_M_S2  # of the weight, at the default acceleration of the lift
 SEQUENCE = FrameRequest("sequence", 25, 3.0)
 
 

@@ -106,7 +106,7 @@ class Study:
 def spread(ratios: Sequence[float]) -> float:
     """Largest over smallest less 1."""
     low, high = min(ratios), max(ratios)
-    return high / low - 1 if 0 < low and np.isfinite(high) else float(high != low)
+    return high / low - 1 if low > 0 and np.isfinite(high) else float(high != low)
 
 
 def main() -> None:

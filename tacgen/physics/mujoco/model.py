@@ -102,9 +102,7 @@ def scene_xml(
     return tostring(root, encoding="unicode")
 
 
-def _add_object(
-    assets: Element, body: Element, parts: Sequence[Mesh], met: Sequence[Mesh]
-) -> None:
+def _add_object(assets: Element, body: Element, parts: Sequence[Mesh], met: Sequence[Mesh]) -> None:
     """Several parts meet the table as one hull, as in PyBullet."""
     whole = len(met) == len(parts) and all(map(operator.is_, met, parts))
     alone = len(parts) == 1 and whole
