@@ -21,11 +21,15 @@ class Engine(World):
         self._robot = ROBOTS[robot]
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, met: Sequence[Mesh]
+        self,
+        obj: GraspObject,
+        settings: PhysicsSettings,
+        force_n: float,
+        met: Sequence[Mesh] | None = None,
     ) -> tuple[ObjectBody, Robot]:
         """Empty the world, then add the table, the object in its rest pose and the robot.
 
-        The pads can touch ``met`` of the object alone.
+        The pads can touch ``met`` of the object alone, else the whole object.
         """
         self.rebuild(settings, settings.iterations_for(force_n, obj.mass_kg))
         body, robot = ObjectBody(self, obj, met), self._robot(self, settings)

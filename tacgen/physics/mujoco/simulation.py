@@ -55,15 +55,21 @@ class Engine:
         """Nothing to close."""
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float, met: Sequence[Mesh]
+        self,
+        obj: GraspObject,
+        settings: PhysicsSettings,
+        force_n: float,
+        met: Sequence[Mesh] | None = None,
     ) -> tuple["ObjectBody", "FloatingGripper"]:
         """A new scene: the table, the object in its rest pose and the gripper.
 
-        The pads can touch ``met`` of the object alone.
+        The pads can touch ``met`` of the object alone, else the whole object.
         """
         moments, axes = principal_axes(obj.inertia_kg_mm2)
         inertial = pose(axes, obj.center_of_mass_mm * M_PER_MM)
-        xml = scene_xml(obj, settings, inertial, moments * M_PER_MM**2, met)
+        xml = scene_xml(
+            obj, settings, inertial, moments * M_PER_MM**2, obj.collision if met is None else met
+        )
         self.model = self._mujoco.MjModel.from_xml_string(xml)
         self.data = self._mujoco.MjData(self.model)
         _set_compliance(self.model, settings)
