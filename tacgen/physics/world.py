@@ -34,6 +34,7 @@ NO_TURN = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
 class Collides(IntFlag):
     """What a link can touch: things that share a flag."""
 
+    NOTHING = 0
     GRIPPER = 1
     TABLE = 2
 

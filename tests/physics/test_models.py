@@ -18,6 +18,7 @@ from tacgen.physics.bodies import principal_axes
 from tacgen.physics.contacts import Contacts, contacts_of
 from tacgen.physics.engine import TABLE, GripperTarget
 from tacgen.physics.frames import inverse, pose, rotation_of
+from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import TorsionLimit, grasp_capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.recorder import frame_end_steps
@@ -231,7 +232,10 @@ class TestWorld:
         near_m = dict(simulator.world.distances(0.1))
         for pad in PADS:
             # A convex distance in MuJoCo is as exact as its solver's tolerance of 1 µm.
-            assert near_m[pad] == pytest.approx(0.055 - 0.030, abs=2e-6)
+            assert near_m[outline_of(pad)] == pytest.approx(0.055 - 0.030, abs=2e-6)
+            (touch,) = simulator.world.touches(pad, 0.1)
+            assert touch.gap_m == pytest.approx(0.055 - 0.030, abs=2e-6)
+            assert touch.normal == pytest.approx([1.0 if pad == "left" else -1.0, 0, 0], abs=1e-6)
 
     def test_an_object_stands_on_the_table(self, bullet_world: Any) -> None:
         body, _ = bullet_world.build(block(), SETTINGS, 1.0)
