@@ -29,6 +29,7 @@ CHANNELS = (
 """A force and its response each, by channel and axis."""
 MOST_ROWS = 20  # that one reading may stand in, or noise go on for
 LEAST_ROWS = 4  # that a typical trial keeps: fewer have no course
+LEAST_TRIALS = 8  # to tell noise that goes on from what an effect leaves, which few presses share
 LEAST_RUNS = 20  # of readings that a judgement needs
 HELD_SHARE = 0.5  # of readings, between clear changes, that stand in two rows or more
 CLEAR_STEPS = 4.0  # of a column's resolution: by chance, a smaller change is often none
@@ -175,7 +176,7 @@ def _correlated_noise(rows: _Rows) -> tuple[BoolArray, str]:
     counts = [_memory(_residuals(rows, channel), rows.most_rows) for channel in CHANNELS]
     count = max(counts)
     keep = np.ones(len(rows.columns["trial"]), dtype=bool)
-    if count == 1:
+    if count == 1 or rows.starts.size <= LEAST_TRIALS:
         return keep, ""
     place = np.arange(keep.size) - np.repeat(rows.starts[:-1], np.diff(rows.starts))
     keep = place % count == 0
