@@ -7,7 +7,7 @@ the noise, be it of the volume or of the force. Sums of such products take the p
 of squares that is judged.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -24,6 +24,9 @@ from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
 TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
+N_FOLDS = 10  # of whole trials in cross-validation
+FLOOR_LAGS = (1, 2, 4, 8)  # samples, for second differences
+MAX_VARIANCE_RATIO = 25.0  # of the weights that noise growing with the load gives
 _CHANCES = 3.0  # standard deviations that noise seldom reaches
 _MEDIAN_OF_CHI2 = 0.455  # median of a squared standard normal number
 
@@ -37,8 +40,7 @@ class ChannelData:
     ``n_samples`` how many samples of the log the rows were averaged from; ``weight`` (N,) the
     number of samples times their relative precision, 0 for what sticks out of its trial. ``first``
     (M,) are the rows that another of their trial follows, and ``pair_unit`` (M,) the unit (trial,
-    or part of one where trials are few) that each such pair belongs to, ascending;
-    ``parts_are_folds`` says whether parts of a trial may be held out while others are fitted to.
+    or part of one where trials are few) that each such pair belongs to, ascending.
     """
 
     channel: Channel
@@ -51,7 +53,6 @@ class ChannelData:
     weight: FloatArray
     first: NDArray[np.int64]
     pair_unit: NDArray[np.int64]
-    parts_are_folds: bool = False
 
     @property
     def n_outputs(self) -> int:
@@ -83,31 +84,10 @@ class ChannelData:
         trial[self.pair_unit] = self.history.trial_index[self.first]
         return trial
 
-    def trials_with(self, amounts: FloatArray) -> tuple[int, ...]:
-        """Numbers of the trials that have a tenth or more of the ``amounts`` (U,) of units."""
-        of_trials = np.bincount(self.unit_trial, amounts)
-        rows = self.history.starts[np.flatnonzero(of_trials >= 0.1 * of_trials.sum())]
-        return tuple(map(int, self.history.trial[rows]))
-
-    def with_parts_of(self, trials: NDArray[np.int64]) -> "ChannelData":
-        """The same rows, with parts of these ``trials`` (numbers in order) as units and folds.
-
-        As many parts as in a log of the fewest trials that are folds.
-        """
-        trial = self.history.trial_index[self.first]
-        first = np.searchsorted(trial, np.arange(self.history.n_trials + 1))
-        count = np.diff(first)[trial]
-        n_parts = int(np.ceil(self.rules.min_units / self.rules.min_trials_as_folds))
-        part = (np.arange(trial.size) - first[trial]) * n_parts // np.maximum(count, 1)
-        size = self.n_units + n_parts
-        numbers = trial * size + np.where(np.isin(trial, trials), part, n_parts + self.pair_unit)
-        unit = np.unique(numbers, return_inverse=True)[1].astype(np.int64)
-        return replace(self, pair_unit=unit, parts_are_folds=True)
-
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
-        count, n_trials = self.rules.n_folds, self.history.n_trials
-        if n_trials < self.rules.min_trials_as_folds or self.parts_are_folds:
+        count, n_trials = N_FOLDS, self.history.n_trials
+        if n_trials < self.rules.min_trials_of_part:
             return np.arange(self.n_units) % min(count, self.n_units)
         return self.unit_trial % min(count, n_trials)
 
@@ -318,14 +298,12 @@ def noise_floor(
     as long as they rise little. Single samples that stick out do not count.
     """
     floor = float("nan")
-    shortest = float(np.median(np.diff(starts)))
-    for lag in rules.floor_lags:
+    for lag in FLOOR_LAGS:
         _, square = _second_differences(residual, starts, lag)
         if not square.size:
             break
         wider = float(np.sqrt(square[is_clean(square, rules)].mean()))
-        too_wide = shortest < rules.rows_per_lag * lag or not wider <= rules.max_floor_rise * floor
-        if lag > rules.floor_lags[0] and too_wide:
+        if lag > 1 and not wider <= rules.max_floor_rise * floor:
             break
         floor = float(np.fmax(wider, floor))
     return floor if np.isfinite(floor) else float(residual.std())
@@ -339,7 +317,7 @@ def _precision(
     design = np.stack([np.ones_like(load), load**2 / scale], axis=1)
     (base, slope), _ = nnls(design, square)
     variance = base + slope * everywhere**2 / scale
-    variance = np.maximum(variance, max(variance.max() / rules.max_variance_ratio, 1e-24))
+    variance = np.maximum(variance, max(variance.max() / MAX_VARIANCE_RATIO, 1e-24))
     weight = 1.0 / variance
     return np.asarray(weight / weight.mean())
 

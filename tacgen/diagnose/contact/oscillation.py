@@ -18,6 +18,7 @@ from tacgen.diagnose.contact.scores import score_weights
 
 _MAX_POINTS = 1 << 17
 """Of the search's clock; a session that needs more is searched for slower oscillations only."""
+ROWS_PER_PERIOD = 4  # of the shortest oscillation
 _POINTS_PER_PERIOD = 8  # four times what sampling needs: the peak is not missed
 _AT_ONCE = 8  # flips whose spectra are computed together: faster, and little memory
 _HARMONICS = 3  # of one that is no sine, as of what is switched on and off
@@ -157,7 +158,7 @@ def _fourier(data: ChannelData, time: FloatArray, first_hz: float) -> tuple[Floa
     Times are put on a regular clock, so that all frequencies are one Fourier transform. There are
     no frequencies where the clock is too coarse for them.
     """
-    shortest_s = data.rules.rows_per_period * data.history.sample_period_s
+    shortest_s = ROWS_PER_PERIOD * data.history.sample_period_s
     session = max(float(time.max()), data.history.sample_period_s)
     tick_s = max(shortest_s / _POINTS_PER_PERIOD, 2.0 * session / _MAX_POINTS)
     ticks = np.rint(time / tick_s).astype(np.int64)
