@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, all_effects
 from tacgen.contact.effects.base import Parameters
@@ -337,6 +338,31 @@ class CandidateSets:
         p_values = found.corrected(1 if few else n_names, n_names)
         return float(max(*p_values, *_search_p_values(fresh)))
 
+    def worst_trials(self, fitted: FittedSet) -> NDArray[np.int64]:
+        """The trials with most of what is left, too few to tell an effect from chance."""
+        losses = np.bincount(self.data.unit_trial, fitted.unit_losses)
+        return np.argsort(-losses)[: self.rules.min_trials_of_part - 1]
+
+    def is_more_than_gains(self, rest: FittedSet, full: FittedSet) -> bool:
+        """Whether ``full`` explains more than a gain of each of the worst trials of ``rest`` would.
+
+        A press that is merely off is no effect.
+        """
+        unit_trial = self.data.unit_trial
+        grams, _, base = scores.fit_grams(self.data, rest.fit, [])
+        left = scores.without_gains(grams, base[0], unit_trial, self.rules)[:, -1, -1]
+        is_worst = np.isin(unit_trial, self.worst_trials(rest))
+        return full.loss < float(np.where(is_worst, left, rest.unit_losses).sum())
+
+    def others_gain(self, rest: FittedSet, full: FittedSet) -> bool:
+        """Whether, fitted without the worst trials of ``rest``, ``full`` explains enough more."""
+        others = ~np.isin(self.data.unit_trial, self.worst_trials(rest))
+        losses = []
+        for one in (rest, full):
+            grams, _, base = scores.fit_grams(self.data, one.fit, [])
+            losses += [*scores.training_losses(grams[others].sum(axis=0), [base], scores.RIDGE)]
+        return bool(losses[0] - losses[1] > self._min_gain * self.total(full))
+
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
 
@@ -386,6 +412,9 @@ class CandidateSets:
         """
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
+            return False
+        shown = self.data.few_trials or self.is_more_than_gains(rest, full)
+        if not shown and not self.others_gain(rest, full):
             return False
         worth = self.worth(full, member)
         # Several that were chosen together would all have to be due to chance.

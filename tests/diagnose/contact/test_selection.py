@@ -178,6 +178,20 @@ def peaked_presses(n_trials, rng, does):
     }
 
 
+@pytest.mark.parametrize("strength", [0.2, 0.0])
+def test_what_other_trials_gain_by_is_accepted_however_wrong_the_worst_are(strength):
+    """Three presses are off by a third: their gains explain more than an offset of 0.2 N does."""
+    columns = presses(lambda force, *_: force + strength, 0.05, 9)
+    columns["volume_mm3"][np.isin(columns["trial"], [3, 9, 17])] *= 1.3
+    sets = Selection(ChannelSamples(columns, "normal").thinned(), np.random.default_rng(0)).sets
+    base = sets.fitted((), sets.linear)
+    best = {one.name: one for one, _ in reversed(sets.pool(base))}
+    full = sets.add(base, [best["zero_offset"]])
+    assert set(sets.worst_trials(base)) == {3, 9, 17}
+    assert not sets.is_more_than_gains(base, full)
+    assert sets.others_gain(base, full) is (strength > 0.0)
+
+
 def test_beside_others_as_they_are_the_residual_is_what_a_member_does_and_what_all_leave():
     sets = selection_of_creep_and_offset().sets
     base = sets.fitted((), sets.linear)
