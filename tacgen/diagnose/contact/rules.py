@@ -1,7 +1,4 @@
-"""Every threshold of the diagnosis of a press log, with its reason, in one record.
-
-``docs/method.md`` has them as a table, with the study that set each.
-"""
+"""Every threshold of the diagnosis of a press log, with its reason, in one record."""
 
 from dataclasses import dataclass
 

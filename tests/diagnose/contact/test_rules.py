@@ -1,4 +1,4 @@
-"""The thresholds of the diagnosis: all in one record, explained, used and documented."""
+"""The thresholds of the diagnosis: all in one record, explained and used."""
 
 import re
 from dataclasses import fields, replace
@@ -14,7 +14,6 @@ from tacgen.diagnose.contact.selection import Selection
 from tacgen.rig import load_rig_recipe, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
 
-METHOD = Path(__file__).parents[3] / "docs" / "method.md"
 FOLDER = Path(next(iter(package.__path__)))
 SOURCES = {path.name: path.read_text() for path in FOLDER.glob("*.py")}
 REASONS = dict(re.findall(r"^    (\w+): .* = .*  # (.+)$", SOURCES.pop("rules.py"), re.MULTILINE))
@@ -24,15 +23,6 @@ REASONS = dict(re.findall(r"^    (\w+): .* = .*  # (.+)$", SOURCES.pop("rules.py
 def test_a_rule_has_a_reason_and_is_used(rule):
     assert REASONS[rule.name]
     assert any(f"rules.{rule.name}" in text for text in SOURCES.values())
-
-
-def test_the_table_in_the_docs_is_that_of_the_rules():
-    rows = re.findall(r"^\| `(\w+)` \| (.+?) \| .+ \| .+ \|$", METHOD.read_text(), re.MULTILINE)
-    assert dict(rows) == {
-        rule.name: f"{value:.4g}" if isinstance(value, float) else str(value)
-        for rule in fields(SelectionRules)
-        for value in [getattr(DEFAULT_RULES, rule.name)]
-    }
 
 
 @pytest.mark.slow
