@@ -419,7 +419,7 @@ class CandidateSets:
         worth = self.worth(full, member)
         # Several that were chosen together would all have to be due to chance.
         together = n_names > 1 and len(full.members) > 1
-        alpha = self.rules.clear_alpha if together else self.rules.alpha
+        alpha = self.rules.joint_alpha if together else self.rules.alpha
         if self.p_value(full, member, n_names) > alpha:
             return False
         return worth >= self.rules.least_share_of_all * self.explained(full)

@@ -26,6 +26,8 @@ from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
 N_FOLDS = 10  # of whole trials in cross-validation
 FLOOR_LAGS = (1, 2, 4, 8)  # samples, for second differences
+MAX_FLOOR_RISE = 1.1  # from one to the next: a load's course rises more than noise
+OUTLIER_SIGMAS = 7.0  # so far from its neighbours a sample has no weight
 MAX_VARIANCE_RATIO = 25.0  # of the weights that noise growing with the load gives
 _CHANCES = 3.0  # standard deviations that noise seldom reaches
 _MEDIAN_OF_CHI2 = 0.455  # median of a squared standard normal number
@@ -177,7 +179,7 @@ class ChannelSamples:
         parts = [moving_mean(np.ascontiguousarray(axis), history.starts, 4) for axis in load.T]
         size = np.linalg.norm(np.stack(parts, axis=1), axis=1)
         residual = target - linear_compliance(load, target) * load
-        self.noise, self.precision = noise_and_weight(residual, size, history.starts, rules)
+        self.noise, self.precision = noise_and_weight(residual, size, history.starts)
         self._kept: dict[int, ChannelData] = {}
 
     def _target(self, history: LoadHistory) -> FloatArray:
@@ -253,7 +255,7 @@ def _pairs(
 
 
 def noise_and_weight(
-    rough: FloatArray, load: FloatArray, starts: NDArray[np.int64], rules: SelectionRules
+    rough: FloatArray, load: FloatArray, starts: NDArray[np.int64]
 ) -> tuple[float, FloatArray]:
     """Noise of one sample, and each sample's precision, from differences along each trial.
 
@@ -263,10 +265,10 @@ def noise_and_weight(
     rows, square = _second_differences(rough, starts, 1)
     if rows.size < 8:
         return float(rough.std()) or 1e-12, np.ones(load.size)
-    clean = is_clean(square, rules)
+    clean = is_clean(square)
     noise = float(np.sqrt(square[clean].mean()))
-    weight = _precision(square[clean], load[rows[clean]], load, rules)
-    weight[_spikes(rough, starts, noise / np.sqrt(weight), rules)] = 0.0
+    weight = _precision(square[clean], load[rows[clean]], load)
+    weight[_spikes(rough, starts, noise / np.sqrt(weight))] = 0.0
     return max(noise, 1e-12), weight
 
 
@@ -282,15 +284,13 @@ def _second_differences(
     return rows, (second**2).mean(axis=1) / 6.0
 
 
-def is_clean(square: FloatArray, rules: SelectionRules) -> BoolArray:
+def is_clean(square: FloatArray) -> BoolArray:
     """Which squares of noise are no outliers."""
     typical = float(np.median(square)) / _MEDIAN_OF_CHI2 or 1e-24
-    return square < rules.outlier_sigmas**2 * typical
+    return square < OUTLIER_SIGMAS**2 * typical
 
 
-def noise_floor(
-    residual: FloatArray, starts: NDArray[np.int64], rules: SelectionRules = DEFAULT_RULES
-) -> float:
+def noise_floor(residual: FloatArray, starts: NDArray[np.int64]) -> float:
     """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
 
     Second differences along each trial: what varies slowly is not seen. Noise that goes on from
@@ -302,16 +302,14 @@ def noise_floor(
         _, square = _second_differences(residual, starts, lag)
         if not square.size:
             break
-        wider = float(np.sqrt(square[is_clean(square, rules)].mean()))
-        if lag > 1 and not wider <= rules.max_floor_rise * floor:
+        wider = float(np.sqrt(square[is_clean(square)].mean()))
+        if lag > 1 and not wider <= MAX_FLOOR_RISE * floor:
             break
         floor = float(np.fmax(wider, floor))
     return floor if np.isfinite(floor) else float(residual.std())
 
 
-def _precision(
-    square: FloatArray, load: FloatArray, everywhere: FloatArray, rules: SelectionRules
-) -> FloatArray:
+def _precision(square: FloatArray, load: FloatArray, everywhere: FloatArray) -> FloatArray:
     """1/variance by a + b·load², its mean 1 and the ratio of its extremes bounded."""
     scale = float(np.mean(load**2)) or 1.0
     design = np.stack([np.ones_like(load), load**2 / scale], axis=1)
@@ -322,14 +320,12 @@ def _precision(
     return np.asarray(weight / weight.mean())
 
 
-def _spikes(
-    rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray, rules: SelectionRules
-) -> BoolArray:
+def _spikes(rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray) -> BoolArray:
     """Single samples far from the median of their neighbours on both sides."""
     sticks = np.zeros(rough.shape[0], dtype=bool)
     for first, stop in pairwise(starts):
         if stop - first >= 5:
             part = rough[first:stop]
             distance = np.abs(part - median_filter(part, (5, 1), mode="nearest")).max(axis=1)
-            sticks[first:stop] = distance > rules.outlier_sigmas * noise[first:stop]
+            sticks[first:stop] = distance > OUTLIER_SIGMAS * noise[first:stop]
     return sticks

@@ -201,7 +201,7 @@ class _Channel:
             before=before,
             after=after,
             gain_interval=heldout.gain_interval(before, after, rng, rules),
-            floor=noise_floor(left, samples.history.starts, rules),
+            floor=noise_floor(left, samples.history.starts),
             n_spikes=int((every.precision == 0).sum()),
             gp_rmse=gp,
             n_fit=held.n_fit,

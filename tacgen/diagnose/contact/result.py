@@ -11,7 +11,7 @@ import numpy as np
 from tacgen.contact.effects import Where, separating_measurement
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.diagnose.contact.candidates import follows_load, known_columns
-from tacgen.diagnose.contact.channel import ChannelData
+from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, ChannelData
 from tacgen.diagnose.contact.covariates import max_levels
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
@@ -302,7 +302,7 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
     if found.n_spikes:
         notes.append(
             f"{name} channel: {found.n_spikes} samples stick out of their neighbours by more than "
-            f"{data.rules.outlier_sigmas:g} times the noise; neither the fit nor the errors count "
+            f"{OUTLIER_SIGMAS:g} times the noise; neither the fit nor the errors count "
             "them"
         )
     return notes

@@ -16,7 +16,6 @@ class SelectionRules:
     min_rows: int = 4800  # in all where trials are few
     min_trials_as_units: int = 16  # with fewer, parts of trials are what tests resample
     min_units: int = 36  # about so many parts of trials then
-    outlier_sigmas: float = 7.0  # so far from its neighbours a sample has no weight
 
     # Held-out trials
     n_shuffles: int = 999  # sign flips, permutations or resamplings of trials in each test
@@ -25,7 +24,6 @@ class SelectionRules:
     # Which columns compete
     max_share_beside_load: float = 0.4  # of a condition's variation that load and time leave
     trials_per_level: int = 2  # of a text column that competes
-    min_cycles: float = 1.5  # slower within the session is a drift, not an oscillation
 
     # Numbers of the linear algebra
     ridge_at_fit: float = 0.05  # the same around a fit, where it keeps the fitted parameters
@@ -35,9 +33,9 @@ class SelectionRules:
     # When an effect is kept
     alpha: float = 0.01  # chance of a first false effect, over all candidates together
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
-    clear_share: float = 0.5  # of the remaining structure: then the gains' own p suffices
-    clear_alpha: float = 0.02  # of those gains; corrected, of each of several found together
-    few_min_gain: float = 0.1  # min_gain where trials are few, or the p is above alpha
+    clear_share: float = 0.5  # of the structure, where trials are few: else nearly all must gain
+    joint_alpha: float = 0.02  # corrected, of each of several that were found together
+    few_min_gain: float = 0.1  # min_gain where trials are few
     max_members: int = 5  # of a channel's model
 
     min_trials_of_part: int = 4  # fewer say nothing together; of so few, parts are folds
@@ -54,9 +52,6 @@ class SelectionRules:
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave
-
-    # The noise floor
-    max_floor_rise: float = 1.1  # from a lag to twice it: a load's course rises more than noise
 
 
 DEFAULT_RULES = SelectionRules()

@@ -308,14 +308,10 @@ def test_a_form_that_promises_most_and_then_fails_hides_no_weaker_one(monkeypatc
         (11211036, "normal", {"temperature": 1.0, "saturation": 1.0}),
         # Scores beside the two others are too unequal for signs, however much each one gains.
         (13070013, "shear", {"anisotropy": 2.0, "normal_coupling": 2.0, "slip": 2.0}),
-        # Two presses slip, by far more than all the others creep.
-        (13070018, "shear", {"creep": 1.0, "anisotropy": 1.0, "slip": 2.0}),
         # Of ten presses all gain, though by less than what is left.
         (14000041, "shear", {"anisotropy": 0.5}),
         # A few presses reach the limit, in the order of their loads.
         (14240018, "normal", {"saturation": 2.0}),
-        # A limit that cuts single samples of quick presses.
-        (13030025, "normal", {"saturation": 1.0}),
         # What a few-parameter form of hysteresis leaves looks like stiffening and an offset.
         (13060052, "normal", {"hysteresis": 1.0, "saturation": 1.0}),
         # What corrections of hysteresis explain less well than stiffening without any.
