@@ -6,10 +6,11 @@ the noise of neighbours as independent, is wrong. Here each reading is left in o
 
 * A reading *stands* in several rows where, while the load moves, its column repeats a value and
   then changes by more than its resolution. The first row of each is kept: there it is fresh.
-* Noise *goes on* from row to row where fourth differences of what is left of a linear law,
-  which no smooth load has, are smaller between neighbours than between rows further apart. Every
-  n-th row is kept, n the least distance beyond which the noise no longer grows: of a moving
-  average over n rows, or of an n-fold interpolation, these have all that was measured.
+* Noise *goes on* from row to row where second and fourth differences of what functions of the
+  load leave in each trial, which no smooth course has, are smaller between neighbours than
+  between rows further apart. Every n-th row is kept, n the least distance beyond which they no
+  longer grow: of a moving average over n rows, or of an n-fold interpolation, these have all that
+  was measured.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,8 +28,8 @@ CHANNELS = (
     (("force_shear_x_n", "shear_x_mm"), ("force_shear_y_n", "shear_y_mm")),
 )
 """A force and its response each, by channel and axis."""
-MOST_ROWS = 20  # that one reading may stand in, or noise go on for
-LEAST_ROWS = 4  # that a typical trial keeps: fewer have no course
+MOST_ROWS = 20  # that noise is said to go on for
+LEAST_ROWS = 4  # that a typical trial keeps then: fewer have no course
 LEAST_TRIALS = 8  # to tell noise that goes on from what an effect leaves, which few presses share
 LEAST_RUNS = 20  # of readings that a judgement needs
 HELD_SHARE = 0.5  # of readings, between clear changes, that stand in two rows or more
@@ -74,7 +75,7 @@ class _Rows:
 
     @property
     def most_rows(self) -> int:
-        """Most rows that a reading may stand in, so that a typical trial keeps enough."""
+        """Most rows that noise may go on for, so that a typical trial keeps enough."""
         return min(MOST_ROWS, int(np.median(np.diff(self.starts))) // LEAST_ROWS)
 
     def changes(self, name: str) -> BoolArray:
@@ -105,7 +106,7 @@ def _standing_readings(rows: _Rows) -> tuple[BoolArray, str]:
                 for name, other in (pair, pair[::-1]):
                     if count := _rows_of_a_reading(rows, name, other):
                         found[name] = count
-    if not found or max(found.values()) > rows.most_rows:
+    if not found:
         return np.ones(len(rows.columns["trial"]), dtype=bool), ""
     name, count = max(found.items(), key=lambda one: one[1])
     fresh = np.flatnonzero(rows.changes(name))
