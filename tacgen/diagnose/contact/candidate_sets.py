@@ -314,8 +314,8 @@ class CandidateSets:
     def _p_beside(self, rest: Fit, full: FittedSet, member: Candidate, n_names: int) -> float:
         """The p of ``member`` beside ``rest``, one of ``n_names``.
 
-        Parts of trials count as one for as long as what the whole set leaves goes on. Where trials
-        are few, only what is of trials is corrected for the choice.
+        Parts of trials count as one for as long as the residual of the whole set correlates. Where
+        trials are few, only what is of trials is corrected for the choice.
         """
         shuffled = self._shuffled
         if member.effect is not None and member.is_local:
@@ -339,7 +339,7 @@ class CandidateSets:
         return float(max(*p_values, *_search_p_values(fresh)))
 
     def worst_trials(self, fitted: FittedSet) -> NDArray[np.int64]:
-        """The trials with most of what is left, too few to tell an effect from chance."""
+        """The trials with most of the residual, too few to tell an effect from chance."""
         losses = np.bincount(self.data.unit_trial, fitted.unit_losses)
         return np.argsort(-losses)[: self.rules.min_trials_of_part - 1]
 
@@ -390,7 +390,8 @@ class CandidateSets:
     def is_worth(self, smaller: FittedSet, larger: FittedSet) -> bool:
         """Whether the larger set's gain on held-out units is large.
 
-        Where trials are few, it is also of most of what is left, or of nearly every trial.
+        Where trials are few, it is also of most of the remaining structure, or of nearly every
+        trial.
         """
         rules, gain = self.rules, smaller.loss - larger.loss
         if gain <= self._min_gain * self.total(larger):

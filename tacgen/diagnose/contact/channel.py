@@ -2,7 +2,7 @@
 
 The force is measured with noise too, and a fit that takes it as exact finds curvature near 0 N
 and a compliance that seems to vanish where there is no load. But the noise of neighbouring rows
-is independent: a product of what is seen in the one and what is left in the other has no share of
+is independent: a product of the column in the one and the residual in the other has no share of
 the noise, be it of the volume or of the force. Sums of such products take the place of every sum
 of squares that is judged.
 """
@@ -94,7 +94,7 @@ class ChannelData:
         return self.unit_trial % min(count, n_trials)
 
     def memory_units(self, reduced: FloatArray) -> int:
-        """Over how many units what is left (R,) goes on, as noise with a memory does; at least 1.
+        """Over how many units a residual (R,) correlates, as noise with a memory does; at least 1.
 
         Twice its integrated autocorrelation time: so far apart, rows hardly correlate.
         Source: Geyer 1992, Statistical Science 7: the sum ends where the correlation does.
@@ -291,7 +291,7 @@ def is_clean(square: FloatArray) -> BoolArray:
 
 
 def noise_floor(residual: FloatArray, starts: NDArray[np.int64]) -> float:
-    """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
+    """Standard deviation of one sample's noise, from the residual of every sample (N, C).
 
     Second differences along each trial: what varies slowly is not seen. Noise that goes on from
     one sample to the next is seen whole by differences over 2, 4 and 8 samples, which are taken

@@ -22,7 +22,7 @@ from tacgen.report.formatting import unit_text
 
 SCHEMA = 1  # of diagnosis.json; a key that changes its meaning makes it 2
 Verdict = Literal["sufficient", "effect_found", "unexplained"]
-_CLEARLY_MORE = 1.5  # times the noise floor: what is left is no longer called little
+_CLEARLY_MORE = 1.5  # times the noise floor: the residual is no longer called noise
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ class ChannelDiagnosis:
             with_them = "" if self.is_scored_otherwise else with_them
             return f"{what} lacks {names}: {with_them}{error} ({floor_words})."
         if names:
-            return f"{what} lacks {names} ({error}), and something that follows {left} is left."
+            return f"{what} lacks {names} ({error}), and a residual that follows {left} remains."
         return (
-            f"{what} leaves structure that follows {left} and that no listed effect explains "
+            f"{what} has a residual that follows {left} and that no listed effect explains "
             f"({before:.3g} {unit} on {held}, {floor_words})."
         )
 

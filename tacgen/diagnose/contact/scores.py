@@ -3,7 +3,7 @@
 Everything here works on Gram matrices (U, P, P) of a design's columns, one for each unit (a
 trial), whose last column is the residual: no sample is touched again, so that hundreds of
 candidates and pairs cost milliseconds. The products are of neighbouring rows (`channel`), so that
-a loss is what is left of structure, without the noise.
+a loss is the remaining structure, without the noise.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

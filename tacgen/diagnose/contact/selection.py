@@ -108,7 +108,7 @@ class Selection:
         singles = list[FittedSet]()
         for promise, best in _in_turn([one for one in pool if one[0].name in significant], rules):
             if any(promise < current.loss - single.loss for single in singles):
-                break  # what is left promises less than what was found explains
+                break  # the rest promises less than what was found explains
             tried = [sets.add(current, [candidate]) for candidate in best]
             singles += [one for one in tried if sets.is_accepted(one, one.members[-1])]
         best_single = min(singles, key=sets.score, default=None)
@@ -192,7 +192,7 @@ class Selection:
     def _swapped(self, fitted: FittedSet, *, tested: bool = True) -> FittedSet:
         """Exchange members, and their variants, for others as long as held-out trials gain.
 
-        If ``tested``, only for those that are needed.
+        If ``tested``, only for those that are accepted.
         """
         sets = self.sets
         for _ in range(4):
@@ -242,7 +242,7 @@ class Selection:
         return fitted
 
     def _pruned(self, fitted: FittedSet, n_names: int = 1) -> FittedSet:
-        """Drop members that are not needed beside the others, the least needed first."""
+        """Drop members that are not accepted beside the others, the least useful first."""
         sets = self.sets
         while idle := [m for m in fitted.members if not sets.is_accepted(fitted, m, n_names)]:
             rests = [sets.without(fitted, member) for member in idle]
