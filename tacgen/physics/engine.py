@@ -182,7 +182,8 @@ class Engine(Protocol):
     def distances(self, limit_m: float) -> list[tuple[str, float]]:
         """Parts of the gripper and how near they are to the object, within ``limit_m``.
 
-        Of the pads their outlines, not the spheres by which they touch.
+        That is how far they are from pressing; of the pads their outlines, not the spheres by which
+        they touch.
         """
 
     def touches(self, pad: str, limit_m: float) -> list[Touch]:
