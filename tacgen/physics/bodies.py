@@ -50,7 +50,7 @@ class ObjectBody:
                 links.append(BulletLink(-1, fixed, shape=world.hull_shape(parts)))
         self.body = world.bullet.createMultiBody(
             obj.mass_kg,
-            world.hull_shape(met or parts),
+            world.hull_shape(met or parts, kept=whole or not met),
             baseInertialFramePosition=self.inertial[:3, 3].tolist(),
             baseInertialFrameOrientation=quaternion_from_rotation(axes).tolist(),
             **link_arguments(links),

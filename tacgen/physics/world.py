@@ -173,6 +173,7 @@ class World:
             solverResidualThreshold=SOLVER_TOLERANCE_M_S**2,
             enableConeFriction=1,
             deterministicOverlappingPairs=1,
+            enableFileCaching=0,  # which would keep every hull that a grasp ever had
         )
         bullet.setGravity(0.0, 0.0, -STANDARD_GRAVITY_M_S2)
         shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=TABLE_HALF_EXTENTS_M)
@@ -188,13 +189,19 @@ class World:
         for _ in range(count):
             step()
 
-    def hull_shape(self, parts: Sequence[Mesh], *, enclosing: bool = False) -> int:
+    def hull_shape(
+        self, parts: Sequence[Mesh], *, enclosing: bool = False, kept: bool = True
+    ) -> int:
         """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.
 
         A ball is a sphere: on its facets the pads would press past each other and turn it.
         A hull goes through a file because ``createCollisionShape(vertices=…)`` takes one
-        hull only. The margin around such hulls can be taken off a body's base, not off its links.
+        hull only; it is ``kept`` for the next grasp of the object, if it is the same in each. The
+        margin around such hulls can be taken off a body's base, not off its links.
         """
+        if not kept:
+            once = self._shape(parts, Path(self._folder.name) / "once", enclosing)
+            return int(self.bullet.createCollisionShape(**once))
         digest = hashlib.sha256(bytes([enclosing]))
         for part in parts:
             digest.update(part.vertices_mm.tobytes() + part.faces.tobytes())
