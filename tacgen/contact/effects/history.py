@@ -322,7 +322,7 @@ class LoadHistory:
         return self._since_contact[key]
 
     def seen_by(self, effect: Hashable) -> "LoadHistory":
-        """The history as one effect of a law sees it, told apart by ``effect``."""
+        """The history as one effect of a law sees it, kept by ``effect``."""
         return self
 
     @cached_property
