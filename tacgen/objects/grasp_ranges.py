@@ -26,7 +26,7 @@ FACET_ANGLES_DEG = (3.0, 40.0)
 FACET_WIDTH_MM = 0.5  # the shipped objects' facets where pads touch
 FACET_AREA_SHARE = 0.1  # a tenth of the surface: less is a rounded edge
 THRESHOLD_SHARES = (0.4, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0)
-"""Of the least holding force: from certain failure to certain success."""
+"""Shares of the least holding force: from certain failure to certain success."""
 
 
 def suggest_ranges(
