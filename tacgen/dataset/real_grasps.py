@@ -47,13 +47,13 @@ class RealGrasp:
 class RealGrasps:
     """The grasps of a folder, in the order of the file, and warnings about them.
 
-    ``recipe_sha256`` is that of the recipe where a simulation made them, None where a robot did.
+    ``is_simulated`` says whether a simulation made them, as ``about.json`` tells.
     """
 
     folder: Path
     grasps: tuple[RealGrasp, ...]
     warnings: tuple[str, ...]
-    recipe_sha256: str | None = None
+    is_simulated: bool = False
 
     def by_object(self) -> Mapping[str, tuple[RealGrasp, ...]]:
         """The grasps of each object, objects in the order of the file."""
@@ -97,16 +97,15 @@ def read_real_grasps(
     warnings += unused[:MAX_PROBLEMS_SHOWN]
     if len(unused) > MAX_PROBLEMS_SHOWN:
         warnings.append(f"{folder}: pictures of {len(unused)} grasps are not used")
-    return RealGrasps(folder, grasps, tuple(warnings), _simulated_with(folder))
+    return RealGrasps(folder, grasps, tuple(warnings), _is_simulated(folder))
 
 
-def _simulated_with(folder: Path) -> str | None:
-    """The recipe's hash that a folder of simulated grasps names; None for a robot's."""
+def _is_simulated(folder: Path) -> bool:
+    """Whether a folder says that its grasps are simulated."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-        if isinstance(about, dict) and about.get("simulated") is True:
-            return str(about.get("recipe_sha256", ""))
-    return None
+        return isinstance(about, dict) and about.get("simulated") is True
+    return False
 
 
 def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:

@@ -62,7 +62,7 @@ def evaluate(
     with exact_torch(recipe.training.threads):
         predictions, cards = test.predict_all(unseen)
     result = _summary(predictions, cards, source_name, where, notes)
-    result["real_is_simulated"] = source_name == "real" and source.made_with is not None
+    result["real_is_simulated"] = source_name == "real" and source.is_simulated
     _add_gap(folder, result)
     text = json.dumps(result, indent=1)
     write_text(folder.eval_path, text)

@@ -16,6 +16,8 @@ from tacgen.dataset.real_grasps import BACKGROUND, read_real_grasps
 
 CONFIGURATION_DIGITS = 6
 """Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
+YAW_DIGITS = 4
+"""Decimals of a yaw in rad, 0.006°: π and −π, written with six digits, are one."""
 FRAME_UNKNOWN = -1
 AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
@@ -56,7 +58,8 @@ class GraspTable:
         numbers = np.stack([getattr(self, axis) for axis in AXES], axis=1)
         rounded = np.round(numbers, CONFIGURATION_DIGITS) + 0.0  # no "-0"
         rows = (" ".join(f"{value:g}" for value in row) for row in rounded)
-        return [f"{name} {row}" for name, row in zip(self.objects, rows, strict=True)]
+        names = zip(self.objects, rows, strict=True)
+        return [same_yaw(f"{name} {row}") for name, row in names]
 
     def object_names(self) -> list[str]:
         """The objects, sorted."""
@@ -71,19 +74,29 @@ class GraspTable:
         return GraspTable(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
+def same_yaw(configuration: str) -> str:
+    """The text of a configuration with its yaw, which is last, in [0, 2π) to ``YAW_DIGITS``.
+
+    The same for a text that earlier versions wrote, with the yaw as it was asked for.
+    """
+    others, _, yaw_rad = configuration.rpartition(" ")
+    turned = np.round(float(yaw_rad) % (2 * np.pi), YAW_DIGITS) % np.round(2 * np.pi, YAW_DIGITS)
+    return f"{others} {turned:g}"
+
+
 class SimulatedGrasps:
     """The executed grasps of a dataset; its shards are opened when first needed.
 
-    ``made_with`` is the hash of the recipe that simulated them, ``reference`` (H, W, 3) the image
-    of the undeformed gel. Raises ``DatasetError`` if the dataset is incomplete, mixed or damaged,
-    ``LearningError`` if no grasp in it was executed.
+    ``reference`` (H, W, 3) is the image of the undeformed gel. Raises ``DatasetError`` if the
+    dataset is incomplete, mixed or damaged, ``LearningError`` if no grasp in it was executed.
     """
+
+    is_simulated = True
 
     def __init__(self, root: Path, pad: str | None = None) -> None:
         self.root = Path(root)
         self.dataset = Dataset(self.root)
         self.pad = pad
-        self.made_with: str | None = self.dataset.lines[0].recipe_sha256
         columns = self.dataset.columns()
         rows = columns["label"] != LABEL_NOT_EXECUTED
         self._indices = columns["index"][rows]
@@ -108,7 +121,7 @@ class SimulatedGrasps:
     def identity(self) -> dict[str, object]:
         """The identity of this dataset."""
         return {
-            "recipe_sha256": self.made_with,
+            "recipe_sha256": self.dataset.lines[0].recipe_sha256,
             "inputs": self.dataset.inputs,
             "shards_sha256": [line.sha256 for line in self.dataset.lines],
             "sensor": self.dataset.sensor,
@@ -121,7 +134,7 @@ class RealGraspImages:
 
     An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``: the
     ``reference`` (H, W, 3), else None.
-    ``made_with`` is the hash of the recipe where a simulation wrote the folder, else None.
+    ``is_simulated`` says whether a simulation wrote the folder.
 
     Raises ``DatasetError``, which lists the rows that cannot be used. Raises ``LearningError``,
     which lists the grasps without images.
@@ -131,7 +144,7 @@ class RealGraspImages:
         self.folder = Path(folder)
         found = read_real_grasps(self.folder, needs=())
         self.warnings = found.warnings
-        self.made_with = found.recipe_sha256
+        self.is_simulated = found.is_simulated
         missing = [grasp.grasp_id for grasp in found.grasps if not grasp.images]
         if missing:
             more = f" and {len(missing) - MAX_NAMED} more" if len(missing) > MAX_NAMED else ""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
-from tacgen.learning.grasps import GraspSource, GraspTable, SimulatedGrasps
+from tacgen.learning.grasps import GraspSource, GraspTable, same_yaw
 from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
 MIN_OF_A_CLASS = 2  # grasps of each outcome to fit to; fewer teach a network nothing about it
@@ -73,30 +73,30 @@ def unseen_tests(
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Which of a source's grasps to test on, (N,), and notes about those left out.
 
-    Of another dataset, grasps with the configuration of one that was trained on are left out; real
-    grasps are kept, whose images differ. ``plan`` is the run's ``run.json``. Raises
-    ``LearningError`` if grasps made with the very recipe of the training data were trained on.
+    Simulated grasps, in whichever format and made with whichever recipe, are left out where one of
+    the same object, force and place was trained on; a robot's are kept, whose images differ.
+    ``plan`` is the run's ``run.json``. Raises ``LearningError`` if all were trained on.
     """
     table = source.table
     tests = table.split == "test"
-    trained = {text for model in plan["models"].values() for text in model["configurations"]}
+    if not source.is_simulated:
+        return tests, []
+    trained = {
+        same_yaw(text) for model in plan["models"].values() for text in model["configurations"]
+    }
     seen = tests & np.array([text in trained for text in table.configurations()], bool)
-    trained_on = plan["dataset"]
-    is_same = source.made_with is not None and source.made_with == trained_on.get("recipe_sha256")
-    if isinstance(source, SimulatedGrasps):  # the hash is of the recipe's settings alone
-        is_same &= trained_on.get("inputs", source.dataset.inputs) == source.dataset.inputs
-    if seen.any() and is_same:
-        first = min(table.take(np.flatnonzero(seen)).configurations())
+    if not seen.any():
+        return tests, []
+    first = min(table.take(np.flatnonzero(seen)).configurations())
+    if (seen == tests).all():
         msg = (
-            f"{where}: {int(seen.sum())} test configurations were trained on, such as {first}; "
+            f"{where}: all {int(seen.sum())} test configurations were trained on, such as {first}; "
             "test on grasps that this run has not seen"
         )
         raise LearningError(msg)
-    if not isinstance(source, SimulatedGrasps) or not seen.any():
-        return tests, []
     return tests & ~seen, [
-        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are not used: a grasp "
-        "with the same configuration, from another dataset, was trained on"
+        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are not used: a simulated "
+        f"grasp of the same object, force and place was trained on, such as {first}"
     ]
 
 

@@ -166,15 +166,22 @@ def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, t
     data = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32), all_for_testing)
     result = evaluate(run, data=data)
     assert result["n"] == whole
-    assert "are not used: a grasp with the same configuration" in " ".join(result["notes"])
+    assert "are not used: a simulated grasp of the same object" in " ".join(result["notes"])
 
 
-def test_the_training_grasps_written_as_real_ones_are_refused(run, toy, tmp_path):
-    for split in ("train", "test"):
-        export_dataset(toy, tmp_path / split, "real-grasps", split=split)
-    with pytest.raises(LearningError, match="test configurations were trained on"):
-        evaluate(run, real=tmp_path / "train")
-    assert evaluate(run, real=tmp_path / "test")["real_is_simulated"]
+def test_training_grasps_are_known_as_real_ones_and_under_another_recipe(run, toy, tmp_path):
+    """A line of description changes the recipe's hash, and no grasp."""
+    again = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32))
+    for name, data in (("own", toy), ("again", again)):
+        for split in ("train", "test", None):
+            export_dataset(data, tmp_path / name / str(split), "real-grasps", split=split)
+        with pytest.raises(LearningError, match="all .* test configurations were trained on"):
+            evaluate(run, real=tmp_path / name / "train")
+        tests = evaluate(run, real=tmp_path / name / "test")
+        assert tests["real_is_simulated"]
+        whole = evaluate(run, real=tmp_path / name / "None")
+        assert whole["n"] == tests["n"] == evaluate(run, data=toy)["n"]
+        assert "are not used: a simulated grasp of the same object" in " ".join(whole["notes"])
 
 
 def test_a_run_that_is_not_finished_is_judged_and_it_is_said(run, toy):

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen.core.errors import LearningError
-from tacgen.learning.grasps import GraspTable, SimulatedGrasps
+from tacgen.learning.grasps import GraspTable, SimulatedGrasps, same_yaw
 from tacgen.learning.splits import class_weights, plan_models
 from tests.learning.conftest import recipe_of
 
@@ -61,6 +61,16 @@ def test_a_dataset_with_a_configuration_on_both_sides_is_refused():
     columns = {name: getattr(table, name) for name in GraspTable.__dataclass_fields__}
     with pytest.raises(LearningError, match="1 configurations are in both train and test"):
         plan_models(recipe_of(), GraspTable(**columns | {"split": split}), "data")
+
+
+def test_a_yaw_and_a_full_turn_more_are_one_grasp():
+    turns = np.array([-np.pi, np.pi, 3 * np.pi, -1e-7, 0.0, 2 * np.pi, 0.3])
+    table = table_of(7, objects=["can"] * 7, yaw_rad=turns, force_n=np.ones(7), x_mm=np.zeros(7))
+    texts = table.take(np.arange(7)).configurations()
+    where = [text.rpartition(" ")[2] for text in texts]
+    assert where == ["3.1416"] * 3 + ["0"] * 3 + ["0.3"]
+    # As earlier versions wrote it.
+    assert same_yaw("can 5 0 0 40 -3.14159") == same_yaw("can 5 0 0 40 3.14159")
 
 
 def test_validation_takes_its_share_of_each_class():
