@@ -86,7 +86,7 @@ def test_every_command_of_the_readme_runs(tmp_path, monkeypatch):
         monkeypatch.chdir(command.removeprefix("cd "))
         write_shorter_recipes(Path.cwd())
         recipe = Path("recipe.yaml")
-        recipe.write_text(replaced(recipe.read_text(), "sample: 24", "sample: 10"))
+        recipe.write_text(replaced(recipe.read_text(), "sample: 100", "sample: 16"))
 
 
 @pytest.mark.slow

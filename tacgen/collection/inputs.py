@@ -15,6 +15,7 @@ def recipe_inputs(recipe: Recipe, objects: Iterable[str] | None = None) -> Input
     Raises ``TacgenError`` if one of the files cannot be used.
     """
     law_path, sensor = recipe.contact.path(), recipe.sensor
+    gripper, gripper_file = recipe.robot.spec().gripper, recipe.robot.gripper_file()
     names = [entry.object_name for entry in recipe.objects] if objects is None else objects
     entries = {name: recipe.entry_of(name) for name in names}
     return result_inputs(
@@ -23,5 +24,6 @@ def recipe_inputs(recipe: Recipe, objects: Iterable[str] | None = None) -> Input
         sensor=load_sensor(sensor, needs_table=False),
         sensor_file=sensor_path(sensor.name, beside=sensor.folder),
         law=None if law_path is None else (load_law(law_path), law_path),
+        gripper=(gripper.model_dump(mode="json", exclude={"name", "source"}), gripper_file),
         engine=recipe.physics.engine,
     )

@@ -31,7 +31,7 @@ from tacgen.core.resources import (
 )
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
-from tacgen.physics.robots import RobotSpec, load_robot
+from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
 from tacgen.physics.settings import FrameRequest, Pads, PhysicsSettings, force_problem
 from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
@@ -115,6 +115,10 @@ class Robot(Located):
         Raises ``PhysicsError`` if there is none, ``RecipeError`` if its gripper's file is wrong.
         """
         return load_robot(self.name, beside=self.folder)
+
+    def gripper_file(self) -> Path:
+        """The YAML file of its gripper."""
+        return gripper_file(self.name, beside=self.folder)
 
     @property
     def largest_force_n(self) -> float:

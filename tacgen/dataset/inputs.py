@@ -5,9 +5,9 @@ hashes, so none is ever taken for one of another world. Only content counts: a r
 file, its path, its folder or its date change nothing.
 
 The roles: ``recipe`` (every setting but the list of grasps), ``sensor``, ``table``,
-``contact_law`` (where the recipe names a file), ``engine``, ``versions`` (of the libraries that
-the bytes of a shard depend on), and of each object ``object/<name>`` (its ``object.yaml``),
-``object/<name>/recipe`` (what the recipe says of it), ``object/<name>/mesh`` and
+``contact_law`` (where the recipe names a file), ``gripper``, ``engine``, ``versions`` (of the
+libraries that the bytes of a shard depend on), and of each object ``object/<name>`` (its
+``object.yaml``), ``object/<name>/recipe`` (what the recipe says of it), ``object/<name>/mesh`` and
 ``object/<name>/collision``. Those of a dataset have ``grid/<k>`` besides: the grids from the first
 to the one with which the dataset grew the k-th time.
 """
@@ -83,6 +83,7 @@ def result_inputs(
     sensor: Sensor,
     sensor_file: Path,
     law: tuple[ContactLaw, Path] | None,
+    gripper: tuple[Mapping[str, Any], Path],
     engine: str,
 ) -> Inputs:
     """What a result of a recipe depends on.
@@ -97,6 +98,8 @@ def result_inputs(
         The sensor with the recipe's changes, its table found, and its YAML file.
     law : (ContactLaw, Path), optional
         The law of a file, and the file; without it the recipe's own coefficients count.
+    gripper : (mapping, Path)
+        What the gripper's YAML file says, and the file.
     engine : str
         The physics engine, ``pybullet`` or ``mujoco``.
     """
@@ -104,6 +107,7 @@ def result_inputs(
     found: dict[str, tuple[object, Path | None]] = {
         "recipe": (_settings(recipe, law is not None), None),
         "sensor": ({**asdict(sensor), "table": ""}, sensor_file),
+        "gripper": gripper,
         "engine": ([engine, versions.get(engine, "")], None),
         "versions": ({k: v for k, v in versions.items() if k != engine}, None),
     }

@@ -28,6 +28,7 @@ from tacgen.physics.contacts import (
     Bodies,
     Placement,
     Snapshot,
+    contact_frames,
     contacts_of,
 )
 from tacgen.physics.engine import TABLE, Engine

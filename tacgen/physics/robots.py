@@ -176,13 +176,20 @@ def load_robot(name: str, *, beside: Path | None = None) -> RobotSpec:
 
     Raises ``PhysicsError`` if there is no such gripper, ``RecipeError`` if its file is wrong.
     """
-    prefix = next(prefix for prefix in _ROBOTS if name.startswith(prefix))
+    return RobotSpec(_ROBOTS[_prefix(name)], load_gripper(gripper_file(name, beside=beside)))
+
+
+def gripper_file(name: str, *, beside: Path | None = None) -> Path:
+    """The YAML file of the gripper of the robot ``name``; as ``load_robot``."""
     try:
-        path = gripper_path(name.removeprefix(prefix), beside=beside)
+        return gripper_path(name.removeprefix(_prefix(name)), beside=beside)
     except RecipeError as error:
         msg = f"robot {name!r} is not known: {error}, after `ur5e_` where the arm carries it"
         raise PhysicsError(msg) from None
-    return RobotSpec(_ROBOTS[prefix], load_gripper(path))
+
+
+def _prefix(name: str) -> str:
+    return next(prefix for prefix in _ROBOTS if name.startswith(prefix))
 
 
 def _flange_in_gripper(gripper: GripperSpec) -> Pose:

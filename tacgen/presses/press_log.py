@@ -25,6 +25,7 @@ from tacgen.core.files import sha256_of
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import frozen_array
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.presses.independent_rows import independent_rows
 
 REQUIRED = ("trial", "time_s", "force_normal_n", "volume_mm3")
 SHEAR_FORCES = ("force_shear_x_n", "force_shear_y_n")
@@ -166,7 +167,9 @@ def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
         raise PressError(problem)
     log = _checked(columns, path)
     similar = similar_columns(table, PRESS_LOG, str(path))
-    return replace(log, warnings=(*similar, *log.warnings))
+    independent, found = independent_rows(log.columns)
+    notes = (f"{path}: {note}" for note in found)
+    return replace(log.select(independent), warnings=(*similar, *log.warnings, *notes))
 
 
 def read_table(path: Path) -> dict[str, Cells]:

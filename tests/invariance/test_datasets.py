@@ -18,7 +18,7 @@ from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import DatasetError, TacgenError
 from tacgen.core.records import GraspConfig
-from tacgen.core.resources import find_object_folder
+from tacgen.core.resources import find_object_folder, gripper_path
 from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.inputs import Inputs, changed_roles
 from tacgen.dataset.verify import verify
@@ -39,7 +39,8 @@ provenance: {data: {log.csv: abc}}
 def world(tmp_path, monkeypatch):
     """A recipe beside an object, a sensor and a contact law of its own."""
     home = tmp_path / "home"
-    path = write_world(home, contact="{file: law.yaml}")
+    path = write_world(home, contact="{file: law.yaml}", robot="{name: own_gripper.yaml}")
+    shutil.copy(gripper_path("wsg50"), home / "own_gripper.yaml")
     shutil.copytree(find_object_folder("sugar_box"), home / "objects" / "sugar_box")
     (home / "law.yaml").write_text(LAW)
     # The sensor is found from the recipe too.
@@ -153,6 +154,7 @@ CHANGES = {
     "sensor": lambda world: edit(sensor_yaml(world), dome_radius_mm=0),
     "table": other_table,
     "contact_law": lambda world: edit(world.parent / "law.yaml", k_n_mm3_per_n=40.0),
+    "gripper": lambda world: edit(world.parent / "own_gripper.yaml", stroke_mm=100.0),
     "recipe": lambda world: edit(world, optics={"shadows": True}),
 }
 
@@ -174,9 +176,11 @@ def test_what_counts_is_named_and_not_resumed(world, role):
 def test_a_dataset_of_another_engine_is_not_resumed(world):
     recipe = load_recipe(world)
     prepare(recipe, Path("out"))
-    assert DatasetFolder("out").plan()["engine"] == "pybullet"
-    other = recipe.model_copy(update={"physics": replace(recipe.physics, engine="mujoco")})
-    with pytest.raises(DatasetError, match=r"pip install pybullet==.*\{engine: pybullet\}"):
+    engine = DatasetFolder("out").plan()["engine"]
+    assert engine == recipe.physics.engine
+    another = {"pybullet": "mujoco", "mujoco": "pybullet"}[engine]
+    other = recipe.model_copy(update={"physics": replace(recipe.physics, engine=another)})
+    with pytest.raises(DatasetError, match=rf"pip install {engine}==.*\{{engine: {engine}\}}"):
         prepare(other, Path("out"))
 
 

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from tacgen.core.resources import gripper_path
 from tacgen.physics.contacts import Bodies, Snapshot, contact_frames, gel_pose
+from tacgen.physics.engine import ContactPoint
+from tacgen.physics.gripper import load_gripper
 
-OBJECT, ROBOT, LINK = 1, 2, 3
+PADS = load_gripper(gripper_path("wsg50")).sides
 
 
 def frame_of(places_mm, pressed_n, sheared_n, moved_m=(0.0, 0.0, 0.0)):
@@ -19,20 +22,15 @@ def frame_of(places_mm, pressed_n, sheared_n, moved_m=(0.0, 0.0, 0.0)):
         "object_angular_velocity": (0.0, 0.0, 0.0),
         "pad_distance_m": (0.03, 0.03),
     }
-    gel = gel_pose(Snapshot(**rest, contacts=()), "left")
-    rows = []
-    for (x_mm, y_mm), normal_n, (along_x, along_y) in zip(
-        places_mm, pressed_n, sheared_n, strict=True
-    ):
+    bodies = Bodies(PADS, np.ones(3), np.eye(4), dict.fromkeys(PADS, 0.0), 0.002)
+    gel = gel_pose(Snapshot(**rest, contacts=()), bodies, "left")
+    points = []
+    for (x_mm, y_mm), normal_n, along_n in zip(places_mm, pressed_n, sheared_n, strict=True):
         at = tuple((gel @ [x_mm / 1e3, y_mm / 1e3, 0.0, 1.0])[:3])
-        # Forces on the object: the gel pushes it out, and is pulled by it.
-        axes = tuple(gel[:3, 2]), tuple(gel[:3, 0]), tuple(gel[:3, 1])
-        bodies = OBJECT, ROBOT, -1, LINK
-        rows.append(
-            (0, *bodies, at, at, axes[0], 0.0, normal_n, -along_x, axes[1], -along_y, axes[2])
-        )
-    bodies = Bodies(OBJECT, ROBOT, {"left": LINK}, np.ones(3), np.eye(4), {"left": 0.0}, 0.002)
-    return contact_frames([Snapshot(**rest, contacts=tuple(rows))], bodies, ["left"])["left"]
+        # The gel pushes the object out, and is pulled along by it.
+        on_object = gel[:3, :3] @ [-along_n[0], -along_n[1], normal_n]
+        points.append(ContactPoint("left", at, tuple(gel[:3, 2]), normal_n, tuple(on_object)))
+    return contact_frames([Snapshot(**rest, contacts=tuple(points))], bodies, ["left"])["left"]
 
 
 @pytest.mark.parametrize("at_mm", [(0.0, 0.0), (5.0, -3.0)])

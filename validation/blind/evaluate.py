@@ -31,7 +31,7 @@ from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import read_press_log
 from validation.blind.blind_forms import ALL_NORMAL, ALL_SHEAR, ALL_UNLISTED
 from validation.blind.generator import Case, draw_case
-from validation.blind.independent.generator import draw_case as draw_independent_case
+from validation.blind.independent import draw_case as draw_independent_case
 
 Wanted = list[tuple[str, float]]
 

@@ -33,8 +33,7 @@ REMOVED: dict[str, Any] = {
     "least_share_of_all": 0.0,
     "parameter_price": 0.0,
     "min_gain": 0.0,
-    "min_swap_gain": 0.0,
-    "clear_alpha": 0.0,
+    "joint_alpha": 0.0,
     "negative_loss_in_sd": 1e9,
     "form_share_left": 0.0,
 }

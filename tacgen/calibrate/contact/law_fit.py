@@ -12,6 +12,7 @@ from scipy.special import fdtrc
 
 from tacgen.calibrate.contact.contact_point import ContactPoint, free_contact_points
 from tacgen.calibrate.contact.identifiability import limits_of
+from tacgen.calibrate.contact.rest_zero import without_zero
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.core.arrays import FloatArray, IntArray
@@ -115,6 +116,7 @@ def fit_contact(
     ``indenter`` where there are several, else the first text covariate that splits the trials. With
     ``free_contact_point`` the contact point of every trial is estimated; by default only where the
     volume was computed from the depth of a known ball, whose zero is then what is least certain.
+    Otherwise what gauge and gel read at rest is subtracted (``rest_zero``).
     ``marker_pitch_mm`` is that of the markers whose motion was summed. Raises ``PressError`` with
     fewer than three presses, an unknown column, or a response that does not grow with the load.
 
@@ -131,7 +133,9 @@ def fit_contact(
     if free_contact_point is None:
         free_contact_point = "depth_mm" in log and "radius_mm" in log
     points: tuple[ContactPoint, ...] = ()
-    if free_contact_point:
+    if not free_contact_point:
+        log = without_zero(log)
+    else:
         log, points = free_contact_points(log)
     by = _grouping(log, by)
     normal = fit_channel(log, "normal", by)

@@ -95,7 +95,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A named effect on one channel.
+    """An effect on one channel, by its name.
 
     ``apply`` turns load (N, C), history and parameters into the changed load (N, C), and
     ``apply_at_end`` what comes out of all effects, in mm³ or mm, likewise; of the samples before

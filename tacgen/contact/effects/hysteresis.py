@@ -96,7 +96,7 @@ def _variants(
 ) -> tuple[base.Variant, ...]:
     widths = {
         ("play", "play of {:g} of the load"): (0.05, 0.2),
-        ("spread", "plays up to {:g} of the load"): (0.3, 0.6, 1.0),
+        ("spread", "sum of plays, up to {:g} of the load wide"): (0.3, 0.6, 1.0),
         ("friction", "friction over {:g} of the load"): (0.04, 0.1, 0.25),
         ("rubbing", "friction in proportion to the load, over {:g} of it"): (0.1, 0.25),
     }

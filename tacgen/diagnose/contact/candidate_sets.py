@@ -30,6 +30,8 @@ from tacgen.diagnose.contact.model import (
 )
 from tacgen.diagnose.contact.oscillation import find_oscillations
 
+FLIPS_PER_SEARCH = 5  # the more shuffles: how high the highest peak of a search is needs fewer
+PAIRS_FITTED = 8  # of those that promise most
 _N_KINDS = 3  # of tests: by flips, by permutations, and of frequencies that were searched for
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
 
@@ -70,14 +72,13 @@ class CandidateSets:
     """Fits and cross-validates sets of candidates on one channel, and tests their members.
 
     ``rng`` is for the shuffles of its tests; ``session_clock`` says whether ``time_s`` runs on
-    from trial to trial. ``of_few_trials`` is the name of a member that only a few trials show.
+    from trial to trial.
     """
 
     def __init__(
         self, data: ChannelData, rng: np.random.Generator, *, session_clock: bool = True
     ) -> None:
         self.data, self.rules = data, data.rules
-        self.of_few_trials = ""
         rules, few = self.rules, data.few_trials
         self.effects: list[Effect] = [
             e
@@ -98,9 +99,8 @@ class CandidateSets:
         n_shuffles = rules.few_shuffles if few else rules.n_shuffles
         shuffled = scores.shuffles(data.unit_trial, n_shuffles, rng)
         self._shuffled = shuffled if few else shuffled.of_trials
-        self._shuffled_parts = shuffled
         self._fits: dict[tuple[str, ...], FittedSet] = {}
-        self._p_values: dict[tuple[tuple[str, ...], str, int], tuple[float, bool]] = {}
+        self._p_values: dict[tuple[tuple[str, ...], str, int], float] = {}
         self._parts = [] if few else parts_of(data)
 
     def fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
@@ -116,7 +116,7 @@ class CandidateSets:
                 # Many similar columns: between neighbours they are nearly singular.
                 training = scores.unit_grams(self.data, design, of_neighbours=False)
                 prior = 0.5 * fit.prior.T @ fit.prior
-                training, ridge = np.concatenate([training, prior[None]]), self.rules.ridge
+                training, ridge = np.concatenate([training, prior[None]]), scores.RIDGE
             losses = scores.cv_losses(grams, self._folds, [columns], ridge, training)
             losses = scores.believable(losses, plain, self.data.least_loss)
             self._fits[key] = FittedSet(members, fit, losses[0])
@@ -126,7 +126,7 @@ class CandidateSets:
         self, grams: FloatArray, sets: Sequence[Sequence[int]], without: FloatArray
     ) -> FloatArray:
         """Held-out losses (S, U) of sets of columns; of those that cannot be, ``without`` (U,)."""
-        losses = scores.cv_losses(grams, self._folds, sets, self.rules.ridge)
+        losses = scores.cv_losses(grams, self._folds, sets, scores.RIDGE)
         return scores.believable(losses, without, self.data.least_loss)
 
     def add(self, current: FittedSet, more: Sequence[Candidate]) -> FittedSet:
@@ -134,7 +134,7 @@ class CandidateSets:
         fit = current.fit
         grams, groups, base = self._grams(fit, more)
         columns = [*base, *(i for group in groups for i in group)]
-        weights = scores.coefficients(grams.sum(axis=0), columns, self.rules.ridge)
+        weights = scores.coefficients(grams.sum(axis=0), columns, scores.RIDGE)
         model = fit.model
         for candidate, group in zip(more, groups, strict=True):
             part = weights[group]
@@ -156,8 +156,7 @@ class CandidateSets:
     def corrected(self, full: FittedSet, effect: Effect) -> FittedSet:
         """``full`` with the effect's free amounts added to its form, fitted from 0.
 
-        Together they are expected to change the response by ``correction_share`` of what the
-        effect does.
+        Together they are expected to change the response by as much as the effect does.
         """
         data, model = self.data, full.fit.model
         (term,) = (one for one in model.terms if one.name == effect.name)
@@ -174,7 +173,7 @@ class CandidateSets:
         if size == 0.0:
             return full  # at an amount of 0 there is no form to correct
         probed = [change({**term.values, name: _PROBE}) / _PROBE for name in effect.free_amounts]
-        prior_sd = self.rules.correction_share * float(size / np.linalg.norm(probed))
+        prior_sd = float(size / np.linalg.norm(probed))
         form = effect.corrected(term.variant, prior_sd)
         members = tuple(
             replace(m, variant=form) if m.name == effect.name else m for m in full.members
@@ -187,15 +186,13 @@ class CandidateSets:
         covariates = [c for c in self._covariates if c.column not in taken]
         if "time_s" not in taken and self._session_clock:
             if new_oscillations or not self._oscillations:
-                flips = self._shuffled.of_trials.signs[1 : 1 + self.rules.n_oscillation_flips]
+                flips = self._shuffled.of_trials.signs[
+                    1 : 1 + self.rules.n_shuffles // FLIPS_PER_SEARCH
+                ]
                 self._oscillations = find_oscillations(self.data, fit, flips)
             covariates += self._oscillations
         found = self._effects_beside(current)
         return self._by_gain(current, found + cand.covariate_candidates(self.data, fit, covariates))
-
-    def effects_pool(self, current: FittedSet) -> Pool:
-        """The effects alone of ``pool``."""
-        return self._by_gain(current, self._effects_beside(current))
 
     def _effects_beside(self, current: FittedSet) -> list[Candidate]:
         effects = [e for e in self.effects if e.name not in current.names]
@@ -220,10 +217,10 @@ class CandidateSets:
             if found[a].name != found[b].name and self._fit_beside(found[a], found[b])
         ]
         sets = [[*base, *groups[a], *groups[b]] for a, b in pairs]
-        sums = scores.training_losses(grams.sum(axis=0), sets, rules.ridge)
+        sums = scores.training_losses(grams.sum(axis=0), sets, scores.RIDGE)
         least = min(current.loss, self.data.least_loss)
         short = [k for k in np.argsort(sums, kind="stable") if sums[k] >= least]
-        short = short[: rules.pairs_scored]
+        short = short[: rules.pair_pool]
         losses = self._cv_losses(grams, [sets[k] for k in short], current.unit_losses)
         gains = self._gains(current, losses)
         best: dict[frozenset[str], tuple[Candidate, Candidate]] = {}
@@ -231,7 +228,7 @@ class CandidateSets:
             if gains[index] >= rules.fitted_share * gains.max():
                 a, b = (found[i] for i in pairs[short[index]])
                 best.setdefault(frozenset((a.name, b.name)), (a, b))
-        return list(best.values())[: rules.pairs_fitted]
+        return list(best.values())[:PAIRS_FITTED]
 
     def _gains(self, current: FittedSet, losses: FloatArray) -> FloatArray:
         """What sets that leave ``losses`` (S, U) explain, of the loss that there is: (S,)."""
@@ -278,8 +275,6 @@ class CandidateSets:
         candidates: Sequence[Candidate],
         families: Sequence[str],
         shuffled: scores.Shuffles | None = None,
-        *,
-        parts_of_trials: bool = False,
     ) -> scores.PValues:
         ones = Candidate("", self.data.ones)
         grams, groups, base = self._grams(fit, [*candidates, ones])
@@ -291,18 +286,18 @@ class CandidateSets:
             groups[-1],
             self.rules,
             families,
-            parts_of_trials=parts_of_trials or self.data.few_trials,
+            parts_of_trials=self.data.few_trials,
         )
 
-    def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> tuple[float, bool]:
-        """The p of a member, one of ``n_names``, beside the others, and whether it is of trials."""
+    def p_value(self, full: FittedSet, member: Candidate, n_names: int = 1) -> float:
+        """The p of a member, one of ``n_names``, beside the others."""
         labels = tuple(sorted(one.label for one in full.members))
         key = labels, member.label, n_names
         if key not in self._p_values:
             self._p_values[key] = self._p_value(full, member, n_names)
         return self._p_values[key]
 
-    def _p_value(self, full: FittedSet, member: Candidate, n_names: int) -> tuple[float, bool]:
+    def _p_value(self, full: FittedSet, member: Candidate, n_names: int) -> float:
         """As `p_value` gives it, worked out.
 
         The others are as they are beside it, since refitted without it they would bend towards
@@ -311,25 +306,23 @@ class CandidateSets:
         """
         rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
         found = self._p_beside(rest, full, member, n_names)
-        if found[0] <= self.rules.alpha:
+        if found <= self.rules.alpha:
             return found
         refitted = self._p_beside(self.without(full, member).fit, full, member, n_names)
-        return min(found, (min(2.0 * refitted[0], 1.0), refitted[1]), key=lambda one: one[0])
+        return min(found, 2.0 * refitted, 1.0)
 
-    def _p_beside(
-        self, rest: Fit, full: FittedSet, member: Candidate, n_names: int
-    ) -> tuple[float, bool]:
-        """The p of ``member`` beside ``rest``, one of ``n_names``, and whether it is of trials.
+    def _p_beside(self, rest: Fit, full: FittedSet, member: Candidate, n_names: int) -> float:
+        """The p of ``member`` beside ``rest``, one of ``n_names``.
 
-        Parts of trials count as one for as long as what the whole set leaves goes on. Where trials
-        are few, only what is of trials is corrected for the choice.
+        Parts of trials count as one for as long as the residual of the whole set correlates. Where
+        trials are few, only what is of trials is corrected for the choice.
         """
         shuffled = self._shuffled
         if member.effect is not None and member.is_local:
             p_local = local_p_value(
                 self.data, rest, member.effect, member.label, self._parts, shuffled
             )
-            return min(p_local * len(self._local_effects), 1.0), True
+            return min(p_local * len(self._local_effects), 1.0)
         few = self.data.few_trials
         if few:
             shuffled = shuffled.of_blocks(self.data.memory_units(full.fit.residual))
@@ -340,13 +333,13 @@ class CandidateSets:
             same = cand.effect_candidates(self.data, rest.model, effects)
             fresh = [one for one in same if one.label == member.label]
         if not fresh:
-            return 1.0, False
+            return 1.0
         found = self._shuffle_p_values(rest, fresh, [""], shuffled)
         p_values = found.corrected(1 if few else n_names, n_names)
-        return float(max(*p_values, *_search_p_values(fresh))), bool(found.of_trials[0])
+        return float(max(*p_values, *_search_p_values(fresh)))
 
     def worst_trials(self, fitted: FittedSet) -> NDArray[np.int64]:
-        """The trials with most of what is left, too few to tell an effect from chance."""
+        """The trials with most of the residual, too few to tell an effect from chance."""
         losses = np.bincount(self.data.unit_trial, fitted.unit_losses)
         return np.argsort(-losses)[: self.rules.min_trials_of_part - 1]
 
@@ -367,25 +360,8 @@ class CandidateSets:
         losses = []
         for one in (rest, full):
             grams, _, base = scores.fit_grams(self.data, one.fit, [])
-            losses += [*scores.training_losses(grams[others].sum(axis=0), [base], self.rules.ridge)]
+            losses += [*scores.training_losses(grams[others].sum(axis=0), [base], scores.RIDGE)]
         return bool(losses[0] - losses[1] > self._min_gain * self.total(full))
-
-    def p_of_few(self, full: FittedSet, member: Candidate) -> float:
-        """The p that a member, as it is fitted, acts by chance in the trials that are off.
-
-        Of the best of all effects, that both are by chance: that it acts in those trials, by their
-        order, and that within them it has the course of what is left, by signs of their parts. 1
-        if in each trial it does what another compliance would.
-        Source: Wilkinson 1951, Psychological Bulletin 48: the larger of two p is below α with
-        chance α².
-        """
-        rest = as_it_is(self.data, full.fit.model.without(member.name, member.covariate))
-        does = full.fit.model.law_response(self.data) - rest.model.law_response(self.data)
-        fitted = Candidate(member.name, self.data.reduce(does)[:, None])
-        parts = self._shuffled_parts.of_blocks(self.data.memory_units(full.fit.residual))
-        found = self._shuffle_p_values(rest, [fitted], [""], parts, parts_of_trials=True)
-        larger = max(float(found.permuted[0]), float(found.flipped[0]))
-        return 1.0 if found.of_trials[0] else min(len(self.effects) * larger**2, 1.0)
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -398,29 +374,13 @@ class CandidateSets:
         found = best_local(self.data, rest.fit, effects, self._parts, most)
         return [self.add(rest, [one]) for one in found]
 
-    def row_losses(self, fitted: FittedSet) -> FloatArray:
-        """Held-out losses (U,) of rows, noise included: what single ones show is among them."""
-        design = np.column_stack([fitted.fit.jacobian, fitted.fit.residual])
-        of_rows = scores.unit_grams(self.data, design, of_neighbours=False)
-        training = scores.unit_grams(self.data, design)
-        columns, ridge = [range(design.shape[1] - 1)], self.rules.ridge_at_fit
-        (losses,) = scores.cv_losses(of_rows, self._folds, columns, ridge, training)
-        return np.asarray(losses)
-
-    def is_told_by_rows(self, one: FittedSet, other: FittedSet) -> bool:
-        """Whether neighbours do not tell ``one`` from ``other``, and rows say that it is better."""
-        least = self.rules.confusable_in_se
-        if other.lead_in_se(one) >= least:
-            return False
-        return _sum_in_se(self.row_losses(other) - self.row_losses(one)) > least
-
     def total(self, fitted: FittedSet) -> float:
         """Held-out sum of squares, the noise included."""
         noise_loss = self.data.noise_loss
         return max(noise_loss + fitted.loss, 0.5 * noise_loss)
 
     def score(self, fitted: FittedSet) -> float:
-        """Loss for comparing rivals: a covariate, a part of the log, a parameter has its price."""
+        """Loss that compares sets: a covariate, a part of the log, a parameter has its price."""
         members, rules = fitted.members, self.rules
         price = rules.parameter_price * sum(member.n_parameters for member in members)
         price += rules.min_gain * sum(not member.is_effect for member in members)
@@ -430,7 +390,8 @@ class CandidateSets:
     def is_worth(self, smaller: FittedSet, larger: FittedSet) -> bool:
         """Whether the larger set's gain on held-out units is large.
 
-        Where trials are few, it is also of most of what is left, or of nearly every trial.
+        Where trials are few, it is also of most of the remaining structure, or of nearly every
+        trial.
         """
         rules, gain = self.rules, smaller.loss - larger.loss
         if gain <= self._min_gain * self.total(larger):
@@ -440,48 +401,16 @@ class CandidateSets:
             not self.data.few_trials or is_most or self.p_of_gains(smaller, larger) <= rules.alpha
         )
 
-    def is_clear(self, full: FittedSet, member: Candidate) -> bool:
-        """Whether ``member`` gains so much that the p of its gains, uncorrected, is enough.
-
-        Scores beside what several strong effects leave are too unequal for flips of their signs.
-        """
-        rules, rest = self.rules, self.without(full, member)
-        least = max(rules.clear_share * rest.loss, rules.few_min_gain * self.total(rest))
-        is_large = not self.data.few_trials and rest.loss - full.loss > least
-        p_search = float(_search_p_values([member])[0])
-        return is_large and max(self.p_of_gains(rest, full), p_search) <= rules.clear_alpha
-
     def p_of_gains(self, smaller: FittedSet, larger: FittedSet) -> float:
         """The p, by a sign for each trial, of what ``larger`` gains when trials are held out."""
         sums = self._shuffled.of_trials.signs @ (smaller.unit_losses - larger.unit_losses)
         return float((sums >= sums[0] * (1.0 - 1e-9)).mean())
 
-    def is_shown_by_few(self, full: FittedSet, member: Candidate) -> bool:
-        """Whether a few trials, parts of which are held out, show ``member``.
-
-        It explains much of what is left in them, more than a gain of each of them or the model
-        errors of others would, and it is not by chance that it acts there and as it does.
-        """
-        rules, rest = self.rules, self.without(full, member)
-        is_worst = np.isin(self.data.unit_trial, self.worst_trials(rest))
-        left, of_worst = (float(one.unit_losses[is_worst].sum()) for one in (full, rest))
-        of_form = rules.form_share_left * self.explained(full)
-        return (
-            self.worth(full, member) > max(rules.min_gain * self.total(full), of_form)
-            and of_worst - left > rules.share_of_few * of_worst
-            and self.is_more_than_gains(rest, full)
-            and self.p_of_few(full, member) <= rules.alpha
-        )
-
-    def is_needed(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
+    def is_accepted(self, full: FittedSet, member: Candidate, n_names: int = 1) -> bool:
         """Whether held-out trials, shuffles and the other members' worth call for ``member``.
 
-        Nor may a gain of each of the worst trials do as well, unless the others, too, call for it
-        or there are hardly any.
         ``n_names`` is how many names it was chosen from.
         """
-        if member.name == self.of_few_trials:
-            return self.is_shown_by_few(full, member)
         rest = self.without(full, member)
         if not self.is_worth(rest, full):
             return False
@@ -491,9 +420,8 @@ class CandidateSets:
         worth = self.worth(full, member)
         # Several that were chosen together would all have to be due to chance.
         together = n_names > 1 and len(full.members) > 1
-        alpha = self.rules.clear_alpha if together else self.rules.alpha
-        p_value, of_trials = self.p_value(full, member, n_names)
-        if p_value > alpha and (of_trials or not self.is_clear(full, member)):
+        alpha = self.rules.joint_alpha if together else self.rules.alpha
+        if self.p_value(full, member, n_names) > alpha:
             return False
         return worth >= self.rules.least_share_of_all * self.explained(full)
 

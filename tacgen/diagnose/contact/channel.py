@@ -2,12 +2,12 @@
 
 The force is measured with noise too, and a fit that takes it as exact finds curvature near 0 N
 and a compliance that seems to vanish where there is no load. But the noise of neighbouring rows
-is independent: a product of what is seen in the one and what is left in the other has no share of
+is independent: a product of the column in the one and the residual in the other has no share of
 the noise, be it of the volume or of the force. Sums of such products take the place of every sum
 of squares that is judged.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -24,6 +24,11 @@ from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
 TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
+N_FOLDS = 10  # of whole trials in cross-validation
+FLOOR_LAGS = (1, 2, 4, 8)  # samples, for second differences
+MAX_FLOOR_RISE = 1.1  # from one to the next: a load's course rises more than noise
+OUTLIER_SIGMAS = 7.0  # so far from its neighbours a sample has no weight
+MAX_VARIANCE_RATIO = 25.0  # of the weights that noise growing with the load gives
 _CHANCES = 3.0  # standard deviations that noise seldom reaches
 _MEDIAN_OF_CHI2 = 0.455  # median of a squared standard normal number
 
@@ -37,8 +42,7 @@ class ChannelData:
     ``n_samples`` how many samples of the log the rows were averaged from; ``weight`` (N,) the
     number of samples times their relative precision, 0 for what sticks out of its trial. ``first``
     (M,) are the rows that another of their trial follows, and ``pair_unit`` (M,) the unit (trial,
-    or part of one where trials are few) that each such pair belongs to, ascending;
-    ``parts_are_folds`` says whether parts of a trial may be held out while others are fitted to.
+    or part of one where trials are few) that each such pair belongs to, ascending.
     """
 
     channel: Channel
@@ -51,7 +55,6 @@ class ChannelData:
     weight: FloatArray
     first: NDArray[np.int64]
     pair_unit: NDArray[np.int64]
-    parts_are_folds: bool = False
 
     @property
     def n_outputs(self) -> int:
@@ -83,36 +86,15 @@ class ChannelData:
         trial[self.pair_unit] = self.history.trial_index[self.first]
         return trial
 
-    def trials_with(self, amounts: FloatArray) -> tuple[int, ...]:
-        """Numbers of the trials that have a tenth or more of the ``amounts`` (U,) of units."""
-        of_trials = np.bincount(self.unit_trial, amounts)
-        rows = self.history.starts[np.flatnonzero(of_trials >= 0.1 * of_trials.sum())]
-        return tuple(map(int, self.history.trial[rows]))
-
-    def with_parts_of(self, trials: NDArray[np.int64]) -> "ChannelData":
-        """The same rows, with parts of these ``trials`` (numbers in order) as units and folds.
-
-        As many parts as in a log of the fewest trials that are folds.
-        """
-        trial = self.history.trial_index[self.first]
-        first = np.searchsorted(trial, np.arange(self.history.n_trials + 1))
-        count = np.diff(first)[trial]
-        n_parts = int(np.ceil(self.rules.min_units / self.rules.min_trials_as_folds))
-        part = (np.arange(trial.size) - first[trial]) * n_parts // np.maximum(count, 1)
-        size = self.n_units + n_parts
-        numbers = trial * size + np.where(np.isin(trial, trials), part, n_parts + self.pair_unit)
-        unit = np.unique(numbers, return_inverse=True)[1].astype(np.int64)
-        return replace(self, pair_unit=unit, parts_are_folds=True)
-
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
-        count, n_trials = self.rules.n_folds, self.history.n_trials
-        if n_trials < self.rules.min_trials_as_folds or self.parts_are_folds:
+        count, n_trials = N_FOLDS, self.history.n_trials
+        if n_trials < self.rules.min_trials_of_part:
             return np.arange(self.n_units) % min(count, self.n_units)
         return self.unit_trial % min(count, n_trials)
 
     def memory_units(self, reduced: FloatArray) -> int:
-        """Over how many units what is left (R,) goes on, as noise with a memory does; at least 1.
+        """Over how many units a residual (R,) correlates, as noise with a memory does; at least 1.
 
         Twice its integrated autocorrelation time: so far apart, rows hardly correlate.
         Source: Geyer 1992, Statistical Science 7: the sum ends where the correlation does.
@@ -197,7 +179,7 @@ class ChannelSamples:
         parts = [moving_mean(np.ascontiguousarray(axis), history.starts, 4) for axis in load.T]
         size = np.linalg.norm(np.stack(parts, axis=1), axis=1)
         residual = target - linear_compliance(load, target) * load
-        self.noise, self.precision = noise_and_weight(residual, size, history.starts, rules)
+        self.noise, self.precision = noise_and_weight(residual, size, history.starts)
         self._kept: dict[int, ChannelData] = {}
 
     def _target(self, history: LoadHistory) -> FloatArray:
@@ -273,7 +255,7 @@ def _pairs(
 
 
 def noise_and_weight(
-    rough: FloatArray, load: FloatArray, starts: NDArray[np.int64], rules: SelectionRules
+    rough: FloatArray, load: FloatArray, starts: NDArray[np.int64]
 ) -> tuple[float, FloatArray]:
     """Noise of one sample, and each sample's precision, from differences along each trial.
 
@@ -283,10 +265,10 @@ def noise_and_weight(
     rows, square = _second_differences(rough, starts, 1)
     if rows.size < 8:
         return float(rough.std()) or 1e-12, np.ones(load.size)
-    clean = is_clean(square, rules)
+    clean = is_clean(square)
     noise = float(np.sqrt(square[clean].mean()))
-    weight = _precision(square[clean], load[rows[clean]], load, rules)
-    weight[_spikes(rough, starts, noise / np.sqrt(weight), rules)] = 0.0
+    weight = _precision(square[clean], load[rows[clean]], load)
+    weight[_spikes(rough, starts, noise / np.sqrt(weight))] = 0.0
     return max(noise, 1e-12), weight
 
 
@@ -302,56 +284,48 @@ def _second_differences(
     return rows, (second**2).mean(axis=1) / 6.0
 
 
-def is_clean(square: FloatArray, rules: SelectionRules) -> BoolArray:
+def is_clean(square: FloatArray) -> BoolArray:
     """Which squares of noise are no outliers."""
     typical = float(np.median(square)) / _MEDIAN_OF_CHI2 or 1e-24
-    return square < rules.outlier_sigmas**2 * typical
+    return square < OUTLIER_SIGMAS**2 * typical
 
 
-def noise_floor(
-    residual: FloatArray, starts: NDArray[np.int64], rules: SelectionRules = DEFAULT_RULES
-) -> float:
-    """Standard deviation of one sample's noise, from what a law leaves of every sample (N, C).
+def noise_floor(residual: FloatArray, starts: NDArray[np.int64]) -> float:
+    """Standard deviation of one sample's noise, from the residual of every sample (N, C).
 
     Second differences along each trial: what varies slowly is not seen. Noise that goes on from
     one sample to the next is seen whole by differences over 2, 4 and 8 samples, which are taken
     as long as they rise little. Single samples that stick out do not count.
     """
     floor = float("nan")
-    shortest = float(np.median(np.diff(starts)))
-    for lag in rules.floor_lags:
+    for lag in FLOOR_LAGS:
         _, square = _second_differences(residual, starts, lag)
         if not square.size:
             break
-        wider = float(np.sqrt(square[is_clean(square, rules)].mean()))
-        too_wide = shortest < rules.rows_per_lag * lag or not wider <= rules.max_floor_rise * floor
-        if lag > rules.floor_lags[0] and too_wide:
+        wider = float(np.sqrt(square[is_clean(square)].mean()))
+        if lag > 1 and not wider <= MAX_FLOOR_RISE * floor:
             break
         floor = float(np.fmax(wider, floor))
     return floor if np.isfinite(floor) else float(residual.std())
 
 
-def _precision(
-    square: FloatArray, load: FloatArray, everywhere: FloatArray, rules: SelectionRules
-) -> FloatArray:
+def _precision(square: FloatArray, load: FloatArray, everywhere: FloatArray) -> FloatArray:
     """1/variance by a + b·load², its mean 1 and the ratio of its extremes bounded."""
     scale = float(np.mean(load**2)) or 1.0
     design = np.stack([np.ones_like(load), load**2 / scale], axis=1)
     (base, slope), _ = nnls(design, square)
     variance = base + slope * everywhere**2 / scale
-    variance = np.maximum(variance, max(variance.max() / rules.max_variance_ratio, 1e-24))
+    variance = np.maximum(variance, max(variance.max() / MAX_VARIANCE_RATIO, 1e-24))
     weight = 1.0 / variance
     return np.asarray(weight / weight.mean())
 
 
-def _spikes(
-    rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray, rules: SelectionRules
-) -> BoolArray:
+def _spikes(rough: FloatArray, starts: NDArray[np.int64], noise: FloatArray) -> BoolArray:
     """Single samples far from the median of their neighbours on both sides."""
     sticks = np.zeros(rough.shape[0], dtype=bool)
     for first, stop in pairwise(starts):
         if stop - first >= 5:
             part = rough[first:stop]
             distance = np.abs(part - median_filter(part, (5, 1), mode="nearest")).max(axis=1)
-            sticks[first:stop] = distance > rules.outlier_sigmas * noise[first:stop]
+            sticks[first:stop] = distance > OUTLIER_SIGMAS * noise[first:stop]
     return sticks

@@ -29,6 +29,9 @@ from tacgen.diagnose.contact.selection import Attribution, Selection
 from tacgen.presses.press_log import SHEAR_FORCES, Columns, read_press_log
 
 SEED = 20220804  # any; results are repeatable
+MIN_SAMPLES = 4  # of a trial: what two second differences need
+MIN_TRIALS_TO_SPLIT = 8  # with fewer, each trial is held out in turn
+REFIT_ROWS_PER_TRIAL = 1000  # in the last fit: software smooths samples, not means
 MOST_DRAWS = 20  # of test trials, where few trials have load
 
 
@@ -138,14 +141,16 @@ class _Channel:
     @cached_property
     def held_out(self) -> _HeldOut:
         """What is held out: a quarter of the trials, each in turn where they are few, or none."""
-        n_trials, least = self.every.history.n_trials, self._rules.min_trials_to_split
+        n_trials, least = self.every.history.n_trials, MIN_TRIALS_TO_SPLIT
         if n_trials >= least and (split := self._test_trials()):
             fitted, test = split
             n_test = test.history.n_trials
-            how = "a quarter of the trials, spread over the session, all of the choice repeated"
+            how = (
+                "a quarter of the trials, spread over the session, selection repeated without them"
+            )
             return _HeldOut([split], fitted.history.n_trials, n_test, how)
         if 2 <= n_trials < least and (splits := self._leave_one_out()):
-            how = "each trial in turn, all of the choice repeated"
+            how = "each trial in turn, selection repeated without them"
             if len(splits) < n_trials:
                 how += "; not those without which nothing is left but noise"
             return _HeldOut(splits, n_trials - 1, 1, how, in_turn=True)
@@ -162,20 +167,22 @@ class _Channel:
         """The diagnosis by every ``choice``, in order."""
         rules, rng, every, held = self._rules, self._rng, self.every, self.held_out
         attribution, gp = choices[0], float("nan")
-        scored = attribution.named.effect_names
+        scored = attribution.accepted.effect_names
         tried = [
             (*split, without) for split, without in zip(held.splits, choices[1:], strict=True)
         ] or [(every, every, attribution)]
         found = [self._test_errors(*one) for one in tried]
         before, after = (heldout.pooled(own, self._rms) for own in zip(*found, strict=True))
         if held.in_turn:
-            by_all = frozenset.intersection(*(frozenset(w.named.effect_names) for _, _, w in tried))
+            by_all = frozenset.intersection(
+                *(frozenset(w.accepted.effect_names) for _, _, w in tried)
+            )
             scored = tuple(name for name in scored if name in by_all)
         elif held.splits:
             fitted, test, without = tried[0]
             gp = self._gp_rmse(fitted, test, without.base.fit.model)
-            scored = without.named.effect_names
-        data = every.thinned(rules.refit_rows_per_trial)
+            scored = without.accepted.effect_names
+        data = every.thinned(REFIT_ROWS_PER_TRIAL)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
         final = _refitted(data, attribution.final.fit.model)
         samples = every.every_sample()
@@ -194,7 +201,7 @@ class _Channel:
             before=before,
             after=after,
             gain_interval=heldout.gain_interval(before, after, rng, rules),
-            floor=noise_floor(left, samples.history.starts, rules),
+            floor=noise_floor(left, samples.history.starts),
             n_spikes=int((every.precision == 0).sum()),
             gp_rmse=gp,
             n_fit=held.n_fit,
@@ -226,7 +233,7 @@ class _Channel:
         rows = test.every_sample()
         kept = rows.weight > 0
         found = []
-        data = fitted.thinned(self._rules.refit_rows_per_trial)
+        data = fitted.thinned(REFIT_ROWS_PER_TRIAL)
         for fit in (attribution.base.fit, attribution.final.fit):
             model = _refitted(data, fit.model).model
             residual = rows.target - model.law_response(rows)
@@ -249,7 +256,7 @@ class _Channel:
         return [split for split in splits if split[0].thinned().is_loaded]
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
-        data, rows = fitted.thinned(self._rules.gp_rows_per_trial), test.every_sample()
+        data, rows = fitted.thinned(), test.every_sample()
         left, test_left = (d.target - linear.law_response(d) for d in (data, rows))
         return heldout.gp_rmse(data, left, rows, test_left, self._rng)
 
@@ -324,11 +331,11 @@ def _usable_columns(
     names = (*targets, *forces, "force_normal_n", "time_s")
     known = np.logical_and.reduce([np.isfinite(columns[name]) for name in names])
     numbers, counts = np.unique(np.asarray(columns["trial"])[known], return_counts=True)
-    long_enough = np.isin(columns["trial"], numbers[counts >= rules.min_samples_of_trial])
+    long_enough = np.isin(columns["trial"], numbers[counts >= MIN_SAMPLES])
     kept = heldout.select(columns, known & long_enough)
     load = kept[forces[0]]
-    if load.size < rules.min_samples or not np.any(load != 0):
-        return None, f"{refusal} fewer than {rules.min_samples} samples under load"
+    if not np.any(load != 0):
+        return None, f"{refusal} no trial has {MIN_SAMPLES} samples under load"
     pairs = zip(forces, targets, strict=True)
     if sum(float((kept[force] * kept[name]).sum()) for force, name in pairs) <= 0:
         return None, (

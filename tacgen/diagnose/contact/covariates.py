@@ -66,8 +66,7 @@ class Covariate:
 
 def max_levels(data: ChannelData) -> int:
     """Most levels of a text column that the trials are enough to compare."""
-    rules = data.rules
-    return max(rules.max_levels_if_few, data.history.n_trials // rules.trials_per_level)
+    return data.history.n_trials // data.rules.trials_per_level
 
 
 def text_covariates(column: str, data: ChannelData) -> list[Covariate]:

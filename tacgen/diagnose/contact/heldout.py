@@ -19,6 +19,7 @@ from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.rules import SelectionRules
 from tacgen.presses.press_log import Columns
 
+TRIALS_PER_TEST_TRIAL = 4  # one in so many is held out
 _MAX_ROWS = 700  # of the training set: its kernel matrix is factored nine times
 _LENGTHS, _NOISES = (1.0, 2.0, 4.0), (0.03, 0.2, 0.8)
 """Tried by marginal likelihood, in standard deviations of the covariates and of the residual."""
@@ -45,7 +46,7 @@ def test_trials(columns: Columns, rng: np.random.Generator, rules: SelectionRule
     start = np.asarray(columns["time_s"])[first]
     ordered = numbers[np.lexsort((numbers, start))]
     chosen = []
-    count = rules.trials_per_test_trial
+    count = TRIALS_PER_TEST_TRIAL
     for begin in range(0, ordered.size, count):
         group = ordered[begin : begin + count]
         low = 1 if begin == 0 else 0
@@ -83,7 +84,7 @@ def gain_interval(
 ) -> tuple[float, float]:
     """95 % interval of 1 − error_after/error_before, by resampling the held-out trials."""
     n = before.squares.size
-    drawn = rng.integers(0, n, size=(rules.n_bootstrap, n))
+    drawn = rng.integers(0, n, size=(rules.n_shuffles, n))
     ratio = after.squares[drawn].sum(axis=1) / np.maximum(before.squares[drawn].sum(axis=1), 1e-300)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return float(low), float(high)

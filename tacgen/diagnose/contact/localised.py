@@ -21,6 +21,7 @@ from tacgen.diagnose.contact.model import Fit
 BORDERED: tuple[WhereColumn, ...] = ("trial", "x_mm", "y_mm")
 EVERYWHERE = Where("trial", above=-1e300)
 PARTS_OF_SIDE = 10  # in which all forms are tried
+EFFECTS_FITTED = 3  # in the part of the log where each is best
 FORMS_TRIED = 2  # of each effect, in every part of their best side, by cross-validation
 MOST_COLUMNS = 3  # of a form that is looked at in every part
 
@@ -33,8 +34,8 @@ class Part:
     trials: BoolArray
 
     @property
-    def is_named(self) -> bool:
-        """Whether a change of compliance is named by it and not by the rest.
+    def identifies(self) -> bool:
+        """Whether a change of compliance is stated as that of this part, not of the rest.
 
         It is by the later stretch of the session, and the smaller part of the trials.
         """
@@ -99,11 +100,11 @@ class _Screen:
         n_base = len(self._base)
         stops = np.cumsum([n_base, *(len(self._groups[form]) for form in forms)])
         sets = [[*range(n_base), *range(i, j)] for i, j in pairwise(stops)]
-        left = np.stack([scores.training_losses(one, sets, self._rules.ridge) for one in totals])
+        left = np.stack([scores.training_losses(one, sets, scores.RIDGE) for one in totals])
         for column, form in enumerate(forms):
             effect = self.forms[form].effect
             if effect is not None and effect.is_local:
-                left[[not part.is_named for part in parts], column] = np.inf
+                left[[not part.identifies for part in parts], column] = np.inf
         return np.where(left >= self._least, left + self._price[list(forms)], np.inf)
 
     def held_out_loss(self, part: Part, form: int) -> float:
@@ -111,7 +112,7 @@ class _Screen:
         grams, own = self._of([form])
         grams = np.where(own, grams * self._inside(part)[:, None, None], grams)
         columns = range(grams.shape[1] - 1)
-        loss = scores.cv_losses(grams, self._data.folds(), [columns], self._rules.ridge).sum()
+        loss = scores.cv_losses(grams, self._data.folds(), [columns], scores.RIDGE).sum()
         return float(loss + self._price[form]) if loss >= self._least else np.inf
 
     def _of(self, forms: Sequence[int]) -> tuple[FloatArray, BoolArray]:
@@ -158,7 +159,7 @@ def best_local(
             label = screen.forms[form].label.replace(str(EVERYWHERE), str(where))
             local = effect_candidates(data, fit.model, [effect.only(where)])
             same += [one for one in local if one.label == label]
-    return [one for same in list(best.values())[: data.rules.locals_fitted] for one in same]
+    return [one for same in list(best.values())[:EFFECTS_FITTED] for one in same]
 
 
 def local_p_value(
@@ -184,7 +185,7 @@ def local_p_value(
         )
     )
     grams, (group,), base = scores.fit_grams(data, rest, [inside])
-    weights = scores.coefficients(grams.sum(axis=0), [*base, *group], data.rules.ridge)[len(base) :]
+    weights = scores.coefficients(grams.sum(axis=0), [*base, *group], scores.RIDGE)[len(base) :]
     grams, ((column,),), base = scores.fit_grams(data, rest, [whole @ weights[:, None]])
     bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
     grams = np.add.reduceat(grams, bounds, axis=0)

@@ -298,7 +298,7 @@ class _Space:
         return Model(float(vector[0]) * self._compliance_scale, terms, covariates)
 
     def residual(self, vector: FloatArray) -> FloatArray:
-        """What the model leaves (R,), and below it the rows of the prior (P,)."""
+        """The residual of the model (R,), and below it the rows of the prior (P,)."""
         if len(self._known) > _MAX_KNOWN:
             self._known.clear()
         response = self._data.reduce(self.model(vector).response(self._data, self._known))

@@ -31,7 +31,7 @@ from tacgen.presses.press_log import Columns
 
 SEED = 0x9E55  # of shuffles on which no proposal depends
 ROWS_PER_PRESS = 30  # that a press is averaged to: its loading, hold and unloading in ten each
-MOST_RIVALS = 8  # explanations of a channel, the best by held-out score, that are separated
+MOST_EXPLANATIONS = 8  # explanations of a channel, the best by held-out score, that are separated
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class _Rival:
+class _Explanation:
     """An explanation: its prediction of the presses (K, S) and the derivatives there (K, S, P).
 
     ``seen`` holds the derivatives (R, P) on the log and on every press chosen so far. All in units
@@ -65,11 +65,11 @@ def propose_presses(
     follow the log; columns that they lack keep the log's last value.
     """
     groups = [
-        _rivals(found.data, found.attribution, candidates, diagnosis.session_clock)
+        _fitted_explanations(found.data, found.attribution, candidates, diagnosis.session_clock)
         for found in diagnosis.channels.values()
     ]
     pairs = [(group, i, j) for group in groups for i, j in permutations(range(len(group)), 2)]
-    rivals = [rival for group in groups for rival in group]
+    explanations = [explanation for group in groups for explanation in group]
     bound = np.ones(len(pairs))
     proposals: list[Proposal] = []
     for _ in range(min(count, len(candidates) if pairs else 0)):
@@ -81,17 +81,17 @@ def propose_presses(
         first, second = sorted((group[i].name, group[j].name))
         proposals.append(Proposal(best, (first, second)))
         bound *= np.exp(-apart[best] / 8.0)
-        for rival in rivals:
-            rival.seen.append(rival.at_presses[best])
+        for explanation in explanations:
+            explanation.seen.append(explanation.at_presses[best])
     return proposals
 
 
-def _separations(own: _Rival, other: _Rival) -> FloatArray:
+def _separations(own: _Explanation, other: _Explanation) -> FloatArray:
     """T_ij of every press (K,); the terms of A by Woodbury's identity.
 
     The prior of every parameter is as wide as its own size: what the log cannot show stays finite.
     """
-    at_i, at_j = (np.concatenate(rival.seen) for rival in (own, other))
+    at_i, at_j = (np.concatenate(explanation.seen) for explanation in (own, other))
     known_i, known_j = (rows.T @ rows + np.eye(rows.shape[1]) for rows in (at_i, at_j))
     followed = np.linalg.solve(known_j, at_j.T @ at_i)
     difference = (own.prediction - other.prediction)[..., None]
@@ -105,9 +105,9 @@ def _separations(own: _Rival, other: _Rival) -> FloatArray:
     return np.asarray(apart[:, 0, 0] + spread)
 
 
-def _rivals(
+def _fitted_explanations(
     data: ChannelData, attribution: Attribution, candidates: Sequence[Columns], session_clock: bool
-) -> list[_Rival]:
+) -> list[_Explanation]:
     rng = np.random.default_rng(SEED)
     sets = CandidateSets(data, rng, session_clock=session_clock)
     extended, rows = _with_presses(data, candidates)
@@ -119,7 +119,7 @@ def _rivals(
         at_presses = np.where(rows[..., None] >= 0, jacobian[rows], 0.0)
         here = np.where(rows >= 0, prediction[rows], 0.0)
         name = " and ".join(sorted(one.names)).replace("_", " ") or "the law alone"
-        found.append(_Rival(name, here, at_presses, [at_log]))
+        found.append(_Explanation(name, here, at_presses, [at_log]))
     return found
 
 
@@ -127,7 +127,7 @@ def _explanations(sets: CandidateSets, attribution: Attribution) -> list[FittedS
     """The law that was found, without each of its effects, and with one other or one more."""
     base = sets.fitted((), attribution.base.fit.model)
     final = base
-    for member in attribution.named.members:
+    for member in attribution.accepted.members:
         if member.effect is not None:
             same = effect_candidates(sets.data, final.fit.model, [member.effect])
             final = sets.add(final, [one for one in same if one.label == member.label])
@@ -138,7 +138,7 @@ def _explanations(sets: CandidateSets, attribution: Attribution) -> list[FittedS
         for candidate in (candidate for candidate in best.values() if candidate.is_effect):
             larger = sets.add(one, [candidate])
             found.setdefault(larger.names, larger)
-    return sorted(found.values(), key=sets.score)[:MOST_RIVALS]
+    return sorted(found.values(), key=sets.score)[:MOST_EXPLANATIONS]
 
 
 def _with_presses(

@@ -18,6 +18,8 @@ from tacgen.diagnose.contact.scores import score_weights
 
 _MAX_POINTS = 1 << 17
 """Of the search's clock; a session that needs more is searched for slower oscillations only."""
+MIN_CYCLES = 1.5  # slower within the session is a drift
+ROWS_PER_PERIOD = 4  # of the shortest oscillation
 _POINTS_PER_PERIOD = 8  # four times what sampling needs: the peak is not missed
 _AT_ONCE = 8  # flips whose spectra are computed together: faster, and little memory
 _HARMONICS = 3  # of one that is no sine, as of what is switched on and off
@@ -86,19 +88,19 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
     (F, U) flip the residual of whole trials; how high the highest peak of all slow searches, or of
     all fast ones, then is says by how much the best one must stand out.
     """
-    history, rules = data.history, data.rules
+    history = data.history
     start, trial = float(history.time_s.min()), history.trial_index
     time = history.time_s - start
     session = max(float(time.max()), history.sample_period_s)
     flips = np.vstack([np.ones(signs.shape[1]), signs])[:, data.row_unit]
     of_trials, flips = flips[:, history.starts[:-1]], flips[: 1 + len(signs) // _SLOW_PER_FAST]
     middle = 0.5 * history.n_trials / session
-    slow_hz = np.arange(rules.min_cycles / session, middle, 0.25 / session)
+    slow_hz = np.arange(MIN_CYCLES / session, middle, 0.25 / session)
     at_trials = np.bincount(trial, time) / np.bincount(trial)
     phases = np.arange(_PHASES) / (2 * _PHASES)
     waves = [_sine(_direct(at_trials, slow_hz))]
     waves += [_switched(at_trials, slow_hz, float(phase)) for phase in phases]
-    fast_hz, spectra = _fourier(data, time, max(middle, rules.min_cycles / session))
+    fast_hz, spectra = _fourier(data, time, max(middle, MIN_CYCLES / session))
     slow, fast = list[_Search](), list[_Search]()
     for how in HOWS:
         plain, weighted = _products(data, fit, how)
@@ -157,7 +159,7 @@ def _fourier(data: ChannelData, time: FloatArray, first_hz: float) -> tuple[Floa
     Times are put on a regular clock, so that all frequencies are one Fourier transform. There are
     no frequencies where the clock is too coarse for them.
     """
-    shortest_s = data.rules.rows_per_period * data.history.sample_period_s
+    shortest_s = ROWS_PER_PERIOD * data.history.sample_period_s
     session = max(float(time.max()), data.history.sample_period_s)
     tick_s = max(shortest_s / _POINTS_PER_PERIOD, 2.0 * session / _MAX_POINTS)
     ticks = np.rint(time / tick_s).astype(np.int64)

@@ -12,9 +12,10 @@ from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import follows_load, known_columns
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
+from tacgen.diagnose.contact.covariates import max_levels
 from tacgen.diagnose.contact.model import Fit
-from tacgen.diagnose.contact.rules import SelectionRules
 
+DEGREE = 3  # in a covariate that a residual is tested for
 NAMED = ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
 """Columns of a press log that a residual may follow; every column that is not known may too."""
 
@@ -74,7 +75,7 @@ def dependences(
     rules, response = data.rules, fit.model.law_response(data)
     blocks: dict[str, FloatArray] = {}
     for name, values in covariates_of(data, skip).items():
-        basis = [function[:, None] for function in _basis(values, rules)]
+        basis = [function[:, None] for function in _basis(values, max_levels(data))]
         axes = 0.1 * data.span * np.eye(data.n_outputs)
         functions = [f * response for f in basis] + [f * axis for axis in axes for f in basis]
         if functions:
@@ -89,7 +90,7 @@ def dependences(
         grams, base, groups, shuffled, ones, rules, parts_of_trials=data.few_trials
     ).corrected(len(groups), len(groups))
     sets = [base, *([*base, *group] for group in groups)]
-    without, *losses = scores.cv_losses(grams, data.folds(), sets, rules.ridge).sum(axis=1)
+    without, *losses = scores.cv_losses(grams, data.folds(), sets, scores.RIDGE).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)
     found = [
         Dependence(name, float(p), float(without - loss) / total)
@@ -98,11 +99,11 @@ def dependences(
     return tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
 
 
-def _basis(values: NDArray[Any], rules: SelectionRules) -> list[FloatArray]:
+def _basis(values: NDArray[Any], most_levels: int) -> list[FloatArray]:
     """Functions (N,) of a covariate; none where it is constant or has no repeats."""
     if not np.issubdtype(values.dtype, np.number):
         levels, counts = np.unique(values, return_counts=True)
-        common = levels[np.argsort(-counts)][: rules.residual_levels]
+        common = levels[np.argsort(-counts)][:most_levels]
         if levels.size < 2 or counts.max() < 2:
             return []
         return [(values == level).astype(np.float64) for level in common[1:]]
@@ -111,7 +112,7 @@ def _basis(values: NDArray[Any], rules: SelectionRules) -> list[FloatArray]:
     if spread <= 1e-9 * (1.0 + float(np.abs(values[finite]).max(initial=0.0))):
         return []
     scaled = np.nan_to_num((values - values[finite].mean()) / spread, nan=0.0)
-    degree = min(rules.residual_degree, np.unique(scaled[:2000]).size - 1)
+    degree = min(DEGREE, np.unique(scaled[:2000]).size - 1)
     return [np.clip(scaled, -3, 3) ** power for power in range(1, degree + 1)]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from tacgen.contact.effects import Where, separating_measurement
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.diagnose.contact.candidates import follows_load, known_columns
-from tacgen.diagnose.contact.channel import ChannelData
+from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, ChannelData
 from tacgen.diagnose.contact.covariates import max_levels
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
@@ -22,7 +22,7 @@ from tacgen.report.formatting import unit_text
 
 SCHEMA = 1  # of diagnosis.json; a key that changes its meaning makes it 2
 Verdict = Literal["sufficient", "effect_found", "unexplained"]
-_CLEARLY_MORE = 1.5  # times the noise floor: what is left is no longer called little
+_CLEARLY_MORE = 1.5  # times the noise floor: the residual is no longer called noise
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class ChannelDiagnosis:
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Effects of the list, in the order in which they were added."""
-        return self.attribution.named.effect_names
+        return self.attribution.accepted.effect_names
 
     @property
     def is_scored_otherwise(self) -> bool:
@@ -115,9 +115,9 @@ class ChannelDiagnosis:
             with_them = "" if self.is_scored_otherwise else with_them
             return f"{what} lacks {names}: {with_them}{error} ({floor_words})."
         if names:
-            return f"{what} lacks {names} ({error}), and something that follows {left} is left."
+            return f"{what} lacks {names} ({error}), and a residual that follows {left} remains."
         return (
-            f"{what} leaves structure that follows {left} and that no listed effect explains "
+            f"{what} has a residual that follows {left} and that no listed effect explains "
             f"({before:.3g} {unit} on {held}, {floor_words})."
         )
 
@@ -171,7 +171,7 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "error_after": _error(found.after, unit),
         "noise_floor": {
             "rmse": finite(found.floor),
-            "how": "second differences, over 1 to 8 samples of a trial, of what the law leaves",
+            "how": "second differences, over 1 to 8 samples of a trial, of the law's residual",
         },
         "gain_interval_95": [finite(v) for v in found.gain_interval],
         "gp_baseline": {"rmse": finite(found.gp_rmse), "unit": unit},
@@ -207,7 +207,7 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
         "runner_up_margin": finite(chosen.runner_up_margin),
         "runner_up_margin_in_se": finite(chosen.margin_in_se),
         "confusable_with": list(chosen.confusable),
-        "what_would_tell": [advice(term.name, other) for other in chosen.confusable],
+        "separating_measurements": [advice(term.name, other) for other in chosen.confusable],
         "p_value": found.p_value(chosen.p_value),
         "form": f"{term.name}: {term.variant.label}",
         **({"where": term.effect.where.given} if term.effect.where else {}),
@@ -215,14 +215,14 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
 
 
 def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, Any]:
-    """What the residual depends on; a covariate that was chosen as effects are has rivals too."""
+    """What the residual depends on; with what else explains it, if it was chosen as effects are."""
     record = _dependence(found, dependence)
     for chosen in found.attribution.chosen:
         name = chosen.candidate.name
         if name == dependence.covariate and not chosen.candidate.is_effect:
             record["runner_up"] = chosen.runner_up
             record["runner_up_margin"] = finite(chosen.runner_up_margin)
-            record["what_would_tell"] = [advice(name, other) for other in chosen.confusable]
+            record["separating_measurements"] = [advice(name, other) for other in chosen.confusable]
     return record
 
 
@@ -274,15 +274,9 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
         if term.effect.where and term.effect.in_simulation:
             what = f"{name} channel: {term.name.replace('_', ' ')} acts only {term.effect.where};"
             notes.append(f"{what} {_in_simulation(term.effect.where)}")
-    for chosen in found.attribution.chosen:
-        if chosen.trials:
-            trials = " and ".join(map(str, chosen.trials))
-            which = f"trial {trials} shows" if len(chosen.trials) == 1 else f"trials {trials} show"
-            effect = chosen.candidate.name.replace("_", " ")
-            notes.append(f"{name} channel: only {which} {effect}; press more often like that")
     if (trial := _trial_that_is_off(found)) is not None:
         notes.append(
-            f"{name} channel: most of what the law leaves is in trial {trial}; look whether "
+            f"{name} channel: most of the law's residual is in trial {trial}; look whether "
             "something went wrong there, or press more often like that"
         )
     tried = found.scored_effects or found.effect_names
@@ -308,18 +302,18 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
     if found.n_spikes:
         notes.append(
             f"{name} channel: {found.n_spikes} samples stick out of their neighbours by more than "
-            f"{data.rules.outlier_sigmas:g} times the noise; neither the fit nor the errors count "
+            f"{OUTLIER_SIGMAS:g} times the noise; neither the fit nor the errors count "
             "them"
         )
     return notes
 
 
 def _trial_that_is_off(found: ChannelDiagnosis) -> int | None:
-    """The one trial that holds most of what the law leaves, if that is much; no effect shows it."""
+    """The one trial that holds most of the law's residual, if that is much; no effect shows it."""
     data, losses, rules = found.data, found.attribution.final.unit_losses, found.data.rules
     left = float(losses.sum())
     is_much = left >= rules.few_min_gain * (data.noise_loss + left)
-    if data.few_trials or not is_much or any(one.trials for one in found.attribution.chosen):
+    if data.few_trials or not is_much:
         return None
     worst = int(np.argmax(losses))
     if losses[worst] < rules.clear_share * left:

@@ -3,7 +3,7 @@
 Everything here works on Gram matrices (U, P, P) of a design's columns, one for each unit (a
 trial), whose last column is the residual: no sample is touched again, so that hundreds of
 candidates and pairs cost milliseconds. The products are of neighbouring rows (`channel`), so that
-a loss is what is left of structure, without the noise.
+a loss is the remaining structure, without the noise.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +19,8 @@ from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.rules import SelectionRules
 
+RIDGE = 1e-8  # of the diagonal: enough to solve with columns that are equal but for noise
+TAIL_SHARE = 0.05  # of the shuffles, the largest: an exponential tail is fitted to them
 _OWN_SHARES = np.array([0.0, *np.logspace(-2, 3, 11)])
 """Variance of trials' own effects, in parts of the samples' noise at the mean information."""
 
@@ -280,7 +282,7 @@ class _Test:
         self._grams, self._base, self._shuffled, self._rules = grams, list(base), shuffled, rules
         total = grams.sum(axis=0)
         self._with_base = grams[:, self._base]
-        weights = coefficients(total, base, rules.ridge)
+        weights = coefficients(total, base, RIDGE)
         self._left = grams[:, :, -1] - grams[:, :, self._base] @ weights
         self._of_base = total[np.ix_(self._base, self._base)]
         self._inverse = _inverse_without_noise(self._of_base)
@@ -464,7 +466,7 @@ def neg_log_p_of(quadratic: FloatArray, size: int, rules: SelectionRules) -> Flo
     fitted to that twentieth: −log p of a χ² law is a scale where that is the tail.
     """
     count, null = quadratic.size - 1, quadratic[1:]
-    top = max(5, int(rules.shuffle_tail_share * count))
+    top = max(5, int(TAIL_SHARE * count))
     ranked = np.sort(null)
     least = quadratic * (1.0 - 1e-9)  # equal ones count as reached
     result = np.log(count / np.maximum(count - np.searchsorted(ranked, least), 1))
@@ -483,7 +485,7 @@ def p_of_shuffles(neg_log_p: FloatArray, rules: SelectionRules, *, permuted: boo
     which have many orders, it goes on only from what no shuffle reaches.
     """
     observed, null = neg_log_p[0], neg_log_p[1:]
-    top = max(5, int(rules.shuffle_tail_share * null.size))
+    top = max(5, int(TAIL_SHARE * null.size))
     threshold, *tail = np.sort(np.partition(null, -top - 1)[-top - 1 :])
     reached = int((null >= observed - 1e-9).sum())
     by_rank = (1.0 + reached) / (1.0 + null.size)

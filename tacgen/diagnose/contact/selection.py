@@ -21,10 +21,7 @@ from tacgen.diagnose.contact.rules import SelectionRules
 
 @dataclass(frozen=True)
 class Chosen:
-    """A member of the final model, what it is worth, and what explains nearly the same.
-
-    ``trials`` are the numbers of those that show it, if only a few do.
-    """
+    """A member of the final model, what it is worth, and what explains nearly the same."""
 
     candidate: Candidate
     gain: float
@@ -33,21 +30,20 @@ class Chosen:
     runner_up: str = ""
     runner_up_margin: float = np.inf
     margin_in_se: float = np.inf
-    trials: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
 class Attribution:
     """What a channel's residual was traced to.
 
-    ``base``, ``named`` and ``final`` are fits to the trials that were given: without effects, with
-    those that were chosen, and with their corrected forms where these predict better; ``chosen`` is
-    in the order in which the members were added; ``ranking`` lists the single candidates at the
-    start (label, gain of the held-out RMSE, p).
+    ``base``, ``accepted`` and ``final`` are fits to the trials that were given: without effects,
+    with those that were accepted, and with their corrected forms where these predict better;
+    ``chosen`` is in the order in which the members were added; ``ranking`` lists the single
+    candidates at the start (label, gain of the held-out RMSE, p).
     """
 
     base: FittedSet
-    named: FittedSet
+    accepted: FittedSet
     final: FittedSet
     chosen: tuple[Chosen, ...] = ()
     ranking: tuple[tuple[str, float, float], ...] = ()
@@ -67,16 +63,13 @@ class Selection:
     def run(self) -> Attribution:
         """Choose, and describe each member and its runners-up."""
         found = self.choose()
-        return replace(found, chosen=self._described(found.named))
+        return replace(found, chosen=self._described(found.accepted))
 
     def choose(self) -> Attribution:
-        """Search; where a few trials show one effect more, search again beside it."""
+        """Search, and correct the forms of what was accepted."""
         base = self.sets.fitted((), self.sets.linear)
-        found = self._searched(base)
-        if more := self._with_one_of_few_trials(found):
-            found = self._searched(more)
-        named = self._without_mismatch(self._told_by_rows(found))
-        return Attribution(base, named, self._refined(named), ranking=self._ranking)
+        accepted = self._without_mismatch(self._searched(base))
+        return Attribution(base, accepted, self._refined(accepted), ranking=self._ranking)
 
     def _searched(self, current: FittedSet) -> FittedSet:
         """Select forward, swap and drop; where nothing is significant, look deeper."""
@@ -115,14 +108,14 @@ class Selection:
         singles = list[FittedSet]()
         for promise, best in _in_turn([one for one in pool if one[0].name in significant], rules):
             if any(promise < current.loss - single.loss for single in singles):
-                break  # what is left promises less than what was found explains
+                break  # the rest promises less than what was found explains
             tried = [sets.add(current, [candidate]) for candidate in best]
-            singles += [one for one in tried if sets.is_needed(one, one.members[-1])]
+            singles += [one for one in tried if sets.is_accepted(one, one.members[-1])]
         best_single = min(singles, key=sets.score, default=None)
         for pair in sorted(pairs, key=sets.score):
             added = pair.members[len(current.members) :]
             if sets.is_worth(best_single or current, pair) and all(
-                sets.is_needed(pair, member, n_names) for member in added
+                sets.is_accepted(pair, member, n_names) for member in added
             ):
                 return pair
         return best_single
@@ -142,7 +135,7 @@ class Selection:
         for rest in (sets.without(current, member) for member in current.members):
             ends += self._with_pair(rest, sets.pool(rest))
         n_names = len({candidate.name for candidate, _ in pool})
-        least = rules.min_swap_gain * sets.total(current)
+        least = rules.parameter_price * sets.total(current)
         for end in sorted(ends, key=sets.score):
             if sets.score(end) < sets.score(current) - least:
                 pruned = self._pruned(end, n_names)
@@ -188,39 +181,18 @@ class Selection:
             rests.append(base)
         found = [local for rest in rests for local in sets.local(rest, sets.score(current))]
         for local in sorted(found, key=sets.score):
-            if sets.score(local) < sets.score(current) and sets.is_needed(local, local.members[-1]):
+            if sets.score(local) < sets.score(current) and sets.is_accepted(
+                local, local.members[-1]
+            ):
                 ends = (self._pruned(local), self._pruned(self._swapped(local)))
                 best = min(ends, key=sets.score)
                 return best if sets.score(best) < sets.score(current) else None
         return None
 
-    def _with_one_of_few_trials(self, current: FittedSet) -> FittedSet | None:
-        """``current`` with an effect that the few trials with most left show; None if they do not.
-
-        Without them such an effect is not seen, so that parts of them are held out from then on.
-        """
-        sets, data = self.sets, self.data
-        worst = sets.worst_trials(current)
-        of_worst = current.unit_losses[np.isin(data.unit_trial, worst)].sum()
-        is_little = of_worst < self.rules.min_gain * sets.total(current)
-        if is_little or len(current.members) >= self.rules.max_members:
-            return None
-        parts = CandidateSets(
-            data.with_parts_of(worst), self._rng, session_clock=self._session_clock
-        )
-        start = parts.fitted(current.members, current.fit.model)
-        tried = _worth_a_fit(parts.effects_pool(start), 0.0)
-        best = min((parts.add(start, [one]) for one in tried), key=parts.score, default=start)
-        if best is start or not parts.is_shown_by_few(best, best.members[-1]):
-            return None
-        parts.of_few_trials = best.members[-1].name
-        self.sets = parts
-        return best
-
     def _swapped(self, fitted: FittedSet, *, tested: bool = True) -> FittedSet:
         """Exchange members, and their variants, for others as long as held-out trials gain.
 
-        If ``tested``, only for those that are needed.
+        If ``tested``, only for those that are accepted.
         """
         sets = self.sets
         for _ in range(4):
@@ -229,32 +201,13 @@ class Selection:
                 rest = sets.without(fitted, member)
                 for other in _worth_a_fit(sets.pool(rest), self.rules.fitted_share):
                     trial = sets.add(rest, [other])
-                    least = self.rules.min_swap_gain * sets.total(best)
+                    least = self.rules.parameter_price * sets.total(best)
                     is_better = sets.score(trial) < sets.score(best) - least
-                    if is_better and (not tested or sets.is_needed(trial, other)):
+                    if is_better and (not tested or sets.is_accepted(trial, other)):
                         best = trial
             if best is fitted:
                 return fitted
             fitted = best
-        return fitted
-
-    def _told_by_rows(self, fitted: FittedSet) -> FittedSet:
-        """Exchange members for effects that single rows tell from them, where neighbours do not.
-
-        What acts on every other row, as a limit does in quick presses, is not in their products.
-        """
-        sets = self.sets
-        for member in fitted.members:
-            rest = sets.without(fitted, member)
-            best = _worth_a_fit(sets.effects_pool(rest), self.rules.fitted_share)
-            rivals = [sets.add(rest, [other]) for other in best]
-            better = [
-                one
-                for one in rivals
-                if sets.is_told_by_rows(one, fitted)
-                and sets.p_value(one, one.members[-1])[0] <= self.rules.alpha
-            ]
-            fitted = min(better, key=lambda one: sets.row_losses(one).sum(), default=fitted)
         return fitted
 
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
@@ -282,16 +235,16 @@ class Selection:
             tried = [sets.corrected(fitted, effect) for effect in left]
             best = int(np.argmin([one.loss for one in tried]))
             gain = (fitted.loss - tried[best].loss) / sets.total(fitted)
-            if gain <= self.rules.min_swap_gain:
+            if gain <= self.rules.parameter_price:
                 return fitted
             fitted = tried[best]
             del left[best]
         return fitted
 
     def _pruned(self, fitted: FittedSet, n_names: int = 1) -> FittedSet:
-        """Drop members that are not needed beside the others, the least needed first."""
+        """Drop members that are not accepted beside the others, the least useful first."""
         sets = self.sets
-        while idle := [m for m in fitted.members if not sets.is_needed(fitted, m, n_names)]:
+        while idle := [m for m in fitted.members if not sets.is_accepted(fitted, m, n_names)]:
             rests = [sets.without(fitted, member) for member in idle]
             fitted = min(rests, key=lambda rest: rest.loss)
         return fitted
@@ -307,30 +260,25 @@ class Selection:
             rows.setdefault(candidate.name, (candidate.label, gain, float(p)))
         return tuple(rows.values())
 
-    def _described(self, named: FittedSet) -> tuple[Chosen, ...]:
+    def _described(self, accepted: FittedSet) -> tuple[Chosen, ...]:
         sets, described, least_lead = self.sets, [], self.rules.confusable_in_se
-        final = sets.fitted(named.members, named.fit.model)
-        for member in named.members:
-            of_few = member.name == sets.of_few_trials
-            p_value = sets.p_of_few(final, member) if of_few else sets.p_value(final, member)[0]
+        final = sets.fitted(accepted.members, accepted.fit.model)
+        for member in accepted.members:
             rest = sets.without(final, member)
             others = [one for one in sets.pool(rest) if one[0].name not in final.names]
             # A linearised gain says little here: fitted, another may predict as well as the member.
-            rivals = [sets.add(rest, [other]) for other in _worth_a_fit(others, 0.0)]
-            rivals.sort(key=lambda rival: rival.loss)
-            close = [r.members[-1].name for r in rivals if final.lead_in_se(r) < least_lead]
+            others_fitted = [sets.add(rest, [other]) for other in _worth_a_fit(others, 0.0)]
+            others_fitted.sort(key=lambda one: one.loss)
+            close = [r.members[-1].name for r in others_fitted if final.lead_in_se(r) < least_lead]
             chosen = Chosen(
                 member,
                 gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
-                p_value=p_value,
+                p_value=sets.p_value(final, member),
                 confusable=tuple(dict.fromkeys(close)),
-                trials=(
-                    sets.data.trials_with(rest.unit_losses - final.unit_losses) if of_few else ()
-                ),
             )
-            if rivals:
-                margin = float(np.sqrt(sets.total(rivals[0]) / sets.total(final))) - 1.0
-                lead, name = final.lead_in_se(rivals[0]), rivals[0].members[-1].name
+            if others_fitted:
+                margin = float(np.sqrt(sets.total(others_fitted[0]) / sets.total(final))) - 1.0
+                lead, name = final.lead_in_se(others_fitted[0]), others_fitted[0].members[-1].name
                 chosen = replace(chosen, runner_up=name, runner_up_margin=margin, margin_in_se=lead)
             described.append(chosen)
         return tuple(described)

@@ -403,16 +403,16 @@ def test_memory_that_outlasts_the_pauses_is_creep_and_held_out_presses_are_predi
 
 
 @pytest.mark.parametrize(
-    ("spoiled", "expected"),
+    "spoiled",
     [
-        (lambda volume, force: np.minimum(volume, 41.0), ["saturation"]),
-        (lambda volume, force: np.where(force.max() == 6.0, 0.9 * volume, volume), []),
-        (lambda volume, force: np.where(force.max() == 10.0, 0.9 * volume, volume), []),
+        lambda volume, force: np.minimum(volume, 41.0),
+        lambda volume, force: np.where(force.max() == 6.0, 0.9 * volume, volume),
+        lambda volume, force: np.where(force.max() == 10.0, 0.9 * volume, volume),
     ],
     ids=["limit", "an ordinary press is off", "the hardest press is off"],
 )
-def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(spoiled, expected):
-    """Without that press the limit is not seen, so that the choice cannot hold it out."""
+def test_what_one_press_shows_is_no_effect_but_said(spoiled):
+    """Nothing repeats it: a limit that it reaches may be a fixture that gave way."""
     rng = np.random.default_rng(4)
     peaks = np.append(rng.uniform(3.0, 8.0, 38), [6.0, 10.0])[rng.permutation(40)]
     force = peaks[:, None] * np.interp(
@@ -427,22 +427,9 @@ def test_a_limit_that_one_press_reaches_is_named_and_a_press_that_is_off_is_not(
     }
     diagnosis = diagnose(log)
     found = diagnosis_record(diagnosis)["channels"]["normal"]
-    assert names(found) == expected
-    is_left = "normal channel: most of what the law leaves is in trial"
-    off = [note for note in diagnosis.notes if note.startswith(is_left)]
-    assert len(off) == (not expected)
-    if expected:
-        assert found["effects"][0]["p_value"] <= DEFAULT_RULES.alpha
-        hardest = int(np.argmax(peaks))
-        note = f"normal channel: only trial {hardest} shows saturation; press more often like that"
-        assert note in diagnosis.notes
-        limit = found["effects"][0]["parameters"]["limit_mm3"]
-        # One trial says all of it: its error is that of a mean of the samples at the limit.
-        at_limit = int((clean[hardest] == 41.0).sum())
-        assert limit["stderr"] == pytest.approx(0.3 / np.sqrt(at_limit), rel=0.2)
-        assert limit["value"] == pytest.approx(41.0, abs=3.0 * limit["stderr"])
-        volume, _ = diagnosis.law.predict(log)
-        assert np.sqrt(np.mean((volume - clean.ravel()) ** 2)) < 0.1
+    assert names(found) == []
+    is_left = "normal channel: most of the law's residual is in trial"
+    assert len([note for note in diagnosis.notes if note.startswith(is_left)]) == 1
 
 
 def test_smoothing_by_software_is_fitted_to_samples_not_to_their_means():

@@ -169,7 +169,7 @@ def test_a_form_is_corrected_only_where_held_out_trials_gain(weights, seed, corr
     assert [one.candidate.name for one in found.chosen] == ["hysteresis"]
     (term,) = found.final.fit.model.terms
     assert term.variant.label.endswith("corrected") == corrected
-    assert found.final.loss <= share * found.named.loss
+    assert found.final.loss <= share * found.accepted.loss
     # Chance alone moves this by 0.03; what is left of two plays' corners is no more.
     assert found.final.loss < 0.2 * data.noise_loss
 
@@ -198,7 +198,7 @@ def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
     within = scores.unit_grams(data, design, of_neighbours=False)
     training = np.concatenate([within, 0.5 * precision[None] ** 2])
     between = scores.unit_grams(data, design)
-    losses = scores.cv_losses(between, data.folds(), [[0, 1]], RULES.ridge, training)[0]
+    losses = scores.cv_losses(between, data.folds(), [[0, 1]], scores.RIDGE, training)[0]
     fold_of_row = data.folds()[data.row_unit]
     for fold in range(int(data.folds().max()) + 1):
         kept = fold_of_row != fold

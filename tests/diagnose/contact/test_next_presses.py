@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from tacgen.cli import app
 from tacgen.core.errors import RecipeError
 from tacgen.diagnose.contact.command import diagnose
-from tacgen.diagnose.contact.next_presses import _Rival, _separations, propose_presses
+from tacgen.diagnose.contact.next_presses import _Explanation, _separations, propose_presses
 from tacgen.rig import RigRecipe, load_rig_recipe, simulate_session
 from tacgen.rig.schedule import draw_press, press_course
 
@@ -33,7 +33,7 @@ def test_the_separation_is_that_of_its_definition():
     rng = np.random.default_rng(0)
     n_log, n_rows, n_presses = 40, 7, 3
     one, other = (
-        _Rival(
+        _Explanation(
             name,
             rng.normal(size=(n_presses, n_rows)),
             rng.normal(size=(n_presses, n_rows, n_parameters)),
@@ -57,7 +57,7 @@ def test_a_press_that_both_laws_predict_alike_separates_nothing():
     rng = np.random.default_rng(1)
     shared = rng.normal(size=(2, 5, 1))
     log = rng.normal(size=(30, 1))
-    laws = [_Rival(name, np.ones((2, 5)), shared, [1e6 * log]) for name in ("a", "b")]
+    laws = [_Explanation(name, np.ones((2, 5)), shared, [1e6 * log]) for name in ("a", "b")]
     np.testing.assert_allclose(_separations(*laws), 0.0, atol=1e-9)
 
 

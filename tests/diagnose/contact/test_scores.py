@@ -42,7 +42,7 @@ def test_the_compliance_is_not_diluted_by_noise_of_the_force():
     for _ in range(20):
         _, grams, k = grams_of(log(rng, force_noise=1.5))
         diluted.append(k)
-        free.append(k + scores.coefficients(grams.sum(axis=0), [0], RULES.ridge)[0])
+        free.append(k + scores.coefficients(grams.sum(axis=0), [0], scores.RIDGE)[0])
     assert np.mean(diluted) < 3.85
     assert np.mean(free) == pytest.approx(4.0, abs=0.03)
 
@@ -313,7 +313,7 @@ def test_blocks_of_units_share_a_sign_within_their_trial():
 def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
     _, grams, _ = grams_of(log(np.random.default_rng(4), bend=0.02))
     folds = np.arange(N_TRIALS) % 5
-    quick = scores.cv_losses(grams, folds, [[0, 1]], RULES.ridge)[0]
+    quick = scores.cv_losses(grams, folds, [[0, 1]], scores.RIDGE)[0]
     for fold in range(5):
         kept = grams[folds != fold].sum(axis=0)
         weights = np.linalg.solve(kept[:2, :2], kept[:2, -1])
@@ -342,9 +342,11 @@ def test_a_ridge_is_as_much_more_data_that_the_coefficients_are_0():
 def test_groups_of_different_size_are_scored_as_they_are_alone():
     _, grams, _ = grams_of(log(np.random.default_rng(5)))
     folds = np.arange(N_TRIALS) % 4
-    both = scores.cv_losses(grams, folds, [[0, 1], [0, 1, 2]], RULES.ridge)
-    np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]], RULES.ridge)[0])
-    np.testing.assert_allclose(both[1], scores.cv_losses(grams, folds, [[0, 1, 2]], RULES.ridge)[0])
+    both = scores.cv_losses(grams, folds, [[0, 1], [0, 1, 2]], scores.RIDGE)
+    np.testing.assert_allclose(both[0], scores.cv_losses(grams, folds, [[0, 1]], scores.RIDGE)[0])
+    np.testing.assert_allclose(
+        both[1], scores.cv_losses(grams, folds, [[0, 1, 2]], scores.RIDGE)[0]
+    )
 
 
 def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
