@@ -93,6 +93,10 @@ def predict(
     background: Annotated[
         Path | None, Option(help="Image of your gel at rest; else that of the training data.")
     ] = None,
+    prior: Annotated[
+        float | None,
+        Option(help="Share of your grasps that hold; else that of the training grasps."),
+    ] = None,
     device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -104,7 +108,8 @@ def predict(
     from tacgen.learning.predictor import Predictor, predict_files
 
     at_rest = None if background is None else read_rgb(background)
-    rows = predict_files(Predictor(run, object_name, at_rest, device=device), images)
+    predictor = Predictor(run, object_name, at_rest, device=device, prior=prior)
+    rows = predict_files(predictor, images)
     lines = [f"{row['probability']:.3f}  {row['images']}" for row in rows]
     common.print_result(rows, lines, json_output)
     common.hand_over(f"tacgen eval {quoted(run)} --real REAL_GRASPS   # how often it is right")

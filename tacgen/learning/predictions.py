@@ -81,19 +81,20 @@ def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[st
 
 
 def calibrated_temperature(
-    probabilities: NDArray[np.float64], labels: NDArray[np.int64], weights: NDArray[np.float64]
+    probabilities: NDArray[np.float64], labels: NDArray[np.int64], prior_logit: float = 0.0
 ) -> float:
-    """The temperature that makes predictions (N,) of an uncalibrated network most likely.
+    """The temperature that makes labels (N,) most likely under an uncalibrated network's view.
 
-    Source: Guo et al. 2017, *On Calibration of Modern Neural Networks*, arXiv 1706.04599, section
-    4.2; each class has its weight, as in training.
+    ``probabilities`` (N,) are those of a network to which both outcomes were equally likely,
+    ``prior_logit`` the log odds of success among the grasps. Source: Guo et al. 2017, *On
+    Calibration of Modern Neural Networks*, arXiv 1706.04599, section 4.2.
     """
     logit = special.logit(np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY))
-    towards_truth = np.where(labels == 1, logit, -logit)
+    sign = np.where(labels == 1, 1, -1)
 
     def loss(log_temperature: float) -> float:
-        nll = np.logaddexp(0, -towards_truth / np.exp(log_temperature))
-        return float(np.average(nll, weights=weights[labels]))
+        calibrated = logit / np.exp(log_temperature) + prior_logit
+        return float(np.logaddexp(0, -sign * calibrated).mean())
 
     bounds = tuple(np.log(TEMPERATURE_RANGE))
     return float(np.exp(optimize.minimize_scalar(loss, bounds=bounds, method="bounded").x))
@@ -107,7 +108,8 @@ def predict(
     probabilities, labels = [np.empty(0)], [np.empty(0, np.int64)]
     with torch.inference_mode():
         for images, truth, _ in batches:
-            logits = network(images.to(device)) / network.temperature
-            probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
+            logits = network(images.to(device)).double() / network.temperature
+            probability = (logits[:, 1] - logits[:, 0] + network.prior_logit).sigmoid()
+            probabilities.append(probability.cpu().numpy())
             labels.append(truth.numpy())
     return np.concatenate(probabilities), np.concatenate(labels)
