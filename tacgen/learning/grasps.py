@@ -1,6 +1,6 @@
 """Grasps for training and tests: a table of their parameters, and sources of their images."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ FRAME_UNKNOWN = -1
 AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
 _DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXES, np.float64)
+EqualRanges = Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]
+"""By object and axis the ranges in which the axis changes nothing; see ``twins.py``."""
 MAX_NAMED = 5  # grasps without images that a message names; it counts the others
 
 
@@ -53,13 +55,16 @@ class GraspTable:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def configurations(self) -> list[str]:
-        """A text for each grasp, equal for grasps of the same configuration."""
+    def configurations(self, equal: EqualRanges | None = None) -> list[str]:
+        """A text for each grasp, equal for grasps of the same configuration.
+
+        Values in one range of ``equal`` are written as its start.
+        """
         numbers = np.stack([getattr(self, axis) for axis in AXES], axis=1)
         rounded = np.round(numbers, CONFIGURATION_DIGITS) + 0.0  # no "-0"
         rows = (" ".join(f"{value:g}" for value in row) for row in rounded)
         names = zip(self.objects, rows, strict=True)
-        return [same_yaw(f"{name} {row}") for name, row in names]
+        return [configuration_key(f"{name} {row}", equal or {}) for name, row in names]
 
     def object_names(self) -> list[str]:
         """The objects, sorted."""
@@ -74,14 +79,20 @@ class GraspTable:
         return GraspTable(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
-def same_yaw(configuration: str) -> str:
-    """The text of a configuration with its yaw, which is last, in [0, 2π) to ``YAW_DIGITS``.
+def configuration_key(text: str, equal: EqualRanges) -> str:
+    """The text of a configuration, the same for values in one of its object's ``equal`` ranges.
 
-    The same for a text that earlier versions wrote, with the yaw as it was asked for.
+    Its yaw lies in [0, 2π), to ``YAW_DIGITS``; earlier versions wrote it as it was asked for.
     """
-    others, _, yaw_rad = configuration.rpartition(" ")
-    turned = np.round(float(yaw_rad) % (2 * np.pi), YAW_DIGITS) % np.round(2 * np.pi, YAW_DIGITS)
-    return f"{others} {turned:g}"
+    name, *values = text.rsplit(" ", len(AXES))
+    turned = np.round(float(values[-1]) % (2 * np.pi), YAW_DIGITS)
+    values[-1] = f"{turned % np.round(2 * np.pi, YAW_DIGITS):g}"
+    for axis, ranges in equal.get(name, {}).items():
+        k = AXES.index(axis)
+        for low, high in ranges:
+            if low <= float(values[k]) <= high:
+                values[k] = f"{low:g}"
+    return " ".join([name, *values])
 
 
 class SimulatedGrasps:
