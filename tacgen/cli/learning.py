@@ -50,6 +50,10 @@ def evaluate(
             "position (no image) of each training grasp in --data."
         ),
     ] = None,
+    across: Annotated[
+        list[Literal["sensor", "table", "pad", "markers", "shadows", "time_s"]] | None,
+        Option(help="Test although --data differs in this from the training; may be repeated."),
+    ] = None,
     device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -74,7 +78,7 @@ def evaluate(
     from tacgen.learning.evaluate import evaluate as evaluate_run
     from tacgen.learning.scores import evaluation_lines
 
-    result = evaluate_run(run, data, real, device=device)
+    result = evaluate_run(run, data, real, device=device, across=across or ())
     common.print_result(result, evaluation_lines(result), json_output)
     on_real = [f"tacgen eval {quoted(run)} --real REAL_GRASPS"] if real is None else []
     common.hand_over(*on_real, f"tacgen predict {quoted(run)} IMAGE …")

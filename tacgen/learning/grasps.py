@@ -119,6 +119,7 @@ class SimulatedGrasps:
         self.reference = self.dataset.reference(pad)
         self.shape_px: tuple[int, int] = self.reference.shape[:2]
         self.n_frames = self.dataset.n_frames
+        self.taken_with: Mapping[str, Any] = self.dataset.taken_with(pad)
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some tactile images of one grasp, (len(frames), H, W, 3) RGB."""
@@ -135,8 +136,7 @@ class SimulatedGrasps:
             "recipe_sha256": self.dataset.lines[0].recipe_sha256,
             "inputs": self.dataset.inputs,
             "shards_sha256": [line.sha256 for line in self.dataset.lines],
-            "sensor": self.dataset.sensor,
-            "pad": self.pad or self.dataset.pads[0],
+            "taken_with": self.taken_with,
         }
 
 
@@ -145,7 +145,7 @@ class RealGraspImages:
 
     An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``: the
     ``reference`` (H, W, 3), else None.
-    ``is_simulated`` says whether a simulation wrote the folder.
+    ``is_simulated`` says whether a simulation wrote the folder, ``taken_with`` what it says of how.
 
     Raises ``DatasetError``, which lists the rows that cannot be used. Raises ``LearningError``,
     which lists the grasps without images.
@@ -155,7 +155,7 @@ class RealGraspImages:
         self.folder = Path(folder)
         found = read_real_grasps(self.folder, needs=())
         self.warnings = found.warnings
-        self.is_simulated = found.is_simulated
+        self.is_simulated, self.taken_with = found.is_simulated, found.taken_with
         missing = [grasp.grasp_id for grasp in found.grasps if not grasp.images]
         if missing:
             more = f" and {len(missing) - MAX_NAMED} more" if len(missing) > MAX_NAMED else ""

@@ -19,6 +19,7 @@ RANGE_MARGIN = 0.5
 """Of the training's range, on either side: the extremes of some hundred grasps are chance."""
 CONTRAST_RANGE = (0.75, 1.33)
 """Of the typical contrast over the training's: forces and chance alone change it by less."""
+MIN_CONTRAST = 1e-6  # of training images that all show one colour
 MIN_COMPARED = 20  # grasps; the median contrast of fewer depends on their forces
 TEMPERATURE_RANGE = (1.0, 16.0)
 """Never below 1: some thirty grasps of the training's own sensor, often without a mistake, are no
@@ -71,7 +72,7 @@ def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[st
             f"the training images of the model {card.name}; its probabilities are uncertain there: "
             "check the background, or train with stronger augmentation"
         )
-    contrast = typical_contrast(statistics) / card.contrast
+    contrast = typical_contrast(statistics) / max(card.contrast, MIN_CONTRAST)
     if len(statistics) >= MIN_COMPARED and not CONTRAST_RANGE[0] <= contrast <= CONTRAST_RANGE[1]:
         notes.append(
             f"the images' contrast is {contrast:.2f} of that in training: other lamps, another "

@@ -130,5 +130,5 @@ def _are_equal(
 
 
 def _image(source: SimulatedGrasps, row: int) -> NDArray[np.uint8]:
-    (image,) = source.frames(row, [max(int(source.table.grasp_frame[row]), 0)])
+    image: NDArray[np.uint8] = source.frames(row, [max(int(source.table.grasp_frame[row]), 0)])[0]
     return image

@@ -14,7 +14,9 @@ from safetensors.torch import save_file
 
 from tacgen.core.errors import DatasetError, LearningError
 from tacgen.core.records import Sensor
+from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
+from tacgen.dataset.inputs import Inputs
 from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
@@ -318,6 +320,49 @@ def test_scores_by_value_lose_no_grasp_where_values_differ_by_less_than_their_te
     parts = scores_by_value(heights_mm, labels, labels * 0.8 + 0.1)
     assert sum(part["n"] for part in parts.values()) == 40
     assert len(parts) == 4
+
+
+def test_scores_by_value_put_equal_values_together_whatever_their_rounding():
+    forces_n = np.array([0.3, 0.1 * 3] * 5)
+    labels = np.arange(10) % 2
+    parts = scores_by_value(forces_n, labels, labels * 0.8 + 0.1)
+    assert {name: part["n"] for name, part in parts.items()} == {"0.3": 10}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("sensor", {"inputs": Inputs({"sensor": "another"})}),
+        ("table", {"calibration": {"table": "another"}}),
+        ("markers", {"recipe": {"optics": {"markers": True}, "objects": ["can", "cup"]}}),
+        ("pad", {"pads": ("right",)}),
+    ],
+)
+def test_images_taken_in_another_way_are_refused_or_named(tmp_path, name, changes, single):
+    """Of equal size, and all else the same."""
+    recipe = {"optics": {"markers": False}, "objects": ["can", "cup"]}
+    usual = {"inputs": Inputs({"sensor": "one"}), "recipe": recipe}
+    run, data, other = tmp_path / "run", tmp_path / "data", tmp_path / "other"
+    collect(data, make_spec(**usual))
+    collect(other, make_spec(**(usual | changes)))
+    shutil.copytree(single, run)
+    plan = json.loads((run / "run.json").read_text())
+    plan["dataset"]["taken_with"] = Dataset(data).taken_with()
+    (run / "run.json").write_text(json.dumps(plan))
+    assert not evaluate(run, data=data)["notes"]
+    with pytest.raises(LearningError, match=f"with another {name} than .*: --across {name}$"):
+        evaluate(run, data=other)
+    accepted = evaluate(run, data=other, across=[name])
+    assert f"ACROSS {name}" in " ".join(accepted["notes"])
+    export_dataset(other, tmp_path / "real", "real-grasps", split="test")
+    assert f"ACROSS {name}" in " ".join(evaluate(run, real=tmp_path / "real")["notes"])
+
+
+def test_sequences_over_another_time_are_refused(sequence, single, tmp_path):
+    data = collect(tmp_path / "data", make_spec(time_s=(0.0, 0.2, 0.4)))
+    with pytest.raises(LearningError, match="--across time_s"):
+        evaluate(sequence, data=data)
+    assert evaluate(single, data=data)["notes"] == []
 
 
 def test_few_values_are_named_as_they_are_and_ranges_with_few_digits():
