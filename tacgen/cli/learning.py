@@ -51,8 +51,11 @@ def evaluate(
         ),
     ] = None,
     across: Annotated[
-        list[Literal["sensor", "table", "pad", "markers", "shadows", "time_s"]] | None,
-        Option(help="Test although --data differs in this from the training; may be repeated."),
+        list[str] | None,
+        Option(
+            help="Test although the images of --data were taken with another one of sensor, table, "
+            "pad, markers, shadows, time_s; may be repeated."
+        ),
     ] = None,
     device: DeviceOption = None,
     json_output: common.JsonFlag = False,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.errors import LearningError
+from tacgen.core.errors import LearningError, require_known
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
 from tacgen.learning.checkpoint import ModelCard, load_model
@@ -100,6 +100,8 @@ def _differences(
 
     Raises ``LearningError`` if a dataset differs in what is not named in ``across``.
     """
+    for name in across:
+        require_known("--across", name, ACROSS, LearningError)
     trained, tested = plan["dataset"].get("taken_with", {}), source.taken_with
     both = [n for n in trained if None not in (trained[n], tested.get(n))]
     found = {name.removesuffix("_sha256") for name in both if trained[name] != tested[name]}

@@ -123,7 +123,8 @@ def test_robomimic_has_what_its_documentation_asks_for(with_depth, tmp_path):
             of = {s: {n for n, *one in rows if one == [s, outcome]} for s in ("train", "test")}
             # What a policy is chosen by is a part of the training side.
             assert (found["train"] | found["valid"], found["test"]) == (of["train"], of["test"])
-            assert len(found["valid"]) == min(math.ceil(0.1 * len(of["train"])), 1)
+            n = len(of["train"])
+            assert len(found["valid"]) == min(math.ceil(0.1 * n), max(n - 1, 0))
         assert sorted(name for listed in masks.values() for name in listed) == sorted(demos)
 
 

@@ -352,6 +352,8 @@ def test_images_taken_in_another_way_are_refused_or_named(tmp_path, name, change
     assert not evaluate(run, data=data)["notes"]
     with pytest.raises(LearningError, match=f"with another {name} than .*: --across {name}$"):
         evaluate(run, data=other)
+    with pytest.raises(LearningError, match="--across 'sensors' is not known"):
+        evaluate(run, data=other, across=["sensors"])
     accepted = evaluate(run, data=other, across=[name])
     assert f"ACROSS {name}" in " ".join(accepted["notes"])
     export_dataset(other, tmp_path / "real", "real-grasps", split="test")
