@@ -81,10 +81,11 @@ def calibrate_lookup(
     common.warn(command.warning_lines(used, made.scale))
     text = command.score_text(made.heldout)
     common.print_result(command.lookup_record(made, used), text, json_output)
+    sensor = quoted(common.session_sensor(presses) or "SENSOR")
     common.hand_over(
-        *common.table_lines(out),
+        *common.table_lines(out, presses),
         f"tacgen calibrate score {quoted(out)} OTHER_PRESSES",
-        f"tacgen read IMAGE --sensor SENSOR --table {quoted(out)} --out readings",
+        f"tacgen read IMAGE --sensor {sensor} --table {quoted(out)} --out readings",
     )
 
 
@@ -212,7 +213,7 @@ def friction(
         common.IN_RECIPE,
         "objects:",
         *(f"  - {{name: {name}, friction: {fit.mu:g}}}" for name, fit in fits.items()),
-        f"tacgen diagnose grasps {quoted(real)} --recipe {quoted(recipe)} --out diagnosis",
+        f"tacgen diagnose grasps {quoted(real)} --recipe {quoted(recipe)} --out causes",
     )
 
 

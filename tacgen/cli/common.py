@@ -215,11 +215,29 @@ def contact_lines(law: Path) -> list[str]:
     return [IN_RECIPE, f"contact: {{file: {law}}}"]
 
 
-def table_lines(path: Path) -> list[str]:
-    """Lines of a recipe that use a lookup table."""
+def session_sensor(presses: Path) -> Path | None:
+    """The sensor that a folder of presses describes in full, as a rig's does; None elsewhere."""
+    from tacgen.core.errors import TacgenError
+    from tacgen.core.files import is_file
+    from tacgen.sensor.description import load_sensor
+
+    path = presses / "sensor.yaml"
+    if not is_file(path):
+        return None
+    try:
+        load_sensor(str(path), needs_table=False)
+    except TacgenError:  # it states the scale alone
+        return None
+    return path
+
+
+def table_lines(path: Path, presses: Path | None = None) -> list[str]:
+    """Lines of a recipe that use a lookup table, with the sensor that its presses are of."""
     from tacgen.optics import load_table
     from tacgen.sensor.description import sensor_lines
 
+    if presses is not None and (sensor := session_sensor(presses)) is not None:
+        return [IN_RECIPE, f"sensor: {{name: {sensor}, table: {path}}}"]
     table = load_table(path)
     return sensor_lines(path, table.shape_px, table.mm_per_px)
 

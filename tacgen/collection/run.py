@@ -18,6 +18,7 @@ from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.gallery import Thumbnails, shown_grasps, thumbnails, write_gallery
 from tacgen.dataset.summary import write_card
+from tacgen.physics import GraspSimulator
 
 
 @dataclass(slots=True)
@@ -108,6 +109,9 @@ def collect(
     >>> len(tacgen.Dataset("data"))
     2
     """
+    if not DatasetFolder(out).plan_path.is_file():
+        # Before anything is written: is the engine there?
+        GraspSimulator(recipe.robot.spec(), recipe.physics.engine)
     planned, spec = prepare(recipe, out, grow=grow)
     folder = DatasetFolder(out)
     share = range(spec.n_shards) if shards is None else shards

@@ -138,7 +138,8 @@ def describe(
         },
         "friction": {
             "value": friction,
-            "source": "given when the mesh was added; calibrate it with `tacgen friction`",
+            "source": "given, or 0.4 by default, when the mesh was added; calibrate it with "
+            "`tacgen friction`",
         },
         "grasp_ranges": {
             **{axis: list(values) for axis, values in ranges.items()},

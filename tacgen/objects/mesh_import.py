@@ -134,8 +134,8 @@ def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> N
         )
     elif size.max() > LARGEST_MM or size.min() > stroke_mm:
         problem = (
-            f"too large for a gripper that opens {stroke_mm:.0f} mm; "
-            f"if the mesh is in µm, pass --scale {0.001 * scale:g}, else check the scale"
+            f"too large for a gripper that opens {stroke_mm:.0f} mm; --scale is mm per unit of the "
+            f"mesh: 1 for mm, 1000 for metres, and {scale:g} was given"
         )
     if problem:
         msg = f"{path}: is {' × '.join(f'{extent:.4g}' for extent in size)} mm, {problem}"
