@@ -101,12 +101,19 @@ def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
     """The axes of one object's grid with its name, as plain data."""
     own, common = entry.grid or Grid(), recipe.grid
     ranges = read_description(entry.object_folder()).grasp_ranges
+    gripper, settings = recipe.robot.spec().gripper, recipe.physics_settings
     axes = {
-        axis: getattr(own, axis) or getattr(common, axis) or getattr(ranges, axis)
+        axis: getattr(own, axis)
+        or getattr(common, axis)
+        or _scaled(axis, getattr(ranges, axis), entry.scale, gripper.lowest_mm)
         for axis in AXES[:-1]
     }
-    if problem := force_problem(max(axes["force_n"]), recipe.robot.largest_force_n):
+    largest_n = max(axes["force_n"])
+    if problem := force_problem(largest_n, settings.max_force_n):
         msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
+        raise RecipeError(msg)
+    if problem := settings.compliance_problem(largest_n, gripper.pad.depth_mm):
+        msg = f"objects/{entry.name}: grasp force_n {problem}"
         raise RecipeError(msg)
     has_yaw = entry.grid and "yaw_rad" in own.model_fields_set
     axes["yaw_rad"] = own.yaw_rad if has_yaw else common.yaw_rad
@@ -116,6 +123,20 @@ def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
         raise RecipeError(msg)
     listed = {axis: list(values) for axis, values in axes.items()}
     return {"object": entry.object_name, **listed, "sample": own.sample or common.sample}
+
+
+def _scaled(
+    axis: str, values: tuple[float, ...], scale: float, lowest_mm: float
+) -> tuple[float, ...]:
+    """An axis of the object's own ranges at a scale; its mass stays, and so do forces.
+
+    Pads that clear the table still do.
+    """
+    if axis == "force_n" or scale == 1.0:
+        return values
+    least = lowest_mm if axis == "z_mm" else -np.inf
+    scaled = (max(value * scale, min(value, least)) for value in values)
+    return tuple(dict.fromkeys(scaled))
 
 
 def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[Point]]) -> list[Point]:

@@ -36,7 +36,7 @@ from tacgen.core.yaml_source import read_yaml, validate
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
 PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
-"""Of the response and of the compliance."""
+"""Units of the response and of the compliance."""
 USUAL_K_S_MM_PER_N, USUAL_PITCH_MM = 1.0, 2.0
 """Assumed: summed motion a newton of markers so far apart; a press log with shear gives a sensor's
 own."""

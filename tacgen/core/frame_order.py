@@ -1,4 +1,4 @@
-"""The order in time of pictures that is told by their names."""
+"""The order in time of pictures, by their names."""
 
 import re
 from collections.abc import Sequence

@@ -65,7 +65,7 @@ def _thumbnails(
     moment: int,
     seen: Callable[[str, int], NDArray[np.uint8]],
 ) -> Thumbnails:
-    """Of the scene, and of what each pad has ``seen`` in the frames that are shown."""
+    """Pictures of the scene, and of what each pad has ``seen`` in the frames that are shown."""
     shown = evenly(n_frames, MAX_STRIP) if n_frames > 1 else []
     strips = [[seen(pad, k) for k in shown] for pad in pads] if shown else []
     return Thumbnails(

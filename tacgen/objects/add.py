@@ -30,7 +30,7 @@ from tacgen.objects.meshes import mass_properties, volume_mm3
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'
 DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005  # Osmium, and a little less than the lightest foam
 ALLOWED_ERROR_MM = 0.6
-"""Of where the pads touch: a slip threshold moves by less than 3 %."""
+"""Error of where the pads touch: a slip threshold moves by less than 3 %."""
 NO_NAMES = {"textured", "nontextured", "model", "mesh", "object", "meshes", "untitled"}
 
 

@@ -14,7 +14,6 @@ from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import ball_of
 
 MARGIN_MM = 5.0  # to either side between open pads and the object
-TABLE_CLEARANCE_MM = 1.0  # of the pads' lower edge
 MIN_FORCE_N = 1.0  # below it light objects slip
 GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad
@@ -27,7 +26,7 @@ FACET_ANGLES_DEG = (3.0, 40.0)
 FACET_WIDTH_MM = 0.5  # the shipped objects' facets where pads touch
 FACET_AREA_SHARE = 0.1  # a tenth of the surface: less is a rounded edge
 THRESHOLD_SHARES = (0.4, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0)
-"""Of the least holding force: from certain failure to certain success."""
+"""Shares of the least holding force: from certain failure to certain success."""
 
 
 def suggest_ranges(
@@ -39,7 +38,6 @@ def suggest_ranges(
     """
     notes, gripper = [], default_gripper()
     most_n = gripper.force_range_n[1]
-    lowest_mm = gripper.below_mm + TABLE_CLEARANCE_MM
     threshold = mass_kg * STANDARD_GRAVITY_M_S2 / (2 * max(friction, 0.05))
     clipped = np.clip([share * threshold for share in THRESHOLD_SHARES], MIN_FORCE_N, most_n)
     forces = tuple(dict.fromkeys(float(f"{force:.2g}") for force in clipped))
@@ -47,7 +45,9 @@ def suggest_ranges(
         notes.append(f"slips below {threshold:.0f} N, more than the gripper's {most_n:.0f} N")
 
     low, high = surface.vertices_mm.min(axis=0), surface.vertices_mm.max(axis=0)
-    heights = _distinct(max(lowest_mm, float(share * high[2])) for share in (0.25, 0.5, 0.75))
+    heights = _distinct(
+        max(gripper.lowest_mm, float(share * high[2])) for share in (0.25, 0.5, 0.75)
+    )
     sides = _distinct(float(share * (high[1] - low[1]) / 2) for share in (-0.4, 0.0, 0.4))
     z_mm = tuple(z for z in heights if graspable(surface, 0.0, z))
     if not z_mm:

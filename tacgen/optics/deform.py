@@ -27,8 +27,8 @@ NEGLIGIBLE_MM = 1e-5
 """Deformation below this is none: it changes no slope by more than 2e-4 at 0.03 mm/px."""
 
 REACH_SIGMAS = 4.6
-"""Of all Gaussians together. So far from a straight edge 4 mm deep, 4 mm × (1 − Φ(4.6)) = 8 nm are
-left: less than ``NEGLIGIBLE_MM``."""
+"""Reach of all Gaussians together: so far from a straight edge 4 mm deep, 4 mm × (1 − Φ(4.6)) = 8
+nm are left, less than ``NEGLIGIBLE_MM``."""
 
 
 @njit(cache=True, nogil=True)

@@ -46,7 +46,7 @@ after the first and 1 % after the third, and more change nothing."""
 BLUR_PX = 0.7  # lowers the camera's noise; below a contact's finest feature
 CONTACT_SHARE = 0.02  # depths below this share of the deepest are not contact
 UNBENDING_PASSES = 4
-"""Of an exact surface they leave 0.1 % of the volume too much; more of them amplify noise."""
+"""Passes that leave 0.1 % too much of an exact surface's volume; more of them amplify noise."""
 
 
 FIRM_LAYERS = (0.25, 0.55)

@@ -5,6 +5,7 @@ checked for collisions; no time is simulated.
 """
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -18,6 +19,10 @@ from tacgen.physics.settings import PhysicsSettings
 
 WAYPOINT_SPACING_MM = 6.0
 """Between points that are checked for collisions: half a finger's thickness."""
+TOUCH_M = 1e-6
+"""Nearer than this fingers touch, a hundredth of a time step's way. A nearest distance, of a face
+at θ to the closing direction, falls short of the way by 1 − cos θ: it is taken again …"""
+MOST_ADVANCES = 20  # … at most so often, which suffices up to 60°
 ABOVE_MM = 10.0  # clearance between the object's top and the pads before they descend; chosen
 
 
@@ -58,12 +63,32 @@ def approach(
         reason = _first_obstacle(world, robot, gripper.stroke_mm, corners)
         if not reason:
             # Near the object, symmetrically, so that closing takes little time.
-            found = world.distances(gripper.stroke_mm * M_PER_MM)
-            near_m = min((distance for _, distance in found), default=0.0)
-            robot.fingers.place(max(0.0, near_m - settings.clearance_mm * M_PER_MM))
+            travel_m = _travel_to_touch_m(world, robot, gripper.stroke_mm * M_PER_MM)
+            robot.fingers.place(max(0.0, travel_m - _clearance_m(settings)))
             return ""
         reasons.append(reason)
     return reasons[-1]
+
+
+def _travel_to_touch_m(world: Engine, robot: Robot, stroke_m: float) -> float:
+    """How far in the fingers touch the object, or each other; by no more than they are apart."""
+    travel_m = 0.0
+    for _ in range(MOST_ADVANCES):
+        near_m = min((distance for _, distance in world.distances(stroke_m)), default=stroke_m)
+        travel_m = min(travel_m + near_m, stroke_m / 2)
+        if near_m < TOUCH_M or travel_m == stroke_m / 2:
+            break
+        robot.fingers.place(travel_m)
+    return travel_m
+
+
+def _clearance_m(settings: PhysicsSettings) -> float:
+    """The clearance, to the nearest odd number of half steps: the pads touch between two steps.
+
+    At a whole number of them rounding would decide in which step each pad touches.
+    """
+    step_mm = settings.closing_speed_mm_s * settings.time_step_s
+    return (math.floor(settings.clearance_mm / step_mm + 1e-9) + 0.5) * step_mm * M_PER_MM
 
 
 def _ways(target: GripperTarget, above_m: float) -> Iterator[list[GripperTarget]]:

@@ -3,16 +3,23 @@
 from collections.abc import Mapping, Sequence
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import PADS, GraspObject
+from tacgen.core.records import PADS, GraspObject, Mesh
 from tacgen.core.units import M_PER_MM
 from tacgen.physics import engine
 from tacgen.physics.bodies import ObjectBody
-from tacgen.physics.engine import PALM, TABLE, ContactPoint, Link, Place, Vector
+from tacgen.physics.engine import PALM, TABLE, ContactPoint, Link, Place, Touch, Vector
 from tacgen.physics.frames import quaternion_from_rotation
-from tacgen.physics.gripper import GripperSpec
+from tacgen.physics.gripper import GripperSpec, outline_of, touches_as_sphere
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.physics.world import BulletLink, Collides, World, contact_points, link_arguments
+from tacgen.physics.world import (
+    HULL_MARGIN_MM,
+    BulletLink,
+    Collides,
+    World,
+    contact_points,
+    link_arguments,
+)
 
 SAME_SPEED = 1e-9
 """Commands this close are one: a float's rounding along the lift's constant part."""
@@ -26,13 +33,22 @@ class Engine(World):
         self._robot = robot
         self._object = self._body = -1
         self._parts: dict[tuple[int, int], str] = {}
+        self._links: dict[str, int] = {}
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float
+        self,
+        obj: GraspObject,
+        settings: PhysicsSettings,
+        force_n: float,
+        met: Sequence[Mesh] | None = None,
     ) -> tuple[ObjectBody, engine.Robot]:
         """Empty the world, then add the table, the object in its rest pose and the robot."""
         self.rebuild(settings, settings.iterations_for(force_n, obj.mass_kg))
-        body, gripper, carrying = ObjectBody(self, obj), self._robot.gripper, self._robot.links()
+        body, gripper, carrying = (
+            ObjectBody(self, obj, met),
+            self._robot.gripper,
+            self._robot.links(),
+        )
         hand = len(carrying) - 1
         finger, names = finger_links(self, gripper, settings, hand)
         links = [*self._carrying(carrying), *finger, palm_link(self, gripper, hand)]
@@ -44,7 +60,10 @@ class Engine(World):
             self.bullet.changeDynamics(robot, number, localInertiaDiagonal=link.moments_kg_m2)
         self._object, self._body = body.body, robot
         self._parts = {(robot, hand + 1 + k): name for k, name in enumerate([*names, PALM])}
-        fingers = Fingers(self, robot, {name: link for (_, link), name in self._parts.items()})
+        self._links = {name: link for (_, link), name in self._parts.items()}
+        for pad in PADS:
+            self.collide(robot, self._links[outline_of(pad)], Collides.NOTHING)
+        fingers = Fingers(self, robot, self._links)
         fingers.set_surface(settings, obj.friction)
         return body, self._robot.mounted(settings, Joints(self, robot, carrying), fingers)
 
@@ -78,8 +97,24 @@ class Engine(World):
 
     def distances(self, limit_m: float) -> list[tuple[str, float]]:
         """Parts of the gripper and how near they are to the object, within ``limit_m``."""
-        points = self.bullet.getClosestPoints(self._body, self._object, limit_m, linkIndexB=-1)
-        return [(self._parts[self._body, point[3]], point[8]) for point in points]
+        # Link 0 is its hull on the table, link 1 the whole object where the base is a part of it.
+        link = 1 if self.bullet.getNumJoints(self._object) == 2 else -1
+        margin_m = HULL_MARGIN_MM * M_PER_MM if link == 1 else 0.0
+        points = self.bullet.getClosestPoints(
+            self._body, self._object, limit_m - margin_m, linkIndexB=link
+        )
+        found = [(self._parts[self._body, point[3]], point[8] + margin_m) for point in points]
+        return [one for one in found if one[0] not in PADS]
+
+    def touches(self, pad: str, limit_m: float) -> list[Touch]:
+        """Where what a pad can touch of the object is nearest to it, within ``limit_m``.
+
+        Anew, whereas a contact point that is kept has the normal with which it was found.
+        """
+        points = self.bullet.getClosestPoints(
+            self._body, self._object, limit_m, linkIndexA=self._links[pad], linkIndexB=-1
+        )
+        return [Touch(point[6], tuple(-one for one in point[7]), point[8]) for point in points]
 
 
 def finger_links(
@@ -87,33 +122,47 @@ def finger_links(
 ) -> tuple[list[BulletLink], list[str]]:
     """The fingers and their boxes, and their names, to be added right after the link ``hand``.
 
-    The boxes follow their finger: PyBullet numbers links depth first, whatever it is given.
+    The boxes and the pad's outline follow their finger: PyBullet numbers links depth first,
+    whatever it is given.
     """
     links: list[BulletLink] = []
     names: list[str] = []
-    create_shape = world.bullet.createCollisionShape
+    radius_mm, create_shape = settings.pad_dome_radius_mm, world.bullet.createCollisionShape
     for pad in PADS:
         side, finger = gripper.side(pad).side, hand + 1 + len(links)
-        vertices_m = gripper.pad_vertices_m(pad, settings.pad_dome_radius_mm)
+        vertices_m = gripper.pad_vertices_m(pad, radius_mm)
+        outline = create_shape(world.bullet.GEOM_MESH, vertices=vertices_m)
+        shape = _dome(world, side, radius_mm) if touches_as_sphere(radius_mm) else outline
         links.append(
             BulletLink(
                 parent=hand,
                 joint_type=world.bullet.JOINT_PRISMATIC,
                 mass_kg=gripper.finger.mass_kg,
-                shape=create_shape(world.bullet.GEOM_MESH, vertices=vertices_m),
+                shape=shape,
                 position_m=(side * gripper.stroke_mm / 2 * M_PER_MM, 0.0, 0.0),
                 axis=(-side, 0.0, 0.0),
             )
         )
         boxes = gripper.finger_boxes_mm(pad)
         links += [_box(world, finger, *box) for box in boxes]
+        links.append(BulletLink(finger, world.bullet.JOINT_FIXED, shape=outline))
         names += [pad, *(f"{pad} finger {number}" for number in range(len(boxes)))]
+        names.append(outline_of(pad))
     return links, names
 
 
 def palm_link(world: World, gripper: GripperSpec, hand: int) -> BulletLink:
     """The body of the gripper above the fingers, fixed to the link ``hand``."""
     return _box(world, hand, *gripper.hand.box.half_and_center_mm)
+
+
+def _dome(world: World, side: int, radius_mm: float) -> int:
+    radius_m, center_m = radius_mm * M_PER_MM, (side * radius_mm * M_PER_MM, 0.0, 0.0)
+    sphere = world.bullet.GEOM_SPHERE
+    shape = world.bullet.createCollisionShape(
+        sphere, radius=radius_m, collisionFramePosition=center_m
+    )
+    return int(shape)
 
 
 def _box(

@@ -4,6 +4,7 @@ Inside, lengths are in metres and axes are the world's; the frames that come out
 the gel frame.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import PADS, ContactFrame, frozen_array
 from tacgen.core.units import MM_PER_M
-from tacgen.physics.engine import ContactPoint
+from tacgen.physics.engine import ContactPoint, Touch
 from tacgen.physics.frames import Pose, inverse, pose, rotation_of
 from tacgen.physics.gripper import Pad
 
@@ -80,6 +81,44 @@ def mean_contacts(window: Sequence[Snapshot]) -> Contacts:
         normal_force_n=contacts.normal_force_n / len(steps),
         force_n=contacts.force_n / len(steps),
     )
+
+
+def pressed(
+    pad: str,
+    touches: Sequence[Touch],
+    closing_axis: FloatArray,
+    force_n: float,
+    stiffness_n_m2: float,
+    carried_n: float = 0.0,
+) -> Contacts:
+    """The touches of ``pad`` on the object as contact points that ``force_n`` is shared between.
+
+    Rigid bodies that touch in several points leave open how they share a force, and a solver's
+    answer varies with the last micrometre. As an elastic dome that has come nearer by δ the pad
+    presses with ``stiffness_n_m2`` (δ − gap)² at each, δ such that along the closing axis they
+    make up ``force_n``. The normal forces are those of an object that hangs in the air, of which
+    the pad carries ``carried_n``, at each touch its part.
+    """
+    count = len(touches)
+    point_m = np.array([touch.point_m for touch in touches]).reshape(-1, 3)
+    normal = np.array([touch.normal for touch in touches]).reshape(-1, 3)
+    gap_m = np.array([touch.gap_m for touch in touches])
+    along = np.abs(normal @ closing_axis)
+    normal_force_n = np.zeros(count)
+    order = np.argsort(gap_m / along)[: count if force_n > 0 else 0]
+    for number in range(1, len(order) + 1):
+        # The nearest touches, as many as come in before the δ at which they make up the force.
+        near, farther = order[:number], order[number:]
+        slope, gap = along[near], gap_m[near]
+        a, b, c = (slope**3).sum(), (slope**2 * gap).sum(), (slope * gap**2).sum()
+        delta_m = (b + math.sqrt(max(0.0, b * b - a * (c - force_n / stiffness_n_m2)))) / a
+        if (gap_m[farther] >= delta_m * along[farther]).all():
+            along_n = stiffness_n_m2 * (delta_m * slope - gap) ** 2 * slope
+            hanging_n = along_n * (slope + normal[near, 2] * carried_n / force_n)
+            normal_force_n[near] = np.maximum(0.0, hanging_n)
+            break
+    force_n_of = normal_force_n[:, None] * normal
+    return Contacts(np.full(count, pad), point_m, normal, normal_force_n, force_n_of)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import GraspObject
+from tacgen.core.records import GraspObject, Mesh
 from tacgen.physics.frames import Pose
 from tacgen.physics.settings import PhysicsSettings
 
@@ -29,6 +29,17 @@ class ContactPoint(NamedTuple):
     normal: Vector
     normal_force_n: float
     force_n: Vector
+
+
+class Touch(NamedTuple):
+    """Where a part of the object is nearest to a pad, in world axes.
+
+    ``normal`` points into the object; ``gap_m`` is negative where they overlap.
+    """
+
+    point_m: Vector
+    normal: Vector
+    gap_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +161,17 @@ class Engine(Protocol):
     def __exit__(self, *raised: object) -> None: ...
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float
+        self,
+        obj: GraspObject,
+        settings: PhysicsSettings,
+        force_n: float,
+        met: Sequence[Mesh] | None = None,
     ) -> tuple[Body, Robot]:
-        """An empty world with the table, the object in its rest pose and the robot."""
+        """An empty world with the table, the object in its rest pose and the robot.
+
+        The gripper can touch the convex ``met`` of the object alone, else all its parts; on the
+        way to the grasp the whole object counts.
+        """
 
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
@@ -161,4 +180,14 @@ class Engine(Protocol):
         """All contact points of the last step on the object."""
 
     def distances(self, limit_m: float) -> list[tuple[str, float]]:
-        """Parts of the gripper and how near they are to the object, within ``limit_m``."""
+        """Parts of the gripper and how near they are to the object, within ``limit_m``.
+
+        That is how far they are from pressing; of the pads their outlines, not the spheres by which
+        they touch.
+        """
+
+    def touches(self, pad: str, limit_m: float) -> list[Touch]:
+        """Where what a pad can touch of the object is nearest to it, within ``limit_m``.
+
+        Between their own surfaces, whatever compliance lets them overlap.
+        """

@@ -32,6 +32,7 @@ from tacgen.physics.contacts import (
     contacts_of,
 )
 from tacgen.physics.engine import TABLE, Engine
+from tacgen.physics.gripper import touches_as_sphere
 from tacgen.physics.margins import (
     Capacity,
     TorsionLimit,
@@ -40,6 +41,7 @@ from tacgen.physics.margins import (
     torsion_factor,
     torsion_limit,
 )
+from tacgen.physics.reach import within_reach
 from tacgen.physics.recorder import Recorder, frame_end_steps, frame_of_moment
 from tacgen.physics.robots import RobotSpec, load_robot
 from tacgen.physics.settings import (
@@ -54,9 +56,11 @@ from tacgen.physics.settings import (
 CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
 PAST_STEPS = 5  # between samples of a load's past: 10 ms
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
+CREEP_TIMES = 5.0  # time constants of soft pads after which 0.7 % of their creep is left
 FORCE_TOLERANCE = 0.02  # of the delivered force, by which a pad may be off at the moment of grasp
 STEADY_TOLERANCE = 0.01  # the same while the fingers close
 OBSERVATIONS = 20  # of the moment of grasp: 0.2 s, after which a force that is lost stays lost
+TOUCH_REACH_M = 0.001  # by which no pad indents: ``margins.STIFFER_THAN_GEL``
 
 PatchOf = Callable[[ContactFrame], ContactPatch]
 """The patch in which a gel presses on the object at a pad's pose and normal force."""
@@ -136,7 +140,9 @@ def run_grasp(
             f"{simulator.engine!r}; open GraspSimulator(robot, {settings.engine!r})"
         )
         raise PhysicsError(msg)
+    pad_depth_mm = simulator.robot.gripper.pad.depth_mm
     problem = force_problem(config.force_n, settings.max_force_n)
+    problem = problem or settings.compliance_problem(config.force_n, pad_depth_mm)
     if problem:
         msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
         raise PhysicsError(msg)
@@ -161,7 +167,11 @@ class _Grasp:
         self.patch_of = patch_of
         self.note = ""
         self.world, self.gripper = simulator.world, simulator.robot.gripper
-        self.body, self.robot = self.world.build(obj, settings, config.force_n)
+        met, height_mm = obj.collision, config.z_mm + settings.height_offset_mm
+        if touches_as_sphere(settings.pad_dome_radius_mm):
+            pad_mm = self.gripper.pad.width_mm, self.gripper.pad.height_mm
+            met = within_reach(obj.collision, config, height_mm=height_mm, pad_mm=pad_mm)
+        self.body, self.robot = self.world.build(obj, settings, config.force_n, met)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
         self.bodies = Bodies(
@@ -212,14 +222,22 @@ class _Grasp:
         fingers.drive(speed_m_s, force_n)
         half_m = self.gripper.stroke_mm / 2 * M_PER_MM
         limit_s = (half_m - min(fingers.travel_m())) / speed_m_s + settings.settle_limit_s
+        damping_n_s_m = 0.0
+        if settings.pad_stiffness_n_mm > 0:  # the pads' springs take up the force as they give way
+            damping_n_s_m = settings.pad_damping_n_s_mm / M_PER_MM
+            limit_s += CREEP_TIMES * settings.pad_damping_n_s_mm / settings.pad_stiffness_n_mm
+        opening_m = sum(recorder.pad_distance_m())
         steady = 0
         touched = dict.fromkeys(PADS, 0.0)
         for _ in range(self._steps(limit_s) // CHUNK_STEPS):
             recorder.advance(CHUNK_STEPS)
-            if sum(recorder.pad_distance_m()) <= 0:
+            before_m, opening_m = opening_m, sum(recorder.pad_distance_m())
+            if opening_m <= 0:
                 return "the pads met with nothing between them"
             touched = self._pad_forces_n()
+            creep_m_s = abs(before_m - opening_m) / 2 / (CHUNK_STEPS * settings.time_step_s)
             off_n = max(abs(force - force_n) for force in touched.values())
+            off_n = max(off_n, damping_n_s_m * creep_m_s)
             steady = steady + 1 if off_n <= STEADY_TOLERANCE * force_n else 0
             if steady == STEADY_CHUNKS:
                 return ""
@@ -254,7 +272,10 @@ class _Grasp:
         """Set the torsion that the pads can hold beside the weight."""
         loads = outcome.frames_of([grasped], self.bodies, PADS, self.recorder.past())
         torsion = {pad: self._torsion_limit(load) for pad, (load,) in loads.items()}
-        capacity = outcome.capacity_of(grasped, self.bodies, self.obj, self.settings, torsion)
+        touches = {pad: self.world.touches(pad, TOUCH_REACH_M) for pad in PADS}
+        capacity = outcome.capacity_of(
+            grasped, self.bodies, self.obj, self.settings, torsion, touches
+        )
         spinning_m = [mm * M_PER_MM for mm in capacity.spinning_mm]
         by_pad = dict(zip(self.bodies.pads, spinning_m, strict=True))
         self.bodies = replace(self.bodies, spinning_friction_m=by_pad)

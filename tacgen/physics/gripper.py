@@ -19,6 +19,10 @@ from tacgen.core.yaml_source import read_yaml, validate
 PAD_MARGIN_MM = 1.0
 """The pads' vertices lie inside their surface by the margin that Bullet adds around hulls."""
 PAD_PITCH_MM = 2.0  # of the vertices on the dome: chords of a 30 mm dome lie 17 µm inside it
+LARGEST_SPHERE_MM = 60.0
+"""A pad of this dome radius or less touches as a sphere: a face that is tilted by 0.13 rad or less
+then meets it on the pad. A flatter one is a hull, whose facets are off by 0.02 rad or less."""
+TABLE_CLEARANCE_MM = 1.0  # of the gripper, where ranges of grasps are proposed or scaled
 
 _Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Axis = tuple[Literal[-1, 0, 1], Literal[-1, 0, 1], Literal[-1, 0, 1]]
@@ -151,6 +155,11 @@ class GripperSpec(Section):
         return max(self.pad.height_mm / 2, *lowest_mm)
 
     @property
+    def lowest_mm(self) -> float:
+        """Height of the pads' centre at which the gripper well clears the table."""
+        return self.below_mm + TABLE_CLEARANCE_MM
+
+    @property
     def sides(self) -> dict[str, Pad]:
         """Both pads by name."""
         return {pad: self.side(pad) for pad in PADS}
@@ -177,6 +186,16 @@ class GripperSpec(Section):
 
 
 _Vertices = tuple[tuple[float, float, float], ...]
+
+
+def touches_as_sphere(dome_radius_mm: float) -> bool:
+    """Whether a pad's dome is a sphere, which reaches beyond the pad's outline."""
+    return dome_radius_mm <= LARGEST_SPHERE_MM
+
+
+def outline_of(pad: str) -> str:
+    """Name of the part that ``pad`` is on the way to the grasp: its dome cut to the pad."""
+    return f"{pad} outline"
 
 
 def load_gripper(path: Path) -> GripperSpec:

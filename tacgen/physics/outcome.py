@@ -15,7 +15,7 @@ from tacgen.core.records import (
     GraspObject,
     frozen_array,
 )
-from tacgen.core.units import MM_PER_M
+from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
 from tacgen.physics.contacts import (
     Bodies,
     Placement,
@@ -26,10 +26,17 @@ from tacgen.physics.contacts import (
     load_courses,
     mean_contacts,
     object_pose,
+    pressed,
     with_past,
 )
+from tacgen.physics.engine import Touch
 from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, rotation_of, turn_rad
-from tacgen.physics.margins import Capacity, TorsionLimit, grasp_capacity
+from tacgen.physics.margins import (
+    Capacity,
+    TorsionLimit,
+    dome_stiffness_n_mm2,
+    grasp_capacity,
+)
 from tacgen.physics.settings import PhysicsSettings
 
 
@@ -98,18 +105,31 @@ def capacity_of(
     obj: GraspObject,
     settings: PhysicsSettings,
     torsion: Mapping[str, TorsionLimit],
+    touches: Mapping[str, Sequence[Touch]],
 ) -> Capacity:
-    """What the pads can hold, by the contact forces at the moment of grasp; ``torsion`` by pad."""
+    """What the pads can hold, each pressing as at the moment of grasp, where it touches then.
+
+    ``torsion`` and ``touches`` by pad.
+    """
     contacts = mean_contacts(grasped)
     last = grasped[-1]
+    closing_axis = gripper_pose(last)[:3, 0]
+    acceleration_m_s2 = settings.lift_acceleration_mm_s2 / MM_PER_M
+    carried_n = obj.mass_kg * (STANDARD_GRAVITY_M_S2 + acceleration_m_s2) / 2
+    stiffness_n_m2 = dome_stiffness_n_mm2(settings.pad_dome_radius_mm) * MM_PER_M**2
+    pads = []
+    for pad in bodies.pads:
+        force_n = abs(float(contacts.of(pad).force_n.sum(axis=0) @ closing_axis))
+        pads.append(pressed(pad, touches[pad], closing_axis, force_n, stiffness_n_m2, carried_n))
     return grasp_capacity(
-        [contacts.of(pad) for pad in bodies.pads],
-        closing_axis=gripper_pose(last)[:3, 0],
+        pads,
+        closing_axis=closing_axis,
         center_of_mass_m=np.array(last.object_position_m),
         mass_kg=obj.mass_kg,
         friction=obj.friction * settings.pad_friction,
         torsion=[torsion[pad] for pad in bodies.pads],
         success_turn_rad=settings.success_turn_rad,
+        lift_acceleration_m_s2=acceleration_m_s2,
     )
 
 

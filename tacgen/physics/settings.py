@@ -17,6 +17,7 @@ from pydantic.dataclasses import dataclass
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, PadName
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.physics.pybullet_import import load_bullet
 
 EngineName = Literal["pybullet", "mujoco"]
 EngineChoice = Literal["auto", "pybullet", "mujoco"]
@@ -45,8 +46,6 @@ def engine_of(choice: EngineChoice) -> EngineName:
     """The engine that ``choice`` means here: ``auto`` is PyBullet where it can be imported."""
     if choice != "auto":
         return choice
-    from tacgen.physics.world import load_bullet  # which needs the settings below
-
     try:
         load_bullet()
     except PhysicsError:
@@ -132,14 +131,26 @@ class PhysicsSettings:
         return PADS if self.tactile_pads == "both" else (self.tactile_pads,)
 
     def iterations_for(self, force_n: float, mass_kg: float) -> int:
-        """Solver iterations for ``force_n`` on an object of ``mass_kg``.
+        """Solver iterations for a commanded ``force_n`` on an object of ``mass_kg``.
 
         The solver's error is a part of the pads' force but moves the object by its mass: too few
         iterations let a light object creep in a strong grip.
         """
-        ratio = force_n / (mass_kg * STANDARD_GRAVITY_M_S2)
+        ratio = self.delivered_force_n(force_n) / (mass_kg * STANDARD_GRAVITY_M_S2)
         needed = min(math.ceil(ITERATIONS_PER_FORCE_RATIO * ratio), MOST_ITERATIONS)
         return max(self.solver_iterations, needed)
+
+    def compliance_problem(self, force_n: float, pad_depth_mm: float) -> str:
+        """What is wrong with the pads' stiffness under a commanded force; empty if nothing is."""
+        delivered_n = self.delivered_force_n(force_n)
+        if self.pad_stiffness_n_mm * pad_depth_mm > delivered_n or self.pad_stiffness_n_mm == 0:
+            return ""
+        given_mm, least = delivered_n / self.pad_stiffness_n_mm, delivered_n / pad_depth_mm
+        return (
+            f"= {force_n:g} presses the pads in by {given_mm:.3g} mm, but they are "
+            f"{pad_depth_mm:g} mm deep; raise physics.pad_stiffness_n_mm above {least:.3g} or "
+            "lower the force"
+        )
 
     def delivered_force_n(self, commanded_n: float) -> float:
         """The force a finger presses with when ``commanded_n`` is asked for."""

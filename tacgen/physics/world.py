@@ -1,10 +1,8 @@
 """A PyBullet client, and what bodies in it are made of. Lengths are in metres."""
 
-import contextlib
 import hashlib
-import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from functools import partial
@@ -19,6 +17,7 @@ from tacgen.core.errors import PhysicsError
 from tacgen.core.records import Mesh
 from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics.engine import ContactPoint, Vector
+from tacgen.physics.pybullet_import import load_bullet
 from tacgen.physics.settings import PhysicsSettings
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
@@ -34,6 +33,7 @@ NO_TURN = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
 class Collides(IntFlag):
     """What a link can touch: things that share a flag."""
 
+    NOTHING = 0
     GRIPPER = 1
     TABLE = 2
 
@@ -66,50 +66,6 @@ def link_arguments(links: Sequence[BulletLink]) -> dict[str, Any]:
         "linkJointTypes": [link.joint_type for link in links],
         "linkJointAxis": [link.axis for link in links],
     }
-
-
-def load_bullet() -> ModuleType:
-    """PyBullet, checked to exchange arrays with numpy.
-
-    Raises ``PhysicsError`` if PyBullet is missing, or was built without numpy.
-    """
-    try:
-        with _quiet_standard_error():
-            import pybullet
-    except ImportError as error:
-        msg = (
-            f"PyBullet cannot be imported ({error}); install it with `pip install pybullet` under "
-            "Python 3.11, the last with wheels of it, or simulate in MuJoCo: "
-            "`physics: {engine: mujoco}`"
-        )
-        raise PhysicsError(msg) from error
-    return require_numpy(pybullet)
-
-
-@contextlib.contextmanager
-def _quiet_standard_error() -> Iterator[None]:
-    """Keep PyBullet from writing when it was built on standard error as it is imported."""
-    kept = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
-
-
-def require_numpy(bullet: ModuleType) -> ModuleType:
-    """``bullet`` itself; raises ``PhysicsError`` if it was built without numpy."""
-    if not bullet.isNumpyEnabled():
-        msg = (
-            "PyBullet was built without numpy (pybullet.isNumpyEnabled() is 0); with numpy "
-            "installed, run `pip install --force-reinstall --no-cache-dir pybullet` under "
-            "Python 3.11, the last with wheels that have it"
-        )
-        raise PhysicsError(msg)
-    return bullet
 
 
 class _Client:
@@ -172,6 +128,7 @@ class World:
             solverResidualThreshold=SOLVER_TOLERANCE_M_S**2,
             enableConeFriction=1,
             deterministicOverlappingPairs=1,
+            enableFileCaching=0,  # which would keep every hull that a grasp ever had
         )
         bullet.setGravity(0.0, 0.0, -STANDARD_GRAVITY_M_S2)
         shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=TABLE_HALF_EXTENTS_M)
@@ -187,13 +144,19 @@ class World:
         for _ in range(count):
             step()
 
-    def hull_shape(self, parts: Sequence[Mesh], *, enclosing: bool = False) -> int:
+    def hull_shape(
+        self, parts: Sequence[Mesh], *, enclosing: bool = False, kept: bool = True
+    ) -> int:
         """A collision shape of convex ``parts`` (mm), or of one convex hull ``enclosing`` them.
 
         A ball is a sphere: on its facets the pads would press past each other and turn it.
         A hull goes through a file because ``createCollisionShape(vertices=…)`` takes one
-        hull only. The margin around such hulls can be taken off a body's base, not off its links.
+        hull only; it is ``kept`` for the next grasp of the object, if it is the same in each. The
+        margin around such hulls can be taken off a body's base, not off its links.
         """
+        if not kept:
+            once = self._shape(parts, Path(self._folder.name) / "once", enclosing)
+            return int(self.bullet.createCollisionShape(**once))
         digest = hashlib.sha256(bytes([enclosing]))
         for part in parts:
             digest.update(part.vertices_mm.tobytes() + part.faces.tobytes())

@@ -406,7 +406,7 @@ def _pretrain_radii(
 ) -> tuple[FloatArray, list[str]]:
     """Radius of each ball (N,), mm, from ``indenter_param``; the given one tells its unit.
 
-    Raises ``PressError`` where balls of several sizes cannot all be told from the given radius.
+    Raises ``PressError`` where balls of several sizes do not follow from the given radius.
     """
     empty = pd.Series([""] * len(table), index=table.index)
     text = table.get("indenter_param", empty).fillna("").astype(str).str.strip()

@@ -113,13 +113,13 @@ class Noise(Section):
     """Standard deviations of the measurements."""
 
     force_n: NonNegativeFloat = 0.01
-    """Of each force component."""
+    """Noise of each force component."""
     volume_mm3: NonNegativeFloat = 0.2
-    """Of the indented volume."""
+    """Noise of the indented volume."""
     marker_sum_mm: NonNegativeFloat = 0.03
-    """Of the sum of the markers' motion."""
+    """Noise of the sum of the markers' motion."""
     camera_grey: NonNegativeFloat = 1.0
-    """Of each pixel, in grey levels."""
+    """Noise of each pixel, in grey levels."""
 
 
 class Temperature(Section):

@@ -26,8 +26,8 @@ from tacgen.sensor.simulated import Frame, Sensor
 LEAST_DEPTH_MM = 0.03
 """Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""
 MOST_CHANGE_GREY = 12.0
-"""Of half of all pixels: far beyond the drift of lamps in one session (gain by some 5 %),
-where pictures of another sensor differ by tens."""
+"""Largest change of half of all pixels: far beyond the drift of lamps in one session (some 5 % of
+gain), where pictures of another sensor differ by tens."""
 MARKER_STDERR_PX = 0.1
 """How well the centre of one dot is found, with what its motion loses where it is interpolated."""
 MOST_AT_STEEPEST = 0.01

@@ -54,6 +54,21 @@ def test_the_recipes_own_axis_goes_before_the_objects_and_the_entrys_before_both
     assert {g.config.force_n for g in planned if g.config.object == "box"} == {7.0}
 
 
+def test_an_objects_own_ranges_are_scaled_with_it():
+    """Its mass stays, and so do its forces; pads that clear the table do so still."""
+    planned = plan(objects=[{"name": "can", "scale": 0.5}, {"name": "box", "scale": 0.5}])
+    assert points(planned)[:2] == [("can", 5.0, -2.5, 20.0), ("can", 5.0, 2.5, 20.0)]
+    assert [g.config.z_mm for g in planned if g.config.object == "box"] == [10.0, 10.5, 15.0]
+    asked = plan(objects=[{"name": "can", "scale": 2.0, "grid": {"z_mm": 30}}])
+    assert {g.config.z_mm for g in asked} == {30.0}
+    assert {g.config.y_mm for g in asked} == {-10.0, 10.0}
+
+
+def test_a_force_that_presses_soft_pads_through_is_refused():
+    with pytest.raises(RecipeError, match=r"objects/can: .*force_n = 20 presses the pads in by 10"):
+        plan(physics={"pad_stiffness_n_mm": 2.0})
+
+
 def test_an_objects_own_force_beyond_the_gripper_is_refused():
     with pytest.raises(RecipeError, match="force_n = 20 exceeds robot.max_force_n = 15"):
         plan(robot={"max_force_n": 15})

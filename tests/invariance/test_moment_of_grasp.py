@@ -99,7 +99,7 @@ def test_a_dataset_states_the_moment_and_uses_it_everywhere(tmp_path, monkeypatc
     }
     found = {}
     for mode in ("single", "sequence"):
-        frames = f"{{mode: {mode}, count: 12}}"
+        frames = f"{{mode: {mode}, count: 14}}"
         recipe = load_recipe(write_world(tmp_path, frames=frames, **sections))
         collect(recipe, tmp_path / mode, progress=False)
         found[mode] = Dataset(tmp_path / mode)
@@ -117,7 +117,7 @@ def test_a_dataset_states_the_moment_and_uses_it_everywhere(tmp_path, monkeypatc
         np.testing.assert_array_equal(one.pads["left"].depth_mm, other.pads["left"].depth_mm)
         forces_n = [s.pads["left"].force_normal_n[k] for s, k in ((one, 0), (other, frame))]
         assert forces_n[0] == forces_n[1]
-        # Not later than the moment: the force has only just become steady.
+        # Of frames 0.23 s apart the one before the moment, which comes after 0.25 s.
         assert sequence.time_s[frame] <= one.grasp_time_s
     for name in ("images", "webdataset", "lerobot", "robomimic"):
         export_dataset(sequence.root, tmp_path / name, name)

@@ -133,8 +133,10 @@ def test_what_collides_stays_where_it_stands(folder, simulator):
     start_m, start = body.inertial_position()
     simulator.world.step(240)
     end_m, end = body.inertial_position()
-    # A hull's facets lie inside a round flank, the spatula's head bends 0.13 mm into the table.
-    assert np.abs(np.subtract(end_m, start_m)).max() < 0.3e-3
+    # A hull's facets lie inside a round flank, the spatula's head bends 0.13 mm into the table, and
+    # MuJoCo's gives by 0.1 mm under the edges of the scissors.
+    limit_m = {"pybullet": 0.3e-3, "mujoco": 0.4e-3}[simulator.engine]
+    assert np.abs(np.subtract(end_m, start_m)).max() < limit_m
     assert turn_rad(rotation_of(start).T @ rotation_of(end)) < 0.012
 
 

@@ -17,6 +17,7 @@ from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_gr
 from tacgen.physics.settings import EngineName
 
 GRAVITY_M_S2 = 9.80665
+LIFT_LOAD = 1 + 0.12 / GRAVITY_M_S2  # of the weight, at the default acceleration of the lift
 SEQUENCE = FrameRequest("sequence", 25, 3.0)
 
 

@@ -86,9 +86,10 @@ class TestBadInput:
             GraspSimulator("panda")
 
     def test_a_closed_simulator(self) -> None:
+        pytest.importorskip("pybullet")
         with pytest.raises(PhysicsError, match="use it in a `with` block"):
             run_grasp(
-                GraspSimulator(),
+                GraspSimulator(engine="pybullet"),
                 block(),
                 GraspConfig(0, "block", 5.0, 0.0, 0.0, 50.0),
                 PhysicsSettings(),

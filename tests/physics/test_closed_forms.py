@@ -244,7 +244,11 @@ def test_what_hangs_below_the_pads_swings_to_twice_the_turn_of_balance(
 def test_objects_of_several_parts_turn_where_the_soft_finger_gives_way(
     simulator: GraspSimulator, name: str, force_n: float, y_mm: float, z_mm: float
 ) -> None:
-    """PyBullet keeps a touch that it does not find again with the friction that it began with."""
+    """PyBullet keeps a touch that it does not find again with the friction that it began with.
+
+    What hangs h below the pads turns by twice the angle of balance, 2 · 0.1 d/h: 0.042 rad for the
+    bottle, whose mass is 5.4 mm beside and 26 mm below its touch.
+    """
     shipped = load_object(packaged("objects") / name)
 
     def gripped(spinning_friction_mm: float) -> GraspTrace:
@@ -254,7 +258,7 @@ def test_objects_of_several_parts_turn_where_the_soft_finger_gives_way(
     ample = gripped(20.0)
     needed_mm = 20.0 / ample.margin.torsion_ratio
     assert gripped(1.1 * needed_mm).turn_rad < 0.02
-    assert gripped(0.9 * needed_mm).turn_rad > 0.04
+    assert gripped(0.9 * needed_mm).turn_rad > 0.03
 
 
 @pytest.mark.parametrize("pressure", ["uniform", "hertz", "paraboloid"])

@@ -9,7 +9,7 @@ import pytest
 
 from tacgen.physics import GraspSimulator, PhysicsSettings
 
-from .conftest import GRAVITY_M_S2, SEQUENCE, block, dumbbell, grasp, hull_mesh
+from .conftest import GRAVITY_M_S2, LIFT_LOAD, SEQUENCE, block, dumbbell, grasp, hull_mesh
 
 
 class TestOutcomes:
@@ -27,7 +27,8 @@ class TestOutcomes:
         assert trace.rise_mm < 150.0
         assert trace.margin is not None
         weight_n = 0.5 * GRAVITY_M_S2
-        closed_form = (2 * 0.5 * 3.0 - weight_n) / weight_n
+        load_n = weight_n * LIFT_LOAD
+        closed_form = (2 * 0.5 * 3.0 - load_n) / weight_n
         assert trace.margin.translational == pytest.approx(closed_form, rel=2e-5)  # of the solver
         # The gripper goes up, so the object slides down its images.
         assert trace.margin.first_slip_direction == pytest.approx([0.0, 1.0], abs=0.02)
@@ -39,9 +40,9 @@ class TestOutcomes:
         assert trace.turn_rad > 0.5
         assert trace.margin is not None
         assert trace.margin.translational > 0
-        share = 0.3 * GRAVITY_M_S2 / (2 * 0.5 * 10.0)
+        share = 0.3 * GRAVITY_M_S2 * LIFT_LOAD / (2 * 0.5 * 10.0)
         limit_n_mm = 2 * 2.0 * 10.0 * np.sqrt(1 - share**2)
-        expected = limit_n_mm / (0.3 * GRAVITY_M_S2) - 20.0
+        expected = limit_n_mm / (0.3 * GRAVITY_M_S2) - 20.0 * LIFT_LOAD
         assert trace.margin.rotational == pytest.approx(expected, abs=0.1)
 
     def test_gripping_beside_the_object_touches_nothing(self, simulator: GraspSimulator) -> None:

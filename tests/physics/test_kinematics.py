@@ -100,9 +100,10 @@ def test_the_arm_lifts_straight(arm_simulator: GraspSimulator) -> None:
 
 
 def test_the_body_in_pybullet_is_the_published_arm() -> None:
-    with GraspSimulator("ur5e_wsg50") as simulator:
+    pytest.importorskip("pybullet")
+    with GraspSimulator("ur5e_wsg50", "pybullet") as simulator:
         world: Any = simulator.world
-        _, arm = world.build(block(), PhysicsSettings(), 1.0)
+        _, arm = world.build(block(), PhysicsSettings(engine="pybullet"), 1.0)
         arm.place(TARGET)
         bullet, body = world.bullet, world.bullet.getNumBodies() - 1
         joints = [bullet.getJointState(body, joint)[0] for joint in range(6)]

@@ -81,8 +81,7 @@ def test_reading_before_attaching_is_refused(sensor):
 
 @pytest.fixture
 def bullet():
-    import pybullet
-
+    pybullet = pytest.importorskip("pybullet")
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -GRAVITY_M_S2, physicsClientId=client)
     yield client

@@ -95,7 +95,7 @@ class Pooled:
 
     @classmethod
     def of(cls, values: Sequence[float], stderr: Sequence[float]) -> "Pooled":
-        """Of values (N,) with standard errors (N,)."""
+        """The pooled value of values (N,) with standard errors (N,)."""
         value, weight = np.array(values), 1.0 / np.array(stderr) ** 2
         q = float((weight * (value - np.average(value, weights=weight)) ** 2).sum())
         free = len(value) - 1
@@ -261,7 +261,7 @@ def _standard_errors(
     radius_mm: float,
     reference_n: float,
 ) -> FloatArray:
-    """Of log k_n, contact point and power (3,) of a least-squares fit, per unit of its noise."""
+    """Errors (3,) of log k_n, contact point and power in a fit, per unit of its noise."""
 
     def force_n(log_k: float, shift_mm: float, power: float) -> FloatArray:
         stiffness = (math.exp(log_k) * reference_n ** (1.0 - power)) ** (-1.0 / power)

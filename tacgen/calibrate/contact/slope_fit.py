@@ -26,7 +26,7 @@ SCALE_ITERATIONS = 5
 LOADED_SHARE = 0.1
 """Samples below this share of the largest load tell little about the slope or its noise."""
 MIN_REMAINING_LEVERAGE = 0.1
-"""Of a press beside the others: its part of the scatter is enlarged by no more than tenfold."""
+"""Least leverage left to a press: its part of the scatter is enlarged by no more than tenfold."""
 MIN_RELEVANCE = 0.8
 """Neighbours that explain less of the load's square than this are no instrument for it."""
 MAX_OUTLYING_SHARE = 0.2

@@ -19,7 +19,7 @@ from tacgen.presses.screening import usable_presses
 MANY_PRESSES = 30
 """From so many presses on, spread over the gel, the held-out error hardly falls any more."""
 CONTRAST_RANGE = (0.8, 1.25)
-"""Of the images over the table's: presses of the table's own sensor stay within it."""
+"""Contrast of the images over the table's: presses of the table's own sensor stay within it."""
 
 
 def calibrate_lookup(

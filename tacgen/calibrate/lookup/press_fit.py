@@ -37,7 +37,7 @@ LABEL_SCATTER_RADII = np.array(
 """Standard deviations of a label's centre and radius, in label radii."""
 
 LARGEST_STEP_RADII = 0.06
-"""Of one Gauss–Newton step of a press's place: the model is linear over no more."""
+"""Largest Gauss–Newton step of a press's place: the model is linear over no more."""
 
 MEMBRANE_STEP = 2.0
 """Times a Gauss–Newton step of the gel's rim: the light, which is fitted anew after each, follows

@@ -32,7 +32,7 @@ share of their distances."""
 RIM_EXCESS = 1.05  # the rim that is seen in a picture lies outside the contact by up to this factor
 
 RADIUS_FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1)
-"""Of the stated radius, that are tried; the best is interpolated."""
+"""Factors on the stated radius that are tried; the best is interpolated."""
 
 RATIO_SETTINGS = FitSettings(degree=4, position_degree=2, ridge=1e-4)
 """A model of few terms tells the size of a ball as well and is fitted five times a ball."""

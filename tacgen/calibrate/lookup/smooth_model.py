@@ -70,7 +70,7 @@ def feature_index(n_features: int, degree: int) -> NDArray[np.int64]:
 
 
 def first_features(position: FloatArray, n_features: int) -> FloatArray:
-    """Of ``position_features`` (n, f) of a higher degree those of a degree that has fewer."""
+    """Those of ``position_features`` (n, f) that a lower degree has."""
     if position.shape[1] == n_features:
         return position
     n_products = n_features - N_LIGHT

@@ -13,7 +13,7 @@ from tacgen.core.errors import ContactError
 
 Made = TypeVar("Made")
 Memory: TypeAlias = Mapping[Hashable, tuple[float, Any]]
-"""Of each recursion of each effect: the trial that it is of, and its state; never changed."""
+"""State of each recursion of each effect, and the trial that it belongs to; never changed."""
 Channel = Literal["normal", "shear"]
 CHANNELS: tuple[Channel, ...] = ("normal", "shear")
 
@@ -322,7 +322,7 @@ class LoadHistory:
         return self._since_contact[key]
 
     def seen_by(self, effect: Hashable) -> "LoadHistory":
-        """The history as one effect of a law sees it, told apart by ``effect``."""
+        """The history as one effect of a law sees it, kept by ``effect``."""
         return self
 
     @cached_property

@@ -10,7 +10,7 @@ GRID = np.linspace(-1.0, 1.0, 5)
 SPOTS = (-0.5, 0.0, 0.5)
 """Where along each axis, in extents, the fit of a spot starts."""
 BUMPS = base.free_amounts("bump", GRID.size**2)
-"""Of Gaussians on a grid, as far from each other as they are wide: half the extent."""
+"""Amounts of Gaussians on a grid, as far apart as they are wide: half the extent."""
 
 
 def _apply(load: base.FloatArray, history: base.LoadHistory, p: base.Parameters) -> base.FloatArray:

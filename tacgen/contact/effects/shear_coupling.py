@@ -6,7 +6,7 @@ from tacgen.contact.effects import base
 
 CURVE = base.Curve("curve", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2))
 LEAKED = base.Curve("leaked", (0.1, 0.2, 0.4, 0.6, 0.8, 1.0))
-"""Of |F_s|: the share of it that is added, as its size has it."""
+"""The share of |F_s| that is added, by its size."""
 MIN_SHEAR_SHARE = 0.01
 """A shear force below this share of the normal one is the gauge's misalignment."""
 

@@ -99,7 +99,7 @@ def diagnose(
 
 
 def _choices(channels: Sequence["_Channel"]) -> list[list[Attribution]]:
-    """Of each channel the choice on all trials, then that on each set to fit; in processes."""
+    """The choice of each channel on all trials, then on each set to fit; in processes."""
     tasks = [(own, k) for own in channels for k in range(1 + len(own.held_out.splits))]
     tasks.sort(key=lambda task: task[1])  # those on all trials take longest
 

@@ -73,7 +73,7 @@ def parts_of(data: ChannelData) -> list[Part]:
 
 
 def local_effects(data: ChannelData, effects: Sequence[Effect]) -> list[Effect]:
-    """Of the channel's ``effects`` those that may act in a part, and those that only can."""
+    """Those of the channel's ``effects`` that may act in a part, and those that only can."""
     only = [e for e in all_effects() if e.is_local and e.channel == data.channel]
     return [*(e for e in effects if not e.is_of_trials), *only]
 

@@ -17,7 +17,7 @@ from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.scores import score_weights
 
 _MAX_POINTS = 1 << 17
-"""Of the search's clock; a session that needs more is searched for slower oscillations only."""
+"""Most ticks of the search's clock; longer sessions are searched for slower oscillations only."""
 MIN_CYCLES = 1.5  # slower within the session is a drift
 ROWS_PER_PERIOD = 4  # of the shortest oscillation
 _POINTS_PER_PERIOD = 8  # four times what sampling needs: the peak is not missed
@@ -28,7 +28,7 @@ _SLOW_PER_FAST = 5  # flips: of many frequencies, the highest peak by chance var
 _REFINED = 41  # frequencies between the neighbours of the best one that are tried afterwards
 
 Transform: TypeAlias = Callable[[FloatArray, int], NDArray[np.complex128]]
-"""Of rows (F, N) the Fourier sums (F, K) at so many times each frequency."""
+"""Fourier sums (F, K) of rows (F, N) at so many times each frequency."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Co
 
 
 def _products(data: ChannelData, fit: Fit, how: How) -> tuple[list[_Products], list[_Products]]:
-    """Of the compliance, or, added, of each output: as they are, and with trials weighted.
+    """Products for the compliance, or, added, for each output: plain, and with trials weighted.
 
     The weight is information over variance, as scores have it: then no trial outweighs the others.
     """

@@ -296,7 +296,7 @@ def _in_turn(pool: Pool, rules: SelectionRules) -> Iterator[tuple[float, list[Ca
 
 
 def _worth_a_fit(pool: Pool, share: float) -> list[Candidate]:
-    """Of each form the best start, if it promises at least ``share`` of what the best one does."""
+    """The best start of each form that promises at least ``share`` of what the best one does."""
     best: dict[tuple[str, object], Candidate] = {}
     least = share * max((gain for _, gain in pool), default=0.0)
     for candidate, gain in pool:

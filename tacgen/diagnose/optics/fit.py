@@ -184,7 +184,7 @@ class PressFit:
 
     @property
     def variance(self) -> float:
-        """Of a residual, times how many neighbours count as one."""
+        """Variance of a residual, times how many neighbours count as one."""
         return self.rules.residual_grey**2 * self.rules.correlated_pixels
 
     def squares(
@@ -194,7 +194,7 @@ class PressFit:
         return self.mean_squares(self.residuals(model, known, heldout=heldout))
 
     def mean_squares(self, residuals: Sequence[FloatArray]) -> FloatArray:
-        """Of the residuals (n, 3) of each picture, by press (E,)."""
+        """Mean squares of the residuals (n, 3) of each picture, by press (E,)."""
         by_picture = np.array([(residual**2).mean() for residual in residuals])
         return self.by_press(by_picture)
 

@@ -18,7 +18,7 @@ class SelectionRules:
     test_every: int = 4
     """Every fourth press is kept from fitting and choosing: a quarter, spread over the session."""
     folds: int = 5
-    """Of whole presses; as many as ``tacgen calibrate lookup`` scores a table on."""
+    """Folds of whole presses; as many as ``tacgen calibrate lookup`` scores a table on."""
     reach_radii: float = 1.5
     """Pixels up to here from a centre belong to the contact: its rim lies within."""
     pixels_per_press: int = 400
@@ -32,13 +32,13 @@ class SelectionRules:
     # Gauss–Newton.
     steps: int = 4
     place_steps: int = 6
-    """Of a candidate's parameters; of presses' places, which start at the labels."""
+    """Steps of a candidate's parameters, and of presses' places, which start at the labels."""
     nudge_radii: float = 0.01
-    """Of the finite differences of a place: a fraction of a pixel."""
+    """Step of the finite differences of a place: a fraction of a pixel."""
     converged_share: float = 1e-4
     """A step that lowers the squared error by less than this share is the last."""
     longest_step: float = 0.2
-    """Of one step, as a share of a parameter's range or of the contact's radius: the linear model
+    """Longest step, as a share of a parameter's range or of the contact's radius: the linear model
     says nothing beyond."""
     residual_grey: float = 6.0
     correlated_pixels: float = 6.0

@@ -60,7 +60,7 @@ class Scored:
 
     @property
     def rmse(self) -> float:
-        """Of a typical press, grey levels."""
+        """Error of a typical press, grey levels."""
         return math.sqrt(typical(self.squares))
 
 
@@ -178,7 +178,7 @@ def _scored(
 
 
 def correlations(residuals: list[FloatArray], changes: list[FloatArray]) -> FloatArray:
-    """Of each picture's residual (n, 3) with what parameters of other presses change it by."""
+    """Correlations of residuals (n, 3) with what other presses' parameters change in them."""
     pairs = [(r / np.linalg.norm(r), c) for r, c in zip(residuals, changes, strict=True)]
     return np.array([np.vdot(r, c) / (np.linalg.norm(c) + 1e-9) for r, c in pairs])
 

@@ -18,7 +18,7 @@ ROUNDING = 1 / 12
 """Variance that rounding to whole grey levels adds, whatever the lens does."""
 
 WIDEST_PX = 10.0
-"""Of a Gaussian; beyond it no contact is left to see."""
+"""Width of a Gaussian; beyond it no contact is left to see."""
 
 
 @dataclass(frozen=True, slots=True)

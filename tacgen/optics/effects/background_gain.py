@@ -30,7 +30,7 @@ class BackgroundGain(base.OpticalEffect):
         return array * (gain + drift * array.dtype.type(patch.time)) + offset
 
     def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
-        """Of all presses alike, growing over the session, or each picture with its own."""
+        """Gains of all presses alike, growing over the session, or one for each picture."""
         return [
             base.Candidate(self.name, "exposure since the table", GAINS),
             base.Candidate(self.name, "exposure and offset since the table", {**GAINS, **OFFSETS}),

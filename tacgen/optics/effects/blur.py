@@ -17,7 +17,7 @@ MAX_SIGMA_RADII = 0.8
 """Beyond this width, in contact radii, no contact is left to see."""
 
 STEP_PX = 0.25
-"""Of the finite difference: a kernel narrower than that is a single pixel."""
+"""Step of the finite difference: a kernel narrower than that is a single pixel."""
 
 WHOLE_PICTURE_MM = 1000.0
 """Wider than any sensor."""

@@ -1,16 +1,17 @@
 """The MuJoCo model of one grasp: table, object and robot. Lengths are in metres."""
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import PADS, GraspObject
+from tacgen.core.records import PADS, GraspObject, Mesh
 from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics.engine import PALM, TABLE, Link, Vector
 from tacgen.physics.frames import Pose, quaternion_from_rotation
-from tacgen.physics.gripper import PAD_MARGIN_MM, GripperSpec
+from tacgen.physics.gripper import PAD_MARGIN_MM, GripperSpec, outline_of, touches_as_sphere
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import Collides, ball_of
@@ -53,7 +54,8 @@ class Scene:
 
     def __init__(self, mujoco: Any, settings: PhysicsSettings) -> None:
         self._mujoco, self._settings = mujoco, settings
-        self._parts: list[str] = []
+        self.parts: list[str] = []  # names of the object's geoms
+        self.met: list[str] = []  # of those that the gripper can touch
         self._spec = mujoco.MjSpec()
         option, disabled = self._spec.option, mujoco.mjtDisableBit
         option.timestep = settings.time_step_s
@@ -74,21 +76,38 @@ class Scene:
         """The model of all that was added."""
         return self._spec.compile()
 
-    def add_object(self, obj: GraspObject, inertial: Pose, moments_kg_m2: FloatArray) -> None:
-        """The object in its rest pose; several parts meet the table as one hull, as in PyBullet."""
+    def add_object(
+        self,
+        obj: GraspObject,
+        inertial: Pose,
+        moments_kg_m2: FloatArray,
+        met: Sequence[Mesh] | None = None,
+    ) -> None:
+        """The object in its rest pose; several parts meet the table as one hull, as in PyBullet.
+
+        The gripper can touch ``met`` alone, if it is given; on the way to the grasp the whole
+        parts count.
+        """
         body = self._spec.worldbody.add_body(name=OBJECT)
         body.add_freejoint(name=OBJECT)
         _set_inertia(body, obj.mass_kg, moments_kg_m2, inertial)
         parts, alone = obj.collision, len(obj.collision) == 1
-        self._parts = [f"part {number}" for number in range(len(parts))]
-        for name, part in zip(self._parts, parts, strict=True):
-            touch = {"contype": 0, "conaffinity": int(Collides.GRIPPER)}
+        met = parts if met is None else met
+        whole = len(met) == len(parts) and all(map(operator.is_, met, parts))
+        touch = {"contype": 0, "conaffinity": int(Collides.GRIPPER)}
+        self.parts = self.met = [f"part {number}" for number in range(len(parts))]
+        if not whole:
+            self.met = [f"met {number}" for number in range(len(met))]
+            for name, part in zip(self.met, met, strict=True):
+                self._add_hull(body, name, part.vertices_mm * M_PER_MM, **touch)
+            touch["conaffinity"] = int(Collides.NOTHING)
+        for name, part in zip(self.parts, parts, strict=True):
             if alone and (ball := ball_of(part)):
                 sphere, size = self._mujoco.mjtGeom.mjGEOM_SPHERE, [ball[1] * M_PER_MM, 0.0, 0.0]
                 body.add_geom(name=name, type=sphere, pos=ball[0] * M_PER_MM, size=size, **touch)
             else:
                 self._add_hull(body, name, part.vertices_mm * M_PER_MM, **touch)
-        standing = self._parts[0]
+        standing = self.parts[0]
         if not alone:
             standing = "hull"
             vertices_m = np.concatenate([part.vertices_mm for part in parts]) * M_PER_MM
@@ -130,10 +149,20 @@ class Scene:
         finger.add_joint(name=motor_of(pad), type=slide, axis=inwards, armature=DRIVEN_MASS)
         limit = {f"{key}_friction": value for key, value in SOFTNESS.items()}
         finger.add_joint(name=pad, type=slide, axis=inwards, frictionloss=1.0, **limit)
-        vertices_m = np.array(gripper.pad_vertices_m(pad, self._settings.pad_dome_radius_mm))
-        margin = PAD_MARGIN_MM * M_PER_MM
-        self._add_hull(finger, pad, vertices_m, margin=margin, contype=0, conaffinity=0)
-        for part in self._parts:
+        radius_mm, margin = self._settings.pad_dome_radius_mm, PAD_MARGIN_MM * M_PER_MM
+        vertices_m = np.array(gripper.pad_vertices_m(pad, radius_mm))
+        # Geoms lie inside the pad's surface by the margin in which it touches.
+        alone = {"margin": margin, "contype": 0, "conaffinity": 0}
+        self._add_hull(finger, outline_of(pad), vertices_m, **alone)
+        if touches_as_sphere(radius_mm):
+            finger.add_geom(
+                name=pad, type=self._mujoco.mjtGeom.mjGEOM_SPHERE, **alone,
+                pos=[side * radius_mm * M_PER_MM, 0.0, 0.0],
+                size=[radius_mm * M_PER_MM - margin, 0.0, 0.0],
+            )  # fmt: skip
+        else:
+            self._add_hull(finger, pad, vertices_m, **alone)
+        for part in self.met:
             self._add_pair(pad, part, friction, condim=4, margin=margin)
         for number, (half_mm, center_mm) in enumerate(gripper.finger_boxes_mm(pad)):
             self._add_box(finger, f"{pad} finger {number}", half_mm, center_mm)

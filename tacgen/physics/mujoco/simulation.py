@@ -8,12 +8,13 @@ import numpy as np
 
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PhysicsError
-from tacgen.core.records import PADS, GraspObject
+from tacgen.core.records import PADS, GraspObject, Mesh
 from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics import engine
 from tacgen.physics.bodies import principal_axes
-from tacgen.physics.engine import TABLE, ContactPoint, Place, Vector
+from tacgen.physics.engine import TABLE, ContactPoint, Place, Touch, Vector
 from tacgen.physics.frames import pose, quaternion_from_rotation, rotation_of
+from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import torsion_factor
 from tacgen.physics.mujoco.model import (
     BASE,
@@ -27,7 +28,6 @@ from tacgen.physics.mujoco.model import (
 )
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.physics.world import Collides
 
 LARGEST_STIFFNESS_N_M = 1e6  # of a pad
 SLIP_DAMPING_1_S = 100.0
@@ -61,7 +61,11 @@ class Engine:
         """Nothing to close."""
 
     def build(
-        self, obj: GraspObject, settings: PhysicsSettings, force_n: float
+        self,
+        obj: GraspObject,
+        settings: PhysicsSettings,
+        force_n: float,
+        met: Sequence[Mesh] | None = None,
     ) -> tuple["ObjectBody", engine.Robot]:
         """A new scene: the table, the object in its rest pose and the robot."""
         moments, axes = principal_axes(obj.inertia_kg_mm2)
@@ -70,7 +74,7 @@ class Engine:
             moments * M_PER_MM**2,
         )
         scene = Scene(self._mujoco, settings)
-        scene.add_object(obj, inertial, moments_kg_m2)
+        scene.add_object(obj, inertial, moments_kg_m2, met)
         friction = obj.friction * settings.pad_friction
         scene.add_robot(self._robot, friction)
         self._model = model = scene.compiled()
@@ -81,8 +85,11 @@ class Engine:
         self._names = [model.geom(geom).name for geom in geoms]
         self._of_object = (model.geom_bodyid == model.body(OBJECT).id).tolist()
         hand = model.body(HAND).id
-        self._gripper = [k for k in geoms if model.geom_bodyid[k] >= hand]  # and the fingers
-        self._parts = [k for k in geoms if model.geom_conaffinity[k] & int(Collides.GRIPPER)]
+        self._gripper = [  # and the fingers, with the pads' outlines
+            k for k in geoms if model.geom_bodyid[k] >= hand and self._names[k] not in PADS
+        ]
+        self._parts = [model.geom(name).id for name in scene.parts]
+        self._met = [model.geom(name).id for name in scene.met]
         self._joints = Joints(self._mujoco, model, data, self._robot)
         self._fingers = Fingers(model, data)
         self._driven = np.concatenate([self._joints.dofs, self._fingers.motors])
@@ -125,6 +132,23 @@ class Engine:
             nearest_m = min(self._mujoco.mj_geomDistance(*pair) for pair in pairs)
             if nearest_m < most_m:
                 found.append((self._names[geom], nearest_m - margin_m))
+        return found
+
+    def touches(self, pad: str, limit_m: float) -> list[Touch]:
+        """Where what a pad can touch of the object is nearest to it, within ``limit_m``."""
+        model, data, geom = self._model, self._data, self._model.geom(pad).id
+        self._mujoco.mj_kinematics(model, data)
+        margin_m, found = float(model.geom_margin[geom]), []
+        most_m = limit_m + margin_m
+        for part in self._met:
+            ends = np.zeros(6)
+            distance_m = self._mujoco.mj_geomDistance(model, data, geom, part, most_m, ends)
+            if distance_m < most_m:
+                on_pad, on_object = ends[:3], ends[3:]
+                normal = (on_object - on_pad) / distance_m
+                normal /= np.linalg.norm(normal)
+                place = tuple(on_object.tolist())
+                found.append(Touch(place, tuple(normal.tolist()), distance_m - margin_m))
         return found
 
 
@@ -176,6 +200,7 @@ def _set_compliance(model: Any, settings: PhysicsSettings, friction: float, forc
     for pad in PADS:
         _set_spring(model, pad, stiffness, inverse_mass, damping, slip_damping)
         model.pair_margin[_pairs(model, pad)] += sunk_m
+        model.geom_margin[model.geom(outline_of(pad)).id] += sunk_m
 
 
 def _set_spring(

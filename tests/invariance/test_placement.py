@@ -1,0 +1,294 @@
+"""The same grasp wherever object and gripper stand together: margins, labels, closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from tacgen.core.records import GraspConfig, GraspObject
+from tacgen.objects import load_object
+from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics.contacts import pressed
+from tacgen.physics.engine import Touch
+from tacgen.physics.reach import within_reach
+from tests.physics.conftest import GRAVITY_M_S2, LIFT_LOAD, block, grasp, hull_mesh
+from validation.physics.placement import FAR, NEAR, NEARBY, Placement, Study, drawn, spread
+
+ENGINES = ("pybullet", "mujoco")
+
+
+@pytest.fixture(scope="module", params=ENGINES)
+def simulator(request: pytest.FixtureRequest) -> Iterator[GraspSimulator]:
+    pytest.importorskip(request.param)
+    with GraspSimulator("wsg50", request.param) as opened:
+        yield opened
+
+
+def settings_of(simulator: GraspSimulator, **figures: float) -> PhysicsSettings:
+    return PhysicsSettings(engine=simulator.engine, tactile_pads="both", **figures)
+
+
+def spreads(
+    simulator: GraspSimulator, name: str, placements: tuple[Placement, ...], count: int
+) -> list[float]:
+    """Of the friction ratio of each grasp; labels may differ within 2 % of the border alone."""
+    study, obj = Study(simulator, settings_of(simulator)), load_object(name)
+    found = []
+    for config in drawn(obj, seed=5, count=count):
+        traces = study.traces(obj, config, placements)
+        margins = [trace.margin for trace in traces if trace.margin is not None]
+        if not margins:
+            continue
+        assert len(margins) == len(placements)
+        found.append(spread([margin.friction_ratio for margin in margins]))
+        least = [min(margin.friction_ratio, margin.torsion_ratio) for margin in margins]
+        if min(abs(one - 1) for one in least) > NEAR:
+            assert len({trace.label for trace in traces}) == 1, config
+    return found
+
+
+def ball(friction: float = 0.35) -> GraspObject:
+    """A ball of 25 mm radius and 0.3 kg."""
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=25.0)
+    part = hull_mesh(mesh.vertices + np.array([0.0, 0.0, 25.0]))
+    return replace(
+        block(friction=friction, spinning_friction_mm=5.0),
+        surface=part,
+        collision=(part,),
+        center_of_mass_mm=np.array([0.0, 0.0, 25.0]),
+        inertia_kg_mm2=np.eye(3) * 0.4 * 0.3 * 25.0**2,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("placements", [FAR, NEARBY], ids=["far", "nearby"])
+@pytest.mark.parametrize("name", ["flat_screwdriver", "strawberry", "tomato_soup_can", "spatula"])
+def test_margins_do_not_depend_on_the_place(
+    simulator: GraspSimulator, name: str, placements: tuple[Placement, ...]
+) -> None:
+    found = spreads(simulator, name, placements, count=16)
+    assert np.median(found) < 0.01
+    assert np.quantile(found, 0.9) < 0.05
+
+
+def test_a_margin_does_not_depend_on_the_place(simulator: GraspSimulator) -> None:
+    """On a lip: two touches of each pad, whose share of its force rigid bodies leave open."""
+    obj, settings = load_object("tomato_soup_can"), settings_of(simulator)
+    config = GraspConfig(0, obj.name, 7.0, 0.0, -6.0, 92.0)
+    ratios = []
+    for place in (*FAR[:3], NEARBY[2]):
+        there, asked = place.of_object(obj), place.of_grasp(config)
+        margin = run_grasp(simulator, there, asked, settings, frames=FrameRequest()).margin
+        assert margin is not None
+        ratios.append(margin.friction_ratio)
+    assert spread(ratios) < 0.01
+
+
+@pytest.mark.parametrize("height_mm", [-8.0, -3.0, 5.0, 8.0])
+def test_a_ball_holds_from_its_closed_form_at_every_height(
+    simulator: GraspSimulator, height_mm: float
+) -> None:
+    """From W/(2 tan(φ + θ)), W the weight and what the lift adds to it; there its ratio is 1.
+
+    The pads touch at the angle θ below its middle, sin θ = −h/(25 + 30 mm).
+    """
+    obj, angle = ball(), np.arcsin(-height_mm / 55.0)
+    load_n = obj.mass_kg * GRAVITY_M_S2 * LIFT_LOAD
+    least_n = load_n / (2 * np.tan(np.arctan(obj.friction) + angle))
+    for ratio, label in ((0.985, 0), (1.015, 1)):
+        trace = grasp(
+            simulator,
+            obj,
+            force_n=ratio * least_n,
+            z_mm=25.0 + height_mm,
+            settings=settings_of(simulator),
+        )
+        assert trace.label == label
+        assert trace.margin is not None
+        # Of forces near the border the ratio is that of tangents, which follow F within 2.
+        assert trace.margin.friction_ratio == pytest.approx(1 + 1.3 * (ratio - 1), abs=0.02)
+
+
+def test_pads_touch_where_the_gel_is_pressed(
+    simulator: GraspSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cylinder 4 mm off its axis: its touch and its imprint are at R_d/(R_d + R) of that."""
+    mesh = trimesh.creation.cylinder(radius=33.0, height=80.0, sections=256)
+    part = hull_mesh(mesh.vertices + np.array([0.0, 0.0, 40.0]))
+    cup = replace(
+        block(mass_kg=0.1, friction=0.6),
+        surface=part,
+        collision=(part,),
+        center_of_mass_mm=np.array([0.0, 0.0, 40.0]),
+        spinning_friction_mm=None,
+    )
+    patches = []
+
+    def patch_of(frame):  # type: ignore[no-untyped-def]
+        patches.append(study.patch(frame, cup))
+        return patches[-1]
+
+    study = _Gel()
+    config = GraspConfig(0, "cup", 8.0, 0.0, 4.0, 40.0)
+    touched: list[float] = []
+    touches = simulator.world.touches
+
+    def spy(pad: str, limit_m: float) -> list[Touch]:
+        found = touches(pad, limit_m)
+        touched.append(found[0].point_m[1] * 1e3 - 4.0)
+        return found
+
+    monkeypatch.setattr(simulator.world, "touches", spy)
+    settings = settings_of(simulator)
+    run_grasp(simulator, cup, config, settings, frames=FrameRequest(), patch_of=patch_of)
+    expected_mm = -4.0 * 30.0 / 63.0
+    assert touched == pytest.approx([expected_mm] * 2, abs=0.3)
+    # Gel x is world −y of the left pad and world y of the right one.
+    imprints_mm = [float(patch.share @ patch.points_mm[:, 0]) for patch in patches]
+    assert imprints_mm == pytest.approx([-expected_mm, expected_mm], abs=0.3)
+
+
+class _Gel:
+    def __init__(self) -> None:
+        from tacgen.contact.law import ContactLaw
+        from tacgen.sensor.description import load_sensor
+        from tacgen.sensor.tactile_pad import Indenter
+
+        self.indenter, self.law = Indenter(load_sensor("gelsight")), ContactLaw.default()
+
+    def patch(self, frame, obj):  # type: ignore[no-untyped-def]
+        from tacgen.collection.gel import gel_patch
+
+        return gel_patch(self.indenter, self.law, obj.surface, frame)
+
+
+@pytest.mark.parametrize("acceleration_mm_s2", [2000.0, 5000.0])
+def test_no_grasp_fails_whose_margin_holds(
+    simulator: GraspSimulator, acceleration_mm_s2: float
+) -> None:
+    """The margin is that of the lift's largest load, m (g + a)."""
+    settings = settings_of(
+        simulator, lift_acceleration_mm_s2=acceleration_mm_s2, lift_speed_mm_s=1000.0
+    )
+    obj = block(mass_kg=0.5, friction=0.4)
+    least_n = obj.mass_kg * (GRAVITY_M_S2 + acceleration_mm_s2 / 1000) / (2 * 0.4)
+    for ratio in (0.8, 0.97, 1.03):
+        trace = grasp(simulator, obj, force_n=ratio * least_n, settings=settings)
+        assert trace.margin is not None
+        assert trace.margin.friction_ratio == pytest.approx(ratio, rel=0.005)
+        assert trace.label == 1 or ratio < 1
+
+
+def test_a_delivered_force_is_simulated_as_one_that_is_asked_for(
+    simulator: GraspSimulator,
+) -> None:
+    """20 N of a light block as asked for, and as ten times 2 N."""
+    obj = block(mass_kg=0.002, size_mm=(30.0, 30.0, 30.0))
+    asked, scaled = (
+        grasp(
+            simulator,
+            obj,
+            force_n=20.0 / scale,
+            z_mm=15.0,
+            settings=settings_of(simulator, delivered_force_scale=scale),
+        )
+        for scale in (1.0, 10.0)
+    )
+    assert (scaled.label, scaled.turn_rad) == (asked.label, asked.turn_rad)
+    assert scaled.label == 1
+    assert asked.margin is not None
+    assert scaled.margin is not None
+    assert scaled.margin.friction_ratio == asked.margin.friction_ratio
+
+
+@pytest.mark.parametrize(("stiffness_n_mm", "force_n"), [(1.0, 2.0), (20.0, 20.0)])
+def test_soft_pads_have_crept_in_at_the_moment_of_grasp(
+    simulator: GraspSimulator, stiffness_n_mm: float, force_n: float
+) -> None:
+    """By F/k, whose time constant of damping over stiffness is 0.5 s for the softer ones."""
+    rigid, soft = (
+        grasp(
+            simulator,
+            block(friction=1.0),
+            force_n=force_n,
+            settings=settings_of(simulator, pad_stiffness_n_mm=stiffness),
+        )
+        for stiffness in (0.0, stiffness_n_mm)
+    )
+    for pad in ("left", "right"):
+        before, after = (trace.frames[pad][0].pose_gel_object[2, 3] for trace in (rigid, soft))
+        # MuJoCo's rigid pads give way by 1 µm for each newton, 2 % of the stiffer ones' way.
+        assert before - after == pytest.approx(force_n / stiffness_n_mm, rel=0.03)
+
+
+def test_pads_are_not_pressed_through(simulator: GraspSimulator) -> None:
+    settings = settings_of(simulator, pad_stiffness_n_mm=1.0)
+    with pytest.raises(Exception, match=r"in by 10 mm.* 6 mm deep; raise .* above 1\.67"):
+        grasp(simulator, block(), force_n=10.0, settings=settings)
+
+
+class TestWithinReach:
+    """The pads' spheres reach 30 mm, the pads 12 mm to the sides and 9.5 mm down."""
+
+    def reach(self, *parts, yaw_rad: float = 0.0):  # type: ignore[no-untyped-def]
+        config = GraspConfig(0, "any", 5.0, 0.0, 0.0, 50.0, yaw_rad)
+        return within_reach(parts, config, height_mm=50.0, pad_mm=(24.0, 19.0))
+
+    def box(self, x, y, z):  # type: ignore[no-untyped-def]
+        return hull_mesh(np.array([[i, j, k] for i in x for j in y for k in z], dtype=float))
+
+    @pytest.mark.parametrize("yaw_rad", [0.0, 0.7])
+    def test_what_is_beside_and_below_is_cut_off(self, yaw_rad: float) -> None:
+        turn = trimesh.transformations.rotation_matrix(yaw_rad, [0, 0, 1])[:3, :3]
+        whole = self.box((-30, 30), (-40, 40), (0, 100))
+        (cut,) = self.reach(hull_mesh(whole.vertices_mm @ turn.T), yaw_rad=yaw_rad)
+        in_gripper = cut.vertices_mm @ turn
+        low, high = in_gripper.min(axis=0), in_gripper.max(axis=0)
+        assert low == pytest.approx([-30.0, -13.0, 39.5])
+        assert high == pytest.approx([30.0, 13.0, 100.0])
+        assert trimesh.convex.convex_hull(cut.vertices_mm).volume == pytest.approx(60 * 26 * 60.5)
+
+    def test_what_they_can_meet_whole_stays_itself(self) -> None:
+        inside, above = self.box((-5, 5), (-5, 5), (45, 55)), self.box((-5, 5), (0, 5), (90, 99))
+        beside = self.box((-30, 30), (13, 40), (0, 100))
+        below = self.box((-30, 30), (-40, 40), (0, 39.5))
+        met = self.reach(inside, beside, above, below)
+        assert met[0] is inside
+        assert met[1] is above
+        assert len(met) == 2
+
+    def test_a_corner_that_two_planes_cut_off_is_gone(self) -> None:
+        corner = self.box((-5, 5), (12.5, 30), (20, 30))
+        wedge = hull_mesh(np.array([[0, 10, 20], [5, 10, 20], [0, 30, 41], [0, 30, 20.0]]))
+        assert self.reach(corner) == ()
+        assert self.reach(wedge, corner) == ()
+
+    def test_a_ledge_beside_a_pad_is_not_touched(self, simulator: GraspSimulator) -> None:
+        """A plate that stands out by 20 mm, 8 mm beside the pads, where a sphere would meet it."""
+        post = self.box((-15, 15), (-10, 10), (0, 100))
+        ledge = self.box((-35, 35), (20, 40), (0, 100))
+        bridge = self.box((-10, 10), (10, 20), (0, 100))
+        obj = replace(
+            block(friction=0.9, spinning_friction_mm=50.0), collision=(post, bridge, ledge)
+        )
+        trace = grasp(simulator, obj, settings=settings_of(simulator))
+        assert trace.status == "executed"
+        for pad in ("left", "right"):
+            # The face of the post is where the pad is, 15 mm from the middle.
+            assert trace.frames[pad][0].pose_gel_object[2, 3] == pytest.approx(15.0, abs=0.05)
+
+
+def test_a_force_is_shared_as_by_an_elastic_dome() -> None:
+    """On touches of equal gap evenly; none where the dome does not reach."""
+    gaps = {0.01: 0.0, 0.02: 0.0, 0.03: 1e-4, 0.04: 1e-2}  # by height, m
+    touches = [Touch((0.0, 0.0, z), (1.0, 0.0, 0.0), gap) for z, gap in gaps.items()]
+    shared = pressed("left", touches, np.array([1.0, 0.0, 0.0]), 10.0, 2e8)
+    assert shared.normal_force_n.sum() == pytest.approx(10.0)
+    assert shared.normal_force_n[0] == shared.normal_force_n[1]
+    delta_m = np.sqrt(shared.normal_force_n[0] / 2e8)
+    assert shared.normal_force_n[2] == pytest.approx(2e8 * (delta_m - 1e-4) ** 2)
+    assert shared.normal_force_n[3] == 0.0
