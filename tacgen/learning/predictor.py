@@ -46,7 +46,9 @@ class Predictor:
         folder = RunFolder(run)
         options = folder.recipe().training
         self._device, self._threads = choose_device(options, device), options.threads
-        name = _model_for(folder.plan()["models"], object_name, str(run))
+        plan = folder.plan()
+        self._trained_s = plan["dataset"].get("taken_with", {}).get("time_s", [])
+        name = _model_for(plan["models"], object_name, str(run))
         network, card, reference = load_model(folder.model(name).model_path)
         self._network, self.spec, self._card = network.to(self._device), card.input, card
         self._reference = reference
@@ -69,6 +71,12 @@ class Predictor:
         order. Raises ``LearningError`` if they are of another size or type.
         """
         inputs = [self._input(np.asarray(grasp)) for grasp in images]
+        counts, trained_s = {len(grasp) for grasp in images}, self._trained_s
+        if self.spec.kind == "sequence" and trained_s and counts - {len(trained_s)}:
+            print_status(
+                f"the run was trained on {len(trained_s)} frames over {trained_s[-1]:g} s of each "
+                f"grasp, not {', '.join(map(str, sorted(counts)))}; give those of the same times"
+            )
         unknown, rows = torch.zeros(1, dtype=torch.int64), np.zeros(1, np.int64)
         ref, plain = self._reference, replace(self.spec, normalised=False)
         as_taken = [(as_batch([grasp], ref, plain), unknown, rows) for grasp in inputs]

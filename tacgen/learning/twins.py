@@ -7,6 +7,7 @@ that differs from a training grasp in such an axis alone tells nothing new.
 
 import itertools
 import zlib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -58,16 +59,18 @@ def equal_ranges(source: SimulatedGrasps) -> EqualRanges:
 def one_sided(table: GraspTable, equal: EqualRanges) -> tuple[GraspTable, list[str]]:
     """The table with every group of equal grasps on one side of the split, and notes on it.
 
-    Of each object as large a share of the groups is tested as there were test grasps.
+    Of each object as large a share of the groups is tested as there were test grasps, and at least
+    one: those with the most test grasps.
     """
     keys, split = np.array(table.configurations(equal)), table.split.copy()
     for name in table.object_names():
         own = table.objects == name
-        groups, tested = np.unique(keys[own]), set(keys[own & (split == "test")])
-        mixed = tested & set(keys[own & (split == "train")])
+        groups, tested = np.unique(keys[own]), set(keys[own & (split == "test")].tolist())
+        mixed = tested & set(keys[own & (split == "train")].tolist())
         share = (split[own] == "test").mean()
-        count = round(share * len(groups)) - len(tested - mixed)
-        drawn = sorted(mixed, key=lambda key: zlib.crc32(str(key).encode()))
+        count = max(round(share * len(groups)), 1) - len(tested - mixed)
+        n_tests = Counter(keys[own & (split == "test")].tolist())
+        drawn = sorted(mixed, key=lambda key: (-n_tests[key], zlib.crc32(key.encode())))
         chosen = drawn[: max(count, 0)]
         split[np.isin(keys, list(mixed))] = "train"
         split[np.isin(keys, chosen)] = "test"

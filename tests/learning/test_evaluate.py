@@ -210,6 +210,26 @@ def test_a_plan_that_is_not_of_this_version_is_refused(run, toy, spoil):
         evaluate(run, data=toy)
 
 
+def test_a_run_of_an_earlier_version_is_tested(run, toy):
+    """It says neither what its images were taken with nor how often its grasps held."""
+    n = evaluate(run, data=toy)["n"]
+    plan = json.loads((run / "run.json").read_text())
+    for place, key in (
+        (plan, "equal_ranges"),
+        (plan, "test_groups"),
+        (plan["dataset"], "taken_with"),
+    ):
+        del place[key]
+    (run / "run.json").write_text(json.dumps(plan))
+    for path in run.glob("models/*/model.safetensors"):
+        with safe_open(path, framework="pt") as file:
+            card = json.loads(file.metadata()["tacgen_model"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        del card["prior_logit"]
+        save_file(tensors, path, {"tacgen_model": json.dumps(card)})
+    assert evaluate(run, data=toy)["n"] == n
+
+
 def test_images_of_another_size_are_refused(run, real, tmp_path):
     sensor = Sensor("gelsight", height_px=40, width_px=64, mm_per_px=0.3, gel_depth_mm=2.0)
 

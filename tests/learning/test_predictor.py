@@ -70,9 +70,12 @@ def test_the_prior_moves_the_odds(run, grasps_to_test):
         tacgen.Predictor(run, prior=1.0)
 
 
-def test_a_sequence_of_frames(sequence, toy):
+def test_a_sequence_of_frames(sequence, toy, capsys):
     dataset = Dataset(toy)
     found = tacgen.Predictor(sequence).predict([dataset.rgb(0), dataset.rgb(1)])
+    assert "trained on" not in capsys.readouterr().err
+    tacgen.Predictor(sequence).predict([dataset.rgb(0)[:2]])
+    assert "was trained on 3 frames over 1 s of each grasp, not 2" in capsys.readouterr().err
     assert found.shape == (2,)
     assert ((found > 0) & (found < 1)).all()
     with pytest.raises(LearningError, match="give two or more frames of each grasp"):
