@@ -56,7 +56,7 @@ def _python() -> Finding:
 
 
 def _pybullet() -> Finding:
-    from tacgen.physics.world import load_bullet
+    from tacgen.physics.pybullet_import import load_bullet
 
     try:
         load_bullet()

@@ -50,6 +50,13 @@ def evaluate(
             "position (no image) of each training grasp in --data."
         ),
     ] = None,
+    across: Annotated[
+        list[str] | None,
+        Option(
+            help="Test although the images of --data were taken with another one of sensor, table, "
+            "pad, markers, shadows, time_s; may be repeated."
+        ),
+    ] = None,
     device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -74,7 +81,7 @@ def evaluate(
     from tacgen.learning.evaluate import evaluate as evaluate_run
     from tacgen.learning.scores import evaluation_lines
 
-    result = evaluate_run(run, data, real, device=device)
+    result = evaluate_run(run, data, real, device=device, across=across or ())
     common.print_result(result, evaluation_lines(result), json_output)
     on_real = [f"tacgen eval {quoted(run)} --real REAL_GRASPS"] if real is None else []
     common.hand_over(*on_real, f"tacgen predict {quoted(run)} IMAGE …")
@@ -93,6 +100,10 @@ def predict(
     background: Annotated[
         Path | None, Option(help="Image of your gel at rest; else that of the training data.")
     ] = None,
+    prior: Annotated[
+        float | None,
+        Option(help="Share of your grasps that hold; else that of the training grasps."),
+    ] = None,
     device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -104,7 +115,8 @@ def predict(
     from tacgen.learning.predictor import Predictor, predict_files
 
     at_rest = None if background is None else read_rgb(background)
-    rows = predict_files(Predictor(run, object_name, at_rest, device=device), images)
+    predictor = Predictor(run, object_name, at_rest, device=device, prior=prior)
+    rows = predict_files(predictor, images)
     lines = [f"{row['probability']:.3f}  {row['images']}" for row in rows]
     common.print_result(rows, lines, json_output)
     common.hand_over(f"tacgen eval {quoted(run)} --real REAL_GRASPS   # how often it is right")

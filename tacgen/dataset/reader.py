@@ -25,6 +25,7 @@ from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 if TYPE_CHECKING:
     from tacgen.dataset.torch_dataset import TorchGrasps
 
+TIME_DIGITS = 3  # of a frame's time in s that count
 _MAX_OPEN = 8  # shards kept open; far below any limit on open files
 
 
@@ -138,6 +139,26 @@ class Dataset:
     def inputs(self) -> dict[str, str]:
         """The hash of each input that the grasps depend on, by role; see ``dataset/inputs.py``."""
         return {role: digest for line in self.lines for role, digest in line.inputs.items()}
+
+    def taken_with(self, pad: str | None = None) -> dict[str, Any]:
+        """What the images of a pad depend on beside the grasps, as plain data.
+
+        ``sensor`` (name), ``sensor_sha256`` (of its description), ``table`` (hash), ``pad``,
+        ``markers``, ``shadows`` and ``time_s``, the frames' times; None where it is not known.
+        """
+        optics: dict[str, Any] = {}
+        with contextlib.suppress(RecipeError):
+            optics = DatasetFolder(self.root).recipe().get("optics") or {}
+        table = self.lines[0].calibration.get("table")
+        return {
+            "sensor": self.sensor,
+            "sensor_sha256": self.inputs.get("sensor"),
+            "table": self.inputs.get("table", table),
+            "pad": self._pad(pad),
+            "markers": optics.get("markers"),
+            "shadows": optics.get("shadows"),
+            "time_s": np.round(self.time_s, TIME_DIGITS).tolist(),
+        }
 
     @property
     def layout(self) -> Layout:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -47,13 +47,15 @@ class RealGrasp:
 class RealGrasps:
     """The grasps of a folder, in the order of the file, and warnings about them.
 
-    ``recipe_sha256`` is that of the recipe where a simulation made them, None where a robot did.
+    ``about.json`` tells whether a simulation made them, ``is_simulated``, and what the images were
+    ``taken_with``, as ``Dataset.taken_with`` says it.
     """
 
     folder: Path
     grasps: tuple[RealGrasp, ...]
     warnings: tuple[str, ...]
-    recipe_sha256: str | None = None
+    is_simulated: bool = False
+    taken_with: Mapping[str, Any] = field(default_factory=dict)
 
     def by_object(self) -> Mapping[str, tuple[RealGrasp, ...]]:
         """The grasps of each object, objects in the order of the file."""
@@ -97,16 +99,23 @@ def read_real_grasps(
     warnings += unused[:MAX_PROBLEMS_SHOWN]
     if len(unused) > MAX_PROBLEMS_SHOWN:
         warnings.append(f"{folder}: pictures of {len(unused)} grasps are not used")
-    return RealGrasps(folder, grasps, tuple(warnings), _simulated_with(folder))
+    about = _about(folder)
+    taken_with = about.get("taken_with")
+    return RealGrasps(
+        folder,
+        grasps,
+        tuple(warnings),
+        is_simulated=about.get("simulated") is True,
+        taken_with=taken_with if isinstance(taken_with, dict) else {},
+    )
 
 
-def _simulated_with(folder: Path) -> str | None:
-    """The recipe's hash that a folder of simulated grasps names; None for a robot's."""
+def _about(folder: Path) -> dict[str, Any]:
+    """What ``about.json`` says; nothing where it is missing or broken."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-        if isinstance(about, dict) and about.get("simulated") is True:
-            return str(about.get("recipe_sha256", ""))
-    return None
+        return about if isinstance(about, dict) else {}
+    return {}
 
 
 def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:

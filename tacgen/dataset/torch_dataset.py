@@ -50,7 +50,10 @@ class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
     def __len__(self) -> int:
         return len(self.indices)
 
-    def __getitem__(self, place: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def __getitem__(self, place: Any) -> Any:
+        """The pair at a place, or a list of them for a slice."""
+        if isinstance(place, slice):
+            return [self[k] for k in range(*place.indices(len(self)))]
         if not -len(self) <= place < len(self):
             raise IndexError(place)
         frame = int(self._grasp_frame[place]) if self._frames == "grasp" else None

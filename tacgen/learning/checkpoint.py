@@ -30,7 +30,8 @@ class ModelCard:
     """The metadata of a model file.
 
     ``weights`` names the pre-trained weights (``none``: from scratch);
-    ``epoch`` is that of the model, counted from 1; ``temperature`` calibrates its probabilities;
+    ``epoch`` is that of the model, counted from 1; ``temperature`` and ``prior_logit``, the log
+    odds of success in training, calibrate its probabilities (0 in models of early versions);
     ``input_range`` is the lowest and highest of each ``input_statistics`` in training,
     ``contrast`` their ``typical_contrast``.
     """
@@ -45,6 +46,7 @@ class ModelCard:
     temperature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     input_range: tuple[tuple[float, float], ...]
     contrast: float
+    prior_logit: Annotated[float, Field(allow_inf_nan=False)] = 0.0
     tacgen_version: str = __version__
 
 
@@ -86,7 +88,7 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
     network = build_network(card.input.kind)
     network.load(tensors, str(path))
     network.backbone.origin = card.weights
-    network.temperature = card.temperature
+    network.temperature, network.prior_logit = card.temperature, card.prior_logit
     return network.eval(), card, None if reference is None else reference.numpy()
 
 

@@ -11,12 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.errors import LearningError
+from tacgen.core.errors import LearningError, require_known
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
 from tacgen.learning.checkpoint import ModelCard, load_model
 from tacgen.learning.device import choose_device, exact_torch
-from tacgen.learning.grasps import GraspSource, RealGraspImages, SimulatedGrasps
+from tacgen.learning.grasps import (
+    CONFIGURATION_DIGITS,
+    GraspSource,
+    RealGraspImages,
+    SimulatedGrasps,
+)
 from tacgen.learning.inputs import check_source, read_input, resized
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import Predictions, input_statistics, notes_on_images, predict
@@ -28,20 +33,30 @@ from tacgen.learning.training_recipe import TrainRecipe
 
 MAX_GROUPS = 8
 """Rows of a table of scores by value; more values than that are put into half as many ranges."""
+ACROSS = ("sensor", "table", "pad", "markers", "shadows", "time_s")
+"""In what the images of a dataset may differ from those of the training; ``Dataset.taken_with``."""
 _AUROC_NOTE = (
     "The AUROC overall ranks the grasps of all models together; by object it ranks one model's."
 )
 
 
 def evaluate(
-    run: Path, data: Path | None = None, real: Path | None = None, *, device: str | None = None
+    run: Path,
+    data: Path | None = None,
+    real: Path | None = None,
+    *,
+    device: str | None = None,
+    across: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Test the models of ``run`` on the test grasps of a dataset, or on real grasps.
 
     Writes ``eval.json`` and ``eval.html`` into the run, and the same figures as
-    ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is computed.
+    ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is computed. A dataset
+    may differ from the training data in what is named in ``across`` (see ``ACROSS``); of real
+    grasps every known difference is noted.
 
-    Raises ``TacgenError`` if the run or the grasps cannot be used, or one of them was trained on.
+    Raises ``TacgenError`` if the run or the grasps cannot be used, all of them were trained on, or
+    the images were taken in another way.
     """
     if (data is None) == (real is None):
         msg = "give either --data DIR (simulated test grasps) or --real DIR (real grasps)"
@@ -58,11 +73,12 @@ def evaluate(
     source_name = "sim" if real is None else "real"
     unseen, about_unseen = unseen_tests(plan, source, where)
     notes += about_unseen
+    notes += _differences(plan, recipe, source, where, across)
     test = _Test(folder, plan, recipe, source, where, choose_device(recipe.training, device), notes)
     with exact_torch(recipe.training.threads):
         predictions, cards = test.predict_all(unseen)
     result = _summary(predictions, cards, source_name, where, notes)
-    result["real_is_simulated"] = source_name == "real" and source.made_with is not None
+    result["real_is_simulated"] = source_name == "real" and source.is_simulated
     _add_gap(folder, result)
     text = json.dumps(result, indent=1)
     write_text(folder.eval_path, text)
@@ -71,6 +87,39 @@ def evaluate(
     for note in notes:
         print_status(note)
     return result
+
+
+def _differences(
+    plan: Mapping[str, Any],
+    recipe: TrainRecipe,
+    source: GraspSource,
+    where: str,
+    across: Sequence[str],
+) -> list[str]:
+    """Notes on how else the images were taken than those of the training, as far as it is known.
+
+    Raises ``LearningError`` if a dataset differs in what is not named in ``across``.
+    """
+    for name in across:
+        require_known("--across", name, ACROSS, LearningError)
+    trained, tested = plan["dataset"].get("taken_with", {}), source.taken_with
+    both = [n for n in trained if None not in (trained[n], tested.get(n))]
+    found = {name.removesuffix("_sha256") for name in both if trained[name] != tested[name]}
+    if recipe.model.kind == "single":
+        found.discard("time_s")
+    differing = [name for name in ACROSS if name in found]
+    refused = [name for name in differing if name not in across]
+    if refused and isinstance(source, SimulatedGrasps):
+        msg = (
+            f"{where}: its images were taken with another {', '.join(refused)} than those that the "
+            "run was trained on; use a dataset with the same, or accept it by name: "
+            f"{' '.join(f'--across {name}' for name in refused)}"
+        )
+        raise LearningError(msg)
+    return [
+        f"{where}: ACROSS {name}: its images were taken with another {name} than the training's"
+        for name in differing
+    ]
 
 
 def scores_by_value(
@@ -83,8 +132,9 @@ def scores_by_value(
     """
     known = np.isfinite(values)
     values, labels, probabilities = values[known], labels[known], probabilities[known]
+    values = np.round(values, CONFIGURATION_DIGITS)
     distinct = np.unique(values)
-    places, names = np.searchsorted(distinct, values), [f"{value:g}" for value in distinct]
+    places, names = np.searchsorted(distinct, values), _distinct_texts(distinct, 6)
     if len(distinct) > MAX_GROUPS:
         edges = np.unique(np.quantile(values, np.linspace(0, 1, MAX_GROUPS // 2 + 1)))
         places = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
@@ -222,9 +272,9 @@ def _summary(
     }
 
 
-def _distinct_texts(values: NDArray[np.float64]) -> list[str]:
-    """Different numbers as different texts, with as few digits as that takes, but at least four."""
-    texts = ([f"{value:.{digits}g}" for value in values] for digits in range(4, 18))
+def _distinct_texts(values: NDArray[np.float64], least: int = 4) -> list[str]:
+    """Different numbers as different texts, with as few digits as that takes above ``least``."""
+    texts = ([f"{value:.{digits}g}" for value in values] for digits in range(least, 18))
     return next(found for found in texts if len(set(found)) == len(values))
 
 

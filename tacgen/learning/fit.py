@@ -194,7 +194,13 @@ class Fit:
         views = (batches.shuffled(seed, 0, changes) for seed in seeds)
         found = [predict(self._kept, view, self.device) for view in views]
         probabilities, labels = (np.concatenate(part) for part in zip(*found, strict=True))
-        return calibrated_temperature(probabilities, labels, self.job.class_weights)
+        return calibrated_temperature(probabilities, labels, self._prior_logit)
+
+    @property
+    def _prior_logit(self) -> float:
+        """The log odds of success in training, which the classes' weights take away."""
+        failure, success = self.job.class_weights
+        return float(np.log(failure / success))
 
     @functools.cached_property
     def _input_statistics(self) -> NDArray[np.float64]:
@@ -215,6 +221,7 @@ class Fit:
             temperature=self._temperature(),
             input_range=tuple(zip(found.min(0).tolist(), found.max(0).tolist(), strict=True)),
             contrast=typical_contrast(found),
+            prior_logit=self._prior_logit,
         )
 
     def _resume(self) -> None:

@@ -1,6 +1,6 @@
 """Grasps for training and tests: a table of their parameters, and sources of their images."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,14 @@ from tacgen.dataset.real_grasps import BACKGROUND, read_real_grasps
 
 CONFIGURATION_DIGITS = 6
 """Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
+YAW_DIGITS = 4
+"""Decimals of a yaw in rad, 0.006°: π and −π, written with six digits, are one."""
 FRAME_UNKNOWN = -1
 AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
 _DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXES, np.float64)
+EqualRanges = Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]
+"""By object and axis the ranges in which the axis changes nothing; see ``twins.py``."""
 MAX_NAMED = 5  # grasps without images that a message names; it counts the others
 
 
@@ -51,12 +55,16 @@ class GraspTable:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def configurations(self) -> list[str]:
-        """A text for each grasp, equal for grasps of the same configuration."""
+    def configurations(self, equal: EqualRanges | None = None) -> list[str]:
+        """A text for each grasp, equal for grasps of the same configuration.
+
+        Values in one range of ``equal`` are written as its start.
+        """
         numbers = np.stack([getattr(self, axis) for axis in AXES], axis=1)
         rounded = np.round(numbers, CONFIGURATION_DIGITS) + 0.0  # no "-0"
         rows = (" ".join(f"{value:g}" for value in row) for row in rounded)
-        return [f"{name} {row}" for name, row in zip(self.objects, rows, strict=True)]
+        names = zip(self.objects, rows, strict=True)
+        return [configuration_key(f"{name} {row}", equal or {}) for name, row in names]
 
     def object_names(self) -> list[str]:
         """The objects, sorted."""
@@ -71,19 +79,35 @@ class GraspTable:
         return GraspTable(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
+def configuration_key(text: str, equal: EqualRanges) -> str:
+    """The text of a configuration, the same for values in one of its object's ``equal`` ranges.
+
+    Its yaw lies in [0, 2π), to ``YAW_DIGITS``; earlier versions wrote it as it was asked for.
+    """
+    name, *values = text.rsplit(" ", len(AXES))
+    turned = np.round(float(values[-1]) % (2 * np.pi), YAW_DIGITS)
+    values[-1] = f"{turned % np.round(2 * np.pi, YAW_DIGITS):g}"
+    for axis, ranges in equal.get(name, {}).items():
+        k = AXES.index(axis)
+        for low, high in ranges:
+            if low <= float(values[k]) <= high:
+                values[k] = f"{low:g}"
+    return " ".join([name, *values])
+
+
 class SimulatedGrasps:
     """The executed grasps of a dataset; its shards are opened when first needed.
 
-    ``made_with`` is the hash of the recipe that simulated them, ``reference`` (H, W, 3) the image
-    of the undeformed gel. Raises ``DatasetError`` if the dataset is incomplete, mixed or damaged,
-    ``LearningError`` if no grasp in it was executed.
+    ``reference`` (H, W, 3) is the image of the undeformed gel. Raises ``DatasetError`` if the
+    dataset is incomplete, mixed or damaged, ``LearningError`` if no grasp in it was executed.
     """
+
+    is_simulated = True
 
     def __init__(self, root: Path, pad: str | None = None) -> None:
         self.root = Path(root)
         self.dataset = Dataset(self.root)
         self.pad = pad
-        self.made_with: str | None = self.dataset.lines[0].recipe_sha256
         columns = self.dataset.columns()
         rows = columns["label"] != LABEL_NOT_EXECUTED
         self._indices = columns["index"][rows]
@@ -95,6 +119,7 @@ class SimulatedGrasps:
         self.reference = self.dataset.reference(pad)
         self.shape_px: tuple[int, int] = self.reference.shape[:2]
         self.n_frames = self.dataset.n_frames
+        self.taken_with: Mapping[str, Any] = self.dataset.taken_with(pad)
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some tactile images of one grasp, (len(frames), H, W, 3) RGB."""
@@ -108,11 +133,10 @@ class SimulatedGrasps:
     def identity(self) -> dict[str, object]:
         """The identity of this dataset."""
         return {
-            "recipe_sha256": self.made_with,
+            "recipe_sha256": self.dataset.lines[0].recipe_sha256,
             "inputs": self.dataset.inputs,
             "shards_sha256": [line.sha256 for line in self.dataset.lines],
-            "sensor": self.dataset.sensor,
-            "pad": self.pad or self.dataset.pads[0],
+            "taken_with": self.taken_with,
         }
 
 
@@ -121,7 +145,7 @@ class RealGraspImages:
 
     An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``: the
     ``reference`` (H, W, 3), else None.
-    ``made_with`` is the hash of the recipe where a simulation wrote the folder, else None.
+    ``is_simulated`` says whether a simulation wrote the folder, ``taken_with`` what it says of how.
 
     Raises ``DatasetError``, which lists the rows that cannot be used. Raises ``LearningError``,
     which lists the grasps without images.
@@ -131,7 +155,7 @@ class RealGraspImages:
         self.folder = Path(folder)
         found = read_real_grasps(self.folder, needs=())
         self.warnings = found.warnings
-        self.made_with = found.recipe_sha256
+        self.is_simulated, self.taken_with = found.is_simulated, found.taken_with
         missing = [grasp.grasp_id for grasp in found.grasps if not grasp.images]
         if missing:
             more = f" and {len(missing) - MAX_NAMED} more" if len(missing) > MAX_NAMED else ""

@@ -27,6 +27,9 @@ class StabilityNet(nn.Module):
     kind: str
     temperature: float = 1.0
     """Logits are divided by it before they become probabilities (Guo et al. 2017)."""
+    prior_logit: float = 0.0
+    """Log odds of success among the grasps to predict, added to the logits: training weighs the
+    outcomes to be equally likely."""
 
     def __init__(self, weights: str) -> None:
         super().__init__()

@@ -19,6 +19,7 @@ RANGE_MARGIN = 0.5
 """Of the training's range, on either side: the extremes of some hundred grasps are chance."""
 CONTRAST_RANGE = (0.75, 1.33)
 """Of the typical contrast over the training's: forces and chance alone change it by less."""
+MIN_CONTRAST = 1e-6  # of training images that all show one colour
 MIN_COMPARED = 20  # grasps; the median contrast of fewer depends on their forces
 TEMPERATURE_RANGE = (1.0, 16.0)
 """Never below 1: some thirty grasps of the training's own sensor, often without a mistake, are no
@@ -71,7 +72,7 @@ def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[st
             f"the training images of the model {card.name}; its probabilities are uncertain there: "
             "check the background, or train with stronger augmentation"
         )
-    contrast = typical_contrast(statistics) / card.contrast
+    contrast = typical_contrast(statistics) / max(card.contrast, MIN_CONTRAST)
     if len(statistics) >= MIN_COMPARED and not CONTRAST_RANGE[0] <= contrast <= CONTRAST_RANGE[1]:
         notes.append(
             f"the images' contrast is {contrast:.2f} of that in training: other lamps, another "
@@ -81,19 +82,20 @@ def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[st
 
 
 def calibrated_temperature(
-    probabilities: NDArray[np.float64], labels: NDArray[np.int64], weights: NDArray[np.float64]
+    probabilities: NDArray[np.float64], labels: NDArray[np.int64], prior_logit: float = 0.0
 ) -> float:
-    """The temperature that makes predictions (N,) of an uncalibrated network most likely.
+    """The temperature that makes labels (N,) most likely under an uncalibrated network's view.
 
-    Source: Guo et al. 2017, *On Calibration of Modern Neural Networks*, arXiv 1706.04599, section
-    4.2; each class has its weight, as in training.
+    ``probabilities`` (N,) are those of a network to which both outcomes were equally likely,
+    ``prior_logit`` the log odds of success among the grasps. Source: Guo et al. 2017, *On
+    Calibration of Modern Neural Networks*, arXiv 1706.04599, section 4.2.
     """
     logit = special.logit(np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY))
-    towards_truth = np.where(labels == 1, logit, -logit)
+    sign = np.where(labels == 1, 1, -1)
 
     def loss(log_temperature: float) -> float:
-        nll = np.logaddexp(0, -towards_truth / np.exp(log_temperature))
-        return float(np.average(nll, weights=weights[labels]))
+        calibrated = logit / np.exp(log_temperature) + prior_logit
+        return float(np.logaddexp(0, -sign * calibrated).mean())
 
     bounds = tuple(np.log(TEMPERATURE_RANGE))
     return float(np.exp(optimize.minimize_scalar(loss, bounds=bounds, method="bounded").x))
@@ -107,7 +109,8 @@ def predict(
     probabilities, labels = [np.empty(0)], [np.empty(0, np.int64)]
     with torch.inference_mode():
         for images, truth, _ in batches:
-            logits = network(images.to(device)) / network.temperature
-            probabilities.append(logits.double().softmax(1)[:, 1].cpu().numpy())
+            logits = network(images.to(device)).double() / network.temperature
+            probability = (logits[:, 1] - logits[:, 0] + network.prior_logit).sigmoid()
+            probabilities.append(probability.cpu().numpy())
             labels.append(truth.numpy())
     return np.concatenate(probabilities), np.concatenate(labels)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import logit
 
 from tacgen.core.errors import LearningError
 from tacgen.core.frame_order import in_time_order
@@ -26,7 +27,9 @@ class Predictor:
 
     ``object_name`` chooses the model in a run with one an object. ``background_rgb`` (H, W, 3)
     uint8 is the gel at rest, with which images are compared; by default that of the training data.
-    Raises ``LearningError`` if the folder is not a run, or which model to use is not clear.
+    ``prior`` is the share of grasps that hold where the images were taken; by default that of the
+    training grasps. Raises ``LearningError`` if the folder is not a run, ``prior`` is not between 0
+    and 1, or which model to use is not clear.
 
     >>> tacgen.Predictor("run", object_name="can").predict(images)      # doctest: +SKIP
     array([0.93, 0.12])
@@ -38,6 +41,7 @@ class Predictor:
         object_name: str | None = None,
         background_rgb: NDArray[np.uint8] | None = None,
         device: str | None = None,
+        prior: float | None = None,
     ) -> None:
         folder = RunFolder(run)
         options = folder.recipe().training
@@ -46,6 +50,11 @@ class Predictor:
         network, card, reference = load_model(folder.model(name).model_path)
         self._network, self.spec, self._card = network.to(self._device), card.input, card
         self._reference = reference
+        if prior is not None:
+            if not 0 < prior < 1:
+                msg = f"prior = {prior:g} is no share of grasps between 0 and 1"
+                raise LearningError(msg)
+            network.prior_logit = float(logit(prior))
         if background_rgb is not None:
             _check_size(background_rgb, self.spec, "the background")
             self._reference = resized(background_rgb[None], self.spec.size_px)[0]

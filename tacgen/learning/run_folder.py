@@ -77,6 +77,8 @@ class _Plan(BaseModel):
     schema_: Literal[1] = Field(alias="schema")
     recipe: TrainRecipe
     dataset: dict[str, Any]
+    equal_ranges: dict[str, dict[str, list[tuple[float, float]]]] = Field(default_factory=dict)
+    test_groups: list[str] = Field(default_factory=list)
     models: dict[str, _Model]
 
 

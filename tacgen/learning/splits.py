@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
-from tacgen.learning.grasps import GraspSource, GraspTable, SimulatedGrasps
+from tacgen.learning.grasps import EqualRanges, GraspSource, GraspTable, configuration_key
 from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
 MIN_OF_A_CLASS = 2  # grasps of each outcome to fit to; fewer teach a network nothing about it
@@ -30,26 +30,24 @@ class ModelPlan:
     validation_rows: NDArray[np.int64]
 
 
-def plan_models(recipe: TrainRecipe, table: GraspTable, where: str) -> list[ModelPlan]:
+def plan_models(
+    recipe: TrainRecipe,
+    table: GraspTable,
+    where: str,
+    equal: EqualRanges | None = None,
+) -> list[ModelPlan]:
     """The models of a recipe, each with its grasps for fitting and validation.
 
-    ``where`` is the dataset, for messages. Raises ``LearningError``, which lists every object that
-    is unknown, or has too few grasps of one class, and a configuration that is in both splits.
+    ``where`` is the dataset, for messages, ``equal`` the ranges in which an axis changes nothing.
+    Raises ``LearningError``, which lists every object that is unknown, or has too few grasps of one
+    class.
     """
     objects = _chosen_objects(recipe, table, where)
-    sides = [table.take(table.rows(objects=objects, split=side)) for side in ("train", "test")]
-    leaks = sorted(set(sides[0].configurations()) & set(sides[1].configurations()))
-    if leaks:
-        msg = (
-            f"{where}: {len(leaks)} configurations are in both train and test, such as "
-            f"{leaks[0]}; collect the dataset again"
-        )
-        raise LearningError(msg)
     groups = [(name, (name,)) for name in objects] if recipe.per_object else [(POOLED, objects)]
     plans, problems = [], []
     for name, members in groups:
         try:
-            plans.append(_plan_model(recipe, table, name, tuple(members)))
+            plans.append(_plan_model(recipe, table, name, tuple(members), equal or {}))
         except LearningError as error:
             problems.append(f"{where}: {error}")
     LearningError.raise_if(problems)
@@ -73,30 +71,35 @@ def unseen_tests(
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Which of a source's grasps to test on, (N,), and notes about those left out.
 
-    Of another dataset, grasps with the configuration of one that was trained on are left out; real
-    grasps are kept, whose images differ. ``plan`` is the run's ``run.json``. Raises
-    ``LearningError`` if grasps made with the very recipe of the training data were trained on.
+    Simulated grasps, in whichever format and made with whichever recipe, are left out where one of
+    the same object, force and place was trained on; a robot's are kept, whose images differ.
+    ``plan`` is the run's ``run.json``. Raises ``LearningError`` if all were trained on.
     """
     table = source.table
     tests = table.split == "test"
-    trained = {text for model in plan["models"].values() for text in model["configurations"]}
-    seen = tests & np.array([text in trained for text in table.configurations()], bool)
-    trained_on = plan["dataset"]
-    is_same = source.made_with is not None and source.made_with == trained_on.get("recipe_sha256")
-    if isinstance(source, SimulatedGrasps):  # the hash is of the recipe's settings alone
-        is_same &= trained_on.get("inputs", source.dataset.inputs) == source.dataset.inputs
-    if seen.any() and is_same:
-        first = min(table.take(np.flatnonzero(seen)).configurations())
+    if not source.is_simulated:
+        return tests, []
+    equal = plan.get("equal_ranges", {})
+    trained = {
+        configuration_key(text, equal)
+        for model in plan["models"].values()
+        for text in model["configurations"]
+    }
+    keys = table.configurations(equal)
+    tests |= np.isin(keys, plan.get("test_groups", []))
+    seen = tests & np.isin(keys, list(trained))
+    if not seen.any():
+        return tests, []
+    first = min(np.array(keys)[seen])
+    if (seen == tests).all():
         msg = (
-            f"{where}: {int(seen.sum())} test configurations were trained on, such as {first}; "
+            f"{where}: all {int(seen.sum())} test configurations were trained on, such as {first}; "
             "test on grasps that this run has not seen"
         )
         raise LearningError(msg)
-    if not isinstance(source, SimulatedGrasps) or not seen.any():
-        return tests, []
     return tests & ~seen, [
-        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are not used: a grasp "
-        "with the same configuration, from another dataset, was trained on"
+        f"{int(seen.sum())} of {int(tests.sum())} test grasps of {where} are not used: a simulated "
+        f"grasp of the same object, force and place was trained on, such as {first}"
     ]
 
 
@@ -119,14 +122,18 @@ def _chosen_objects(recipe: TrainRecipe, table: GraspTable, where: str) -> tuple
 
 
 def _plan_model(
-    recipe: TrainRecipe, table: GraspTable, name: str, objects: tuple[str, ...]
+    recipe: TrainRecipe,
+    table: GraspTable,
+    name: str,
+    objects: tuple[str, ...],
+    equal: EqualRanges,
 ) -> ModelPlan:
     fit, validation = [], []
     for member in objects:
         rows = table.rows(objects=(member,), split="train")
         if recipe.training.grasps is not None:
             rows = _subset(rows, recipe.training.grasps, recipe.seed, member)
-        chosen = _validation_rows(table, rows, recipe, member)
+        chosen = _validation_rows(table, rows, recipe, member, equal)
         validation.append(chosen)
         fit.append(np.setdiff1d(rows, chosen))
     plan = ModelPlan(name, objects, np.concatenate(fit), np.concatenate(validation))
@@ -156,11 +163,15 @@ def _subset(rows: NDArray[np.int64], wanted: int, seed: int, name: str) -> NDArr
 
 
 def _validation_rows(
-    table: GraspTable, rows: NDArray[np.int64], recipe: TrainRecipe, name: str
+    table: GraspTable,
+    rows: NDArray[np.int64],
+    recipe: TrainRecipe,
+    name: str,
+    equal: EqualRanges,
 ) -> NDArray[np.int64]:
     """A part of each class; grasps of one configuration stay together."""
     mine = table.take(rows)
-    configurations = np.array(mine.configurations())
+    configurations = np.array(mine.configurations(equal))
     rng = _rng(recipe.seed, name, _STREAM_VALIDATION)
     chosen: list[str] = []
     for label in (0, 1):

@@ -15,7 +15,7 @@ from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.fit import Fit, FitJob
-from tacgen.learning.grasps import SimulatedGrasps
+from tacgen.learning.grasps import EqualRanges, GraspTable, SimulatedGrasps
 from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import predict
@@ -24,6 +24,7 @@ from tacgen.learning.run_folder import SCHEMA, RunFolder
 from tacgen.learning.scores import score
 from tacgen.learning.splits import ModelPlan, class_weights, few_grasps_warning, plan_models
 from tacgen.learning.training_recipe import TrainRecipe
+from tacgen.learning.twins import equal_ranges, one_sided
 
 INFLUENTIAL = ("torch", "transformers", "numpy", "opencv-python-headless")  # on the weights
 NO_WEIGHTS_WARNING = (
@@ -52,13 +53,17 @@ def train(
         source_shape_px=source.shape_px,
         normalised=options.normalised,
     )
-    plans = plan_models(recipe, source.table, str(data))
+    equal = equal_ranges(source)
+    table, notes = one_sided(source.table, equal)
+    for note in notes:
+        print_status(f"{data}: {note}")
+    plans = plan_models(recipe, table, str(data), equal)
     for plan in plans:
         check_source(spec, source, plan.fit_rows, str(data))
         if warning := few_grasps_warning(plan, source.table):
             print_status(f"warning: {warning}")
     run = RunFolder(out)
-    if run.prepare(_run_plan(recipe, source, plans, device), recipe.resolved()):
+    if run.prepare(_run_plan(recipe, source, table, plans, equal, device), recipe.resolved()):
         print_status(f"{out}: resumes the run that is there")
     job = partial(_train_one, recipe, source, spec, run, device)
     done = map_in_processes(job, plans, workers, method="spawn")
@@ -76,10 +81,15 @@ def train(
 
 
 def _run_plan(
-    recipe: TrainRecipe, source: SimulatedGrasps, plans: list[ModelPlan], device: str
+    recipe: TrainRecipe,
+    source: SimulatedGrasps,
+    table: GraspTable,
+    plans: list[ModelPlan],
+    equal: EqualRanges,
+    device: str,
 ) -> dict[str, Any]:
     """The identity of this run; a folder with another run is refused."""
-    table = source.table
+    moved = np.flatnonzero((table.split == "test") & (source.table.split == "train"))
     models = {
         plan.name: {
             "objects": list(plan.objects),
@@ -98,6 +108,8 @@ def _run_plan(
         "recipe_sha256": recipe.sha256(),
         "dataset": source.identity(),
         "device": device,
+        "equal_ranges": equal,
+        "test_groups": sorted(set(table.take(moved).configurations(equal))),
         "models": models,
     }
 

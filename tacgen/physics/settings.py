@@ -17,6 +17,7 @@ from pydantic.dataclasses import dataclass
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, PadName
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.physics.pybullet_import import load_bullet
 
 EngineName = Literal["pybullet", "mujoco"]
 EngineChoice = Literal["auto", "pybullet", "mujoco"]
@@ -45,8 +46,6 @@ def engine_of(choice: EngineChoice) -> EngineName:
     """The engine that ``choice`` means here: ``auto`` is PyBullet where it can be imported."""
     if choice != "auto":
         return choice
-    from tacgen.physics.world import load_bullet  # which needs the settings below
-
     try:
         load_bullet()
     except PhysicsError:

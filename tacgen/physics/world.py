@@ -1,10 +1,8 @@
 """A PyBullet client, and what bodies in it are made of. Lengths are in metres."""
 
-import contextlib
 import hashlib
-import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from functools import partial
@@ -19,6 +17,7 @@ from tacgen.core.errors import PhysicsError
 from tacgen.core.records import Mesh
 from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics.engine import ContactPoint, Vector
+from tacgen.physics.pybullet_import import load_bullet
 from tacgen.physics.settings import PhysicsSettings
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
@@ -67,50 +66,6 @@ def link_arguments(links: Sequence[BulletLink]) -> dict[str, Any]:
         "linkJointTypes": [link.joint_type for link in links],
         "linkJointAxis": [link.axis for link in links],
     }
-
-
-def load_bullet() -> ModuleType:
-    """PyBullet, checked to exchange arrays with numpy.
-
-    Raises ``PhysicsError`` if PyBullet is missing, or was built without numpy.
-    """
-    try:
-        with _quiet_standard_error():
-            import pybullet
-    except ImportError as error:
-        msg = (
-            f"PyBullet cannot be imported ({error}); install it with `pip install pybullet` under "
-            "Python 3.11, the last with wheels of it, or simulate in MuJoCo: "
-            "`physics: {engine: mujoco}`"
-        )
-        raise PhysicsError(msg) from error
-    return require_numpy(pybullet)
-
-
-@contextlib.contextmanager
-def _quiet_standard_error() -> Iterator[None]:
-    """Keep PyBullet from writing when it was built on standard error as it is imported."""
-    kept = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
-
-
-def require_numpy(bullet: ModuleType) -> ModuleType:
-    """``bullet`` itself; raises ``PhysicsError`` if it was built without numpy."""
-    if not bullet.isNumpyEnabled():
-        msg = (
-            "PyBullet was built without numpy (pybullet.isNumpyEnabled() is 0); with numpy "
-            "installed, run `pip install --force-reinstall --no-cache-dir pybullet` under "
-            "Python 3.11, the last with wheels that have it"
-        )
-        raise PhysicsError(msg)
-    return bullet
 
 
 class _Client:

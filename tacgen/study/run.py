@@ -113,7 +113,7 @@ class _StudyRun:
         found = self.finished_rows() | dict(done)
         rows = [row for row in self.study.rows if row.name in found]
         test = self.real.test
-        simulated = test is not None and read_real_grasps(test, needs=()).recipe_sha256 is not None
+        simulated = test is not None and read_real_grasps(test, needs=()).is_simulated
         result = {
             "study": self.study.name,
             "description": self.study.description,

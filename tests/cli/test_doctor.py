@@ -27,7 +27,7 @@ def test_a_pybullet_without_numpy_is_named_with_its_fix(monkeypatch, no_gl):
     def without_numpy():
         raise PhysicsError("PyBullet was built without numpy; reinstall it")
 
-    monkeypatch.setattr("tacgen.physics.world.load_bullet", without_numpy)
+    monkeypatch.setattr("tacgen.physics.pybullet_import.load_bullet", without_numpy)
     finding = next(f for f in doctor.examine() if f.name == "pybullet")
     assert (finding.ok, finding.fix) == (False, "reinstall it")
 

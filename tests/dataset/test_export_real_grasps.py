@@ -25,7 +25,7 @@ def test_a_dataset_becomes_a_folder_of_grasps_that_says_it_is_not_real(toy, tmp_
     np.testing.assert_array_equal(found.frames(3, [0, 1, 2]), dataset.rgb(index))
     np.testing.assert_array_equal(found.reference, dataset.reference())
     assert "Not real" in (tmp_path / "real" / "about.json").read_text()
-    assert read_real_grasps(tmp_path / "real").recipe_sha256 == dataset.lines[0].recipe_sha256
+    assert read_real_grasps(tmp_path / "real").is_simulated
 
 
 def test_labels_alone(toy, tmp_path):

@@ -55,6 +55,7 @@ def test_torch_takes_executed_grasps_of_one_side(toy):
     expected = written.pads["left"].rgb[written.grasp_frame].astype(np.float32) / 255
     np.testing.assert_allclose(image.permute(1, 2, 0).numpy(), expected, atol=1e-7)
     assert int(label) == written.label
+    assert [int(label) for _, label in train[0:2]] == [int(train[0][1]), written.label]
     whole = dataset.torch(frames="sequence")
     assert len(whole) == 8
     batch, labels = next(iter(torch.utils.data.DataLoader(whole, batch_size=4)))

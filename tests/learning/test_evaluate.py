@@ -14,7 +14,9 @@ from safetensors.torch import save_file
 
 from tacgen.core.errors import DatasetError, LearningError
 from tacgen.core.records import Sensor
+from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
+from tacgen.dataset.inputs import Inputs
 from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
@@ -166,15 +168,22 @@ def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, t
     data = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32), all_for_testing)
     result = evaluate(run, data=data)
     assert result["n"] == whole
-    assert "are not used: a grasp with the same configuration" in " ".join(result["notes"])
+    assert "are not used: a simulated grasp of the same object" in " ".join(result["notes"])
 
 
-def test_the_training_grasps_written_as_real_ones_are_refused(run, toy, tmp_path):
-    for split in ("train", "test"):
-        export_dataset(toy, tmp_path / split, "real-grasps", split=split)
-    with pytest.raises(LearningError, match="test configurations were trained on"):
-        evaluate(run, real=tmp_path / "train")
-    assert evaluate(run, real=tmp_path / "test")["real_is_simulated"]
+def test_training_grasps_are_known_as_real_ones_and_under_another_recipe(run, toy, tmp_path):
+    """A line of description changes the recipe's hash, and no grasp."""
+    again = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32))
+    for name, data in (("own", toy), ("again", again)):
+        for split in ("train", "test", None):
+            export_dataset(data, tmp_path / name / str(split), "real-grasps", split=split)
+        with pytest.raises(LearningError, match="all .* test configurations were trained on"):
+            evaluate(run, real=tmp_path / name / "train")
+        tests = evaluate(run, real=tmp_path / name / "test")
+        assert tests["real_is_simulated"]
+        whole = evaluate(run, real=tmp_path / name / "None")
+        assert whole["n"] == tests["n"] == evaluate(run, data=toy)["n"]
+        assert "are not used: a simulated grasp of the same object" in " ".join(whole["notes"])
 
 
 def test_a_run_that_is_not_finished_is_judged_and_it_is_said(run, toy):
@@ -311,6 +320,51 @@ def test_scores_by_value_lose_no_grasp_where_values_differ_by_less_than_their_te
     parts = scores_by_value(heights_mm, labels, labels * 0.8 + 0.1)
     assert sum(part["n"] for part in parts.values()) == 40
     assert len(parts) == 4
+
+
+def test_scores_by_value_put_equal_values_together_whatever_their_rounding():
+    forces_n = np.array([0.3, 0.1 * 3] * 5)
+    labels = np.arange(10) % 2
+    parts = scores_by_value(forces_n, labels, labels * 0.8 + 0.1)
+    assert {name: part["n"] for name, part in parts.items()} == {"0.3": 10}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("sensor", {"inputs": Inputs({"sensor": "another"})}),
+        ("table", {"calibration": {"table": "another"}}),
+        ("markers", {"recipe": {"optics": {"markers": True}, "objects": ["can", "cup"]}}),
+        ("pad", {"pads": ("right",)}),
+    ],
+)
+def test_images_taken_in_another_way_are_refused_or_named(tmp_path, name, changes, single):
+    """Of equal size, and all else the same."""
+    recipe = {"optics": {"markers": False}, "objects": ["can", "cup"]}
+    usual = {"inputs": Inputs({"sensor": "one"}), "recipe": recipe}
+    run, data, other = tmp_path / "run", tmp_path / "data", tmp_path / "other"
+    collect(data, make_spec(**usual))
+    collect(other, make_spec(**(usual | changes)))
+    shutil.copytree(single, run)
+    plan = json.loads((run / "run.json").read_text())
+    plan["dataset"]["taken_with"] = Dataset(data).taken_with()
+    (run / "run.json").write_text(json.dumps(plan))
+    assert not evaluate(run, data=data)["notes"]
+    with pytest.raises(LearningError, match=f"with another {name} than .*: --across {name}$"):
+        evaluate(run, data=other)
+    with pytest.raises(LearningError, match="--across 'sensors' is not known"):
+        evaluate(run, data=other, across=["sensors"])
+    accepted = evaluate(run, data=other, across=[name])
+    assert f"ACROSS {name}" in " ".join(accepted["notes"])
+    export_dataset(other, tmp_path / "real", "real-grasps", split="test")
+    assert f"ACROSS {name}" in " ".join(evaluate(run, real=tmp_path / "real")["notes"])
+
+
+def test_sequences_over_another_time_are_refused(sequence, single, tmp_path):
+    data = collect(tmp_path / "data", make_spec(time_s=(0.0, 0.2, 0.4)))
+    with pytest.raises(LearningError, match="--across time_s"):
+        evaluate(sequence, data=data)
+    assert evaluate(single, data=data)["notes"] == []
 
 
 def test_few_values_are_named_as_they_are_and_ranges_with_few_digits():

@@ -58,6 +58,18 @@ def test_predictions_are_those_that_eval_scores(run, toy, grasps_to_test):
     )
 
 
+def test_the_prior_moves_the_odds(run, grasps_to_test):
+    images, _ = grasps_to_test
+    odds = [
+        found / (1 - found)
+        for prior in (0.5, 0.9)
+        for found in [tacgen.Predictor(run, prior=prior).predict(images)]
+    ]
+    np.testing.assert_allclose(odds[1] / odds[0], 9.0)
+    with pytest.raises(LearningError, match="no share of grasps between 0 and 1"):
+        tacgen.Predictor(run, prior=1.0)
+
+
 def test_a_sequence_of_frames(sequence, toy):
     dataset = Dataset(toy)
     found = tacgen.Predictor(sequence).predict([dataset.rgb(0), dataset.rgb(1)])

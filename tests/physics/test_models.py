@@ -21,9 +21,10 @@ from tacgen.physics.frames import inverse, pose, rotation_of
 from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import TorsionLimit, grasp_capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
+from tacgen.physics.pybullet_import import require_numpy
 from tacgen.physics.recorder import frame_end_steps
 from tacgen.physics.settings import FrameRequest
-from tacgen.physics.world import ball_of, require_numpy
+from tacgen.physics.world import ball_of
 
 from .conftest import GRAVITY_M_S2, block
 

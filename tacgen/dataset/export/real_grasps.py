@@ -23,7 +23,7 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path, *, images: bool 
     table = grasps[list(COLUMNS)].copy()
     table.insert(0, "grasp_id", [grasp_id(int(index)) for index in grasps["index"]])
     write_text(folder / "grasps.csv", table.to_csv(index=False))
-    about = {"simulated": True, "note": NOTE, "recipe_sha256": dataset.lines[0].recipe_sha256}
+    about = {"simulated": True, "note": NOTE, "taken_with": dataset.taken_with()}
     write_text(folder / ABOUT, json.dumps(about, indent=1))
     if images:
         (folder / BACKGROUND).write_bytes(encode_png(dataset.reference()))

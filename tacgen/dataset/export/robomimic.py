@@ -1,8 +1,9 @@
 """Export to robomimic's HDF5: one demonstration a grasp, for imitation learning.
 
 ``data/demo_<k>/{obs/<name>, actions, rewards, dones}``, each (T, …), with ``num_samples``. The
-masks ``mask/{train, valid}`` list the demonstrations of each split that succeeded,
-``mask/{train_failed, valid_failed}`` those that did not: what is imitated should have worked.
+masks ``mask/{train, valid, test}`` list the demonstrations that succeeded, ``mask/{train_failed,
+valid_failed, test_failed}`` those that did not: what is imitated should have worked. ``valid`` is a
+tenth of the recipe's training side: what is chosen by it is not chosen on the test grasps.
 
 Actions lie in [−1, 1], which robomimic's policies can reach and its ``get_dataset_info`` demands:
 ``action = 2 (value − action_low) / (action_high − action_low) − 1``, with the bounds as attributes
@@ -10,6 +11,8 @@ of ``data``. Source: robomimic's documentation, "Dataset Contents and Structure"
 """
 
 import json
+import math
+import zlib
 from pathlib import Path
 
 import h5py
@@ -23,7 +26,7 @@ from tacgen.dataset.samples import GraspSample
 from tacgen.dataset.schema import ACTION, FRAME_FIELDS
 
 FILE = "grasps.hdf5"
-MASKS = {"train": "train", "valid": "test"}  # robomimic's name of each split of the recipe
+VALID_FRACTION = 0.1  # of the training grasps of each outcome, rounded up; never all of them
 
 
 def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
@@ -47,10 +50,17 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
         about = {"env_name": "tacgen", "type": 2, "env_kwargs": {"sensor": dataset.sensor}}
         data.attrs["env_args"] = json.dumps(about)
         split, held = grasps["split"].to_numpy(), grasps["label"].to_numpy() == LABEL_SUCCESS
-        for mask, of in MASKS.items():
-            file.create_dataset(f"mask/{mask}", data=names[(split == of) & held])
-            file.create_dataset(f"mask/{mask}_failed", data=names[(split == of) & ~held])
-    masks = f"{held.sum()} successes in mask/train and mask/valid, {(~held).sum()} failures apart"
+        for suffix, rows in (("", np.flatnonzero(held)), ("_failed", np.flatnonzero(~held))):
+            train = rows[split[rows] == "train"]
+            drawn = sorted(
+                train, key=lambda row: zlib.crc32(str(grasps["index"].iloc[row]).encode())
+            )
+            n_valid = min(math.ceil(VALID_FRACTION * len(drawn)), max(len(drawn) - 1, 0))
+            valid = np.isin(train, drawn[:n_valid])
+            sides = {"train": train[~valid], "valid": train[valid]}
+            for mask, those in (sides | {"test": rows[split[rows] == "test"]}).items():
+                file.create_dataset(f"mask/{mask}{suffix}", data=names[those])
+    masks = f"{held.sum()} successes in mask/train, valid and test, {(~held).sum()} failures apart"
     return f"{len(grasps)} demonstrations in robomimic's HDF5 format: {masks}"
 
 
