@@ -81,7 +81,7 @@ def test_force_that_is_delivered_on_top_holds_what_slipped(simulated):
 def test_a_centre_of_mass_moved_under_the_pads_takes_the_moment_away(simulated):
     *_, found = simulated
     declared, shifted = found["aside", "declared"], found["aside", "shifted"]
-    # The box's faces bulge by 8.3 mrad there, so that domes of 30 mm touch 0.25 mm nearer the middle:
+    # The faces bulge by 8.3 mrad there, so that domes of 30 mm touch 0.25 mm nearer the middle:
     # the lever goes from 14.75 mm to 5.25 mm.
     expected = 14.75 / 5.25 * declared.swing_ratio
     assert shifted.swing_ratio == pytest.approx(expected, rel=0.01)
