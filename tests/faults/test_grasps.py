@@ -21,7 +21,7 @@ FAULTY = Path(__file__).with_name("faulty")
 
 
 def collect_faulty(world, out, *faults, limit_s=60):
-    options = ["--out", str(out), "--grasp-limit-s", str(limit_s)]
+    options = ["--out", str(out), "--grasp-limit-s", str(limit_s), "--workers", "1"]
     return subprocess.run(
         [sys.executable, "-m", "tacgen", "collect", str(world), *options],
         cwd=world.parent,

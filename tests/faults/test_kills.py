@@ -23,6 +23,7 @@ from tests.small_world import write_world
 from .conftest import digests
 
 KILLS = 50
+ONE = ("--workers", "1")
 PATIENCE_S = 120
 
 
@@ -118,7 +119,7 @@ def test_a_worker_and_then_the_parent_are_killed_and_the_next_run_finds_no_lock(
 ):
     """The next run starts at once: an orphan that still held its shard would make it leave it."""
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", str(out)]
+    command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", str(out), *ONE]
     first = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
     wait_for_shards(out, 1, first)
     (server,) = children_of(first.pid, b"forkserver")
@@ -139,7 +140,7 @@ def test_nothing_outlives_a_killed_run(tmp_path, number):
     world = write_world(tmp_path, grid=grid)  # long enough to be killed amid its work
     # Sockets lie there, whose paths may be 107 characters long.
     temporary = Path(tempfile.mkdtemp(prefix="killed-", dir="/tmp"))
-    command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", "out"]
+    command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", "out", *ONE]
     environment = os.environ | {"TMPDIR": str(temporary)}
     run = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
     wait_for_shards(tmp_path / "out", 1, run)
