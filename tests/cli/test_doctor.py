@@ -4,15 +4,12 @@ import pytest
 
 from tacgen.cli import doctor
 from tacgen.core.errors import PhysicsError
-from tacgen.physics.settings import engine_of
 
 
 @pytest.mark.slow
 def test_this_machine_can_run_the_default_path():
     needed = [finding for finding in doctor.examine() if finding.needed]
-    assert {finding.name for finding in needed} == {"python", "free disk"} | (
-        {"mujoco"} if engine_of("auto") == "mujoco" else set()
-    )
+    assert {finding.name for finding in needed} == {"python", "engine", "free disk"}
     assert all(finding.ok for finding in needed)
 
 

@@ -176,7 +176,17 @@ def test_what_a_grasp_varies_does_not_depend_on_the_others(tmp_path, monkeypatch
 
 def test_ctrl_c_keeps_finished_shards_and_exits_130(reference, world, tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "tacgen", "collect", str(world), "--out", str(out), "--workers", "1"]
+    command = [
+        sys.executable,
+        "-m",
+        "tacgen",
+        "collect",
+        str(world),
+        "--out",
+        str(out),
+        "--workers",
+        "1",
+    ]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     process = subprocess.Popen(
         command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
