@@ -41,8 +41,8 @@ def equal_ranges(source: SimulatedGrasps) -> EqualRanges:
     executed = np.flatnonzero(columns["label"] != LABEL_NOT_EXECUTED)
     moment = np.maximum(table.grasp_frame, 0)
     margins = [columns[f"margin_{name}"][executed] for name in ("translational", "rotational")]
-    felt = [columns[name][executed, moment] for name in _COMPARED]
-    figures = np.stack([table.label, *margins, *felt], axis=1)
+    contacts = [columns[name][executed, moment] for name in _COMPARED]
+    figures = np.stack([table.label, *margins, *contacts], axis=1)
     found: dict[str, dict[str, list[tuple[float, float]]]] = {}
     for name, axis in itertools.product(table.object_names(), AXES):
         levels = list(_levels(table, name, axis).items())
