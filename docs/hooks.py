@@ -19,6 +19,7 @@ from pydantic import BaseModel
 
 from tacgen.cli.common import app
 from tacgen.cli.recipes import recipe_kinds
+from tacgen.contact.effects import all_effects
 from tacgen.core import columns
 from tacgen.core.resources import packaged
 from tacgen.core.yaml_source import kind_of, read_yaml
@@ -124,12 +125,13 @@ TEX = {
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Replace formulas and the comments that stand for tables.
 
-    They are ``<!-- keys: KIND -->``, ``<!-- columns: LIST -->``, ``<!-- commands -->`` and
-    ``<!-- rules -->``.
+    They are ``<!-- keys: KIND -->``, ``<!-- columns: LIST -->``, ``<!-- commands -->``,
+    ``<!-- effects -->`` and ``<!-- rules -->``.
     """
     markdown = FORMULA.sub(_formula, markdown)
     markdown = re.sub(r"<!-- keys: (\w+) -->", lambda found: _tables(found[1]), markdown)
     markdown = re.sub("<!-- commands -->", lambda _: "\n\n".join(_commands()), markdown)
+    markdown = re.sub("<!-- effects -->", lambda _: _effects(), markdown)
     markdown = re.sub("<!-- rules -->", lambda _: _rules(), markdown)
     return re.sub(r"<!-- columns: (\w+) -->", lambda found: _columns(found[1]), markdown)
 
@@ -155,6 +157,12 @@ def _formula(found: re.Match[str]) -> str:
         f'<img class="formula-{kind}" alt="{text}" style="{style}" '
         f'src="data:image/svg+xml;base64,{code}">'
     )
+
+
+def _effects() -> str:
+    """The effects that a contact law may have, by channel."""
+    rows = [f"| `{one.name}` | {one.channel} | {one.about} |" for one in all_effects()]
+    return "\n".join(["| effect | channel | meaning |", "|---|---|---|", *rows])
 
 
 def _rules() -> str:
