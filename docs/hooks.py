@@ -108,8 +108,12 @@ def keys_of(kind: str) -> list[Key]:
     return list(_keys(schema, schema.get("$defs", {}), "", list(_shipped(kind))))
 
 
-FORMULA = re.compile(r"```.*?```|`[^`\n]*`|\$\$(?P<display>.+?)\$\$|\$(?P<inline>[^$]+)\$", re.S)
-"""Code, which stays as it is, or a formula in TeX."""
+FORMULA = re.compile(
+    r"```.*?```|`[^`\n]*`|^    [^\n]*|"
+    r"\$\$(?P<display>.+?)\$\$|\$(?P<inline>[^$]+)\$|\b(?P<symbol>[kF]_[ns])\b",
+    re.S | re.M,
+)
+"""Code, which stays as it is, a formula in TeX, or a symbol such as k_n."""
 
 
 TEX = {
@@ -138,6 +142,8 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 def _formula(found: re.Match[str]) -> str:
     """A formula as a picture, which browsers show without a script or network."""
+    if found["symbol"]:
+        return "{}<sub>{}</sub>".format(*found["symbol"].split("_"))
     tex = found["display"] or found["inline"]
     if tex is None:
         return found[0]

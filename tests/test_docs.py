@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from docs import hooks
 from tacgen.cli import app
+from tacgen.contact.effects import all_effects
 from tacgen.diagnose.contact.rules import SelectionRules
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,6 +101,12 @@ def test_the_site_builds_without_a_warning(tmp_path):
     page = (tmp_path / "reference" / "commands" / "index.html").read_text(encoding="utf-8")
     for word in ("tacgen calibrate contact", "--radius-mm", "Ball of force-depth curves, mm."):
         assert word in page
+    page = (tmp_path / "reference" / "files" / "index.html").read_text(encoding="utf-8")
+    for effect in all_effects():
+        assert f"<code>{effect.name}</code>" in page
+    page = (tmp_path / "howto" / "calibrate_contact" / "index.html").read_text(encoding="utf-8")
+    assert "V = k<sub>n</sub> F<sub>n</sub>" in page  # in prose, but not in code
+    assert "k_n = 5.1341" in page
     page = (tmp_path / "reference" / "rules" / "index.html").read_text(encoding="utf-8")
     for rule in fields(SelectionRules):
         assert f"<code>{rule.name}</code>" in page
