@@ -13,12 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
-from scipy.ndimage import gaussian_filter, label
+from scipy.ndimage import distance_transform_edt, gaussian_filter, label, maximum
 from scipy.spatial import cKDTree
 
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.compiled import njit
-from tacgen.optics.deform import deform
+from tacgen.core.errors import TableError
+from tacgen.optics.drift import drift_of
+from tacgen.optics.same_view import other_view
 from tacgen.optics.table import LookupTable, contact_at
 
 Tile = tuple[tuple[int, int], tuple[int, int]]
@@ -38,28 +40,47 @@ flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
 SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
+MOST_CHANGE_GREY = (
+    12.0  # of half of all pixels without drift: pictures of another sensor differ more
+)
+MOST_GAIN = 0.3  # lamps drift by some 5 % in a session
+SAME_VIEW = "save all pictures of a sensor as RGB, turned and cropped alike"
 AT_STEEPEST = 0.97  # of the steepest slope: a step of the search grid below it
 REFINEMENTS = 3  # of each slope between the grid's nodes
 CONTACT_PASSES = 3
 """Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large
 after the first and 1 % after the third, and more change nothing."""
 BLUR_PX = 0.7  # lowers the camera's noise; below a contact's finest feature
-CONTACT_SHARE = 0.02  # depths below this share of the deepest are not contact
-UNBENDING_PASSES = 4
-"""Passes that leave 0.1 % too much of an exact surface's volume; more of them amplify noise."""
+STEEP_SHARE = 0.9
+"""The imprint's rim is the outermost contour at least so steep as the steepest one: where a gel
+keeps to an object its walls get steeper outwards, beside it the gel levels off."""
+RIM_LAYERS = 0.4
+"""Share of the depth inside the rim whose layers tell how the object goes on beyond it."""
+RIM_BLUR_PX = 1.0  # noise makes contours long
+RIM_LEVELS, RIM_WINDOW = 46, 3  # of the depth; contours so many levels up and down are compared
+CONTINUED_STDERR = 0.25  # of the volume outside the rim: half of it for a cone taken for a ball
+CLEAR_OF_NOISE = 4.0  # standard errors of the level; a contact is deeper
+LEAST_SHARE = 0.25  # of the deepest contact's depth that another one must have: dust has less
 
 
-FIRM_LAYERS = (0.25, 0.55)
-"""Shares of the deepest point's depth between which the gel keeps to the object: less deep it
-bends freely, deeper only a few noisy pixels remain."""
+@dataclass(frozen=True, slots=True)
+class Imprint:
+    """How deep an object is below the gel at rest, ``depth_mm`` (h, w), 0 where it is not.
+
+    Where ``seen`` (h, w) the gel's surface shows it; elsewhere it is continued.
+    """
+
+    depth_mm: FloatArray
+    seen: BoolArray
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
     """What was reconstructed from a picture.
 
-    ``depth_mm`` (h, w) is that of the gel's surface below the gel at rest; ``slope_stderr`` is the
-    standard error of the slopes in the contact, from what the table does not explain of the
+    ``depth_mm`` (h, w) is that of the gel's surface below the gel at rest, ``level_stderr_mm`` the
+    standard error of that level: how uneven the gel is that nothing touches. ``slope_stderr`` is
+    the standard error of the slopes in the contact, from what the table does not explain of the
     picture; NaN where nothing is deeper than the gel at rest. ``steepest_share`` is the share of
     the contact's pixels at the steepest slope that the table holds: walls may be steeper, and the
     depth inside them is then too small.
@@ -69,44 +90,52 @@ class Shape:
     mm_per_px: float
     slope_stderr: float = math.nan
     steepest_share: float = 0.0
+    level_stderr_mm: float = 0.0
 
-    def indentation_mm(self, least_mm: float) -> FloatArray:
-        """What the object indents (h, w), 0 where the deepest point is below ``least_mm``.
+    def imprint(self, least_mm: float = 0.0) -> Imprint:
+        """The object's imprint, of contacts deeper than ``least_mm`` and than the level's error.
 
-        The gel beside a contact bends with it: ``deform`` is undone by fixed-point iteration,
-        d ← max(0, d + surface − deform(d)). Only what is connected to the deepest point counts.
+        The gel sinks around a contact without touching the object. So the surface is taken as it is
+        inside the contact's rim; from there to the level of the gel at rest the object's
+        cross-section, which for a ball grows by the same area with every layer, is continued.
         """
         surface = np.maximum(self.depth_mm, 0.0)
-        deepest = np.unravel_index(np.argmax(surface), surface.shape)
-        if surface[deepest] < least_mm:
-            return np.zeros_like(surface)
-        depth = surface
-        for _ in range(UNBENDING_PASSES):
-            depth = np.maximum(0.0, depth + surface - deform(depth, self.mm_per_px))
-        patches, _ = label(depth > CONTACT_SHARE * depth[deepest])
-        return np.where(patches == patches[deepest], depth, 0.0)
+        least_mm = max(least_mm, CLEAR_OF_NOISE * self.level_stderr_mm)
+        depth, seen = np.zeros_like(surface), np.zeros(surface.shape, dtype=np.bool_)
+        patches, count = label(surface > least_mm)
+        deepest = np.asarray(maximum(surface, patches, range(1, count + 1)))
+        clear = max(least_mm, LEAST_SHARE * float(surface.max()))
+        for patch in np.flatnonzero(deepest > clear) + 1:
+            one = _continued(surface, patches == patch, least_mm)
+            np.maximum(depth, one.depth_mm, out=depth)
+            seen |= one.seen
+        return Imprint(depth, seen)
 
     @property
     def volume_mm3(self) -> float:
-        """Volume that the object fills below the gel at rest, around the deepest point.
+        """Volume that the object fills below the gel at rest."""
+        return float(self.imprint().depth_mm.sum()) * self.mm_per_px**2
 
-        The gel around a contact sinks with it and is no part of it. So the lower layers alone are
-        summed as they are; the object's cross-section, which for a ball grows by the same area
-        with every layer, is continued from them up to the level of the gel at rest.
+    def volume_stderr_mm3(self, imprint: Imprint) -> float:
+        """Standard error of an imprint's volume.
+
+        What the table does not explain is alike over a contact: slopes, and with them the volume,
+        are off by the same share everywhere. The level of the gel at rest, and how the object goes
+        on outside the rim, add theirs.
         """
-        deepest_mm = float(self.depth_mm.max())
-        if not deepest_mm > 0:
+        touched = imprint.depth_mm > 0
+        if not touched.any():
             return 0.0
-        patches, _ = label(self.depth_mm > CONTACT_SHARE * deepest_mm)
-        deepest = np.unravel_index(np.argmax(self.depth_mm), self.depth_mm.shape)
-        depth = self.depth_mm[patches == patches[deepest]]
-        low, high = (share * deepest_mm for share in FIRM_LAYERS)
-        below = float(np.maximum(depth - low, 0.0).sum())
-        layers = np.linspace(low, high, 16)
-        pixels = (depth[:, None] > layers).sum(axis=0)
-        growth, at_low = np.polyfit(layers - low, pixels, 1)
-        above = low * at_low - 0.5 * min(float(growth), 0.0) * low**2
-        return float((below + above) * self.mm_per_px**2)
+        pixel_mm2 = self.mm_per_px**2
+        gy, gx = np.gradient(self.depth_mm, self.mm_per_px)
+        steepness = math.sqrt(float(np.square([gx, gy])[:, touched].sum(axis=0).mean()))
+        volume = float(imprint.depth_mm.sum()) * pixel_mm2
+        parts = (
+            volume * self.slope_stderr / max(steepness, self.slope_stderr),
+            float(touched.sum()) * pixel_mm2 * self.level_stderr_mm,
+            CONTINUED_STDERR * float(imprint.depth_mm[~imprint.seen].sum()) * pixel_mm2,
+        )
+        return math.hypot(*parts)
 
 
 class Reconstructor:
@@ -114,12 +143,19 @@ class Reconstructor:
 
     ``background`` (H, W, 3) is the RGB picture of the gel at rest, taken with the presses, and
     ``dome_radius_mm`` the gel's radius of curvature; 0: flat.
+
+    Raises ``TableError`` if the background shows the gel turned, shifted or in another order of
+    colours than the table's own.
     """
 
     def __init__(
         self, table: LookupTable, background: NDArray[np.uint8], dome_radius_mm: float = 0.0
     ) -> None:
         height, width = background.shape[:2]
+        if wrong := other_view(background, table.background):
+            msg = f"the background does not match the table's: {wrong}; {SAME_VIEW}"
+            raise TableError(msg)
+        self._background = background
         self._table = table
         self._step = max(1, round(width / MAX_WIDTH_PX))
         self._shape = height // self._step, width // self._step
@@ -138,26 +174,44 @@ class Reconstructor:
         self._trees = {tile: self._tree_of(tile) for tile in tiles}
 
     def shape_of(self, rgb: NDArray[np.uint8], hidden: NDArray[np.bool_] | None = None) -> Shape:
-        """Depth of one picture (H, W, 3); ``hidden`` (H, W) marks pixels that show no gel."""
+        """Depth of one picture (H, W, 3); ``hidden`` (H, W) marks pixels that show no gel.
+
+        Raises ``TableError`` if it is turned, shifted or coloured otherwise than the background.
+        """
+        if wrong := other_view(rgb, self._background):
+            msg = f"the image does not match the background: {wrong}; {SAME_VIEW}"
+            raise TableError(msg)
         change = _averaged(rgb.astype(np.float32), self._step, self._shape) - self._seen
         known = np.ones(self._shape, dtype=np.float32)
         if hidden is not None:
             covered = _averaged(hidden.astype(np.float32), self._step, self._shape)
             known = (covered < 0.25).astype(np.float32)
-        seen = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
+        drift = drift_of(change, self._seen, known)
+        change = change - drift.added
+        half = float(np.median(np.abs(change).max(axis=2)))
+        if half > MOST_CHANGE_GREY or not np.all(np.abs(drift.gain - 1.0) < MOST_GAIN):
+            gains = ", ".join(f"{gain:.2f}" for gain in drift.gain)
+            msg = (
+                f"the image does not match the background: it is {gains} times as bright (red, "
+                f"green, blue) and half of it differs by {half:.0f} grey levels more: it is of "
+                "another sensor or light; take the background in the same session as the image"
+            )
+            raise TableError(msg)
+        seen = gaussian_filter(_filled(change / drift.gain, known), (BLUR_PX, BLUR_PX, 0.0))
         change = seen
+        bare = drift.bare if drift.bare.any() else known > 0
         for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
             found = self._slopes_of(change)
             slopes = _filled(found - self._rest, known)
             surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
-            # The gel that was not touched: the median over the upper half of the surface.
-            depth = np.median(surface[surface >= np.median(surface)]) - surface
+            depth = np.median(surface[_upper(surface, bare)]) - surface
             change = seen - self._contact_light(found, depth)
         contact = (depth > 0.1 * depth.max()) & (known > 0)
         stderr = self._slope_stderr(found, change, contact)
         steep = np.hypot(found[..., 0], found[..., 1]) >= AT_STEEPEST * self.steepest
         share = float((steep & contact).sum() / max(contact.sum(), 1))
-        return Shape(depth, self.mm_per_px, stderr, share)
+        level = float(np.sqrt(np.mean(depth[_upper(-depth, bare)] ** 2)))
+        return Shape(depth, self.mm_per_px, stderr, share, level)
 
     def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Grey levels (h, w, 3) that a contact of these slopes and depths adds."""
@@ -235,6 +289,55 @@ class Reconstructor:
         return cKDTree(np.column_stack([colors, flatness])), nodes
 
 
+def _continued(surface: FloatArray, patch: BoolArray, least_mm: float) -> Imprint:
+    """A surface (h, w) as it is inside the rim of a contact, continued to level 0 outside.
+
+    ``patch`` (h, w) is what of the contact is deeper than ``least_mm``.
+    """
+    deepest = float(surface[patch].max())
+    rim = _rim_mm(np.where(patch, surface, least_mm), least_mm)
+    inside = patch & (surface > rim)
+    depth = np.where(inside, surface, 0.0)
+    layers = rim + np.linspace(0.0, RIM_LAYERS, 12) * (deepest - rim)
+    pixels = (surface[inside][:, None] > layers).sum(axis=0)
+    growth = max(-float(np.polyfit(layers, pixels, 1)[0]), 0.0)
+    outside = np.flatnonzero(~inside)
+    beyond = min(round(growth * rim), len(outside))
+    if beyond:
+        distance = distance_transform_edt(~inside).ravel()[outside]
+        nearest = outside[np.argsort(distance, kind="stable")[:beyond]]
+        depth.flat[nearest] = rim * (1.0 - (np.arange(beyond) + 0.5) / (growth * rim))
+    return Imprint(depth, np.asarray(inside))
+
+
+def _rim_mm(surface: FloatArray, least_mm: float) -> float:
+    """Level of the outermost contour of a contact about as steep as its steepest one, mm.
+
+    By the co-area formula the area between two contours is their length times the mean of
+    1/steepness; both are counted in pixels.
+    """
+    smooth = gaussian_filter(surface, RIM_BLUR_PX)
+    levels = np.linspace(least_mm, float(smooth.max()), RIM_LEVELS)[:-1]
+    step = levels[1] - levels[0]
+    area = _above(smooth.ravel(), levels)
+    neighbours = [(smooth[1:], smooth[:-1]), (smooth[:, 1:], smooth[:, :-1])]
+    crossed = [
+        _above(np.maximum(a, b).ravel(), levels) - _above(np.minimum(a, b).ravel(), levels)
+        for a, b in neighbours
+    ]
+    length = np.pi / 4 * np.sum(crossed, axis=0)  # Cauchy–Crofton, for contours of all directions
+    wide = RIM_WINDOW
+    between = (area[: -2 * wide] - area[2 * wide :]) / (2 * wide * step)
+    flatness = between / np.maximum(length[wide:-wide], 1.0)
+    steep = np.flatnonzero(flatness <= flatness.min() / STEEP_SHARE)
+    return float(levels[wide + steep[0]])
+
+
+def _above(values: FloatArray, levels: FloatArray) -> FloatArray:
+    """How many values exceed each level (n,), in increasing order."""
+    return np.asarray(len(values) - np.searchsorted(np.sort(values), levels, side="right"), float)
+
+
 @njit(cache=True, nogil=True)
 def _interpolate(
     grid: NDArray[Any], steepest: float, slopes: NDArray[Any], colors: NDArray[Any]
@@ -294,6 +397,11 @@ def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: fl
         return np.zeros((*shape_px, 2))
     height = np.sqrt(np.maximum(dome_radius_mm**2 - x**2 - y**2, 1e-6))
     return np.stack([-x / height, -y / height], axis=-1)
+
+
+def _upper(surface: FloatArray, bare: BoolArray) -> BoolArray:
+    """The upper half (h, w) of what looks like bare gel: below flat faces lies none."""
+    return np.asarray(bare & (surface >= np.median(surface[bare])))
 
 
 def _averaged(image: FloatArray, step: int, shape_px: tuple[int, int]) -> FloatArray:

@@ -6,10 +6,11 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.arrays import BoolArray
 from tacgen.core.errors import PressError
 from tacgen.core.workers import map_in_processes
 from tacgen.optics.dots import coarse, dots_in, printed_dots
+from tacgen.optics.same_view import apart_grey, other_view
 from tacgen.presses.circles import Circle, find_circle, outside_share
 from tacgen.presses.experiments import experiments_of
 from tacgen.presses.press_images import DroppedPress, PressImages
@@ -116,7 +117,7 @@ def _check_background(presses: PressImages) -> None:
     size = (COMPARED_WIDTH_PX, max(8, round(COMPARED_WIDTH_PX * height / width)))
     rest = coarse(presses.background, size, None)
     small = [coarse(image, size, None) for image in presses.images]
-    apart = np.array([_apart_grey(image, rest) for image in small])
+    apart = np.array([apart_grey(image, rest) for image in small])
     factor, more = OTHER_PICTURE
     other = np.nonzero(apart > factor * np.quantile(apart, 0.25) + more)[0]
     if MIN_PRESSES <= len(other) < len(presses):
@@ -130,12 +131,12 @@ def _check_background(presses: PressImages) -> None:
     if len(presses) < BACKGROUND_MIN_PRESSES:
         return
     median = np.median(small, axis=0).astype(np.float32)
-    mismatch, (factor, more) = _apart_grey(median, rest), OTHER_BACKGROUND
-    scatter = float(np.median([_apart_grey(image, median) for image in small]))
+    mismatch, (factor, more) = apart_grey(median, rest), OTHER_BACKGROUND
+    scatter = float(np.median([apart_grey(image, median) for image in small]))
     if mismatch > factor * scatter + more:
-        if _apart_grey(median, rest[..., ::-1]) < 0.5 * mismatch:
-            fix = "save all pictures in one colour order"
-            msg = f"the background does not match, but does with red and blue swapped: {fix}"
+        if wrong := other_view(rest, median):
+            fix = "save all pictures as RGB, turned and cropped alike"
+            msg = f"the background does not match the presses: {wrong}; {fix}"
             raise PressError(msg)
         msg = (
             f"the background does not match the presses: the bare gel differs by {mismatch:.0f} "
@@ -147,25 +148,6 @@ def _check_background(presses: PressImages) -> None:
         # They move with the gel, so that the median shows them elsewhere.
         return
     _refuse_press_as_background(presses)
-
-
-def _apart_grey(image: FloatArray, rest: FloatArray) -> float:
-    """Median difference, grey levels, of two pictures (h, w, 3) after gain and offset.
-
-    Gain and offset are of each channel and fitted to most of the picture: a contact is not.
-    """
-    differences = []
-    for channel in range(3):
-        x, y = rest[..., channel].ravel().astype(float), image[..., channel].ravel().astype(float)
-        columns, weight = np.column_stack([x, np.ones_like(x)]), np.ones_like(x)
-        for _ in range(3):
-            weighted = columns * weight[:, None]
-            ridge = 1e-6 * np.eye(2)
-            gain = np.linalg.solve(weighted.T @ columns + ridge, weighted.T @ y)
-            size = np.abs(y - columns @ gain)
-            weight = 1.0 / (1.0 + (size / (np.median(size) + 1.0)) ** 2)
-        differences.append(size)
-    return float(np.median(differences))
 
 
 def _refuse_press_as_background(presses: PressImages) -> None:

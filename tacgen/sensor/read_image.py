@@ -13,21 +13,18 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
 from tacgen.contact.law import ContactLaw
-from tacgen.core.errors import SensorError
+from tacgen.core.errors import SensorError, TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.images import encode_png
 from tacgen.core.records import Estimate
 from tacgen.core.safe_io import read_rgb
 from tacgen.optics.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, follow
-from tacgen.optics.reconstruct import Reconstructor, Shape
+from tacgen.optics.reconstruct import Reconstructor
 from tacgen.sensor.gel_response import LOAD, ONSET_S
 from tacgen.sensor.simulated import Frame, Sensor
 
 LEAST_DEPTH_MM = 0.03
 """Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""
-MOST_CHANGE_GREY = 12.0
-"""Largest change of half of all pixels: far beyond the drift of lamps in one session (some 5 % of
-gain), where pictures of another sensor differ by tens."""
 MARKER_STDERR_PX = 0.1
 """How well the centre of one dot is found, with what its motion loses where it is interpolated."""
 MOST_AT_STEEPEST = 0.01
@@ -75,7 +72,8 @@ class ImageReader:
     ``sensor`` has the table and the contact law of the sensor that took the pictures;
     ``background_rgb`` (H, W, 3) is the gel at rest, of the same session, the table's where None.
 
-    Raises ``SensorError`` if the background is not of the table's size.
+    Raises ``SensorError`` if the background is not of the table's size, ``TableError`` if it is
+    turned, cropped or coloured otherwise than the table's.
     """
 
     def __init__(
@@ -88,7 +86,6 @@ class ImageReader:
         self._reconstructor = Reconstructor(self.sensor.table, self._background, dome_mm)
         spots = find_spots(self._background)
         self._dots = spots.mask(spots.usable) if spots.usable.sum() >= MIN_TRACKED else None
-        self._own_background = background_rgb is not None
         self._pitch_mm = math.nan
         if self._dots is not None:
             spacing_mm = dots_at_rest(self._background).spacing_px * self.sensor.table.mm_per_px
@@ -98,13 +95,14 @@ class ImageReader:
     def read(self, image_rgb: NDArray[np.uint8]) -> Reading:
         """Depth, contact, volume and force of one picture (H, W, 3), RGB uint8.
 
-        Raises ``SensorError`` if it is of another size, or differs from the background everywhere.
+        Raises ``SensorError`` if it is of another size, ``TableError`` if it does not match the
+        background: another sensor or light, other colours, turned, shifted or cropped otherwise.
         """
         rgb = self._checked(image_rgb, "the image")
-        self._check_background(rgb)
         hidden = None if self._dots is None else dots_in(rgb, self._dots)
         shape = self._reconstructor.shape_of(rgb, hidden)
-        small = np.asarray(shape.indentation_mm(LEAST_DEPTH_MM), np.float64)
+        imprint = shape.imprint(LEAST_DEPTH_MM)
+        small = np.asarray(imprint.depth_mm, np.float64)
         height, width = rgb.shape[:2]
         # The depth keeps its volume: enlarged, it is scaled to the sum that it had.
         enlarged = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -123,7 +121,7 @@ class ImageReader:
             volume_mm3=volume,
             markers_px=places,
             force_stderr_n=np.zeros(3),
-            volume_stderr_mm3=_volume_stderr(shape, small, volume),
+            volume_stderr_mm3=shape.volume_stderr_mm3(imprint),
             shear_sum_mm=shear,
             message="",
         )
@@ -165,21 +163,6 @@ class ImageReader:
             raise SensorError(msg)
         return image
 
-    def _check_background(self, rgb: NDArray[np.uint8]) -> None:
-        change = np.abs(rgb.astype(np.int16) - self._background).max(axis=2)
-        half = float(np.median(change))
-        if half > MOST_CHANGE_GREY:
-            fix = (
-                "take the background in the same session as the image"
-                if self._own_background
-                else "give a picture of this gel at rest as the background"
-            )
-            msg = (
-                f"half of the image differs from the background by more than {half:.0f} grey "
-                f"levels: it is of another sensor, or the background does not match; {fix}"
-            )
-            raise SensorError(msg)
-
 
 def read_image(
     image_rgb: NDArray[np.uint8],
@@ -200,7 +183,9 @@ def read_image(
     Raises
     ------
     SensorError
-        If the picture is of another size, or its background does not match.
+        If the picture is of another size.
+    TableError
+        If it does not match the background, or the background the table.
 
     Source
     ------
@@ -237,7 +222,7 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
     for path in paths:
         try:
             readings.append(reader.read(read_rgb(path, SensorError)))
-        except SensorError as error:
+        except (SensorError, TableError) as error:
             msg = f"{path}: {error}"
             raise SensorError(msg) from None
     rows = []
@@ -269,20 +254,6 @@ def reading_line(row: dict[str, Any]) -> str:
     if row["force_shear_x_n"] is not None:
         text += f", shear {row['force_shear_x_n']:.2f}, {row['force_shear_y_n']:.2f} N"
     return f"{text}; {row['message']}" if row["message"] else text
-
-
-def _volume_stderr(shape: Shape, depth: NDArray[np.float64], volume_mm3: float) -> float:
-    """Standard error of the volume.
-
-    What the table does not explain is alike over a contact: slopes, and with them the volume, are
-    off by the same share everywhere.
-    """
-    touched = depth > 0
-    if not touched.any():
-        return 0.0
-    gy, gx = np.gradient(shape.depth_mm, shape.mm_per_px)
-    steepness = math.sqrt(float(np.square([gx, gy])[:, touched].sum(axis=0).mean()))
-    return volume_mm3 * shape.slope_stderr / max(steepness, shape.slope_stderr)
 
 
 def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float, pitch_mm: float) -> Reading:

@@ -86,7 +86,7 @@ def test_where_on_the_gel_it_is_does_not_matter_to_what_is_read(name):
     for x_px, y_px in ((0, 0), (21, -13), (-17, 9)):
         rgb, held = pressed(table, x_px, y_px)
         shape = reader.shape_of(rgb)
-        depth = shape.indentation_mm(0.03)
+        depth = shape.imprint(0.03).depth_mm
         found.append((depth.sum() * shape.mm_per_px**2, depth.max()))
         assert found[-1][0] == pytest.approx(held.volume_mm3, rel=0.05)
     np.testing.assert_allclose(found, [found[0]] * 3, rtol=0.01)

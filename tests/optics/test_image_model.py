@@ -105,7 +105,7 @@ def test_it_is_inverted():
     at_rest = np.full((*SENSOR.shape_px, 3), 100, np.uint8)
     shape = Reconstructor(table, at_rest).shape_of(pad.image(imprint))
     assert shape.depth_mm.max() == pytest.approx(imprint.indentation_mm, rel=0.05)
-    volume = shape.indentation_mm(0.03).sum() * shape.mm_per_px**2
+    volume = shape.imprint(0.03).depth_mm.sum() * shape.mm_per_px**2
     assert volume == pytest.approx(imprint.volume_mm3, rel=0.08)
 
 

@@ -178,7 +178,7 @@ def shifted(image, columns):
     ("background", "message"),
     [
         (lambda made: shifted(made.background, 40), "does not match the presses: the bare gel"),
-        (lambda made: made.background[..., ::-1], "does with red and blue swapped"),
+        (lambda made: made.background[..., ::-1], "red and blue are swapped"),
         (lambda made: made.images[0], r"shows a contact at \(.*\): it is a press itself"),
     ],
 )

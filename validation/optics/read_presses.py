@@ -56,7 +56,7 @@ def press_errors(presses: PressImages, n_folds: int) -> np.ndarray:
         for k in np.nonzero(folds == fold)[0].tolist():
             hidden = None if presses.dots is None else dots_in(presses.images[k], presses.dots)
             shape = reader.shape_of(presses.images[k], hidden)
-            depth = shape.indentation_mm(LEAST_DEPTH_MM)
+            depth = shape.imprint(LEAST_DEPTH_MM).depth_mm
             if depth.any():
                 step = shape.mm_per_px / presses.mm_per_px
                 circle = np.array([*presses.center_px[k], presses.radius_px[k]]) / step
