@@ -147,7 +147,7 @@ def calibrate_contact(
         str,
         Option(
             help="Depth at first contact: fixed (as logged), free (fitted for each press), or auto "
-            "(free where the volume was computed from the depth of a ball)."
+            "(free where presses of known balls show that they begin elsewhere)."
         ),
     ] = "auto",
     force_unit: Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")] = None,
@@ -233,11 +233,16 @@ def read(
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)
-    rows = read_files(ImageReader(Sensor(sensor, table, contact), at_rest), images, out)
+    known = Sensor(sensor, table, contact)
+    if contact is None:
+        k_n = known.law.k_n_mm3_per_n.value
+        common.warn([f"no --contact: forces are by the published k_n = {k_n:g} mm³/N"])
+    rows = read_files(ImageReader(known, at_rest), images, out)
     common.print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
-    common.hand_over(
-        f"look at {out}; from Python: tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}))"
-    )
+    files = {"table": table, "contact": contact}
+    given = "".join(f", {key}={str(path)!r}" for key, path in files.items() if path is not None)
+    call = f"tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}{given}))"
+    common.hand_over(f"look at {out}; from Python: {call}")
 
 
 @common.app.command(rich_help_panel=common.CALIBRATION)

@@ -239,7 +239,8 @@ def table_lines(path: Path, presses: Path | None = None) -> list[str]:
     if presses is not None and (sensor := session_sensor(presses)) is not None:
         return [IN_RECIPE, f"sensor: {{name: {sensor}, table: {path}}}"]
     table = load_table(path)
-    return sensor_lines(path, table.shape_px, table.mm_per_px)
+    learnt = table.provenance.get("press_model", {})
+    return sensor_lines(path, table.shape_px, table.mm_per_px, learnt.get("dome_radius_mm"))
 
 
 def refuse_existing(force: bool, *paths: Path) -> None:

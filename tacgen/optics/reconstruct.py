@@ -116,13 +116,14 @@ class Shape:
         """Volume that the object fills below the gel at rest."""
         return float(self.imprint().depth_mm.sum()) * self.mm_per_px**2
 
-    def volume_stderr_mm3(self, imprint: Imprint) -> float:
+    def volume_stderr_mm3(self, imprint: Imprint | None = None) -> float:
         """Standard error of an imprint's volume.
 
         What the table does not explain is alike over a contact: slopes, and with them the volume,
         are off by the same share everywhere. The level of the gel at rest, and how the object goes
         on outside the rim, add theirs.
         """
+        imprint = imprint or self.imprint()
         touched = imprint.depth_mm > 0
         if not touched.any():
             return 0.0

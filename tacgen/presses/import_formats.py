@@ -94,7 +94,10 @@ def import_presses(
             rows.append({**press.columns, "file": file})
         if not rows:
             lacks = f"no presses found in {found.n_rows} rows"
-            why = "; ".join(found.notes) or f"see `docs/import.md` for the layout of {format_name}"
+            why = (
+                "; ".join(found.notes)
+                or f"is it of the layout {format_name}? docs/howto/import_data.md shows it"
+            )
             msg = f"{source}: {lacks}: {why}"
             raise PressError(msg)
         (folder / "background.png").write_bytes(encode_png(found.background_rgb))

@@ -174,8 +174,7 @@ def _slope(values: FloatArray, others: FloatArray) -> float:
 
 def _correlated_noise(rows: _Rows) -> tuple[BoolArray, str]:
     """Every n-th row of each trial, where noise goes on for n rows."""
-    counts = [_memory(_residuals(rows, channel), rows.most_rows) for channel in CHANNELS]
-    count = max(counts)
+    count = max(_memory(_residuals(rows, channel), rows.most_rows) for channel in CHANNELS)
     keep = np.ones(len(rows.columns["trial"]), dtype=bool)
     if count == 1 or rows.starts.size <= LEAST_TRIALS:
         return keep, ""
@@ -193,12 +192,18 @@ def _ordinal(count: int) -> str:
 
 
 def _residuals(rows: _Rows, channel: Sequence[tuple[str, str]]) -> Sequence[FloatArray]:
-    """What functions of the load leave of each response in each trial, rows in order."""
+    """What functions of the cleaner of two columns leave of the other in each trial, in order.
+
+    The noise of the column that functions are of would be spread over neighbours by the fit.
+    """
     found = list[FloatArray]()
     for pair in channel:
         if not all(name in rows.columns for name in pair):
             continue
         force, response = (np.asarray(rows.columns[one], dtype=np.float64) for one in pair)
+        slope = _slope(force, response)
+        if _jitter(rows, force) * abs(slope) > _jitter(rows, response):
+            force, response = response, force
         for first, stop in pairwise(rows.starts):
             known = np.isfinite(force[first:stop]) & np.isfinite(response[first:stop])
             if known.sum() > 2 * _N_FUNCTIONS:
@@ -206,6 +211,17 @@ def _residuals(rows: _Rows, channel: Sequence[tuple[str, str]]) -> Sequence[Floa
                 design = _functions(load)
                 found.append(answer - design @ np.linalg.lstsq(design, answer, rcond=1e-6)[0])
     return found
+
+
+def _jitter(rows: _Rows, values: FloatArray) -> float:
+    """Noise of a column and what bends its course: the median size of fourth differences."""
+    factors = np.array(_DIFFERENCES[4])
+    bends = [
+        np.abs(np.convolve(values[first:stop], factors, mode="valid"))
+        for first, stop in pairwise(rows.starts)
+        if stop - first >= len(factors)
+    ]
+    return float(np.nanmedian(np.concatenate([np.zeros(1), *bends])))
 
 
 _N_FUNCTIONS = 7

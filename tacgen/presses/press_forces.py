@@ -24,13 +24,15 @@ from tacgen.presses.press_folder import COORDINATES, STAGE, PressFolder
 class MeasuredLog:
     """The press log of a folder of images, how its volumes were found, and warnings.
 
-    ``marker_pitch_mm`` is that of the dots whose motion was summed, NaN without dots: as the folder
-    has it, or as the gel at rest shows it.
+    ``volume_stderr_share`` is the typical relative standard error of a volume by a table, whose
+    error is alike in all of them; 0 without a table. ``marker_pitch_mm`` is that of the dots whose
+    motion was summed, NaN without dots: as the folder has it, or as the gel at rest shows it.
     """
 
     frame: pd.DataFrame
     method: str
     marker_pitch_mm: float
+    volume_stderr_share: float
     warnings: tuple[str, ...]
 
 
@@ -57,13 +59,14 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
     reconstructor = (
         Reconstructor(table, folder.background, folder.dome_radius_mm) if table else None
     )
-    volumes = np.full(len(rows), np.nan)
+    volumes, stderrs = np.full((2, len(rows)), np.nan)
     for index in range(len(rows)):
         picture = folder.picture(index)
         hidden = dots_in(picture, at_rest) if at_rest is not None else None
         problem = "shows no contact"
         if reconstructor is not None:
-            volumes[index] = reconstructor.shape_of(picture, hidden).volume_mm3
+            shape = reconstructor.shape_of(picture, hidden)
+            volumes[index], stderrs[index] = shape.volume_mm3, shape.volume_stderr_mm3()
         else:
             volumes[index], problem = _ball_volume(folder, index, picture, hidden)
         if not volumes[index] > 0:
@@ -80,7 +83,9 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
         msg = f"{folder.path}: no picture shows a contact; check background.png"
         raise PressError(msg)
     method = "table" if table is not None else "circle"
-    return MeasuredLog(frame, method, pitch_mm, tuple(warnings))
+    shares = (stderrs / volumes)[(volumes > 0) & np.isfinite(stderrs)]
+    share = float(np.median(shares)) if shares.size else 0.0
+    return MeasuredLog(frame, method, pitch_mm, share, tuple(warnings))
 
 
 def _ball_volume(

@@ -80,13 +80,17 @@ class _SensorYaml(Section):
     """Lookup table (table.npz); a path from this file's folder."""
 
 
-def sensor_lines(table: Path, shape_px: tuple[int, int], mm_per_px: float) -> list[str]:
+def sensor_lines(
+    table: Path, shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: float | None = None
+) -> list[str]:
     """Lines of YAML with which a recipe uses ``table``: of a shipped sensor, or of a new one."""
     for path in sorted((packaged("recipes") / "sensors").glob("*.yaml")):
         shipped = load_sensor(path.stem)
         if shipped.shape_px == shape_px:
-            choice = f"{{name: {path.stem}, table: {table}, mm_per_px: {mm_per_px:.6g}}}"
-            return ["in a recipe in this folder:", f"sensor: {choice}"]
+            choice = f"name: {path.stem}, table: {table}, mm_per_px: {mm_per_px:.6g}"
+            if dome_radius_mm not in (None, shipped.dome_radius_mm):
+                choice += f", dome_radius_mm: {dome_radius_mm:g}"
+            return ["in a recipe in this folder:", f"sensor: {{{choice}}}"]
     return [
         "in a new file my_sensor.yaml in this folder:",
         "name: my_sensor",
@@ -94,6 +98,7 @@ def sensor_lines(table: Path, shape_px: tuple[int, int], mm_per_px: float) -> li
         f"width_px: {shape_px[1]}",
         f"mm_per_px: {mm_per_px:.6g}",
         "gel_depth_mm: 2.0   # thickness of the gel",
+        *([f"dome_radius_mm: {dome_radius_mm:g}"] if dome_radius_mm else []),
         f"table: {table}",
         "in a recipe in this folder:",
         "sensor: my_sensor.yaml",

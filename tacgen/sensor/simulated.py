@@ -68,6 +68,8 @@ class Sensor:
     contact : path or ContactLaw, optional
         A ``contact.yaml`` from ``tacgen calibrate contact``; the default is the published slope
         k_n = 5.135 mm³/N and k_s = 1 mm/N for markers 2 mm apart.
+    mm_per_px, dome_radius_mm : float, optional
+        Of the sensor that the table is of, instead of what the description says; 0: a flat gel.
     shadows, markers, noise : bool
         Cast shadows, printed dots, camera noise (drawn from ``seed``).
 
@@ -92,12 +94,19 @@ class Sensor:
         table: str | Path | None = None,
         contact: str | Path | ContactLaw | None = None,
         *,
+        mm_per_px: float | None = None,
+        dome_radius_mm: float | None = None,
         shadows: bool = False,
         markers: bool = False,
         noise: bool = False,
         seed: int = 0,
     ) -> None:
-        choice = SensorChoice(name=str(name), table=None if table is None else str(table))
+        choice = SensorChoice(
+            name=str(name),
+            table=None if table is None else str(table),
+            mm_per_px=mm_per_px,
+            dome_radius_mm=dome_radius_mm,
+        )
         self.description = load_sensor(choice)
         if isinstance(contact, ContactLaw):
             self.law = contact

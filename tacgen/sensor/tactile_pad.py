@@ -11,6 +11,7 @@ from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm, marker_pitch_mm
 from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
+from tacgen.core.errors import TableError
 from tacgen.core.records import ContactPatch, Mesh, Sensor
 from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer
@@ -170,6 +171,9 @@ class Indenter:
         return Imprint(delta * GAP_GRAIN_MM, saturated, window, depth_mm, area_mm2)
 
 
+SAME_SCALE = 0.01  # relative difference of mm/px between a table and its sensor: 2 % of an area
+
+
 class TactilePad:
     """One tactile pad, made ready for frame after frame.
 
@@ -187,6 +191,13 @@ class TactilePad:
         shadows: bool = False,
         markers: bool = False,
     ) -> None:
+        if abs(table.mm_per_px / sensor.mm_per_px - 1.0) > SAME_SCALE:
+            msg = (
+                f"the table is of {table.mm_per_px:g} mm/px, the sensor {sensor.name} of "
+                f"{sensor.mm_per_px:g}: its pictures would be of another size on the gel; write "
+                f"`mm_per_px: {table.mm_per_px:g}` beside the table"
+            )
+            raise TableError(msg)
         self.sensor = sensor
         self.table = table
         self.indenter = Indenter(sensor, camera)

@@ -97,9 +97,14 @@ def test_calibrating_ends_with_lines_that_a_recipe_takes(tmp_path, monkeypatch):
 
 def test_tables_hand_over_a_sensor_that_loads(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for shape_px in ((240, 320), (48, 64)):
+    for shape_px, dome_mm in (
+        ((240, 320), 0.0),
+        ((480, 640), 0.0),
+        ((48, 64), 0.0),
+        ((48, 64), 25),
+    ):
         save_table(slope_table(shape_px, 0.071), tmp_path / "table.npz")
-        lines = sensor_lines(tmp_path / "table.npz", shape_px, 0.071)
+        lines = sensor_lines(tmp_path / "table.npz", shape_px, 0.071, dome_mm)
         if len(lines) > 2:
             (tmp_path / "my_sensor.yaml").write_text("\n".join(lines[1:-2]))
         choice = yaml.safe_load(lines[-1])["sensor"]
@@ -107,6 +112,7 @@ def test_tables_hand_over_a_sensor_that_loads(tmp_path, monkeypatch):
         sensor = load_sensor(SensorChoice(**choice))
         assert sensor.table == str(tmp_path / "table.npz")
         assert (sensor.shape_px, sensor.mm_per_px) == (shape_px, 0.071)
+        assert sensor.dome_radius_mm == dome_mm
 
 
 @pytest.mark.parametrize(

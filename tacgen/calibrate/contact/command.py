@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -62,9 +63,10 @@ def calibrate_contact(
         msg = f"--contact-point {contact_point!r} is not known; use one of {known}"
         raise PressError(msg)
     measured: tuple[str, ...] = ()
+    volume_share = 0.0
     if Path(log).is_dir():
         log, found = _measure_images(Path(log), table, save_log or Path(out).with_suffix(".csv"))
-        measured = found.warnings
+        measured, volume_share = found.warnings, found.volume_stderr_share
         if np.isnan(marker_pitch_mm):
             marker_pitch_mm = found.marker_pitch_mm
     elif depth_curves.is_depth_table(log):
@@ -75,7 +77,11 @@ def calibrate_contact(
         free_contact_point=CONTACT_POINTS[contact_point],
         marker_pitch_mm=marker_pitch_mm,
     )
-    fit = replace(fit, warnings=(*measured, *fit.warnings))
+    # A table's error is alike in all presses, so that their scatter does not show it.
+    k_n = fit.normal.pooled
+    k_n = replace(k_n, stderr=math.hypot(k_n.stderr, volume_share * k_n.value))
+    warnings = (*measured, *fit.warnings)
+    fit = replace(fit, normal=replace(fit.normal, pooled=k_n), warnings=warnings)
     save_law(fit.law, out)
     if report is not None:
         from tacgen.calibrate.contact.report import write_report

@@ -3,14 +3,18 @@
 ``summary_dict`` is all of it as data, ``summary_text`` for a terminal.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import fdtrc
 
-from tacgen.calibrate.contact.contact_point import ContactPoint, free_contact_points
+from tacgen.calibrate.contact.contact_point import (
+    ContactPoint,
+    begins_elsewhere,
+    free_contact_points,
+)
 from tacgen.calibrate.contact.identifiability import limits_of
 from tacgen.calibrate.contact.rest_zero import without_zero
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
@@ -115,8 +119,8 @@ def fit_contact(
     ``by`` is ``trial`` or a column whose values are compared with each other; by default
     ``indenter`` where there are several, else the first text covariate that splits the trials. With
     ``free_contact_point`` the contact point of every trial is estimated; by default only where the
-    volume was computed from the depth of a known ball, whose zero is then what is least certain.
-    Otherwise what gauge and gel read at rest is subtracted (``rest_zero``).
+    volume was computed from the depth of known balls and shows that it does not start at the logged
+    zero. Otherwise what gauge and gel read at rest is subtracted (``rest_zero``).
     ``marker_pitch_mm`` is that of the markers whose motion was summed. Raises ``PressError`` with
     fewer than three presses, an unknown column, or a response that does not grow with the load.
 
@@ -131,14 +135,14 @@ def fit_contact(
         )
         raise PressError.from_problems([msg, *left_out])
     if free_contact_point is None:
-        free_contact_point = "depth_mm" in log and "radius_mm" in log
+        free_contact_point = "depth_mm" in log and "radius_mm" in log and begins_elsewhere(log)
     points: tuple[ContactPoint, ...] = ()
     if not free_contact_point:
         log = without_zero(log)
     else:
         log, points = free_contact_points(log)
     by = _grouping(log, by)
-    normal = fit_channel(log, "normal", by)
+    normal = fit_channel(log, "normal", by, points)
     sheared = log.with_shear() if log.has_shear else None
     shear = None
     if (
@@ -151,8 +155,13 @@ def fit_contact(
     return replace(fit, warnings=_warnings(fit))
 
 
-def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
-    """Pooled and grouped compliance of the ``normal`` or ``shear`` channel."""
+def fit_channel(
+    log: PressLog, channel: str, by: str, points: Sequence[ContactPoint] = ()
+) -> ChannelFit:
+    """Pooled and grouped compliance of the ``normal`` or ``shear`` channel.
+
+    Contact ``points`` that were fitted make the compliance of a single trial less certain.
+    """
     load, response = channel_arrays(log, channel)
     trial = log["trial"]
     pooled = fit_slope(load, response, trial)
@@ -168,7 +177,13 @@ def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
     for name in np.unique(log[by]):
         rows = log[by] == name
         if rows.sum() > 1 and np.abs(load[rows]).max() > 0:
-            groups[str(name)] = _fit_group(load[rows], response[rows], trial[rows])
+            group = _fit_group(load[rows], response[rows], trial[rows])
+            if group.n_trials == 1:
+                least = max(
+                    (p.k_stderr_share for p in points if p.trial == trial[rows][0]), default=0
+                )
+                group = replace(group, stderr=max(group.stderr, least * group.value))
+            groups[str(name)] = group
     return ChannelFit(
         channel,
         pooled,

@@ -249,3 +249,50 @@ def test_measured_ball_indentations(measured_data, tmp_path):
     assert fit.normal.by == "sample"
     assert all(group.r_squared >= 0.999 for group in fit.normal.groups.values())
     assert len(fit.normal.groups) == 3
+
+
+def stage_log(path, seed, zero_mm=0.0):
+    """Presses of one ball as a stage and a gauge record them: exact depth, white noise of force.
+
+    The depth of each press begins ``zero_mm`` of scatter from the logged zero.
+    """
+    rng = np.random.default_rng(seed)
+    parts = []
+    for trial in range(12):
+        ramp = np.linspace(0.0, rng.uniform(0.5, 1.1), 36)
+        depth = np.concatenate([np.zeros(8), ramp, ramp[::-1]])
+        true = np.where(depth > 0, np.maximum(depth + zero_mm * rng.normal(), 0.0), 0.0)
+        force = np.pi * true**2 * (4.0 - true / 3) / 5.135 + 0.03 * rng.normal(size=len(depth))
+        rows = {"trial": trial, "time_s": 60.0 * trial + 0.05 * np.arange(len(depth))}
+        parts.append(pd.DataFrame({**rows, "force_normal_n": force, "depth_mm": depth}))
+    frame = pd.concat(parts, ignore_index=True).assign(radius_mm=4.0)
+    frame["volume_mm3"] = np.pi * frame.depth_mm**2 * (4.0 - frame.depth_mm / 3)
+    frame.to_csv(path, index=False)
+    return read_press_log(path)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clean_presses_of_a_stage_are_not_doubted(tmp_path, seed):
+    """An exact depth is no smoothed one, and a contact point that is as logged is not fitted."""
+    fit = fit_contact(stage_log(tmp_path / "log.csv", seed))
+    assert not any("noise of neighbouring rows" in warning for warning in fit.warnings)
+    assert not any("k differs between values" in warning for warning in fit.warnings)
+    value = fit.normal.pooled
+    assert abs(value.value - 5.135) < 3 * value.stderr
+
+
+def test_contact_points_are_fitted_where_presses_begin_elsewhere(tmp_path):
+    """Of one trial, k is then as uncertain as it is together with its contact point."""
+    logs = [stage_log(tmp_path / f"{seed}.csv", seed, zero_mm=0.05) for seed in range(6)]
+    fits = [fit_contact(log) for log in logs]
+    assert all(fit.contact_points for fit in fits)
+    assert (
+        sum(bool(fit_contact(stage_log(tmp_path / "0.csv", s)).contact_points) for s in range(6))
+        < 3
+    )
+    assert sum(fit.normal.agreement.p_value < 0.01 for fit in fits) <= 1
+    errors = [
+        (group.value - 5.135) / group.stderr for fit in fits for group in fit.normal.groups.values()
+    ]
+    # 72 presses: their k scatters by its standard error.
+    assert 0.5 < np.std(errors) < 1.5
