@@ -151,8 +151,7 @@ def _plan_problems(
         reason = f"was made with another %s than {name} says"
         problems += [Problem(line.file, reason % what, line.shard) for line, what in odd]
     try:
-        resolved = plan.get("resolved_sha256", plan.get("recipe_sha256"))
-        if sha256_of_content(folder.recipe()) == resolved:
+        if sha256_of_content(folder.recipe()) == plan.get("resolved_sha256"):
             return problems
         reason = "is not the recipe that dataset.json is of"
     except RecipeError as error:
