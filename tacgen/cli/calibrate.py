@@ -132,7 +132,10 @@ def calibrate_import(
 def calibrate_contact(
     log: Annotated[
         Path,
-        Argument(help="Press log or force-depth curves (CSV, Parquet), or images with forces."),
+        Argument(
+            help="Press log or force-depth curves (CSV, Parquet), or images with forces; their "
+            "press log is written beside the law."
+        ),
     ],
     out: Annotated[Path, Option(help="Contact law to write (contact.yaml).")],
     report: ReportOption = None,
@@ -154,7 +157,6 @@ def calibrate_contact(
     marker_pitch_mm: common.MarkerPitchOption = None,
     radius_mm: Annotated[float | None, Option(help="Ball of force-depth curves, mm.")] = None,
     table: Annotated[Path | None, Option(help="table.npz, to read volumes in images.")] = None,
-    save_log: Annotated[Path | None, Option(help="Also write the measured press log here.")] = None,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -163,16 +165,15 @@ def calibrate_contact(
     from tacgen.calibrate.contact.command import result_text
     from tacgen.calibrate.contact.depth_curves import is_depth_table
 
-    images = log.is_dir()
-    common.refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
+    measured = out.with_suffix(".csv") if log.is_dir() else log
+    common.refuse_existing(force, out, *([measured] if measured != log else []))
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
-        radius_mm=radius_mm, table=table, save_log=save_log,
+        radius_mm=radius_mm, table=table,
     )  # fmt: skip
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
-    measured = log if not images else save_log or out.with_suffix(".csv")
     follow_up = [f"tacgen diagnose contact {quoted(measured)} --out diagnosis"]
     common.hand_over(*common.contact_lines(out), *([] if is_depth_table(measured) else follow_up))
 
