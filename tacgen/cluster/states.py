@@ -154,7 +154,8 @@ def status_text(found: Status) -> str:
         if task.state == "failed":
             lines.append(f"    log: {task.log}")
     if found.failed or found.missing:
-        lines.append("  `tacgen submit RECIPE --out DIR --failed` runs what is missing")
+        submit = f"tacgen submit {found.root}/recipe.yaml --out {found.root} --failed"
+        lines.append(f"  `{submit}` runs what is missing")
     return "\n".join(lines)
 
 

@@ -329,11 +329,12 @@ def _changed_input(
 ) -> Iterator[str]:
     """A line, or a few, on an input whose content is another than that of the dataset."""
     engine, other, old, new = made["engine"], plan["engine"], made["versions"], plan["versions"]
-    if role == "engine":
-        there, now = f"{engine} {old.get(engine, '')}", f"{other} {new.get(other, '')}"
+    if role == "engine":  # whose version is not known where it is not installed
+        made_by, here = [old[engine]] * (engine in old), [new[other]] * (other in new)
+        there, now = (" ".join([name, *v]) for name, v in ((engine, made_by), (other, here)))
         yield (
             f"engine: {there} there, {now} now; install it with `pip install "
-            f"{engine}=={old.get(engine, '')}` and name it in the recipe: "
+            f"{'=='.join([engine, *made_by])}` and name it in the recipe: "
             f"`physics: {{engine: {engine}}}`"
         )
     elif role == "versions":
