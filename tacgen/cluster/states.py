@@ -87,11 +87,10 @@ def status(root: Path) -> Status:
     submissions = JobsFolder(root).submissions()
     live = live_jobs(submissions.values())
     running = folder.running()
-    inputs = plan.get("inputs", {})
     lines = {
         n: line
         for n, line in folder.manifest().items()
-        if folder.shard_path(n).is_file() and not changed_roles(line.inputs, inputs)
+        if folder.shard_path(n).is_file() and not changed_roles(line.inputs, plan["inputs"])
     }
     tasks = _task_states(submissions, live, lines)
     begun = set(lines) | {shard for shard, _ in running}

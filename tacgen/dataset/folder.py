@@ -212,7 +212,7 @@ class DatasetFolder:
     def grids(self) -> list[Any]:
         """The grids of the dataset, one after another (see ``GraspPlan``); none where it is new."""
         with contextlib.suppress(MissingPlanError):
-            return list(self.plan().get("grids", []))
+            return list(self.plan()["grids"])
         return []
 
     def _line(self, shard: int) -> ShardLine | None:
@@ -224,7 +224,7 @@ class DatasetFolder:
     def _refuse_foreign(self, shard: int) -> None:
         """Raise a ``DatasetError`` where a shard is there that was made with other inputs."""
         line = self._line(shard)
-        roles = changed_roles(line.inputs, self.plan().get("inputs", {})) if line else []
+        roles = changed_roles(line.inputs, self.plan()["inputs"]) if line else []
         if roles:
             msg = (
                 f"{self.shard_path(shard)}: was made with another {', '.join(roles)} than this "
