@@ -43,11 +43,10 @@ def import_(
         count, notes, warnings, kind = found.count, found.notes, found.warnings, "presses"
         follow = f"tacgen calibrate lookup {quoted(out)} --out table.npz"
         if not found.enough:
-            joined = quoted(f"{out}_all")
-            follow = f"tacgen import {format_name} FOLDER_OF_ALL_PRESSES --out {joined}"
+            follow = f"import all presses of this sensor at once, from a folder above {source}"
     else:
         count, notes = import_grasps(format_name, source, out)
-        warnings, kind, follow = (), "grasps", f"tacgen eval RUN --real {quoted(out)}"
+        warnings, kind, follow = (), "grasps", f"tacgen eval run --real {quoted(out)}"
     common.note(notes)
     common.warn(warnings)
     record = {"folder": str(out), "format": format_name, kind: count}
@@ -72,6 +71,7 @@ def calibrate_lookup(
 ) -> None:
     """Fit the lookup table to images of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
+    from tacgen.sensor.description import shipped_sensor
 
     common.refuse_existing(force, out)
     made, used = command.calibrate_lookup(
@@ -81,12 +81,13 @@ def calibrate_lookup(
     common.warn(command.warning_lines(used, made.scale))
     text = command.score_text(made.heldout)
     common.print_result(command.lookup_record(made, used), text, json_output)
-    sensor = quoted(common.session_sensor(presses) or "SENSOR")
-    common.hand_over(
-        *common.table_lines(out, presses),
-        f"tacgen calibrate score {quoted(out)} OTHER_PRESSES",
-        f"tacgen read IMAGE --sensor {sensor} --table {quoted(out)} --out readings",
-    )
+    dome_mm = made.table.provenance.get("press_model", {}).get("dome_radius_mm")
+    lines = common.table_lines(out, made.table.shape_px, made.table.mm_per_px, presses, dome_mm)
+    if presses.is_dir():
+        own = common.session_sensor(presses) or shipped_sensor(made.table.shape_px)
+        sensor, image = quoted(own or "my_sensor.yaml"), quoted(presses / used.names[0])
+        lines.append(f"tacgen read {image} --sensor {sensor} --table {quoted(out)} --out readings")
+    common.hand_over(*lines)
 
 
 @common.calibrate_app.command("score")
@@ -119,20 +120,22 @@ def calibrate_import(
     force: common.ForceFlag = False,
 ) -> None:
     """Convert a Taxim calibration into a table that renders the same images."""
-    from tacgen.calibrate.lookup.taxim_import import import_polycalib
-    from tacgen.optics import save_table
+    from tacgen.calibrate.lookup.taxim_import import convert_polycalib
 
     common.refuse_existing(force, out)
-    save_table(import_polycalib(polycalib, background, mm_per_px), out)
+    table = convert_polycalib(polycalib, background, mm_per_px, out)
     typer.echo(str(out))
-    common.hand_over(*common.table_lines(out))
+    common.hand_over(*common.table_lines(out, table.shape_px, mm_per_px))
 
 
 @common.calibrate_app.command("contact")
 def calibrate_contact(
     log: Annotated[
         Path,
-        Argument(help="Press log or force-depth curves (CSV, Parquet), or images with forces."),
+        Argument(
+            help="Press log or force-depth curves (CSV, Parquet), or images with forces; their "
+            "press log is written beside the law."
+        ),
     ],
     out: Annotated[Path, Option(help="Contact law to write (contact.yaml).")],
     report: ReportOption = None,
@@ -154,7 +157,6 @@ def calibrate_contact(
     marker_pitch_mm: common.MarkerPitchOption = None,
     radius_mm: Annotated[float | None, Option(help="Ball of force-depth curves, mm.")] = None,
     table: Annotated[Path | None, Option(help="table.npz, to read volumes in images.")] = None,
-    save_log: Annotated[Path | None, Option(help="Also write the measured press log here.")] = None,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -163,16 +165,15 @@ def calibrate_contact(
     from tacgen.calibrate.contact.command import result_text
     from tacgen.calibrate.contact.depth_curves import is_depth_table
 
-    images = log.is_dir()
-    common.refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
+    measured = out.with_suffix(".csv") if log.is_dir() else log
+    common.refuse_existing(force, out, *([measured] if measured != log else []))
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
-        radius_mm=radius_mm, table=table, save_log=save_log,
+        radius_mm=radius_mm, table=table,
     )  # fmt: skip
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
-    measured = log if not images else save_log or out.with_suffix(".csv")
     follow_up = [f"tacgen diagnose contact {quoted(measured)} --out diagnosis"]
     common.hand_over(*common.contact_lines(out), *([] if is_depth_table(measured) else follow_up))
 

@@ -231,16 +231,19 @@ def session_sensor(presses: Path) -> Path | None:
     return path
 
 
-def table_lines(path: Path, presses: Path | None = None) -> list[str]:
+def table_lines(
+    path: Path,
+    shape_px: tuple[int, int],
+    mm_per_px: float,
+    presses: Path | None = None,
+    dome_radius_mm: float | None = None,
+) -> list[str]:
     """Lines of a recipe that use a lookup table, with the sensor that its presses are of."""
-    from tacgen.optics import load_table
     from tacgen.sensor.description import sensor_lines
 
     if presses is not None and (sensor := session_sensor(presses)) is not None:
         return [IN_RECIPE, f"sensor: {{name: {sensor}, table: {path}}}"]
-    table = load_table(path)
-    learnt = table.provenance.get("press_model", {})
-    return sensor_lines(path, table.shape_px, table.mm_per_px, learnt.get("dome_radius_mm"))
+    return sensor_lines(path, shape_px, mm_per_px, dome_radius_mm)
 
 
 def refuse_existing(force: bool, *paths: Path) -> None:

@@ -83,8 +83,15 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
 
     from tacgen.collection.grid import grid_rows, plan_recipe
     from tacgen.collection.recipe import load_recipe
+    from tacgen.core.errors import PhysicsError
+    from tacgen.physics import GraspSimulator
 
-    rows = grid_rows(plan_recipe(load_recipe(recipe)))
+    loaded = load_recipe(recipe)
+    rows = grid_rows(plan_recipe(loaded))
+    try:
+        GraspSimulator(loaded.robot.spec(), loaded.physics.engine)
+    except PhysicsError as error:  # the list is right all the same
+        common.warn([error])
     common.print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
     common.hand_over(f"tacgen collect {quoted(recipe)} --out data")
 
@@ -196,15 +203,16 @@ def export(
     if result["not_executed"]:
         text += f"; {result['not_executed']} grasps that were not executed are not exported"
     common.print_result(result, text, json_output)
-    common.hand_over(_NEXT_BY_FORMAT[format_name].format(quoted(out)))
+    recipe = quoted(folder / "recipe.yaml")
+    common.hand_over(_NEXT_BY_FORMAT[format_name].format(quoted(out), recipe=recipe))
 
 
 _NEXT_BY_FORMAT = {
     "lerobot": "in Python, with lerobot: LeRobotDataset(repo_id='local', root='{}')",
-    "images": "tacgen predict RUN {}/images/*",
+    "images": "tacgen predict run {}/images/*",
     "webdataset": "in Python, with webdataset: WebDataset of the .tar files in {}",
     "robomimic": "python -m robomimic.scripts.get_dataset_info --dataset {}/grasps.hdf5",
-    "real-grasps": "tacgen friction RECIPE --real {} --out friction",
+    "real-grasps": "tacgen friction {recipe} --real {} --out friction",
 }
 
 

@@ -115,7 +115,8 @@ def diagnose_optics(
     )
     common.warn((*used.warnings, *used.dropped))
     common.print_result(diagnosis.as_dict(), diagnosis.sentence, json_output)
-    common.hand_over(*common.table_lines(out / "table.npz"))
+    found = diagnosis.table
+    common.hand_over(*common.table_lines(out / "table.npz", found.shape_px, found.mm_per_px))
 
 
 @common.diagnose_app.command("grasps")
@@ -143,7 +144,8 @@ def diagnose_grasps_command(
     write_grasp_report(out / "report.html", record, grasps, before, after)
     common.print_result(record, findings.diagnosis.sentence, json_output)
     found = "with what was found" if findings.diagnosis.found else "as it was: nothing was found"
-    common.hand_over(
-        f"tacgen collect {quoted(out / 'recipe.yaml')} --out data   # the recipe {found}",
-        f"grasps for the robot that separate the explanations: {out / 'next_grasps.csv'}",
-    )
+    lines = [f"tacgen collect {quoted(out / 'recipe.yaml')} --out data   # the recipe {found}"]
+    if findings.proposals:
+        table = out / "next_grasps.csv"
+        lines.append(f"grasps for the robot that separate the explanations: {table}")
+    common.hand_over(*lines)

@@ -83,8 +83,8 @@ def evaluate(
 
     result = evaluate_run(run, data, real, device=device, across=across or ())
     common.print_result(result, evaluation_lines(result), json_output)
-    on_real = [f"tacgen eval {quoted(run)} --real REAL_GRASPS"] if real is None else []
-    common.hand_over(*on_real, f"tacgen predict {quoted(run)} IMAGE …")
+    lines = [f"tacgen export {quoted(data)} --format real-grasps --out grasps"] if not real else []
+    common.hand_over(*lines, f"tacgen predict {quoted(run)} {quoted(real or 'grasps')}/images/*")
 
 
 @common.app.command(rich_help_panel=common.NETWORKS)
@@ -119,7 +119,10 @@ def predict(
     rows = predict_files(predictor, images)
     lines = [f"{row['probability']:.3f}  {row['images']}" for row in rows]
     common.print_result(rows, lines, json_output)
-    common.hand_over(f"tacgen eval {quoted(run)} --real REAL_GRASPS   # how often it is right")
+    common.hand_over(
+        "to learn how often it is right, list how the grasps ended in a grasps.csv beside images/,"
+        f" and give their folder to `tacgen eval {quoted(run)} --real`"
+    )
 
 
 @common.app.command(rich_help_panel=common.NETWORKS)

@@ -87,11 +87,10 @@ def status(root: Path) -> Status:
     submissions = JobsFolder(root).submissions()
     live = live_jobs(submissions.values())
     running = folder.running()
-    inputs = plan.get("inputs", {})
     lines = {
         n: line
         for n, line in folder.manifest().items()
-        if folder.shard_path(n).is_file() and not changed_roles(line.inputs, inputs)
+        if folder.shard_path(n).is_file() and not changed_roles(line.inputs, plan["inputs"])
     }
     tasks = _task_states(submissions, live, lines)
     begun = set(lines) | {shard for shard, _ in running}
@@ -154,7 +153,8 @@ def status_text(found: Status) -> str:
         if task.state == "failed":
             lines.append(f"    log: {task.log}")
     if found.failed or found.missing:
-        lines.append("  `tacgen submit RECIPE --out DIR --failed` runs what is missing")
+        submit = f"tacgen submit {found.root}/recipe.yaml --out {found.root} --failed"
+        lines.append(f"  `{submit}` runs what is missing")
     return "\n".join(lines)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
+from tacgen.core.progress import print_once
 from tacgen.core.records import GraspConfig
 from tacgen.objects.description import read_description
 from tacgen.physics.settings import force_problem
@@ -121,8 +122,13 @@ def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
     if size > MAX_GRASPS:
         msg = f"the grid of {entry.name!r} has {size} grasps, more than {MAX_GRASPS}; thin it out"
         raise RecipeError(msg)
+    sample = own.sample or common.sample
+    if sample is not None and sample > size:
+        print_once(
+            f"grid.sample = {sample}: the grid of {entry.name!r} has {size} grasps, all taken"
+        )
     listed = {axis: list(values) for axis, values in axes.items()}
-    return {"object": entry.object_name, **listed, "sample": own.sample or common.sample}
+    return {"object": entry.object_name, **listed, "sample": sample}
 
 
 def _scaled(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,9 +202,14 @@ def with_gain(rgb: NDArray[np.uint8], gain: float) -> NDArray[np.uint8]:
 
 
 def dataset_spec(
-    recipe: Recipe, n_grasps: int, *, grids: tuple[Grids, ...] = (), parts: tuple[int, ...] = ()
+    recipe: Recipe,
+    n_grasps: int,
+    *,
+    grids: tuple[Grids, ...] = (),
+    parts: tuple[int, ...] = (),
+    folder: Path | None = None,
 ) -> DatasetSpec:
-    """What all shards of a recipe's dataset have in common; see ``GraspPlan``.
+    """What all shards of a recipe's dataset in ``folder`` have in common; see ``GraspPlan``.
 
     Raises ``TacgenError`` if an object, the sensor, its table or the contact law cannot be used.
     """
@@ -211,7 +217,7 @@ def dataset_spec(
     inputs = recipe_inputs(recipe)
     at_load = recipe.optics.noise == "at_load"
     return DatasetSpec(
-        recipe=recipe.resolved(),
+        recipe=recipe.resolved(folder),
         recipe_sha256=inputs.sha256["recipe"],
         calibration={k: inputs.sha256[k] for k in CALIBRATION if k in inputs.sha256},
         inputs=inputs.with_grids(grids),

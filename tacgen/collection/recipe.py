@@ -1,7 +1,9 @@
 """Recipes: one YAML a job, checked whole before anything runs."""
 
+import contextlib
 import math
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -21,19 +23,25 @@ from pydantic import (
 
 from tacgen.core.columns import unit_problems
 from tacgen.core.config import Axis, Located, Section, as_named
-from tacgen.core.errors import ObjectError, PhysicsError, RecipeError
+from tacgen.core.errors import ObjectError, PhysicsError, RecipeError, TacgenError
 from tacgen.core.files import sha256_of_content
 from tacgen.core.resources import (
     contact_law_path,
     find_object_folder,
     object_folders,
+    sensor_path,
     unknown_object_hint,
 )
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
 from tacgen.physics.settings import FrameRequest, Pads, PhysicsSettings, force_problem
-from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
+from tacgen.sensor.description import (
+    SensorByName,
+    SensorChoice,
+    load_sensor,
+    sensor_problems,
+)
 
 
 class Grid(Section):
@@ -312,16 +320,44 @@ class Recipe(Section):
         entry._folder = self.objects[0].folder
         return entry
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self, beside: Path | None = None) -> dict[str, Any]:
         """Every setting that a byte of the dataset can depend on, written or not, as plain data.
 
-        The section ``cluster`` is not part of it: it does not affect the dataset.
+        The section ``cluster`` is not part of it: it does not affect the dataset. Files are named
+        as in the recipe, or as a recipe in the folder ``beside`` names them.
         """
-        return self.model_dump(mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True})
+        found = self.model_dump(
+            mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True}
+        )
+        if beside is not None:
+            _name_from(beside, found["contact"], "file", self.contact, contact_law_path)
+            _name_from(beside, found["robot"], "name", self.robot, gripper_file)
+            _name_from(beside, found["sensor"], "name", self.sensor, sensor_path)
+            if self.sensor.table is not None:
+                table = Path(load_sensor(self.sensor).table).resolve()
+                found["sensor"]["table"] = os.path.relpath(table, beside.resolve())
+            for section, entry in zip(found["objects"], self.objects, strict=True):
+                _name_from(beside, section, "name", entry, find_object_folder)
+        return found
 
     def sha256(self) -> str:
         """A hash of ``resolved``, the same for recipes that mean the same."""
         return sha256_of_content(self.resolved())
+
+
+def _name_from(
+    folder: Path, section: dict[str, Any], key: str, given: Located, find: Callable[..., Path]
+) -> None:
+    """Name the file of a section as a recipe in ``folder`` does, if its name is another's there."""
+    name = section[key]
+    if name is None:
+        return
+    file = find(name, beside=given.folder).resolve()
+    with contextlib.suppress(TacgenError):
+        if find(name, beside=folder).resolve() == file:
+            return
+    arm = "ur5e_" if find is gripper_file and name.startswith("ur5e_") else ""
+    section[key] = arm + os.path.relpath(file, folder.resolve())
 
 
 def load_recipe(name: str | Path) -> Recipe:

@@ -148,7 +148,9 @@ def prepare(
     """
     folder = DatasetFolder(out)
     plan = grown_plan(recipe, folder.grids())
-    spec = dataset_spec(recipe, len(plan.grasps), grids=plan.grids, parts=plan.parts)
+    spec = dataset_spec(
+        recipe, len(plan.grasps), grids=plan.grids, parts=plan.parts, folder=folder.root
+    )
     folder.prepare(spec, grow=grow)
     return plan.grasps, spec
 

@@ -5,6 +5,7 @@ also tracebacks.
 """
 
 import contextlib
+import functools
 import logging
 import sys
 import time
@@ -62,3 +63,9 @@ def print_status(text: str, name: str = "tacgen") -> None:
     """Print a line on standard error, above any progress bar, unless ``-q`` is given."""
     if not is_quiet():
         tqdm.write(f"{name}: {text}", file=sys.stderr)
+
+
+@functools.cache
+def print_once(text: str) -> None:
+    """``print_status``, the first time that a process says this."""
+    print_status(text)

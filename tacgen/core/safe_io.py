@@ -1,6 +1,5 @@
 """Files of strangers: what they say of themselves is looked at before it is believed."""
 
-import functools
 import io
 import math
 import warnings
@@ -14,7 +13,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from tacgen.core.errors import TacgenError
-from tacgen.core.progress import print_status
+from tacgen.core.progress import print_once
 
 MAX_SIDE_PX = 8192  # larger than any tactile camera's image
 MAX_ARCHIVE_BYTES = 4 << 30  # what the arrays of an archive may take together
@@ -81,7 +80,7 @@ def decode_rgb(
     if found.ndim == 3:  # blue comes first
         found = found[..., ::-1] if found.shape[2] == 3 else found[..., [2, 1, 0, 3]]
     for note in notes:
-        _say_once(f"{kind_of or where}: {note}")
+        print_once(f"{kind_of or where}: {note}")
     rgb = rgb_of_array(found, where, error, kind_of=kind_of)
     if turn not in _TURNS:
         return rgb
@@ -126,7 +125,7 @@ def rgb_of_array(
             kind = f"one channel of {values.dtype} from {values.min():g} to {values.max():g}"
             msg = f"{where}: {kind} is a depth map or raw data; give a picture of 8 bits in colour"
             raise error(msg)
-        _say_once(f"{kind_of or where}: one grey channel, taken for red, green and blue")
+        print_once(f"{kind_of or where}: one grey channel, taken for red, green and blue")
         values = np.repeat(values.reshape(*values.shape[:2], 1), 3, axis=2)
     levels, note = _eight_bits(values)
     if levels is None:
@@ -135,7 +134,7 @@ def rgb_of_array(
         msg = f"{where}: {kind}: what stands for white is not known; {fix}"
         raise error(msg)
     if note:
-        _say_once(f"{kind_of or where}: {note}")
+        print_once(f"{kind_of or where}: {note}")
     return np.ascontiguousarray(levels)
 
 
@@ -185,11 +184,6 @@ def _about(image: Any, data: bytes) -> tuple[list[str], int]:
         if turn in _TURNS:
             notes.append(f"turned as its EXIF orientation {turn} says")
     return notes, turn
-
-
-@functools.cache
-def _say_once(note: str) -> None:
-    print_status(note)
 
 
 def check_archive(path: Path) -> None:

@@ -19,6 +19,8 @@ MAX_BYTES = 1 << 20  # no recipe has as much text
 MAX_NODES = 200_000  # bounds on a file's size and on what its aliases may unfold to
 
 _STANDARD_TAG = "tag:yaml.org,2002:"
+_FLOWS = {"while parsing a flow sequence": "[", "while parsing a flow mapping": "{"}
+"""What PyYAML was reading, and with which bracket that begins."""
 
 KeyPath = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -101,9 +103,12 @@ def _parse(path: Path) -> YamlSource:
     except RecursionError:
         problem = "nested too deeply; this is not a recipe"
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
+        # A bracket that is not closed is found lines later: what it opens says where it is.
+        bracket = _FLOWS.get(getattr(error, "context", None) or "")
+        mark = getattr(error, "context_mark" if bracket else "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
-        problem = f"not valid YAML: {getattr(error, 'problem', error)}"
+        found = f"; close the `{bracket}` of this line" if bracket else ""
+        problem = f"not valid YAML: {getattr(error, 'problem', error)}{found}"
     if not isinstance(root, yaml.MappingNode):
         msg = f"{path}{line}: {problem}"
         raise RecipeError(msg)

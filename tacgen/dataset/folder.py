@@ -185,6 +185,7 @@ class DatasetFolder:
             plan = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
             is_whole = all(isinstance(number, int) and number > 0 for number in numbers)
+            is_whole &= plan.keys() >= {"inputs", "grids", "parts"}
         if not is_whole:
             fix = "give the folder that `tacgen collect --out` made"
             name = self.plan_path.name
@@ -211,7 +212,7 @@ class DatasetFolder:
     def grids(self) -> list[Any]:
         """The grids of the dataset, one after another (see ``GraspPlan``); none where it is new."""
         with contextlib.suppress(MissingPlanError):
-            return list(self.plan().get("grids", []))
+            return list(self.plan()["grids"])
         return []
 
     def _line(self, shard: int) -> ShardLine | None:
@@ -223,7 +224,7 @@ class DatasetFolder:
     def _refuse_foreign(self, shard: int) -> None:
         """Raise a ``DatasetError`` where a shard is there that was made with other inputs."""
         line = self._line(shard)
-        roles = changed_roles(line.inputs, self.plan().get("inputs", {})) if line else []
+        roles = changed_roles(line.inputs, self.plan()["inputs"]) if line else []
         if roles:
             msg = (
                 f"{self.shard_path(shard)}: was made with another {', '.join(roles)} than this "
@@ -283,14 +284,6 @@ class DatasetFolder:
         self, made: Mapping[str, Any], plan: Mapping[str, Any], spec: DatasetSpec, *, grow: bool
     ) -> None:
         """Raise a ``DatasetError`` where a dataset that was ``made`` is not that of ``plan``."""
-        if "inputs" not in made:
-            version = made.get("tacgen_version")
-            msg = (
-                f"{self.root}: was begun by tacgen {version}, which did not record all that its "
-                f"shards depend on; it can be read, but is finished by that version only (`pip "
-                f"install tacgen=={version}`); to collect with this one, give another --out"
-            )
-            raise DatasetError(msg)
         roles = changed_roles(made["inputs"], plan["inputs"])
         roles = [role for role in roles if not role.startswith(GRID)]  # see the parts
         n_parts = len(made["parts"])
@@ -336,11 +329,12 @@ def _changed_input(
 ) -> Iterator[str]:
     """A line, or a few, on an input whose content is another than that of the dataset."""
     engine, other, old, new = made["engine"], plan["engine"], made["versions"], plan["versions"]
-    if role == "engine":
-        there, now = f"{engine} {old.get(engine, '')}", f"{other} {new.get(other, '')}"
+    if role == "engine":  # whose version is not known where it is not installed
+        made_by, here = [old[engine]] * (engine in old), [new[other]] * (other in new)
+        there, now = (" ".join([name, *v]) for name, v in ((engine, made_by), (other, here)))
         yield (
             f"engine: {there} there, {now} now; install it with `pip install "
-            f"{engine}=={old.get(engine, '')}` and name it in the recipe: "
+            f"{'=='.join([engine, *made_by])}` and name it in the recipe: "
             f"`physics: {{engine: {engine}}}`"
         )
     elif role == "versions":

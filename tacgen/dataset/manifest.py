@@ -10,7 +10,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
@@ -38,7 +38,7 @@ class ShardLine:
     object. ``raw_bytes`` is the size of the arrays uncompressed. ``inputs`` names by role all that
     the shard depends on (see ``inputs.py``) and ``engine`` the physics engine, whose version stands
     in ``versions``; ``part`` is 0, or counts how often the dataset had grown when the shard was
-    added. Shards of early versions are without these.
+    added.
     """
 
     schema: Literal[1] = 1
@@ -60,9 +60,9 @@ class ShardLine:
     failure_modes: dict[str, int]
     splits: dict[str, int]
     objects: dict[str, dict[str, int]]
-    inputs: dict[str, str] = field(default_factory=dict)
-    engine: str = ""
-    part: NonNegativeInt = 0
+    inputs: dict[str, str]
+    engine: str
+    part: NonNegativeInt
 
     @model_validator(mode="after")
     def _checked(self) -> "ShardLine":

@@ -149,11 +149,10 @@ class Dataset:
         optics: dict[str, Any] = {}
         with contextlib.suppress(RecipeError):
             optics = DatasetFolder(self.root).recipe().get("optics") or {}
-        table = self.lines[0].calibration.get("table")
         return {
             "sensor": self.sensor,
             "sensor_sha256": self.inputs.get("sensor"),
-            "table": self.inputs.get("table", table),
+            "table": self.inputs.get("table"),
             "pad": self._pad(pad),
             "markers": optics.get("markers"),
             "shadows": optics.get("shadows"),

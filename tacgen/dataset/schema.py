@@ -70,8 +70,7 @@ class Field:
     for what a dataset decides, or fixed lengths). ``source`` is the attribute that it holds: of the
     ``sample`` of a grasp, of the sample of a ``pad``, or of the ``spec`` of the dataset; where that
     is None, NaN or zeros stand. ``asked_by`` is the attribute of the spec that asks for it, empty
-    for what is always there; shards of early versions may be without one that is ``newer``, which
-    then reads as NaN. See ``ArraySpec`` for the others.
+    for what is always there. See ``ArraySpec`` for the others.
     """
 
     group: str
@@ -83,7 +82,6 @@ class Field:
     description: str
     source: str
     asked_by: str = ""
-    newer: bool = False
     nan: bool = False
     image: bool = False
     noisy: bool = False
@@ -165,7 +163,7 @@ FIELDS: tuple[Field, ...] = (
     _column("rise_mm", "mm", "world", "how far the object rose"),
     _column("turn_rad", "rad", "gripper", "how far it turned in the gripper"),
     _column("grasp_frame", "1", "", "frame taken at the moment of grasp", dtype="int32"),
-    _column("grasp_time_s", "s", "", _MOMENT, nan=True, newer=True),
+    _column("grasp_time_s", "s", "", _MOMENT, nan=True),
     _column(
         "margin_translational", "weights", "", _TRANSLATIONAL, "margin.translational", nan=True
     ),
@@ -175,7 +173,7 @@ FIELDS: tuple[Field, ...] = (
         *("first_slip_direction", "1", "gel", _SLIP_DIRECTION, "margin.first_slip_direction"),
         axes=("N", 2),
     ),
-    _column("label_confidence", "1", "", _CONFIDENCE, nan=True, newer=True),
+    _column("label_confidence", "1", "", _CONFIDENCE, nan=True),
     _of_pad(
         *("rgb", ("N", "T", "H", "W", 3), "grey level", "tactile images"),
         **_GREY | {"group": "tactile", "noisy": True},

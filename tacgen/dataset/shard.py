@@ -45,8 +45,6 @@ class Shard:
     def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""
         dataset = self.arrays[path]
-        if isinstance(dataset, np.ndarray):
-            return dataset
         stored = dataset.id.get_type()
         values = np.empty(dataset.id.shape, stored.dtype)
         dataset.id.read(h5s.ALL, h5s.ALL, values, stored)
@@ -129,9 +127,6 @@ def _checked(path: Path, file: h5py.File) -> Shard:
     if problems:
         _refuse(path, problems)
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
-    for field in FIELDS:
-        if field.newer and field.name in layout.absent:
-            arrays[layout.path(field)] = np.full(sizes["N"], np.nan)
     recipe_sha256 = _text(file, "recipe_sha256")
     return Shard(path, file, layout, arrays, (start, stop), recipe_sha256, noise_grey)
 
@@ -162,7 +157,7 @@ def _layout_of(path: Path, file: h5py.File) -> Layout:
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     whole = Layout(sensor, names)
-    optional = [field for field in FIELDS if field.asked_by or field.newer]
+    optional = [field for field in FIELDS if field.asked_by]
     absent = {f.name for f in optional if _array_at(file, whole.path(f, names[0])) is None}
     return Layout(sensor, names, frozenset(absent))
 

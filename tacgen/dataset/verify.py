@@ -127,7 +127,7 @@ def _plan_problems(
     """Where ``dataset.json`` or ``recipe.yaml`` differ from the shards."""
     problems = []
     size, n_grasps, name = plan["shard_size"], plan["n_grasps"], folder.plan_path.name
-    parts = plan.get("parts", [n_grasps])
+    parts = plan["parts"]
     if plan["n_shards"] != sum(-(-part // size) for part in parts) or sum(parts) != n_grasps:
         reason = f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard"
         problems.append(Problem(name, reason))
@@ -143,7 +143,7 @@ def _plan_problems(
         }
         differing = ["index_range"] if (due.start, due.stop) != line.index_range else []
         differing += [key for key, there in recorded.items() if plan.get(key) != there]
-        differing += changed_roles(line.inputs, plan.get("inputs", {}))
+        differing += changed_roles(line.inputs, plan["inputs"])
         odd += [(line, ", ".join(differing))] if differing else []
     if odd and len(odd) == len(lines):  # the one file is wrong, rather than all of them
         problems.append(Problem(name, f"differs from {odd[0][0].file} in {odd[0][1]}"))
@@ -151,8 +151,7 @@ def _plan_problems(
         reason = f"was made with another %s than {name} says"
         problems += [Problem(line.file, reason % what, line.shard) for line, what in odd]
     try:
-        resolved = plan.get("resolved_sha256", plan.get("recipe_sha256"))
-        if sha256_of_content(folder.recipe()) == resolved:
+        if sha256_of_content(folder.recipe()) == plan.get("resolved_sha256"):
             return problems
         reason = "is not the recipe that dataset.json is of"
     except RecipeError as error:

@@ -21,7 +21,7 @@ from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
 from tacgen.optics.drift import drift_of
 from tacgen.optics.same_view import other_view
-from tacgen.optics.table import LookupTable, contact_at
+from tacgen.optics.table import LookupTable
 
 Tile = tuple[tuple[int, int], tuple[int, int]]
 """Bounds: (top, bottom), (left, right)."""
@@ -220,7 +220,8 @@ class Reconstructor:
         rows, columns = np.indices(self._shape)
         u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5
         places = (part.ravel() for part in (slopes[..., 0], slopes[..., 1], depth_mm, u, v))
-        return contact_at(self._table, *places).reshape(height, width, 3)
+        colors = self._table.image_model.contact_colors(*places)
+        return colors.reshape(height, width, 3)
 
     def _slope_stderr(self, slopes: FloatArray, change: FloatArray, where: BoolArray) -> float:
         """Standard error of the slopes in a region.

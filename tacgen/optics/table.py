@@ -12,7 +12,6 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.safe_io import check_archive
@@ -133,18 +132,6 @@ class LookupTable:
     def shape_px(self) -> tuple[int, int]:
         """(height, width) of the images it renders."""
         return self.background.shape[0], self.background.shape[1]
-
-
-def contact_at(
-    table: LookupTable,
-    gx: FloatArray,
-    gy: FloatArray,
-    depth_mm: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-) -> FloatArray:
-    """Grey levels (n, 3) that a contact of slopes and depths (n,) adds."""
-    return table.image_model.contact_colors(gx, gy, depth_mm, u, v)
 
 
 _SCALARS = ("mm_per_px", "max_slope_rad", "interpolation", "sensor", "noise_grey")

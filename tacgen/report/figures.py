@@ -204,18 +204,6 @@ def draw_outcomes(
     axes.set(xlabel="gripping force, N", ylabel="height, mm", title=title)
 
 
-def heat_map(
-    values: Array, extent: tuple[float, float, float, float], labels: tuple[str, str, str]
-) -> Figure:
-    """A map of values with its scale; ``labels`` name the two axes and the values."""
-    figure, grid = new_figure(7.5, 3.6)
-    axes = grid[0, 0]
-    shown = axes.imshow(values, origin="lower", aspect="auto", extent=extent)
-    axes.set(xlabel=labels[0], ylabel=labels[1])
-    figure.colorbar(shown, ax=axes, label=labels[2])
-    return figure
-
-
 def confusion(counts: Array, rows: Sequence[str], columns: Sequence[str]) -> Figure:
     """True class by row, predicted class by column, with counts or per cent in the cells."""
     size_in = max(2.2, 0.38 * len(columns))

@@ -80,17 +80,21 @@ class _SensorYaml(Section):
     """Lookup table (table.npz); a path from this file's folder."""
 
 
+def shipped_sensor(shape_px: tuple[int, int]) -> str:
+    """The first shipped sensor with images of this (height, width); empty if there is none."""
+    paths = sorted((packaged("recipes") / "sensors").glob("*.yaml"))
+    return next((p.stem for p in paths if load_sensor(p.stem).shape_px == shape_px), "")
+
+
 def sensor_lines(
     table: Path, shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: float | None = None
 ) -> list[str]:
     """Lines of YAML with which a recipe uses ``table``: of a shipped sensor, or of a new one."""
-    for path in sorted((packaged("recipes") / "sensors").glob("*.yaml")):
-        shipped = load_sensor(path.stem)
-        if shipped.shape_px == shape_px:
-            choice = f"name: {path.stem}, table: {table}, mm_per_px: {mm_per_px:.6g}"
-            if dome_radius_mm not in (None, shipped.dome_radius_mm):
-                choice += f", dome_radius_mm: {dome_radius_mm:g}"
-            return ["in a recipe in this folder:", f"sensor: {{{choice}}}"]
+    if name := shipped_sensor(shape_px):
+        choice = f"name: {name}, table: {table}, mm_per_px: {mm_per_px:.6g}"
+        if dome_radius_mm not in (None, load_sensor(name).dome_radius_mm):
+            choice += f", dome_radius_mm: {dome_radius_mm:g}"
+        return ["in a recipe in this folder:", f"sensor: {{{choice}}}"]
     return [
         "in a new file my_sensor.yaml in this folder:",
         "name: my_sensor",

@@ -74,6 +74,11 @@ def test_an_objects_own_force_beyond_the_gripper_is_refused():
         plan(robot={"max_force_n": 15})
 
 
+def test_a_sample_beyond_the_grid_is_said(capsys):
+    assert len(plan(grid={"sample": 91})) == 9
+    assert "grid.sample = 91: the grid of 'can' has 6 grasps, all taken" in capsys.readouterr().err
+
+
 def test_a_sample_is_drawn_without_repeats_and_by_the_seed():
     wide = {"force_n": {"linspace": [1, 10, 20]}, "z_mm": {"linspace": [1, 5, 20]}}
     draws = [plan(grid=wide | {"sample": 50}, seed=seed) for seed in (1, 1, 2)]

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
@@ -150,6 +151,39 @@ def test_the_hash_is_of_what_is_meant_not_of_how_it_is_written(folder):
 def test_the_resolved_recipe_is_itself_a_recipe(folder):
     recipe = recipe_of(folder, "objects: [can]\ngrid: {force_n: [1, 2, 3]}\n")
     assert Recipe.model_validate(recipe.resolved()) == recipe
+
+
+def test_a_recipe_that_is_written_elsewhere_names_the_same_files(folder):
+    for name in ("laws/soft.yaml", "tables/t.npz", "grippers/wide.yaml"):
+        (folder / "project" / name).parent.mkdir(parents=True)
+        (folder / "project" / name).write_text("")
+    shipped = packaged("recipes") / "grippers" / "wsg50.yaml"
+    (folder / "project/grippers/wide.yaml").write_text(shipped.read_text())
+    (folder / "objects").rename(folder / "project" / "objects")
+    text = (
+        "name: r\nobjects: [can, objects/box, golf_ball]\ncontact: {file: laws/soft}\n"
+        "sensor: {name: mine, table: tables/t.npz}\nrobot: {name: ur5e_grippers/wide.yaml}\n"
+    )
+    (folder / "project/r.yaml").write_text(text)
+    recipe = load_recipe(folder / "project" / "r.yaml")
+    (folder / "out").mkdir()
+    resolved = recipe.resolved(folder / "out")
+    assert resolved["sensor"]["name"] == "mine"
+    assert resolved["objects"][2]["name"] == "golf_ball"
+    (folder / "out/recipe.yaml").write_text(yaml.safe_dump(resolved))
+    again = load_recipe(folder / "out" / "recipe.yaml")
+    assert again.resolved(folder / "out") == resolved
+    files = [
+        [
+            one.contact.path().resolve(),
+            one.robot.gripper_file().resolve(),
+            Path(load_sensor(one.sensor).table).resolve(),
+            *(entry.object_folder().resolve() for entry in one.objects),
+        ]
+        for one in (recipe, again)
+    ]
+    assert files[0] == files[1]
+    assert [entry.object_name for entry in again.objects] == ["can", "box", "golf_ball"]
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

@@ -63,7 +63,12 @@ def test_a_mistake_in_the_base_names_the_base(tmp_path):
         ("a: 1\na: 2\n", "2: a is given twice"),
         ("- 1\n", "holds no `key: value` pairs"),
         ("", "holds no `key: value` pairs"),
-        ("a: [1\n", "not valid YAML"),
+        (
+            "b: 1\na: [1,\n  2\nc:\n  d: 1\n",
+            "2: not valid YAML: expected ',' or ']', but got ':'; close the `[` of this line",
+        ),
+        ("b: 1\na: {c: 1\nd: [\n", "close the `{` of this line"),
+        ("a: 'b\n", "not valid YAML"),
         ("a: !!python/object/apply:os.getcwd []\n", "1: a has the tag"),
         ("extends: a.yaml\n", "extends itself"),
     ],

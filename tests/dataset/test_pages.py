@@ -11,6 +11,7 @@ import pytest
 
 from tacgen.dataset import gallery
 from tacgen.dataset.gallery import shown_grasps, thumbnails, write_gallery
+from tacgen.dataset.inputs import Inputs
 from tacgen.dataset.summary import write_card
 
 from .conftest import collect_toy, make_sample, make_spec
@@ -18,13 +19,14 @@ from .conftest import collect_toy, make_sample, make_spec
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
-def test_card_says_counts_layout_and_origin(toy):
-    text = write_card(toy.root).read_text()
+def test_card_says_counts_layout_and_origin(tmp_path):
+    spec = make_spec(inputs=Inputs({"recipe": "ab" * 32}))
+    text = write_card(collect_toy(tmp_path / "toy", spec).root).read_text()
     assert "10 simulated grasps" in text
     assert "| success | 5 |" in text
     assert "| can | 3 | 1 | 1 |" in text
     assert "| `/contact/force_shear_n` | N, T, 2 | float64 | N | gel |" in text
-    assert toy.plan()["recipe_sha256"] in text
+    assert f"| `recipe` | `{'ab' * 32}` |" in text
 
 
 def test_gallery_needs_no_network_and_shows_every_grasp(toy):

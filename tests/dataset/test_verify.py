@@ -134,18 +134,6 @@ def test_an_image_that_claims_another_size_is_not_decompressed(tmp_path, path, p
         Dataset(toy.root).read(1)
 
 
-def test_a_shard_from_before_there_was_a_confidence_reads_as_nan(toy):
-    assert Dataset(toy.root).read(1).label_confidence == pytest.approx(0.54)
-    with h5py.File(toy.shard_path(0), "r+") as file:
-        del file["/grasp/label_confidence"]
-    vouch_for(toy, 0)
-    assert not verify(toy.root).problems
-    dataset = Dataset(toy.root)
-    assert np.isnan(dataset.read(1).label_confidence)
-    assert np.isnan(dataset.columns()["label_confidence"][:4]).all()
-    assert dataset.read(5).label_confidence == pytest.approx(0.7)
-
-
 def test_a_chain_of_filters_is_refused(toy):
     """Twice compressed, a small chunk could unfold into one that unfolds again."""
     with h5py.File(toy.shard_path(0), "r+") as file:

@@ -187,7 +187,7 @@ def test_a_dataset_of_another_engine_is_not_resumed(world):
 def test_a_dataset_of_another_library_is_not_resumed(world, monkeypatch):
     prepare(load_recipe(world), Path("out"))
     monkeypatch.setattr(
-        "tacgen.dataset.inputs.library_versions", lambda engine="": {"numpy": "1.0", engine: "0"}
+        "tacgen.collection.inputs.library_versions", lambda engine="": {"numpy": "1.0", engine: "0"}
     )
     with pytest.raises(DatasetError, match=r'version of numpy: ".*" there, "1.0" now'):
         prepare(load_recipe(world), Path("out"))
@@ -202,7 +202,7 @@ def test_a_project_is_no_place_for_a_dataset(world):
     assert not (world.parent / "dataset.json").exists()
 
 
-# Two worlds in one folder, and datasets of before.
+# Two worlds in one folder.
 
 
 def inputs(cup: str) -> Inputs:
@@ -240,20 +240,6 @@ def test_a_line_names_the_objects_of_its_own_shard_alone(tmp_path):
     lines = toy.manifest()
     assert set(lines[1].inputs) == {"sensor", "object/can"}
     assert set(lines[2].inputs) == {"sensor", "object/cup"}
-
-
-def test_a_dataset_of_before_is_read_and_not_resumed(tmp_path):
-    spec = make_spec()
-    toy = collect_toy(tmp_path, spec)
-    new = ("inputs", "engine", "part", "grids", "parts", "versions", "resolved_sha256")
-    for path in (toy.plan_path, *map(toy.line_path, range(3))):
-        content = json.loads(path.read_text())
-        keep = {"versions"} if path != toy.plan_path else set()
-        path.write_text(json.dumps({k: v for k, v in content.items() if k not in new or k in keep}))
-    assert len(Dataset(toy.root)) == 10
-    assert not verify(toy.root).problems[1:]
-    with pytest.raises(DatasetError, match=r"begun by tacgen .*give another --out"):
-        toy.prepare(spec)
 
 
 def test_shards_of_another_grid_are_not_taken_for_its_own(world):

@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 from tacgen.core.errors import TableError
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
 from tacgen.optics.render import Renderer
-from tacgen.optics.table import ContactLight, contact_at
+from tacgen.optics.table import ContactLight
 from validation.optics.sampled_table import with_reference
 
 SHAPE = (90, 120)
@@ -118,7 +118,7 @@ def test_a_contact_adds_by_depth_slope_and_place(tmp_path):
     u, v = (part.ravel() for part in np.meshgrid(*(np.arange(n) / n for n in SHAPE[::-1])))
     half = 0.5 - 0.5 / np.array(SHAPE[::-1])
     surface = (part.ravel() for part in (gx, gy, dome() - bumps()))
-    looked_up = contact_at(made, *surface, u - half[0], v - half[1])
+    looked_up = made.image_model.contact_colors(*surface, u - half[0], v - half[1])
     np.testing.assert_allclose(looked_up.reshape(added.shape), added, atol=1e-4)
     save_table(made, tmp_path / "table.npz")
     np.testing.assert_array_equal(

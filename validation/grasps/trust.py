@@ -169,7 +169,9 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
         success[rng.choice(N_GRASPS, round(flips * N_GRASPS), replace=False)] ^= True
         known = np.where(success, SUCCESS, FAILED)
         labels = Labels(known, np.zeros(N_GRASPS, bool), NO_READING)
-        simulations.forget_refinement()
+        # From the first nodes again; what was simulated stays known.
+        simulations.further.clear()
+        simulations.joint.clear()
         comparison = refine(simulations, declared, labels)
         found = posterior(comparison, labels, rng)
         diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, (), rng)

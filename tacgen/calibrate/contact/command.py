@@ -49,12 +49,11 @@ def calibrate_contact(
     marker_pitch_mm: float = np.nan,
     radius_mm: float | None = None,
     table: Path | None = None,
-    save_log: Path | None = None,
 ) -> ContactCalibration:
     """Fit ``log``, write the law to ``out`` and, where asked for, a page into ``report``.
 
     ``log`` is a press log, a table of force–depth curves, or a folder of press images with
-    forces; of the last, ``table`` turns pictures into volumes and ``save_log`` keeps the log.
+    forces; of the last, ``table`` turns pictures into volumes, and the log is kept beside the law.
 
     Raises ``PressError`` if the log cannot be used or an option is not known.
     """
@@ -65,7 +64,7 @@ def calibrate_contact(
     measured: tuple[str, ...] = ()
     volume_share = 0.0
     if Path(log).is_dir():
-        log, found = _measure_images(Path(log), table, save_log or Path(out).with_suffix(".csv"))
+        log, found = _measure_images(Path(log), table, Path(out).with_suffix(".csv"))
         measured, volume_share = found.warnings, found.volume_stderr_share
         if np.isnan(marker_pitch_mm):
             marker_pitch_mm = found.marker_pitch_mm

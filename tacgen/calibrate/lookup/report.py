@@ -1,4 +1,4 @@
-"""The page of a table's calibration: pictures of held-out presses, errors, coverage."""
+"""The page of a table's calibration: pictures of held-out presses and their errors."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,16 +13,14 @@ from tacgen.calibrate.lookup.score import PressRenderer
 from tacgen.calibrate.lookup.table_fit import Calibration
 from tacgen.core.arrays import FloatArray
 from tacgen.core.images import difference, evenly, no_wider, side_by_side
-from tacgen.presses.press_images import PressImages, label_mm
+from tacgen.presses.press_images import PressImages
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page
 
-MAX_PICTURES, SHOWN_FIRST = 40, 6
-"""Presses that the page shows, and those of them at its top, from the best to the worst."""
+MAX_PICTURES = 6  # from the press with the smallest error to that with the largest
 PICTURE_WIDTH_PX = 320  # four pictures fit into a page's width
 DIFFERENCE_GAIN = 4  # errors of a few grey levels become visible
 RADIUS_EDGES = np.linspace(0, 2.5, 26)  # rings, in labelled radii, whose residual is shown
-SLOPE_BINS, DIRECTION_BINS = 12, 24  # of the map of coverage
 DRAWN_PIXELS = 150  # of a press, in the figure of fit and residual
 CHANNEL_COLORS = {"R": "C3", "G": "C2", "B": "C0"}
 
@@ -31,8 +29,6 @@ def write_table_report(
     folder: Path, result: Mapping[str, Any], presses: PressImages, calibration: Calibration
 ) -> None:
     """Write ``folder/report.html`` from the command's JSON and figures of the fit."""
-    pictures = _pictures(presses, calibration)
-    first = set(evenly(len(pictures), SHOWN_FIRST))
     errors = {press["name"]: press["rmse_refined"] for press in result["images"]}
     write_page(
         Path(folder) / "report.html",
@@ -41,13 +37,10 @@ def write_table_report(
         f"each press's place re-estimated, {result['rmse_labels']:.2f} with places as labelled.",
         template="lookup_calibration.html",
         result=result,
-        strips=[pictures[k] for k in sorted(first)],
-        further=[picture for k, picture in enumerate(pictures) if k not in first],
+        strips=_pictures(presses, calibration),
         difference_gain=DIFFERENCE_GAIN,
         errors=plots.columns(errors, result["rmse_refined"], ("press", "RMSE, grey levels")),
         residuals=_residual_figure(calibration),
-        labels=_label_figure(presses, calibration),
-        coverage=_coverage_figure(calibration),
     )
 
 
@@ -59,8 +52,8 @@ def _pictures(
         PressRenderer(table, calibration.fit.press_model) for table in calibration.fold_tables
     ]
     strips = []
-    scored = list(enumerate(calibration.heldout.presses[:MAX_PICTURES]))
-    for k, press in sorted(scored, key=lambda item: item[1].rmse("refined")):
+    scored = sorted(enumerate(calibration.heldout.presses), key=lambda one: one[1].rmse("refined"))
+    for k, press in (scored[place] for place in evenly(len(scored), MAX_PICTURES)):
         renderer = renderers[calibration.folds[k]]
         made = renderer.picture(press.refined_mm, float(presses.ball_radius_mm[k]))
         real = presses.images[k]
@@ -70,22 +63,6 @@ def _pictures(
             (caption, side_by_side([no_wider(image, PICTURE_WIDTH_PX) for image in strip]))
         )
     return strips
-
-
-def _label_figure(presses: PressImages, calibration: Calibration) -> Figure:
-    estimated = calibration.fit.geometry
-    apart = (estimated - label_mm(presses)) / presses.mm_per_px
-    height, width = presses.shape_px
-    figure, grid = plots.new_figure(10, 4, 1, 2)
-    left, right = grid[0]
-    left.quiver(
-        *presses.center_px.T, apart[:, 0], apart[:, 1], angles="xy", scale_units="xy", scale=0.2
-    )
-    left.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xlabel="column, px")
-    left.set_ylabel("row, px")
-    right.scatter(presses.radius_px, estimated[:, 2] / presses.mm_per_px, color=plots.ACCENT)
-    right.set(xlabel="labelled radius, px", ylabel="estimated contact radius, px")
-    return figure
 
 
 def _residual_figure(calibration: Calibration) -> Figure:
@@ -117,19 +94,3 @@ def _residual_figure(calibration: Calibration) -> Figure:
     right.set_ylabel("RMS residual, grey levels")
     right.legend(frameon=False)
     return figure
-
-
-def _coverage_figure(calibration: Calibration) -> Figure:
-    """Pixels of all presses in coarse bins of slope and direction."""
-    fit, steepest = calibration.fit, calibration.table.max_slope_rad
-    counts = np.zeros((SLOPE_BINS, DIRECTION_BINS))
-    samples = calibration.presses.samples(calibration.background)
-    for sample, place in zip(samples, fit.geometry, strict=True):
-        gx, gy, _ = fit.press_model.surface(place, sample.ball_radius_mm, sample.pixels)
-        slope = np.minimum(np.arctan(np.hypot(gx, gy)), steepest)
-        bounds = [[0, steepest], [-np.pi, np.pi]]
-        counts += np.histogram2d(slope, np.arctan2(gy, gx), counts.shape, bounds)[0]
-    return plots.heat_map(
-        np.log10(counts + 1), (-180, 180, 0, float(np.degrees(steepest))),
-        ("direction of the slope, degrees", "slope, degrees", "log₁₀(pixels + 1)"),
-    )  # fmt: skip

@@ -18,7 +18,7 @@ from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
 from tacgen.core.safe_io import check_archive, read_rgb
 from tacgen.core.version import __version__
-from tacgen.optics.table import N_FEATURES, LookupTable
+from tacgen.optics.table import N_FEATURES, LookupTable, save_table
 
 CHANNELS_RGB = ("grad_b", "grad_g", "grad_r")
 """Which of its arrays holds which channel: Taxim names OpenCV's first channel r."""
@@ -59,6 +59,13 @@ def import_polycalib(path: Path, background: Path, mm_per_px: float) -> LookupTa
             }
         ),
     )
+
+
+def convert_polycalib(path: Path, background: Path, mm_per_px: float, out: Path) -> LookupTable:
+    """``import_polycalib``, written to ``out``."""
+    table = import_polycalib(path, background, mm_per_px)
+    save_table(table, out)
+    return table
 
 
 def _half_turned(table: NDArray[np.float64]) -> NDArray[np.float64]:

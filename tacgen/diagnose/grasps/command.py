@@ -183,7 +183,8 @@ def _place(proposal: Proposal) -> dict[str, Any]:
 def _write(findings: GraspFindings, record: dict[str, Any], out: Path) -> None:
     text = json.dumps(record, indent=2, ensure_ascii=False)
     write_text(out / "diagnosis.json", text + "\n")
-    recipe = yaml.safe_dump(findings.recipe.resolved(), sort_keys=False, allow_unicode=True)
+    resolved = findings.recipe.resolved(out)
+    recipe = yaml.safe_dump(resolved, sort_keys=False, allow_unicode=True)
     write_text(out / "recipe.yaml", recipe)
     rows = [{"grasp_id": f"next{k}"} | _place(one) for k, one in enumerate(findings.proposals)]
     table = pd.DataFrame(rows, columns=["grasp_id", *PLACE])

@@ -96,11 +96,6 @@ class PerturbedSimulations:
         self.simulate(self._wanted())
         return self._comparison()
 
-    def forget_refinement(self) -> None:
-        """Compare from the first nodes again; what was simulated stays known."""
-        self.further.clear()
-        self.joint.clear()
-
     def refined(self, explanations: Sequence[Explanation]) -> ModelComparison:
         """The comparison with the first few of these simulated where their values matter."""
         wanted: list[tuple[GraspConfig, Perturbation]] = []

@@ -132,15 +132,6 @@ def margins_of(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def is_sure(margin: float, factor: float) -> bool:
-    """Whether a grasp's label at another force is certain without simulation.
-
-    A margin near 0 may be a turn that is allowed: only a clear one is carried to another force.
-    """
-    there = margin + np.log(factor)
-    return bool(abs(margin) > RULES.sure_margin and abs(there) > RULES.sure_margin)
-
-
 def margin_at_force(log_force: FloatArray, margin: FloatArray, wanted: FloatArray) -> FloatArray:
     """Margins (M, N) at other forces, from those (K, N) at ``log_force`` (K,).
 
