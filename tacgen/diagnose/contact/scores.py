@@ -18,6 +18,7 @@ from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.model import Fit
 
 RIDGE = 1e-8  # of the diagonal: enough to solve with columns that are equal but for noise
+TAIL_SHARE = 0.05  # of the shuffles, the largest: an exponential tail is fitted to them
 ONE_NUMBER_SHARE = 0.97  # of a column that follows the response in every trial: permuted
 _OWN_SHARES = np.array([0.0, *np.logspace(-2, 3, 11)])
 """Variance of trials' own effects, in parts of the samples' noise at the mean information."""
@@ -183,7 +184,7 @@ def p_values(
     constant), what counts is one number a trial, and those numbers are permuted. Otherwise each
     unit's score is given a random sign, which holds whatever the correlations within the unit.
     Where units are ``parts_of_trials``, whose gains may differ, the signs are of what is left
-    beside a gain for each trial. Two tests double every p. ``base[0]`` is the column of the
+    beside a gain for each trial. ``base[0]`` is the column of the
     compliance, ``ones`` those of a constant along each axis.
     Source: Westfall & Young 1993, Resampling-Based Multiple Testing: the highest of all scores.
     """
@@ -197,15 +198,15 @@ def p_values(
         else:
             flips[number] = within.flipped(group)
     found = ranked(flips) | ranked(orders)
-    return np.array([min(2.0 * found[number], 1.0) for number in range(len(groups))])
+    return np.array([found[number] for number in range(len(groups))])
 
 
-def ranked(heights: Mapping[int, FloatArray]) -> dict[int, float]:
+def ranked(neg_log_p: Mapping[int, FloatArray]) -> dict[int, float]:
     """The p of the first of each (F + 1,), by number, among the highest of all under a shuffle."""
-    highest = np.max([*heights.values()], axis=0)[1:] if heights else np.zeros(0)
+    highest = np.max([*neg_log_p.values()], axis=0)[1:] if neg_log_p else np.zeros(0)
     return {
-        number: float((1.0 + (highest >= one[0] - 1e-9 * (1.0 + abs(one[0]))).sum()) / one.size)
-        for number, one in heights.items()
+        number: float((1.0 + (highest >= one[0] * (1.0 - 1e-9) - 1e-9).sum()) / one.size)
+        for number, one in neg_log_p.items()
     }
 
 
@@ -228,7 +229,7 @@ def without_gains(grams: FloatArray, response: int, trial: NDArray[np.int64]) ->
 
 
 class _Test:
-    """Scores of columns beside a base, and how high (F + 1,) each shuffle of them is."""
+    """Scores of columns beside a base, and the −log p (F + 1,) of each shuffle of them."""
 
     def __init__(self, grams: FloatArray, base: Sequence[int], shuffled: Shuffles) -> None:
         self._grams, self._base, self._shuffled = grams, list(base), shuffled
@@ -270,7 +271,7 @@ class _Test:
         growth = max(1.0, float(((scores + 0.5 * absorbed) ** 2).sum(axis=0).mean()))
         sums = self._shuffled.signs @ scores
         sums[0] /= np.sqrt(growth)
-        return height_of(sums, scores.T @ scores)
+        return neg_log_p_of(sums, scores.T @ scores)
 
     def permuted(self, group: Sequence[int], shapes: Sequence[int]) -> FloatArray:
         """By the order of the trials' numbers: how much of each of ``shapes`` is in them."""
@@ -280,7 +281,7 @@ class _Test:
             across = orthogonal(self._beside(shape)[:, list(group)] / deviation, alike)
             covariance = covariance + across.T @ across
             sums = sums + shuffles @ across
-        return height_of(sums, covariance)
+        return neg_log_p_of(sums, covariance)
 
     def shape(self, group: Sequence[int], among: Sequence[Sequence[int]]) -> Sequence[int]:
         """Which of ``among`` (numbers of columns) the group is within each trial, if any.
@@ -375,15 +376,20 @@ def floored(information: FloatArray) -> FloatArray:
     return np.maximum(information, 0.01 * mean if mean > 0.0 else max(size, 1e-290))
 
 
-def height_of(sums: FloatArray, covariance: FloatArray) -> FloatArray:
-    """How high (F + 1,) sums (F + 1, M) of scores with that covariance (M, M) are.
+def neg_log_p_of(sums: FloatArray, covariance: FloatArray) -> FloatArray:
+    """−log p (F + 1,) among the shuffles of sums (F + 1, M) of scores with that covariance (M, M).
 
-    In standard deviations of a normal law, whatever M is: a χ² law's cube root is nearly normal.
-    Source: Wilson & Hilferty 1931, PNAS 17.
+    Of their quadratic form: by rank up to the largest twentieth of the shuffles, beyond by an
+    exponential tail, as a χ² law has it, that is fitted to that twentieth.
     """
     size = np.sqrt(np.diag(covariance)) + 1e-150
     inverse = np.linalg.inv(covariance / np.outer(size, size) + 1e-6 * np.eye(size.size))
-    sums = sums / size
-    quadratic = np.maximum(((sums @ inverse) * sums).sum(axis=1), 0.0)
-    variance = 2.0 / (9.0 * size.size)
-    return np.asarray((np.cbrt(quadratic / size.size) - 1.0 + variance) / np.sqrt(variance))
+    quadratic = ((sums / size @ inverse) * (sums / size)).sum(axis=1)
+    null, count = np.sort(quadratic[1:]), quadratic.size - 1
+    top = max(5, int(TAIL_SHARE * count))
+    reached = count - np.searchsorted(null, quadratic * (1.0 - 1e-9))  # equal ones count as reached
+    threshold = null[-top - 1]
+    excess = max(float(null[-top:].mean()) - threshold, 1e-9)
+    beyond = np.log(count / top) + (quadratic - threshold) / excess
+    by_rank = np.log(count / np.maximum(reached, 1))
+    return np.asarray(np.where(quadratic > threshold, beyond, by_rank))

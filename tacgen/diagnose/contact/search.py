@@ -247,7 +247,7 @@ class CandidateSets:
         return scores.fit_grams(self.data, fit, [candidate.columns for candidate in candidates])
 
     def p_values(self, rest: FittedSet, memory: int = 1) -> dict[str, float]:
-        """The p of each candidate beside ``rest``, by label, corrected for all of them.
+        """The p of each name beside ``rest``: of its most significant form, corrected for all.
 
         ``memory`` is over how many units the residual correlates: these share a sign.
         """
@@ -262,8 +262,10 @@ class CandidateSets:
                 grams, base, groups, shuffled, own, parts_of_trials=self.data.few_trials
             )
             searched = [one.covariate.p_search if one.covariate else 0.0 for one in found]
-            labels = [one.label for one in found]
-            self._p_values[key] = dict(zip(labels, np.maximum(p, searched).tolist(), strict=True))
+            by_name: dict[str, float] = {}
+            for one, p_value in zip(found, np.maximum(p, searched).tolist(), strict=True):
+                by_name[one.name] = min(p_value, by_name.get(one.name, 1.0))
+            self._p_values[key] = by_name
         return self._p_values[key]
 
     def p_value(self, full: FittedSet, member: Candidate) -> float:
@@ -275,7 +277,7 @@ class CandidateSets:
             )
             return min(p_local * len(self._local_effects), 1.0)
         memory = self.data.memory_units(full.fit.residual)
-        return self.p_values(rest, memory).get(member.label, 1.0)
+        return self.p_values(rest, memory).get(member.name, 1.0)
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -471,8 +473,8 @@ class Selection:
         for candidate, explained in pool:
             after = max(self.data.noise_loss + current.loss - explained, 0.0)
             gain = 1.0 - float(np.sqrt(after / self.sets.total(current)))
-            label = candidate.label
-            rows.setdefault(candidate.name, (label, gain, p_values[label]))
+            row = candidate.label, gain, p_values[candidate.name]
+            rows.setdefault(candidate.name, row)
         return tuple(rows.values())
 
     def _described(self, accepted: FittedSet) -> tuple[Chosen, ...]:
