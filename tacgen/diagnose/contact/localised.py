@@ -24,7 +24,6 @@ PARTS_OF_SIDE = 10  # in which all forms are tried
 EFFECTS_FITTED = 3  # in the part of the log where each is best
 FORMS_TRIED = 2  # of each effect, in every part of their best side
 MOST_COLUMNS = 3  # of a form that is looked at in every part
-FLIPS = 9999  # of signs: p is multiplied by the number of effects
 
 
 @dataclass(frozen=True)
@@ -162,13 +161,14 @@ def local_p_value(
     effect: Effect,
     label: str,
     parts: Sequence[Part],
-    rng: np.random.Generator,
+    signs: FloatArray,
 ) -> float:
     """The p of a local ``effect``, in its form ``label``, differing in its part, beside ``rest``.
 
     The form's columns count in the proportion that they have in the part. The highest contrast
     between any part and the others, beside the same acting everywhere, is compared with the
-    highest when signs of trials are flipped; p is multiplied by the columns that were weighed.
+    highest when signs of trials are flipped (F + 1, T); p is multiplied by the columns that were
+    weighed.
     """
     everywhere = find_effect(effect.channel, effect.name).only(EVERYWHERE)
     inside, whole = (
@@ -193,6 +193,5 @@ def local_p_value(
     across /= np.linalg.norm(across, axis=0) + 1e-150
     score = score * precision
     score -= own * (own @ score)
-    signs = scores.sign_flips(score.size, FLIPS, rng)
     highest = ((signs @ (score[:, None] * across)) ** 2).max(axis=1)
     return min(len(weights) * scores.ranked({0: highest})[0], 1.0)

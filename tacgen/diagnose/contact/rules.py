@@ -18,7 +18,7 @@ class SelectionRules:
     min_units: int = 36  # about so many parts of trials then
 
     # Held-out trials
-    n_shuffles: int = 499  # sign flips, permutations or resamplings of trials in each test
+    n_shuffles: int = 999  # sign flips, permutations or resamplings of trials in each test
 
     # Which columns compete
     max_share_beside_load: float = 0.4  # of a condition's variation that load and time leave
@@ -29,7 +29,7 @@ class SelectionRules:
     negative_loss_in_sd: float = 3.0  # of chance: no true set leaves so much less than nothing
 
     # When an effect is kept
-    alpha: float = 0.02  # chance of a first false effect, over all that is shuffled alike
+    alpha: float = 0.005  # chance of a first false effect, over all that is shuffled alike
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
     few_min_gain: float = 0.1  # min_gain where trials are few
     max_members: int = 5  # of a channel's model

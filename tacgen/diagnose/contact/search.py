@@ -31,6 +31,7 @@ from tacgen.diagnose.contact.model import (
 )
 from tacgen.diagnose.contact.oscillation import find_oscillations
 
+LOCAL_FLIPS = 9999  # of the test of effects in a part, whose p is multiplied by their number
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
 
 
@@ -130,6 +131,7 @@ class CandidateSets:
         self._shuffled = scores.shuffles(data.unit_trial, self.rules.n_shuffles, rng)
         self._parts = [] if data.few_trials else parts_of(data)
         self._local_effects = local_effects(data, self.effects) if self._parts else []
+        self._local_signs = scores.sign_flips(data.n_units, LOCAL_FLIPS if self._parts else 0, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._pools: dict[tuple[str, ...], Pool] = {}
         self._p_values: dict[tuple[tuple[str, ...], int], dict[str, float]] = {}
@@ -273,7 +275,7 @@ class CandidateSets:
         rest = self.without(full, member)
         if member.effect is not None and member.is_local:
             p_local = local_p_value(
-                self.data, rest.fit, member.effect, member.label, self._parts, self._rng
+                self.data, rest.fit, member.effect, member.label, self._parts, self._local_signs
             )
             return min(p_local * len(self._local_effects), 1.0)
         memory = self.data.memory_units(full.fit.residual)

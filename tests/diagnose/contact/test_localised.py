@@ -10,7 +10,7 @@ from tacgen.contact.effects import LoadHistory, Where, all_effects, find_effect
 from tacgen.contact.law import ContactLaw, FittedEffect, load_law, respond, save_law
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Estimate
-from tacgen.diagnose.contact import localised
+from tacgen.diagnose.contact import localised, scores
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.command import diagnose, diagnose_log
 from tacgen.diagnose.contact.model import Model, fit_model
@@ -187,7 +187,7 @@ def test_a_p_of_a_part_keeps_its_level_and_sees_a_part():
                 effect.only(where),
                 f"zero_offset: constant, only {where}",
                 localised.parts_of(data),
-                rng,
+                scores.sign_flips(24, 999, rng),
             )
             p_values.append(p)
     _, local, *_ = p_values

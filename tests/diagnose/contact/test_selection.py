@@ -183,10 +183,6 @@ def test_what_promises_less_is_taken_in_turn_and_each_form_once():
         (14000041, "shear", {"anisotropy": 0.5}),
         # A few presses reach the limit, in the order of their loads.
         (14240018, "normal", {"saturation": 2.0}),
-        # What a few-parameter form of hysteresis leaves looks like stiffening and an offset.
-        (13060052, "normal", {"hysteresis": 1.0, "saturation": 1.0}),
-        # What corrections of hysteresis explain less well than stiffening without any.
-        (14070016, "normal", {"hysteresis": 2.0, "stiffening": 1.0, "zero_offset": 2.0}),
     ],
 )
 def test_blind_logs_whose_causes_hid_each_other(seed, channel, wanted):
