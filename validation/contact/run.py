@@ -23,7 +23,7 @@ import numpy as np
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import standard_errors, without_noise_bias
-from tacgen.diagnose.contact.selection import Selection
+from tacgen.diagnose.contact.search import Selection
 from validation.contact.cases import (
     NORMAL_FORMS,
     OUTSIDE_FORMS,

@@ -33,7 +33,6 @@ REMOVED: dict[str, Any] = {
     "least_share_of_all": 0.0,
     "parameter_price": 0.0,
     "min_gain": 0.0,
-    "joint_alpha": 0.0,
     "negative_loss_in_sd": 1e9,
     "form_share_left": 0.0,
 }

@@ -163,16 +163,7 @@ class LoadHistory:
 
     def play(self, load: FloatArray, width_n: float, isotropic: bool = False) -> FloatArray:
         """The play operator of half-width ``width_n`` on ``load`` (N, C), or on its every axis."""
-        if isotropic:
-            return self._keep(
-                "vector play",
-                load,
-                width_n,
-                lambda own: kernels.play_of_vectors(own, self.starts, width_n),
-            )
-        return self._of_axes(
-            "play", load, width_n, lambda axis: kernels.play(axis, self.starts, width_n)
-        )
+        return self._of_parts("play", load, width_n, isotropic, kernels.play)
 
     def low_pass(self, load: FloatArray, tau_s: float) -> FloatArray:
         """``load`` (N, C) through a low-pass of time constant ``tau_s`` that starts at rest."""
@@ -227,16 +218,24 @@ class LoadHistory:
     def dahl(self, load: FloatArray, width_n: float, isotropic: bool = False) -> FloatArray:
         """Dahl's friction on a lightly smoothed ``load`` (N, C), or on its every axis."""
         smooth = self._of_axes("smooth", load, 0.0, self.smooth)
-        if isotropic:
-            return self._keep(
-                "vector dahl",
-                smooth,
-                width_n,
-                lambda own: kernels.dahl_of_vectors(own, self.starts, width_n),
-            )
-        return self._of_axes(
-            "dahl", smooth, width_n, lambda axis: kernels.dahl(axis, self.starts, width_n)
-        )
+        return self._of_parts("dahl", smooth, width_n, isotropic, kernels.dahl)
+
+    def _of_parts(
+        self,
+        name: str,
+        load: FloatArray,
+        width_n: float,
+        isotropic: bool,
+        kernel: Callable[[FloatArray, NDArray[np.int64], float], FloatArray],
+    ) -> FloatArray:
+        """``kernel`` of that width on ``load``, or on its every axis, kept."""
+
+        def of(load: FloatArray) -> FloatArray:
+            parts = [load[:, part] for part in _parts(load.shape[1], isotropic)]
+            own = [kernel(np.ascontiguousarray(one), self.starts, width_n) for one in parts]
+            return np.concatenate(own, axis=1)
+
+        return self._keep(f"{name}, {isotropic}", load, width_n, of)
 
     def _of_axes(
         self,
@@ -403,12 +402,11 @@ class Reading(LoadHistory):
         """As of ``LoadHistory``."""
 
         def step(state: Any) -> Any:
-            at = state or (0.0,) * load.shape[1]
-            if isotropic:
-                x, y = at
-                return kernels.next_play_of_vectors(x, y, load[0, 0], load[0, 1], width_n)
-            axes = zip(at, load[0], strict=True)
-            return tuple(kernels.next_play(*axis, width_n) for axis in axes)
+            rows = np.concatenate([load, load])
+            at = np.zeros_like(rows) if state is None else np.array([state, state])
+            for part in _parts(load.shape[1], isotropic):
+                kernels.next_play(at[:, part], rows[:, part], 1, 0, width_n)
+            return at[1]
 
         return np.array([self._next("play", width_n, isotropic, of=step)])
 
@@ -417,14 +415,11 @@ class Reading(LoadHistory):
 
         def step(state: Any) -> Any:
             if state is None:
-                return load[0], (0.0,) * load.shape[1]
-            last, at = state
-            steps = load[0] - last
-            if isotropic:
-                x, y = at
-                return load[0], kernels.next_dahl_of_vectors(x, y, steps[0], steps[1], width_n)
-            axes = zip(at, steps, strict=True)
-            return load[0], tuple(kernels.next_dahl(*axis, width_n) for axis in axes)
+                return load[0], np.zeros(load.shape[1])
+            rows, at = np.array([state[0], load[0]]), np.array([state[1], state[1]])
+            for part in _parts(load.shape[1], isotropic):
+                kernels.next_dahl(at[:, part], rows[:, part], 1, width_n)
+            return load[0], at[1]
 
         return np.array([self._next("dahl", width_n, isotropic, of=step)[1]])
 
@@ -462,6 +457,11 @@ class Reading(LoadHistory):
 
         start_s = self._next("contact", channel, span_n, of=step)
         return np.array([0.0 if start_s is None else max(self._now_s - start_s, 0.0)])
+
+
+def _parts(size: int, isotropic: bool) -> list[slice]:
+    """All axes of a vector together, or one each."""
+    return [slice(0, size)] if isotropic else [slice(k, k + 1) for k in range(size)]
 
 
 def _span(load: FloatArray) -> float:

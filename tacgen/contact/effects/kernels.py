@@ -102,99 +102,57 @@ def delayed(
 
 
 @njit(cache=True)
-def next_play(state: float, value: float, width: float) -> float:
-    """The play operator after the next value."""
-    return min(max(state, value - width), value + width)
+def next_play(result: FloatArray, values: FloatArray, row: int, before: int, width: float) -> None:
+    """Fill a row of the play operator of ``values`` (N, C) from the row before it."""
+    square = 0.0
+    for axis in range(values.shape[1]):
+        square += (values[row, axis] - result[before, axis]) ** 2
+    share = 1.0 - width / np.sqrt(square) if square > width**2 else 0.0
+    for axis in range(values.shape[1]):
+        at = result[before, axis]
+        result[row, axis] = at + share * (values[row, axis] - at)
 
 
 @njit(cache=True)
 def play(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
-    """The play (backlash) operator of half-width ``width``, starting at rest.
+    """The play (backlash) operator of half-width ``width`` on vectors (N, C), starting at rest.
 
-    Source: Krasnosel'skii & Pokrovskii 1989, Systems with Hysteresis: the Prandtl play.
+    A ball of that radius drags along what is in it.
+    Source: Krasnosel'skii & Pokrovskii 1989, Systems with Hysteresis: the Prandtl play; of
+    vectors, Visintin 1994, Differential Models of Hysteresis, ch. III.
     """
-    result = np.empty(values.size)
+    result = np.zeros(values.shape)
     for k in range(starts.size - 1):
-        state = 0.0
         for i in range(starts[k], starts[k + 1]):
-            state = result[i] = next_play(state, values[i], width)
+            next_play(result, values, i, max(i - 1, starts[k]), width)
     return result
 
 
 @njit(cache=True)
-def next_dahl(state: float, step: float, width: float) -> float:
-    """Dahl's friction after a step of the value."""
-    end = width if step > 0.0 else -width
-    return float(end + (state - end) * np.exp(-abs(step) / width))
+def next_dahl(result: FloatArray, values: FloatArray, row: int, width: float) -> None:
+    """Fill a row of Dahl's friction of ``values`` (N, C) from the row before it."""
+    square = 0.0
+    for axis in range(values.shape[1]):
+        square += (values[row, axis] - values[row - 1, axis]) ** 2
+    size = np.sqrt(square)
+    decay = np.exp(-size / width)
+    for axis in range(values.shape[1]):
+        step = values[row, axis] - values[row - 1, axis]
+        end = width / size * step if size > 0.0 else 0.0
+        result[row, axis] = end + (result[row - 1, axis] - end) * decay
 
 
 @njit(cache=True)
 def dahl(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
-    """Friction that saturates at ±width exponentially with the way since the last turn.
+    """Friction (N, C) that saturates at ``width`` exponentially with the way since the last turn.
 
-    Source: Dahl 1968, A solid friction model, with exponent 1: dz/dx = 1 − sgn(dx)·z/width.
+    Source: Dahl 1968, A solid friction model, with exponent 1, along the way of a vector:
+    dz = dx − |dx|·z/width.
     """
-    result = np.empty(values.size)
+    result = np.zeros(values.shape)
     for k in range(starts.size - 1):
-        state = 0.0
-        result[starts[k]] = 0.0
         for i in range(starts[k] + 1, starts[k + 1]):
-            state = result[i] = next_dahl(state, values[i] - values[i - 1], width)
-    return result
-
-
-@njit(cache=True)
-def next_play_of_vectors(
-    x: float, y: float, to_x: float, to_y: float, width: float
-) -> tuple[float, float]:
-    """The play operator of vectors after the next value."""
-    ahead_x, ahead_y = to_x - x, to_y - y
-    size = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
-    if size > width:
-        x += ahead_x * (1.0 - width / size)
-        y += ahead_y * (1.0 - width / size)
-    return x, y
-
-
-@njit(cache=True)
-def play_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
-    """The play operator of vectors (N, 2): a ball of radius ``width`` drags what is in it along.
-
-    Source: Visintin 1994, Differential Models of Hysteresis, ch. III: vector play.
-    """
-    result = np.empty(values.shape)
-    for k in range(starts.size - 1):
-        x = y = 0.0
-        for i in range(starts[k], starts[k + 1]):
-            x, y = next_play_of_vectors(x, y, values[i, 0], values[i, 1], width)
-            result[i, 0], result[i, 1] = x, y
-    return result
-
-
-@njit(cache=True)
-def next_dahl_of_vectors(
-    x: float, y: float, step_x: float, step_y: float, width: float
-) -> tuple[float, float]:
-    """Dahl's friction of vectors after a step of the value."""
-    size = np.sqrt(step_x * step_x + step_y * step_y)
-    if size > 0.0:
-        end_x, end_y = width / size * step_x, width / size * step_y
-        decay = np.exp(-size / width)
-        x, y = end_x + (x - end_x) * decay, end_y + (y - end_y) * decay
-    return x, y
-
-
-@njit(cache=True)
-def dahl_of_vectors(values: FloatArray, starts: NDArray[np.int64], width: float) -> FloatArray:
-    """Dahl's friction of vectors (N, 2), along the way: dz = dx − |dx|·z/width."""
-    result = np.empty(values.shape)
-    for k in range(starts.size - 1):
-        x = y = 0.0
-        result[starts[k]] = 0.0
-        for i in range(starts[k] + 1, starts[k + 1]):
-            step_x, step_y = values[i, 0] - values[i - 1, 0], values[i, 1] - values[i - 1, 1]
-            x, y = next_dahl_of_vectors(x, y, step_x, step_y, width)
-            result[i, 0], result[i, 1] = x, y
+            next_dahl(result, values, i, width)
     return result
 
 

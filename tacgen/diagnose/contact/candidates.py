@@ -1,7 +1,7 @@
 """Every effect and covariate that could explain a residual, as columns of a linear model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,7 @@ from tacgen.contact.effects import Effect, Variant, all_effects
 from tacgen.contact.law import respond
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
-from tacgen.diagnose.contact.covariates import Covariate, numeric_covariates, text_covariates
-from tacgen.diagnose.contact.model import Fit, Model, references_of
+from tacgen.diagnose.contact.model import HOWS, Covariate, Fit, Model, references_of
 from tacgen.presses.press_log import CONTRACT
 
 _ROUNDING = 1e-6  # of a column's sum of squares: what rounding leaves where two are the same
@@ -103,6 +102,38 @@ def log_covariates(data: ChannelData) -> list[Covariate]:
         elif not follows_load(data, name):
             found += numeric_covariates(name, data)
     return found
+
+
+def max_levels(data: ChannelData) -> int:
+    """Most levels of a text column that the trials are enough to compare."""
+    return data.history.n_trials // data.rules.trials_per_level
+
+
+def text_covariates(column: str, data: ChannelData) -> list[Covariate]:
+    """Both forms for a text column; none if it has one level, or hardly any level twice."""
+    text = data.history.text(column)
+    per_trial = text[data.history.starts[:-1]]
+    names, counts = np.unique(per_trial, return_counts=True)
+    used = tuple(map(str, names[counts >= 2]))
+    if not (2 <= names.size <= max_levels(data) and used):
+        return []
+    # On the compliance one level is the reference; an added one may be of any level, so that
+    # what is added to one of them alone is not taken for a zero offset beside the others; the two
+    # are never in one model (`candidates.confounded`).
+    every = len(used) == names.size
+    levels = {"gain": used[1:] if every else used, "added": used}
+    return [Covariate(column, "levels", how, levels=levels[how]) for how in HOWS]
+
+
+def numeric_covariates(column: str, data: ChannelData) -> list[Covariate]:
+    """Line and parabola, on the compliance and added; none if the column is constant."""
+    values = data.history.column(column)
+    finite = values[np.isfinite(values)]
+    spread = float(finite.std()) if finite.size else 0.0
+    if finite.size < 0.5 * values.size or spread <= 1e-9 * (1.0 + float(np.abs(finite).max())):
+        return []
+    line = Covariate(column, "polynomial", "gain", center=float(finite.mean()), scale=spread)
+    return [replace(line, how=how, degree=degree) for degree in (1, 2) for how in HOWS]
 
 
 def covariate_candidates(

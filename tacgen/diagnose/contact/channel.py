@@ -72,6 +72,11 @@ class ChannelData:
         return self.history.n_trials < self.rules.min_trials_as_units
 
     @property
+    def min_gain(self) -> float:
+        """Least share of the held-out sum of squares that an effect explains."""
+        return self.rules.few_min_gain if self.few_trials else self.rules.min_gain
+
+    @property
     def row_unit(self) -> NDArray[np.int64]:
         """The unit of each row (N,)."""
         unit = np.zeros(self.history.n_samples, dtype=np.int64)
@@ -94,11 +99,14 @@ class ChannelData:
         return self.unit_trial % min(count, n_trials)
 
     def memory_units(self, reduced: FloatArray) -> int:
-        """Over how many units a residual (R,) correlates, as noise with a memory does; at least 1.
+        """Over how many units a residual (R,) correlates, as noise with a memory does.
 
-        Twice its integrated autocorrelation time: so far apart, rows hardly correlate.
+        1 where units are trials. Else twice its integrated autocorrelation time: so far apart, rows
+        hardly correlate.
         Source: Geyer 1992, Statistical Science 7: the sum ends where the correlation does.
         """
+        if not self.few_trials:
+            return 1
         rows = reduced.reshape(-1, self.n_outputs)
         lengths = np.diff(self.history.starts)
         within = self.history.trial_index

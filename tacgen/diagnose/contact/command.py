@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw, FittedEffect, save_law
-from tacgen.core.arrays import BoolArray
 from tacgen.core.errors import PressError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
@@ -25,14 +24,14 @@ from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.residuals import Dependence, dependences
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
-from tacgen.diagnose.contact.selection import Attribution, Selection
+from tacgen.diagnose.contact.search import Attribution, Selection
 from tacgen.presses.press_log import SHEAR_FORCES, Columns, read_press_log
 
 SEED = 20220804  # any; results are repeatable
 MIN_SAMPLES = 4  # of a trial: what two second differences need
-MIN_TRIALS_TO_SPLIT = 8  # with fewer, each trial is held out in turn
 REFIT_ROWS_PER_TRIAL = 1000  # in the last fit: software smooths samples, not means
 MOST_DRAWS = 20  # of test trials, where few trials have load
+HELD_OUT = "a quarter of the trials, spread over the session, selection repeated without them"
 
 
 def diagnose_log(
@@ -99,30 +98,19 @@ def diagnose(
 
 
 def _choices(channels: Sequence["_Channel"]) -> list[list[Attribution]]:
-    """The choice of each channel on all trials, then on each set to fit; in processes."""
-    tasks = [(own, k) for own in channels for k in range(1 + len(own.held_out.splits))]
-    tasks.sort(key=lambda task: task[1])  # those on all trials take longest
+    """The choice of each channel on all trials, then on those to fit; in processes."""
+    tasks = [(own, own.every) for own in channels]
+    tasks += [(own, own.split[0]) for own in channels if own.split]
 
     def choice(number: int) -> Attribution:
-        own, k = tasks[number]
-        return own.choice(k)
+        own, samples = tasks[number]
+        return own.choice(samples)
 
     found = map_in_processes(choice, range(len(tasks)))
     return [
         [one for one, (own, _) in zip(found, tasks, strict=True) if own is channel]
         for channel in channels
     ]
-
-
-@dataclass(frozen=True)
-class _HeldOut:
-    """Samples to fit and to test, for each set of trials that is held out, and how it is said."""
-
-    splits: Sequence[tuple[ChannelSamples, ChannelSamples]]
-    n_fit: int
-    n_test: int
-    how: str
-    in_turn: bool = False
 
 
 class _Channel:
@@ -139,49 +127,39 @@ class _Channel:
         self.every = ChannelSamples(columns, channel, rules)
 
     @cached_property
-    def held_out(self) -> _HeldOut:
-        """What is held out: a quarter of the trials, each in turn where they are few, or none."""
-        n_trials, least = self.every.history.n_trials, MIN_TRIALS_TO_SPLIT
-        if n_trials >= least and (split := self._test_trials()):
-            fitted, test = split
-            n_test = test.history.n_trials
-            how = (
-                "a quarter of the trials, spread over the session, selection repeated without them"
+    def split(self) -> tuple[ChannelSamples, ChannelSamples] | None:
+        """Samples to fit and of the test trials; None where the load is in so few that none fit."""
+        for _ in range(MOST_DRAWS if self.every.history.n_trials > 1 else 0):
+            chosen = heldout.test_trials(self._columns, self._rng)
+            out = np.isin(self._columns["trial"], chosen)
+            fitted, test = (
+                ChannelSamples(
+                    heldout.select(self._columns, rows), self._channel, self._rules, self.every
+                )
+                for rows in (~out, out)
             )
-            return _HeldOut([split], fitted.history.n_trials, n_test, how)
-        if 2 <= n_trials < least and (splits := self._leave_one_out()):
-            how = "each trial in turn, selection repeated without them"
-            if len(splits) < n_trials:
-                how += "; not those without which nothing is left but noise"
-            return _HeldOut(splits, n_trials - 1, 1, how, in_turn=True)
-        why = "there is one trial" if n_trials == 1 else "only noise is left without them"
-        return _HeldOut([], n_trials, 0, f"none could be: {why}")
+            if fitted.thinned().is_loaded:
+                return fitted, test
+        return None
 
-    def choice(self, k: int) -> Attribution:
-        """The choice on all trials (0), described, or on the trials to fit of split ``k`` − 1."""
-        if k == 0:
-            return self._selection(self.every).run()
-        return self._selection(self.held_out.splits[k - 1][0]).choose()
+    def choice(self, samples: ChannelSamples) -> Attribution:
+        """The choice on all trials, described, or on those to fit."""
+        rng = np.random.default_rng(SEED)
+        selection = Selection(samples.thinned(), rng, session_clock=self._session_clock)
+        return selection.run() if samples is self.every else selection.choose()
 
     def diagnosis(self, choices: Sequence[Attribution]) -> result.ChannelDiagnosis:
-        """The diagnosis by every ``choice``, in order."""
-        rules, rng, every, held = self._rules, self._rng, self.every, self.held_out
-        attribution, gp = choices[0], float("nan")
-        scored = attribution.accepted.effect_names
-        tried = [
-            (*split, without) for split, without in zip(held.splits, choices[1:], strict=True)
-        ] or [(every, every, attribution)]
-        found = [self._test_errors(*one) for one in tried]
-        before, after = (heldout.pooled(own, self._rms) for own in zip(*found, strict=True))
-        if held.in_turn:
-            by_all = frozenset.intersection(
-                *(frozenset(w.accepted.effect_names) for _, _, w in tried)
-            )
-            scored = tuple(name for name in scored if name in by_all)
-        elif held.splits:
-            fitted, test, without = tried[0]
+        """The diagnosis by the choice on all trials and, if there is one, on those to fit."""
+        rules, rng, every = self._rules, self._rng, self.every
+        attribution, without, gp = choices[0], choices[-1], float("nan")
+        n_trials = every.history.n_trials
+        why = "there is one trial" if n_trials == 1 else "only noise is left without them"
+        fitted, test, how, n_test = every, every, f"none could be: {why}", 0
+        if self.split:
+            fitted, test = self.split
+            how, n_test = HELD_OUT, test.history.n_trials
             gp = self._gp_rmse(fitted, test, without.base.fit.model)
-            scored = without.accepted.effect_names
+        before, after = self._test_errors(fitted, test, without)
         data = every.thinned(REFIT_ROWS_PER_TRIAL)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
         final = _refitted(data, attribution.final.fit.model)
@@ -193,7 +171,7 @@ class _Channel:
         return result.ChannelDiagnosis(
             data=data,
             attribution=attribution,
-            scored_effects=scored,
+            scored_effects=without.accepted.effect_names,
             base=base,
             final=final,
             base_errors=standard_errors(data, base),
@@ -204,27 +182,13 @@ class _Channel:
             floor=noise_floor(left, samples.history.starts),
             n_spikes=int((every.precision == 0).sum()),
             gp_rmse=gp,
-            n_fit=held.n_fit,
-            n_test=held.n_test,
-            how=held.how,
+            n_fit=fitted.history.n_trials,
+            n_test=n_test,
+            how=how,
             dependences_before=before_structure,
             dependences_after=after_structure,
             unexplained=_unexplained(attribution, data, base, final, after_structure),
         )
-
-    def _split(self, out: BoolArray) -> tuple[ChannelSamples, ChannelSamples]:
-        """Samples to fit, and those of the rows ``out``."""
-        kept, held = (
-            ChannelSamples(
-                heldout.select(self._columns, rows), self._channel, self._rules, self.every
-            )
-            for rows in (~out, out)
-        )
-        return kept, held
-
-    def _selection(self, samples: ChannelSamples) -> Selection:
-        rng = np.random.default_rng(SEED)
-        return Selection(samples.thinned(), rng, session_clock=self._session_clock)
 
     def _test_errors(
         self, fitted: ChannelSamples, test: ChannelSamples, attribution: Attribution
@@ -239,21 +203,6 @@ class _Channel:
             residual = rows.target - model.law_response(rows)
             found.append(heldout.errors(residual[kept], rows.history.trial[kept], self._rms))
         return found[0], found[1]
-
-    def _test_trials(self) -> tuple[ChannelSamples, ChannelSamples] | None:
-        """Samples to fit and of the test trials; None where the load is in so few that none fit."""
-        for _ in range(MOST_DRAWS):
-            chosen = heldout.test_trials(self._columns, self._rng, self._rules)
-            fitted, test = self._split(np.isin(self._columns["trial"], chosen))
-            if fitted.thinned().is_loaded:
-                return fitted, test
-        return None
-
-    def _leave_one_out(self) -> list[tuple[ChannelSamples, ChannelSamples]]:
-        """Every trial held out, but not those without which nothing but noise is left."""
-        trial = np.asarray(self._columns["trial"])
-        splits = [self._split(trial == one) for one in np.unique(trial)]
-        return [split for split in splits if split[0].thinned().is_loaded]
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
         data, rows = fitted.thinned(), test.every_sample()
@@ -281,7 +230,7 @@ def _unexplained(
     ]
     explained = max(base.loss - final.loss, 0.0) / max(base.loss, 1e-300)
     of_form = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)
-    least = max(rules.min_gain, of_form)
+    least = max(data.min_gain, of_form)
     left = [d for d in structure if d.p_value <= rules.alpha and d.share > least]
     if not found and left:
         found.append(max(left, key=lambda d: d.share))

@@ -4,7 +4,6 @@ The process is smooth in all covariates: it says how far any smooth model could 
 physics and is never the answer; its error is only reported.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.rules import SelectionRules
@@ -27,15 +26,14 @@ _LENGTHS, _NOISES = (1.0, 2.0, 4.0), (0.03, 0.2, 0.8)
 
 @dataclass(frozen=True)
 class Errors:
-    """Root-mean-square error on held-out trials, and each trial's sum of squares and count."""
+    """Root-mean-square error on held-out trials, and each trial's sum of squares."""
 
     rmse: float
     nrmse: float
     squares: FloatArray
-    counts: IntArray
 
 
-def test_trials(columns: Columns, rng: np.random.Generator, rules: SelectionRules) -> NDArray[Any]:
+def test_trials(columns: Columns, rng: np.random.Generator) -> NDArray[Any]:
     """Trials to hold out: one of every four in the order of the session.
 
     Neighbours in time are on both sides, and so is every part of the session; the first trial
@@ -50,7 +48,7 @@ def test_trials(columns: Columns, rng: np.random.Generator, rules: SelectionRule
     for begin in range(0, ordered.size, count):
         group = ordered[begin : begin + count]
         low = 1 if begin == 0 else 0
-        if group.size > 1 + low:
+        if group.size > 1:
             chosen.append(group[int(rng.integers(low, group.size))])
     return np.asarray(chosen)
 
@@ -64,19 +62,8 @@ def errors(residual: FloatArray, trial: FloatArray, scale: float) -> Errors:
     """Errors of a residual (N, C): RMS over samples and outputs, and the same over ``scale``."""
     _, inverse = np.unique(trial, return_inverse=True)
     squares = np.bincount(inverse, (residual**2).mean(axis=1)).astype(np.float64)
-    return _errors(squares, np.bincount(inverse), scale)
-
-
-def _errors(squares: FloatArray, counts: IntArray, scale: float) -> Errors:
-    rmse = float(np.sqrt(squares.sum() / counts.sum()))
-    return Errors(rmse, rmse / scale, squares, counts)
-
-
-def pooled(parts: Sequence[Errors], scale: float) -> Errors:
-    """Errors of several folds as one, the RMS also over ``scale``."""
-    squares = np.concatenate([part.squares for part in parts])
-    counts = np.concatenate([part.counts for part in parts])
-    return _errors(squares, counts, scale)
+    rmse = float(np.sqrt(squares.sum() / inverse.size))
+    return Errors(rmse, rmse / scale, squares)
 
 
 def gain_interval(

@@ -22,7 +22,7 @@ BORDERED: tuple[WhereColumn, ...] = ("trial", "x_mm", "y_mm")
 EVERYWHERE = Where("trial", above=-1e300)
 PARTS_OF_SIDE = 10  # in which all forms are tried
 EFFECTS_FITTED = 3  # in the part of the log where each is best
-FORMS_TRIED = 2  # of each effect, in every part of their best side, by cross-validation
+FORMS_TRIED = 2  # of each effect, in every part of their best side
 MOST_COLUMNS = 3  # of a form that is looked at in every part
 
 
@@ -107,14 +107,6 @@ class _Screen:
                 left[[not part.identifies for part in parts], column] = np.inf
         return np.where(left >= self._least, left + self._price[list(forms)], np.inf)
 
-    def held_out_loss(self, part: Part, form: int) -> float:
-        """Sum of squares that a form in a part leaves on held-out trials, and its price."""
-        grams, own = self._of([form])
-        grams = np.where(own, grams * self._inside(part)[:, None, None], grams)
-        columns = range(grams.shape[1] - 1)
-        loss = scores.cv_losses(grams, self._data.folds(), [columns], scores.RIDGE).sum()
-        return float(loss + self._price[form]) if loss >= self._least else np.inf
-
     def _of(self, forms: Sequence[int]) -> tuple[FloatArray, BoolArray]:
         """Gram matrices of the fit's and the forms' columns, and which products are of forms."""
         columns = [*self._base, *(i for form in forms for i in self._groups[form]), -1]
@@ -148,8 +140,9 @@ def best_local(
             tried.append(names[form])
             where = coarse[int(np.argmin(rough[:, form]))].where
             side = sides[where.column, where.up_to < np.inf]
-            part = side[int(np.argmin(screen.losses(side, [form])))]
-            found.append((screen.held_out_loss(part, form), form, part.where))
+            losses = screen.losses(side, [form])[:, 0]
+            best_part = int(np.argmin(losses))
+            found.append((float(losses[best_part]), form, side[best_part].where))
     best: dict[str, list[Candidate]] = {}
     for loss, form, where in sorted(found, key=lambda one: one[:2]):
         same = best.setdefault(names[form], [])
@@ -168,13 +161,14 @@ def local_p_value(
     effect: Effect,
     label: str,
     parts: Sequence[Part],
-    shuffled: scores.Shuffles,
+    signs: FloatArray,
 ) -> float:
     """The p of a local ``effect``, in its form ``label``, differing in its part, beside ``rest``.
 
     The form's columns count in the proportion that they have in the part. The highest contrast
     between any part and the others, beside the same acting everywhere, is compared with the
-    highest when trials are permuted; p is multiplied by the columns that were weighed.
+    highest when signs of trials are flipped (F + 1, T); p is multiplied by the columns that were
+    weighed.
     """
     everywhere = find_effect(effect.channel, effect.name).only(EVERYWHERE)
     inside, whole = (
@@ -187,20 +181,17 @@ def local_p_value(
     grams, (group,), base = scores.fit_grams(data, rest, [inside])
     weights = scores.coefficients(grams.sum(axis=0), [*base, *group], scores.RIDGE)[len(base) :]
     grams, ((column,),), base = scores.fit_grams(data, rest, [whole @ weights[:, None]])
-    bounds = np.searchsorted(shuffled.trial, np.arange(shuffled.orders.shape[1]))
-    grams = np.add.reduceat(grams, bounds, axis=0)
     total, every = grams.sum(axis=0), [*base, column]
     fitted = np.linalg.lstsq(total[np.ix_(every, every)], total[every, -1], rcond=1e-10)[0]
     score = grams[:, column, -1] - grams[:, column][:, every] @ fitted
-    information = scores.trial_information(grams, column)
-    deviation = scores.score_deviation(score, information)
-    own = (information / deviation)[:, None]
-    held = np.stack([part.trials for part in parts], axis=1)[data.unit_trial[bounds]]
-    across = scores.orthogonal(held * own, own)
+    information = scores.floored(grams[:, column, column])
+    precision = np.sqrt(scores.score_weights(score, information) / information)
+    own = information * precision
+    own /= np.linalg.norm(own)
+    held = np.stack([part.trials for part in parts], axis=1)[data.unit_trial]
+    across = held * own[:, None] - np.outer(own, own**2 @ held)
     across /= np.linalg.norm(across, axis=0) + 1e-150
-    score = scores.orthogonal((score / deviation)[:, None], own)[:, 0]
-    score /= score.std() + 1e-300
-    highest = ((score[shuffled.orders] @ across) ** 2).max(axis=1)
-    neg_log_p = scores.neg_log_p_of(highest, 1, data.rules)
-    p_value = scores.p_of_shuffles(neg_log_p, data.rules, permuted=True)
-    return min(len(weights) * p_value, 1.0)
+    score = score * precision
+    score -= own * (own @ score)
+    highest = ((signs @ (score[:, None] * across)) ** 2).max(axis=1)
+    return min(len(weights) * scores.ranked({0: highest})[0], 1.0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -10,13 +10,68 @@ from tacgen.contact.effects import Effect, Variant
 from tacgen.contact.law import respond
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
-from tacgen.diagnose.contact.covariates import Covariate
 
 _MAX_STEPS = 25  # of Gauss-Newton; it ends earlier where it has converged
 _MAX_KNOWN = 40  # responses of a law's first effects that a fit keeps
 _MAX_LOG_STEP = 0.5  # longest step of what is fitted on a logarithmic scale: a factor of 1.6 each
 
 Known: TypeAlias = dict[tuple[str | float, ...], FloatArray] | None
+
+
+How = Literal["gain", "added"]
+HOWS: tuple[How, ...] = ("gain", "added")
+
+
+@dataclass(frozen=True)
+class Covariate:
+    """A dependence on ``column`` that acts on the compliance (``gain``) or is added.
+
+    ``kind`` is its form: ``levels`` of a text column, a ``polynomial`` in a numeric one, a
+    ``oscillation`` of ``frequency_hz`` in the session's clock.
+    """
+
+    column: str
+    kind: Literal["levels", "polynomial", "oscillation"]
+    how: How
+    levels: tuple[str, ...] = ()
+    center: float = 0.0
+    scale: float = 1.0
+    degree: int = 1
+    frequency_hz: float = 0.0
+    p_search: float = 0.0  # p of having found it among all frequencies that were looked at
+
+    @property
+    def label(self) -> str:
+        """Its name for a reader."""
+        if self.kind == "oscillation":
+            period = f"period {1 / self.frequency_hz:.4g} s"
+            harmonics = f", {self.degree} harmonics" if self.degree > 1 else ""
+            return f"oscillation in {self.column}, {period} ({self.how}{harmonics})"
+        power = f", degree {self.degree}" if self.kind == "polynomial" else ""
+        return f"{self.column} ({self.how}{power})"
+
+    def basis(self, data: ChannelData) -> list[FloatArray]:
+        """Functions of the covariate, each (N,)."""
+        return data.history.once(self, lambda: self._basis(data))
+
+    def _basis(self, data: ChannelData) -> list[FloatArray]:
+        if self.kind == "levels":
+            held = (data.history.is_text(self.column, level) for level in self.levels)
+            return [one.astype(np.float64) for one in held]
+        values = data.history.column(self.column)
+        if self.kind == "oscillation":
+            phase = 2.0 * np.pi * self.frequency_hz * (values - self.center)
+            orders = range(1, self.degree + 1)
+            return [wave(order * phase) for order in orders for wave in (np.cos, np.sin)]
+        scaled = np.nan_to_num((values - self.center) / self.scale, nan=0.0)
+        return [scaled**power for power in range(1, self.degree + 1)]
+
+    def columns(self, data: ChannelData, response: FloatArray) -> list[FloatArray]:
+        """Columns (N, C) of the linear model, scaled by the response or, for each output, added."""
+        if self.how == "gain":
+            return [basis[:, None] * response for basis in self.basis(data)]
+        axes = 0.1 * data.span * np.eye(response.shape[1])
+        return [basis[:, None] * axis for axis in axes for basis in self.basis(data)]
 
 
 @dataclass(frozen=True)
@@ -144,15 +199,6 @@ def fit_model(data: ChannelData, start: Model) -> Fit:
     inner = space.inner(vector, jacobian.T @ residual)
     acts = np.linalg.norm(jacobian, axis=0) > 1e-3 * np.linalg.norm(residual)
     return space.fit(vector, residual, jacobian * (inner & acts))
-
-
-def as_it_is(data: ChannelData, model: Model) -> Fit:
-    """The residual and the Jacobian of ``model`` with its parameters as they are."""
-    space = _Space(data, model)
-    residual = space.residual(space.start)
-    jacobian = space.jacobian(space.start, residual)
-    inner = space.inner(space.start, jacobian.T @ residual)
-    return space.fit(space.start, residual, jacobian * inner)
 
 
 def without_noise_bias(data: ChannelData, fit: Fit, steps: int = 2) -> Fit:

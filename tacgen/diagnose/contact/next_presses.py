@@ -21,12 +21,11 @@ import numpy as np
 
 from tacgen.contact.effects import LoadHistory
 from tacgen.core.arrays import FloatArray
-from tacgen.diagnose.contact.candidate_sets import CandidateSets, FittedSet
 from tacgen.diagnose.contact.candidates import effect_candidates
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import prediction_and_jacobian
 from tacgen.diagnose.contact.result import Diagnosis
-from tacgen.diagnose.contact.selection import Attribution
+from tacgen.diagnose.contact.search import Attribution, CandidateSets, FittedSet
 from tacgen.presses.press_log import Columns
 
 SEED = 0x9E55  # of shuffles on which no proposal depends

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import product
 from typing import TypeAlias
 
@@ -12,9 +11,8 @@ from scipy.fft import next_fast_len, rfft
 
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
-from tacgen.diagnose.contact.covariates import HOWS, Covariate, How
-from tacgen.diagnose.contact.model import Fit
-from tacgen.diagnose.contact.scores import score_weights
+from tacgen.diagnose.contact.model import HOWS, Covariate, Fit, How
+from tacgen.diagnose.contact.scores import score_weights, sign_flips
 
 _MAX_POINTS = 1 << 17
 """Most ticks of the search's clock; longer sessions are searched for slower oscillations only."""
@@ -23,8 +21,7 @@ ROWS_PER_PERIOD = 4  # of the shortest oscillation
 _POINTS_PER_PERIOD = 8  # four times what sampling needs: the peak is not missed
 _AT_ONCE = 8  # flips whose spectra are computed together: faster, and little memory
 _HARMONICS = 3  # of one that is no sine, as of what is switched on and off
-_PHASES = 8  # of half a period, of what is switched on and off
-_SLOW_PER_FAST = 5  # flips: of many frequencies, the highest peak by chance varies less
+_SLOW_FLIPS, _FAST_FLIPS = 200, 40  # of many frequencies, the highest peak by chance varies less
 _REFINED = 41  # frequencies between the neighbours of the best one that are tried afterwards
 
 Transform: TypeAlias = Callable[[FloatArray, int], NDArray[np.complex128]]
@@ -48,26 +45,16 @@ class _Products:
         return _Products(product, square, float((product**2 / (square + 1e-300)).sum()))
 
 
-Explained: TypeAlias = Callable[[_Products, FloatArray, FloatArray, float], FloatArray]
-"""Sum of squares (F, K) that each frequency explains of one output and its flips (F, N).
-
-The other two are the flips' sums of products (F, 1) and the sum of squares of the amplitude.
-"""
-
-
 @dataclass(frozen=True)
 class _Search:
-    """Shares (F + 1, K) that frequencies explain of the residual and of its flips.
-
-    ``rows`` (one for each output) are what a share is worked out from exactly.
-    """
+    """Shares (F + 1, K) that frequencies explain of the residual and of its flips."""
 
     how: How
     frequencies_hz: FloatArray
     shares: FloatArray
     rows: list[_Products]
 
-    @cached_property
+    @property
     def heights(self) -> FloatArray:
         """The highest peak (F + 1,) of each, in deviations of the other flips' above their mean.
 
@@ -79,59 +66,54 @@ class _Search:
         return np.asarray((peaks - mean) / (deviation + 1e-12))
 
 
-def find_oscillations(data: ChannelData, fit: Fit, signs: FloatArray) -> list[Covariate]:
+def find_oscillations(data: ChannelData, fit: Fit, rng: np.random.Generator) -> list[Covariate]:
     """The best frequencies for an oscillation of the compliance, and for an added one.
 
-    One is slower than every other trial and is sought in one number a trial, as a sine and as what
-    is switched on and off: few frequencies are slow, so that chance reaches less there. One is
-    faster, up to periods of a few rows. Each is offered as a sine and with harmonics. ``signs``
-    (F, U) flip the residual of whole trials; how high the highest peak of all slow searches, or of
-    all fast ones, then is says by how much the best one must stand out.
+    One is slower than every other trial and is sought in one number a trial: few frequencies are
+    slow, so that chance reaches less there. One is faster, up to periods of a few rows. Each is
+    offered as a sine and with harmonics. How high the highest peak of all slow searches, or of all
+    fast ones, is when signs of trials are flipped says by how much the best one must stand out.
     """
     history = data.history
     start, trial = float(history.time_s.min()), history.trial_index
     time = history.time_s - start
     session = max(float(time.max()), history.sample_period_s)
-    flips = np.vstack([np.ones(signs.shape[1]), signs])[:, data.row_unit]
-    of_trials, flips = flips[:, history.starts[:-1]], flips[: 1 + len(signs) // _SLOW_PER_FAST]
+    flips = sign_flips(history.n_trials, _SLOW_FLIPS, rng)
     middle = 0.5 * history.n_trials / session
     slow_hz = np.arange(MIN_CYCLES / session, middle, 0.25 / session)
-    at_trials = np.bincount(trial, time) / np.bincount(trial)
-    phases = np.arange(_PHASES) / (2 * _PHASES)
-    waves = [_sine(_direct(at_trials, slow_hz))]
-    waves += [_switched(at_trials, slow_hz, float(phase)) for phase in phases]
-    fast_hz, spectra = _fourier(data, time, max(middle, MIN_CYCLES / session))
+    slow_waves = _direct(np.bincount(trial, time) / np.bincount(trial), slow_hz)
+    fast_hz, fast_waves = _fourier(data, time, max(middle, MIN_CYCLES / session))
     slow, fast = list[_Search](), list[_Search]()
     for how in HOWS:
-        plain, weighted = _products(data, fit, how)
-        for rows in (plain, weighted):
-            trials = [one.of_trials(trial) for one in rows]
-            shares = np.max([_shares(trials, of_trials, wave) for wave in waves], axis=0)
-            slow.append(_Search(how, slow_hz, shares, rows))
-        fast.append(_Search(how, fast_hz, _shares(weighted, flips, _sine(spectra)), weighted))
+        rows = _products(data, fit, how)
+        trials = [one.of_trials(trial) for one in rows]
+        slow.append(_Search(how, slow_hz, _shares(trials, flips, slow_waves), rows))
+        of_rows = _shares(rows, flips[: 1 + _FAST_FLIPS, trial], fast_waves)
+        fast.append(_Search(how, fast_hz, of_rows, rows))
     families = [one for one in (slow, fast) if one[0].frequencies_hz.size > 1]
     found: list[Covariate] = []
     for how, family in product(HOWS, families):
         highest = np.max([one.heights[1:] for one in family], axis=0)
-        search = max((one for one in family if one.how == how), key=lambda one: one.heights[0])
+        (search,) = (one for one in family if one.how == how)
         step_hz = search.frequencies_hz[1] - search.frequencies_hz[0]
         best_hz = search.frequencies_hz[np.argmax(search.shares[0])]
         near_hz = best_hz + step_hz * np.linspace(-1, 1, _REFINED)
-        exact = _shares(search.rows, flips[:1], _sine(_direct(time, near_hz)))[0]
+        exact = _shares(search.rows, np.ones((1, time.size)), _direct(time, near_hz))[0]
+        p_search = len(families) * _gumbel_p(float(search.heights[0]), highest)
         sine = Covariate(
             "time_s",
             "oscillation",
             how,
             center=start,
             frequency_hz=float(near_hz[np.argmax(exact)]),
-            p_search=len(families) * _gumbel_p(float(search.heights[0]), highest),
+            p_search=min(p_search, 1.0),
         )
         found += [sine, replace(sine, degree=_HARMONICS)]
     return found
 
 
-def _products(data: ChannelData, fit: Fit, how: How) -> tuple[list[_Products], list[_Products]]:
-    """Products for the compliance, or, added, for each output: plain, and with trials weighted.
+def _products(data: ChannelData, fit: Fit, how: How) -> list[_Products]:
+    """Products for the compliance, or, added, for each output, with trials weighted.
 
     The weight is information over variance, as scores have it: then no trial outweighs the others.
     """
@@ -140,17 +122,15 @@ def _products(data: ChannelData, fit: Fit, how: How) -> tuple[list[_Products], l
     amplitude = data.reduce(size).reshape(-1, data.n_outputs)
     residual = fit.residual.reshape(-1, data.n_outputs)
     one_each = [slice(k, k + 1) for k in range(data.n_outputs)]
-    trial = data.history.trial_index
-    plain, weighted = list[_Products](), list[_Products]()
+    trial, found = data.history.trial_index, list[_Products]()
     for outputs in [slice(None)] if how == "gain" else one_each:
         column, left = amplitude[:, outputs], residual[:, outputs]
         product, square = (column * left).sum(axis=1), (column**2).sum(axis=1)
-        own = (left**2).sum(axis=1)
         whole = _Products(product, square, 0.0).of_trials(trial)
         weight = score_weights(whole.product, whole.square)[trial]
-        plain.append(_Products(product, square, float(own.sum())))
-        weighted.append(_Products(weight * product, weight * square, float(weight @ own)))
-    return plain, weighted
+        own = float(weight @ (left**2).sum(axis=1))
+        found.append(_Products(weight * product, weight * square, own))
+    return found
 
 
 def _fourier(data: ChannelData, time: FloatArray, first_hz: float) -> tuple[FloatArray, Transform]:
@@ -183,22 +163,14 @@ def _direct(time: FloatArray, frequencies_hz: FloatArray) -> Transform:
     return lambda rows, order: rows @ phase**order
 
 
-def _shares(parts: list[_Products], flips: FloatArray, explained: Explained) -> FloatArray:
-    """Share of the sum of squares that each frequency explains of each flip: (F, K), below 1."""
+def _shares(parts: list[_Products], flips: FloatArray, transform: Transform) -> FloatArray:
+    """What a cosine and a sine explain together, beside a constant, of each flip: (F, K), below 1.
+
+    As a share of the sum of squares that the constant leaves.
+    """
     power, total = np.zeros(1), np.zeros(1)
     for part in parts:
         constant, size = (flips @ part.product)[:, None], float(part.square.sum()) + 1e-300
-        power = power + explained(part, flips, constant, size)
-        total = total + part.left - constant**2 / size
-    return np.minimum(power / (total + 1e-300), 1.0 - 1e-12)
-
-
-def _sine(transform: Transform) -> Explained:
-    """What a cosine and a sine explain together, beside a constant."""
-
-    def explained(
-        part: _Products, flips: FloatArray, constant: FloatArray, size: float
-    ) -> FloatArray:
         (single,), (double,) = (transform(part.square[None], order) for order in (1, 2))
         crossed = transform(part.product * flips, 1)
         cos, sin = single.real, -single.imag
@@ -207,29 +179,13 @@ def _sine(transform: Transform) -> Explained:
         cos_sin = -0.5 * double.imag - cos * sin / size
         a, b = crossed.real - cos * constant / size, -crossed.imag - sin * constant / size
         determinant = np.maximum(cos_cos * sin_sin - cos_sin**2, 1e-3 * size**2)
-        return np.asarray((sin_sin * a**2 - 2 * cos_sin * a * b + cos_cos * b**2) / determinant)
-
-    return explained
-
-
-def _switched(time: FloatArray, frequencies_hz: FloatArray, phase: float) -> Explained:
-    """What is explained, beside a constant, by what is on for half of a period and off then."""
-
-    def explained(
-        part: _Products, flips: FloatArray, constant: FloatArray, size: float
-    ) -> FloatArray:
-        is_on = ((np.outer(time, frequencies_hz) + phase) % 1.0 < 0.5).astype(np.float64)
-        on = part.square @ is_on
-        crossed = (part.product * flips) @ is_on - on * constant / size
-        return np.asarray(crossed**2 / np.maximum(on - on**2 / size, 1e-3 * size))
-
-    return explained
+        power = power + (sin_sin * a**2 - 2 * cos_sin * a * b + cos_cos * b**2) / determinant
+        total = total + part.left - constant**2 / size
+    return np.asarray(np.minimum(power / (total + 1e-300), 1.0 - 1e-12))
 
 
 def _gumbel_p(observed: float, null: FloatArray) -> float:
     """Return the p of a largest value by the Gumbel law that has the null's moments."""
-    if null.size < 2:
-        return 1.0
     scale = max(float(null.std()) * np.sqrt(6.0) / np.pi, 1e-300)
     location = float(null.mean()) - np.euler_gamma * scale
     return float(-np.expm1(-np.exp(min((location - observed) / scale, 700.0))))

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.contact import scores
-from tacgen.diagnose.contact.candidates import follows_load, known_columns
+from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
-from tacgen.diagnose.contact.covariates import max_levels
 from tacgen.diagnose.contact.model import Fit
 
 DEGREE = 3  # in a covariate that a residual is tested for
@@ -69,10 +68,10 @@ def dependences(
 ) -> tuple[Dependence, ...]:
     """Test the residual of ``fit`` against every covariate, strongest first.
 
-    Units of resampling are trials (`scores.shuffle_p_values`); each covariate enters as a
+    Units of resampling are trials (`scores.p_values`); each covariate enters as a
     cubic, or as levels, on the compliance and added.
     """
-    rules, response = data.rules, fit.model.law_response(data)
+    response = fit.model.law_response(data)
     blocks: dict[str, FloatArray] = {}
     for name, values in covariates_of(data, skip).items():
         basis = [function[:, None] for function in _basis(values, max_levels(data))]
@@ -85,10 +84,9 @@ def dependences(
     # Corrections stay as fitted: between neighbours, their similar columns are nearly singular.
     own = replace(fit, jacobian=fit.jacobian[:, ~fit.prior[:, :-1].any(axis=0)])
     grams, (*groups, ones), base = scores.fit_grams(data, own, [*blocks.values(), data.ones])
-    shuffled = scores.shuffles(data.unit_trial, rules.n_shuffles, rng)
-    p_values = scores.shuffle_p_values(
-        grams, base, groups, shuffled, ones, rules, parts_of_trials=data.few_trials
-    ).corrected(len(groups), len(groups))
+    shuffled = scores.shuffles(data.unit_trial, data.rules.n_shuffles, rng)
+    shuffled = shuffled.of_blocks(data.memory_units(fit.residual))
+    p_values = scores.p_values(grams, base, groups, shuffled, ones, parts_of_trials=data.few_trials)
     sets = [base, *([*base, *group] for group in groups)]
     without, *losses = scores.cv_losses(grams, data.folds(), sets, scores.RIDGE).sum(axis=1)
     total = data.noise_loss + max(float(without), 0.0)

@@ -10,18 +10,18 @@ import numpy as np
 
 from tacgen.contact.effects import Where, separating_measurement
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
-from tacgen.diagnose.contact.candidates import follows_load, known_columns
+from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
 from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, ChannelData
-from tacgen.diagnose.contact.covariates import max_levels
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
 from tacgen.diagnose.contact.residuals import Dependence
-from tacgen.diagnose.contact.selection import Attribution, Chosen
+from tacgen.diagnose.contact.search import Attribution, Chosen
 from tacgen.presses.press_log import PressLog
 from tacgen.report.formatting import unit_text
 
 SCHEMA = 1  # of diagnosis.json; a key that changes its meaning makes it 2
 Verdict = Literal["sufficient", "effect_found", "unexplained"]
+MOST_OF_ALL = 0.5  # of the residual in one trial: that is worth a look
 _CLEARLY_MORE = 1.5  # times the noise floor: the residual is no longer called noise
 
 
@@ -30,9 +30,9 @@ class ChannelDiagnosis:
     """What one channel's residual was traced to.
 
     ``base`` and ``final`` are fits to all trials, of which the effects are chosen. ``before`` and
-    ``after`` are errors on held-out trials: of laws that were chosen and fitted without them, with
-    the ``scored_effects`` (those of every such law, where each trial is held out in turn). ``how``
-    says how the trials were held out; ``floor`` is the standard deviation of one sample's noise.
+    ``after`` are errors on held-out trials: of a law that was chosen and fitted without them, with
+    the ``scored_effects``. ``how`` says how the trials were held out; ``floor`` is the standard
+    deviation of one sample's noise.
     """
 
     data: ChannelData
@@ -93,10 +93,7 @@ class ChannelDiagnosis:
         error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
         if self.is_scored_otherwise:
             others = " and ".join(self.scored_effects).replace("_", " ") or "nothing"
-            finder = "the same search without the held-out trials finds"
-            if self.n_test == 1:
-                finder = "the searches without one trial have in common"
-            error = f"{finder} {others}; there {error}"
+            error = f"the same search without the held-out trials finds {others}; there {error}"
         floor_words = f"noise floor {floor:.3g} {unit}"
         if self.verdict == "sufficient":
             times = f"{before / floor:.2f} times the " if floor > 0 else ""
@@ -293,11 +290,11 @@ def channel_notes(found: ChannelDiagnosis) -> list[str]:
             f"{name} channel: {trials}; the errors are those on what was fitted. "
             f"Press at least twice, better {data.rules.min_trials_as_units} times"
         )
-    elif found.n_test == 1:
+    elif data.few_trials:
         notes.append(
-            f"{name} channel: {found.n_fit + 1} trials are too few to set some aside; each was "
-            "held out in turn, and the tests use parts of trials in place of trials, so that "
-            f"their p-values mean little. Press at least {data.rules.min_trials_as_units} times"
+            f"{name} channel: {data.history.n_trials} trials are few; the tests use parts of "
+            "trials in place of trials, so that their p-values mean little. "
+            f"Press at least {data.rules.min_trials_as_units} times"
         )
     if found.n_spikes:
         notes.append(
@@ -316,7 +313,7 @@ def _trial_that_is_off(found: ChannelDiagnosis) -> int | None:
     if data.few_trials or not is_much:
         return None
     worst = int(np.argmax(losses))
-    if losses[worst] < rules.clear_share * left:
+    if losses[worst] < MOST_OF_ALL * left:
         return None
     return int(data.history.trial[data.history.starts[data.unit_trial[worst]]])
 

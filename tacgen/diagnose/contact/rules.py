@@ -19,7 +19,6 @@ class SelectionRules:
 
     # Held-out trials
     n_shuffles: int = 999  # sign flips, permutations or resamplings of trials in each test
-    few_shuffles: int = 9999  # the same where trials are few: a dozen numbers have no long tail
 
     # Which columns compete
     max_share_beside_load: float = 0.4  # of a condition's variation that load and time leave
@@ -27,14 +26,11 @@ class SelectionRules:
 
     # Numbers of the linear algebra
     ridge_at_fit: float = 0.05  # the same around a fit, where it keeps the fitted parameters
-    one_number_a_trial_share: float = 0.97  # of a column that follows the response: permuted
     negative_loss_in_sd: float = 3.0  # of chance: no true set leaves so much less than nothing
 
     # When an effect is kept
-    alpha: float = 0.01  # chance of a first false effect, over all candidates together
+    alpha: float = 0.005  # chance of a first false effect, over all that is shuffled alike
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
-    clear_share: float = 0.5  # of the structure, where trials are few: else nearly all must gain
-    joint_alpha: float = 0.02  # corrected, of each of several that were found together
     few_min_gain: float = 0.1  # min_gain where trials are few
     max_members: int = 5  # of a channel's model
 
@@ -48,7 +44,6 @@ class SelectionRules:
 
     # How much is looked at
     fitted_share: float = 0.85  # of the best linearised gain: what promises less is fitted later
-    pair_pool: int = 48  # candidates whose pairs are looked at, and pairs that are cross-validated
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave

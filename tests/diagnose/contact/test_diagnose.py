@@ -16,7 +16,6 @@ from tacgen.core.errors import PressError
 from tacgen.diagnose.contact.command import SEED, diagnose
 from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
 from tacgen.diagnose.contact.result import diagnosis_record
-from tacgen.diagnose.contact.rules import DEFAULT_RULES
 from tests.contact.effects.test_registry import press_columns
 from validation.contact.cases import blank_log, make_case
 
@@ -183,7 +182,7 @@ def test_parameters_of_a_linear_law_are_covered_by_their_errors():
 def test_errors_are_of_a_law_that_is_chosen_without_the_held_out_trials():
     """The gel stiffens in the presses that are fitted, and softens as much in those held out."""
     columns = few_columns(press_columns(32, 24, 0) | {"volume_mm3": np.zeros(768)})
-    held_out = trials_to_hold_out(columns, np.random.default_rng(SEED), DEFAULT_RULES)
+    held_out = trials_to_hold_out(columns, np.random.default_rng(SEED))
     bend = np.where(np.isin(columns["trial"], held_out), 0.02, -0.02) * columns["force_normal_n"]
     noise = 0.05 * np.random.default_rng(0).normal(size=bend.size)
     columns["volume_mm3"] = 4.0 * columns["force_normal_n"] * (1 + bend) + noise
@@ -202,12 +201,13 @@ def test_errors_are_of_a_law_that_is_chosen_without_the_held_out_trials():
     )
 
 
-def test_two_trials_are_held_out_in_turn_and_reported_as_few():
+def test_of_two_trials_one_is_held_out_and_they_are_reported_as_few():
     columns, _ = case([], n_trials=40)
     two = {name: values[columns["trial"] < 2] for name, values in few_columns(columns).items()}
     diagnosis = diagnose(two)
-    assert any("too few to set some aside" in note for note in diagnosis.notes)
-    assert diagnosis.channels["normal"].verdict == "sufficient"
+    assert any("2 trials are few" in note for note in diagnosis.notes)
+    found = diagnosis.channels["normal"]
+    assert (found.n_fit, found.n_test, found.verdict) == (1, 1, "sufficient")
 
 
 def test_columns_that_cannot_be_compared_are_said():
@@ -320,19 +320,6 @@ def test_a_p_value_is_no_less_than_so_few_trials_allow():
     assert min(values) >= 0.5**3
 
 
-@pytest.mark.slow
-def test_errors_of_choices_that_differ_are_not_those_of_what_was_found():
-    """Two trials: without either, another effect is found than on both."""
-    columns, _ = case([("normal", "hysteresis", 0)], strength=0.45, n_trials=2, seed=2)
-    diagnosis = diagnose(few_columns(columns))
-    found = diagnosis_record(diagnosis)["channels"]["normal"]
-    assert names(found)
-    assert found["scored_effects"] == []
-    assert "the searches without one trial have in common nothing" in found["sentence"]
-    assert found["error_after"]["rmse"] > found["error_before"]["rmse"]
-    assert any("do not confirm" in note for note in diagnosis.notes)
-
-
 def test_an_error_far_above_the_noise_is_stated_where_nothing_explains_it():
     """Seven trials with a gain of their own each, by 5 %."""
     columns, _ = case([], n_trials=7, seed=3)
@@ -370,7 +357,7 @@ def test_one_core_and_several_find_the_same(monkeypatch, n_trials):
         records.append(diagnosis_record(diagnose(made)))
     assert json.dumps(records[0]) == json.dumps(records[1])
     found = [names(one) for one in records[0]["channels"].values()]
-    assert found == [["stiffening"], ["anisotropy"]]
+    assert found == [["stiffening"], ["anisotropy"] if n_trials > 3 else []]
 
 
 def test_memory_that_outlasts_the_pauses_is_creep_and_held_out_presses_are_predicted_with_it():

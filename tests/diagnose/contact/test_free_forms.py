@@ -15,7 +15,7 @@ from tacgen.diagnose.contact.model import Model, fit_model, start_term
 from tacgen.diagnose.contact.residuals import dependences
 from tacgen.diagnose.contact.result import shown_parameters
 from tacgen.diagnose.contact.rules import DEFAULT_RULES as RULES
-from tacgen.diagnose.contact.selection import Selection
+from tacgen.diagnose.contact.search import Selection
 
 K_N = 4.0
 N_TRIALS, N_SAMPLES = 24, 60
@@ -256,7 +256,8 @@ def test_a_loop_of_another_form_is_hysteresis_alone_however_much_a_second_effect
     pool = {one.label: one for one, _ in sets.pool(base)}
     labels = "hysteresis: play of 0.2 of the load", "stiffening: power -0.2"
     both = sets.add(base, [pool[label] for label in labels])
-    assert sets.worth(both, both.members[1]) > sets.worth(both, both.members[0]) / 4.0
+    play, stiffening = (sets.without(both, one).loss - both.loss for one in both.members)
+    assert stiffening > play / 4.0
     assert selection._without_mismatch(both).names == {"hysteresis"}
 
 

@@ -10,7 +10,7 @@ import pytest
 import tacgen.diagnose.contact as package
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
-from tacgen.diagnose.contact.selection import Selection
+from tacgen.diagnose.contact.search import Selection
 from tacgen.rig import load_rig_recipe, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
 
