@@ -84,15 +84,19 @@ class Job:
         return DelayedSubmission(self)
 
 
-def submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool = False) -> Submitted:
+def submit(
+    recipe: Recipe, out: Path, executor: str, *, failed_only: bool = False, grow: bool = False
+) -> Submitted:
     """Submit jobs for every shard that ``out`` lacks and no running or waiting job will make.
+
+    With ``grow`` the dataset first gains the grasps that the recipe's grid has gained.
 
     Raises ``ClusterError`` if submitit or the scheduler is missing or refuses, or jobs of this
     dataset still run (unless ``failed_only``). Raises ``DatasetError`` if the folder cannot
     be written to or holds another dataset.
     """
     require_executor(executor)
-    prepare(recipe, out)
+    prepare(recipe, out, grow=grow)
     found = status(out)
     if not failed_only and (alive := _alive(found.tasks)):
         msg = (
