@@ -23,7 +23,7 @@ from tacgen.cluster.records import (
     write_record,
 )
 from tacgen.cluster.scheduler import site_array_limit
-from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
+from tacgen.cluster.states import ALIVE, DatasetStatus, TaskState, job_states, status
 from tacgen.collection.recipe import Cluster, Recipe
 from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import ClusterError, TacgenError
@@ -124,7 +124,7 @@ def submit(
     return Submitted(str(folder), executor, len(shards), jobs, -(-len(jobs) // limit))
 
 
-def wait_for(root: Path) -> Status:
+def wait_for(root: Path) -> DatasetStatus:
     """Wait until no job of the dataset runs or waits."""
     while (found := status(root)).alive:
         time.sleep(_POLL_S)

@@ -6,7 +6,13 @@ from tacgen.core.errors import DatasetError
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.report.figures import new_figure
-from tacgen.report.page import Section, facts_section, figure_section, pictures_section, write_page
+from tacgen.report.page import (
+    PageSection,
+    facts_section,
+    figure_section,
+    pictures_section,
+    write_page,
+)
 
 
 def write_grasp_page(root: Path, index: int, path: Path) -> None:
@@ -42,7 +48,7 @@ def write_grasp_page(root: Path, index: int, path: Path) -> None:
     write_page(path, title, sections, summary=f"{config.object}: {outcome}")
 
 
-def _forces(sample: GraspSample, times_s: list[float]) -> Section:
+def _forces(sample: GraspSample, times_s: list[float]) -> PageSection:
     figure, grid = new_figure(7.5, 3.0)
     axes = grid[0, 0]
     for pad, frames in sample.pads.items():
@@ -55,7 +61,7 @@ def _forces(sample: GraspSample, times_s: list[float]) -> Section:
     return figure_section("Forces", figure)
 
 
-def _depths(sample: GraspSample) -> list[Section]:
+def _depths(sample: GraspSample) -> list[PageSection]:
     sections = []
     for pad, frames in sample.pads.items():
         if frames.depth_mm is not None:

@@ -65,7 +65,7 @@ class FitJob:
     reference: NDArray[np.uint8] | None
 
 
-class Fit:
+class TrainingState:
     """The state of one training, from its start or its last checkpoint.
 
     ``network`` is trained; ``average`` is the running mean of its weights after each epoch, which

@@ -12,7 +12,7 @@ from tacgen.diagnose.optics.pictures import DIFFERENCE_GAIN
 from tacgen.report import figures as plots
 from tacgen.report.formatting import estimate, interval, number, p_value
 from tacgen.report.page import (
-    Section,
+    PageSection,
     facts_section,
     figure_section,
     pictures_section,
@@ -93,7 +93,7 @@ def write_optics_page(
     )
 
 
-def _effects(channel: Mapping[str, Any]) -> list[Section]:
+def _effects(channel: Mapping[str, Any]) -> list[PageSection]:
     effects = channel["effects"]
     if not effects:
         return []

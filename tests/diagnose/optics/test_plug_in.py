@@ -15,7 +15,7 @@ from tacgen.diagnose.optics.diagnose import diagnose_optics
 from tacgen.optics import render_rgb
 from tacgen.optics.effects import (
     OpticalEffect,
-    Parameter,
+    OpticalParameter,
     Stage,
     check_effects,
     optical_effects,
@@ -39,7 +39,7 @@ class Glow(OpticalEffect):
 
     name = "glow"
     stage = Stage.LIGHT
-    parameters = MappingProxyType({"strength": Parameter(0.0, -0.9, 0.9, step=0.02)})
+    parameters = MappingProxyType({"strength": OpticalParameter(0.0, -0.9, 0.9, step=0.02)})
 
     def apply(self, array, patch, *, strength=0.0, **_):
         brighter = np.exp(np.asarray(strength, array.dtype) * (1 - 4 * patch.v**3))
