@@ -187,7 +187,7 @@ class TrainingState:
         return cast(StabilityNet, self.average.module)
 
     def _temperature(self) -> float:
-        """Of the validation grasps as other cameras might have seen them, where there is such."""
+        """Temperature on the validation grasps, as other cameras see them where there is such."""
         changes, batches = self.job.recipe.augmentation, self.job.validation
         passes = range(CALIBRATION_PASSES if changes.on else 1)
         seeds = [self._seed(_STREAM_CALIBRATION, k) for k in passes]
@@ -204,7 +204,7 @@ class TrainingState:
 
     @functools.cached_property
     def _input_statistics(self) -> NDArray[np.float64]:
-        """Of one augmented pass over the training grasps, (N, 6)."""
+        """Statistics (N, 6) of the inputs in one augmented pass over the training grasps."""
         seed, batches = self._seed(_STREAM_CALIBRATION), self.job.fit.as_taken()
         return input_statistics(batches.shuffled(seed, 0, self.job.recipe.augmentation))
 

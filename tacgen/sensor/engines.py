@@ -91,7 +91,7 @@ class _BulletStep:
     contacts : (n, 13) float
         Points on both bodies, normal, distance, and the impulses of the last substep, N s.
     poses_m : (1 + bodies, 4, 4) float
-        Of the gel and of the objects.
+        Poses of the gel and of the objects.
     step_s, substeps : float, int
         With which the step was made.
     """

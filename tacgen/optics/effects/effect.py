@@ -59,7 +59,7 @@ class OpticalParameter:
         How far a fit may go.
     unit : str
     step : float
-        Of the finite differences of a fit.
+        Step of the finite differences of a fit.
     prior : float
         Standard deviation, around the identity, that a fit holds it by; 0 for none.
     """
