@@ -16,7 +16,7 @@ from tacgen.learning.training_recipe import Augmentation
 
 MIN_STD = 1e-3  # grey levels; a channel that never changes is not amplified beyond this
 PRESSED_FRACTION = 0.95
-"""Share of the change soon after; the simulation's moment of grasp is at this fraction of the force."""
+"""Share of the change soon after; the simulated moment of grasp is at this share of the force."""
 MIN_GAIN = 0.1  # of an image against the gel at rest; a darker one shows nothing to amplify
 FAINT_GREY = 1.0  # contrast of the camera's noise at the network's size, which is not amplified
 
