@@ -117,6 +117,7 @@ def to_network(
     ``reference`` (h, w, 3) is the undeformed gel at the same size; not needed for ``raw``. Where
     the spec is ``normalised``, the median over the pixels of an image's ratio to it is the gain of
     a channel, and the largest root mean square difference of a grasp's frames is its contrast.
+    Raises ``LearningError`` if the reference is missing.
     """
     images = frames.astype(np.float32)
     if spec.image != "raw":

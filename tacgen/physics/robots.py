@@ -180,7 +180,7 @@ def load_robot(name: str, *, beside: Path | None = None) -> RobotSpec:
 
 
 def gripper_file(name: str, *, beside: Path | None = None) -> Path:
-    """The YAML file of the gripper of the robot ``name``; as ``load_robot``."""
+    """The YAML file of the gripper of the robot ``name``; raises as ``load_robot`` does."""
     try:
         return gripper_path(name.removeprefix(_prefix(name)), beside=beside)
     except RecipeError as error:

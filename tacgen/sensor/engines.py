@@ -37,6 +37,7 @@ class EngineContacts(ABC):
         """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel.
 
         The moment is that about the normal through the centre of pressure, then ``center_mm`` (2,).
+        Raises ``SensorError`` if no object is watched.
         """
         if not self._objects:
             msg = "the sensor knows of no object; call add_object with the body that it touches"

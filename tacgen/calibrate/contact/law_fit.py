@@ -152,7 +152,10 @@ def fit_contact(
 
 
 def fit_channel(log: PressLog, channel: str, by: str) -> ChannelFit:
-    """Pooled and grouped compliance of the ``normal`` or ``shear`` channel."""
+    """Pooled and grouped compliance of the ``normal`` or ``shear`` channel.
+
+    Raises ``PressError`` if the response does not grow with the load.
+    """
     load, response = channel_arrays(log, channel)
     trial = log["trial"]
     pooled = fit_slope(load, response, trial)
