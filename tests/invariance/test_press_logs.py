@@ -9,6 +9,7 @@ import pytest
 
 from tacgen.calibrate.contact.law_fit import fit_contact
 from tacgen.diagnose.contact.command import diagnose
+from tacgen.diagnose.contact.result import diagnosis_record
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, read_press_log
 from tests.calibrate.contact.test_law_fit import session
 from validation.contact.cases import blank_log, make_case
@@ -123,13 +124,13 @@ def test_a_diagnosis_is_of_what_was_measured(tmp_path, effects):
     for one in (log, changed):
         columns = read(one, tmp_path).columns
         diagnosis = diagnose(columns)
-        volume, motion = diagnosis.law.predict(columns)
-        found.append((diagnosis.channels, volume, motion))
+        found.append((diagnosis_record(diagnosis)["channels"], *diagnosis.law.predict(columns)))
     (plain, volume, motion), (other, other_volume, other_motion) = found
-    for channel, (_, name, _) in zip(("normal", "shear"), effects, strict=True):
-        assert other[channel].effect_names == plain[channel].effect_names == (name,)
-        assert other[channel].verdict == plain[channel].verdict
-        assert other[channel].after.nrmse == pytest.approx(plain[channel].after.nrmse, rel=1e-3)
+    for channel, name, _ in effects:
+        for one in (plain[channel], other[channel]):
+            assert (one["verdict"], [e["name"] for e in one["effects"]]) == ("effect_found", [name])
+        after = plain[channel]["error_after"]["nrmse"]
+        assert other[channel]["error_after"]["nrmse"] == pytest.approx(after, rel=1e-3)
     units = CHANGES["in other units"]
     # Fits end within a share of the parameters' errors.
     np.testing.assert_allclose(other_volume, units.volume * volume, rtol=1e-3, atol=1e-3)
