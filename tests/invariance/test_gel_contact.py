@@ -70,7 +70,7 @@ def changed_bodies():
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
-@pytest.mark.parametrize(("name", "mesh", "undone"), changed_bodies())
+@pytest.mark.parametrize(("name", "mesh", "undone"), list(changed_bodies()))
 def test_how_a_mesh_is_written_does_not_matter(sensor, name, mesh, undone):
     pad = pad_of(sensor, markers=True)
     plain, other = pad.render(mesh_of(body()), POSE, LOAD), pad.render(mesh, POSE @ undone, LOAD)
