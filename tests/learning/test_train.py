@@ -126,7 +126,7 @@ def test_the_kept_model_is_the_mean_of_the_latest_epochs(
     def always_as_good(labels, probabilities):
         return score(labels, probabilities) | {"balanced_accuracy": 0.9}
 
-    monkeypatch.setattr(train_module, "Fit", Watched)
+    monkeypatch.setattr(train_module, "TrainingState", Watched)
     monkeypatch.setattr(fit_module, "score", always_as_good)
     recipe = recipe_of("single", training={"epochs": 5, "average_epochs": average_epochs})
     assert train(recipe, toy, tmp_path / "run")["models"]["pooled"]["best_epoch"] == 5
