@@ -35,6 +35,9 @@ def submit(
         bool,
         Option("--failed", help="Submit only missing shards that are in no running or queued job."),
     ] = False,
+    grow: Annotated[
+        bool, Option("--grow", help="Add the grasps that the recipe's grid has gained.")
+    ] = False,
     wait: Annotated[bool, Option("--wait", help="Wait; exit 1 if work is missing.")] = False,
     time_min: Annotated[
         int | None, Option(help="Minutes until a job is requeued; default for a command: 480.")
@@ -69,13 +72,13 @@ def submit(
             msg = f"`{' '.join(work)}`: with --out, give exactly one recipe"
             raise ClusterError(msg)
         loaded = with_cluster(load_recipe(work[0]), **settings)
-        submitted = submission.submit(loaded, out, executor, failed_only=failed)
+        submitted = submission.submit(loaded, out, executor, failed_only=failed, grow=grow)
         if not submitted.shards:
             typer.echo("tacgen: nothing to submit: every shard is done or in a job", err=True)
         common.print_record(asdict(submitted), json_output)
     else:
-        if failed:
-            msg = "--failed: only for a recipe; remove it"
+        if failed or grow:
+            msg = f"--{'failed' if failed else 'grow'}: only for a recipe; remove it"
             raise ClusterError(msg)
         submission.require_command(work)
         commands: Any = typer.main.get_command(common.app)

@@ -35,7 +35,7 @@ class TaskState:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class DatasetStatus:
     """The figures of ``tacgen status``.
 
     Every shard is in one of ``done``, ``running`` (some process holds it), ``queued`` (a running
@@ -75,7 +75,7 @@ class Status:
         return {"shards": self.shards} | asdict(self)
 
 
-def status(root: Path) -> Status:
+def status(root: Path) -> DatasetStatus:
     """Look at the dataset in ``root`` and at its jobs; writes nothing.
 
     Raises ``DatasetError`` if there is no dataset. Raises ``ClusterError`` if the record of a
@@ -100,7 +100,7 @@ def status(root: Path) -> Status:
     grasps_done = sum(line.n_grasps for line in lines.values())
     rate = _rate(folder, lines)
     busy = bool(running) or any(task.state == "running" for task in tasks)
-    return Status(
+    return DatasetStatus(
         root=str(root),
         grasps=plan["n_grasps"],
         grasps_done=grasps_done,
@@ -135,7 +135,7 @@ def jobs_text(root: Path, tasks: Sequence[TaskState]) -> str:
     return "\n".join(lines)
 
 
-def status_text(found: Status) -> str:
+def status_text(found: DatasetStatus) -> str:
     """What a person reads: the counts, the rate, and every job that needs attention."""
     lines = [
         f"{found.root}: {found.done} of {found.shards} shards done, "

@@ -23,7 +23,7 @@ from tacgen.cluster.records import (
     write_record,
 )
 from tacgen.cluster.scheduler import site_array_limit
-from tacgen.cluster.states import ALIVE, Status, TaskState, job_states, status
+from tacgen.cluster.states import ALIVE, DatasetStatus, TaskState, job_states, status
 from tacgen.collection.recipe import Cluster, Recipe
 from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import ClusterError, TacgenError
@@ -84,15 +84,19 @@ class Job:
         return DelayedSubmission(self)
 
 
-def submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool = False) -> Submitted:
+def submit(
+    recipe: Recipe, out: Path, executor: str, *, failed_only: bool = False, grow: bool = False
+) -> Submitted:
     """Submit jobs for every shard that ``out`` lacks and no running or waiting job will make.
+
+    With ``grow`` the dataset first gains the grasps that the recipe's grid has gained.
 
     Raises ``ClusterError`` if submitit or the scheduler is missing or refuses, or jobs of this
     dataset still run (unless ``failed_only``). Raises ``DatasetError`` if the folder cannot
     be written to or holds another dataset.
     """
     require_executor(executor)
-    prepare(recipe, out)
+    prepare(recipe, out, grow=grow)
     found = status(out)
     if not failed_only and (alive := _alive(found.tasks)):
         msg = (
@@ -120,7 +124,7 @@ def submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool = Fals
     return Submitted(str(folder), executor, len(shards), jobs, -(-len(jobs) // limit))
 
 
-def wait_for(root: Path) -> Status:
+def wait_for(root: Path) -> DatasetStatus:
     """Wait until no job of the dataset runs or waits."""
     while (found := status(root)).alive:
         time.sleep(_POLL_S)

@@ -234,7 +234,7 @@ class Outcome:
 
 Place = tuple[str, float, float, float, float, float]
 """A configuration without its number: what was asked for."""
-Key = tuple[Place, Perturbation]
+OutcomeKey = tuple[Place, Perturbation]
 _CRASHED = Outcome(-1, "", status="crashed")
 
 
@@ -289,7 +289,7 @@ def simulate_perturbed(
     *,
     workers: int,
     show: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[Key, Outcome]:
+) -> dict[OutcomeKey, Outcome]:
     """The outcome of every wanted grasp under its perturbation.
 
     Lines of ``out/outcomes.jsonl`` are written as soon as a grasp has been simulated under all its
@@ -373,12 +373,12 @@ class _Store:
         inputs = recipe_inputs(recipe, names)
         self._made_with = {n: sha256_of_content(inputs.of_objects([n])) for n in names}
 
-    def read(self) -> dict[Key, Outcome]:
+    def read(self) -> dict[OutcomeKey, Outcome]:
         """What was simulated of these objects as declared.
 
         Damaged lines are passed over, and those of objects that were declared differently then.
         """
-        found: dict[Key, Outcome] = {}
+        found: dict[OutcomeKey, Outcome] = {}
         if not self._path.is_file():
             return found
         for line in self._path.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -392,7 +392,7 @@ class _Store:
                     found[(name, *map(float, numbers)), change] = Outcome(**data["outcome"])
         return found
 
-    def append(self, outcomes: Mapping[Key, Outcome]) -> None:
+    def append(self, outcomes: Mapping[OutcomeKey, Outcome]) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a+b") as file:
             if file.tell() and self._path.read_bytes()[-1:] != b"\n":

@@ -24,7 +24,7 @@ DEFAULT_PITCH_MM = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class ShearMotion:
     """How the object has moved along the gel: ``shift_mm`` (2,), then a turn about the patch."""
 
     shift_mm: Float64
@@ -105,7 +105,7 @@ class MarkerField:
         self._stick = np.empty(len(points_mm))
         _stick(self._points_mm, self._patch_mm, area_mm2, self._stick)
 
-    def motion(self, shear_sum_mm: Float64, turn_sum_mm2: float = 0.0) -> Motion:
+    def motion(self, shear_sum_mm: Float64, turn_sum_mm2: float = 0.0) -> ShearMotion:
         """The motion of the object for which the field sums to what the law predicts.
 
         ``shear_sum_mm`` (2,) is D, the sum of the points' shear motion; ``turn_sum_mm2`` the sum of
@@ -116,9 +116,9 @@ class MarkerField:
         arm = self._points_mm - self.center_mm
         second = float((self._stick * (arm**2).sum(axis=1)).sum())
         shift_mm = np.asarray(shear_sum_mm, dtype=np.float64) / max(self._stick.sum(), 1e-9)
-        return Motion(shift_mm, turn_sum_mm2 / max(second, 1e-9), self.center_mm)
+        return ShearMotion(shift_mm, turn_sum_mm2 / max(second, 1e-9), self.center_mm)
 
-    def shear_mm(self, motion: Motion) -> Float64:
+    def shear_mm(self, motion: ShearMotion) -> Float64:
         """Motion of each point (n, 2) that goes with the object."""
         arm = self._points_mm - self.center_mm
         turned = motion.turn_rad * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
@@ -126,7 +126,7 @@ class MarkerField:
         balance = (self._stick[:, None] * turned).sum(axis=0) / max(self._stick.sum(), 1e-9)
         return np.asarray(self._stick[:, None] * (motion.shift_mm + turned - balance))
 
-    def displaced_mm(self, motion: Motion) -> Float64:
+    def displaced_mm(self, motion: ShearMotion) -> Float64:
         """Where each point (n, 2) is: dilated by the indentation, sheared and turned."""
         dilation = np.empty(self._points_mm.shape)
         _dilation(self._points_mm, self._patch_mm, self._weights_mm3, dilation)

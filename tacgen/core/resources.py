@@ -69,7 +69,8 @@ def object_folders(beside: Path | None = None) -> dict[str, Path]:
 def find_object_folder(name: str, *, beside: Path | None = None) -> Path:
     """The folder of the object ``name``: a path, ``./objects/<name>``, or a shipped one.
 
-    ``beside`` is the folder of the recipe that names it; it and its ``objects`` come first.
+    ``beside`` is the folder of the recipe that names it; it and its ``objects`` come first. Raises
+    ``ObjectError`` if there is none.
     """
     for place in ([beside / name] if beside else []) + [Path(name)]:
         if is_file(place / "object.yaml"):

@@ -72,10 +72,10 @@ LONGEST_FOLDER = 89  # bytes: a socket in it is called listener- and eight lette
 Report = Callable[[str, int, Any], None]
 """Called by a job with ("start", item, None) and then ("item", item, anything to show)."""
 
-Job = Callable[[int, Mapping[int, str], Report], Any]
+TaskFunction = Callable[[int, Mapping[int, str], Report], Any]
 """What a worker does with a task; items in the mapping (item → reason) crashed, and are skipped."""
 
-JobFactory = Callable[[], contextlib.AbstractContextManager[Job]]
+JobFactory = Callable[[], contextlib.AbstractContextManager[TaskFunction]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -204,7 +204,10 @@ def validate(
 def load_checked(
     model: type[Model], name: str | Path, *checks: Callable[[Model, YamlSource], Iterable[str]]
 ) -> Model:
-    """The recipe ``name`` (a path, or the name of a shipped one), if no check has a problem."""
+    """The recipe ``name``: a path, or the name of a shipped one.
+
+    Raises ``RecipeError`` with all problems of its values, or else those that ``checks`` find.
+    """
     source = read_yaml(find_recipe(str(name)))
     checked = validate(model, source)
     problems = [text for check in checks for text in check(checked, source)]

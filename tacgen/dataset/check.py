@@ -18,10 +18,12 @@ from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_sh
 
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
 
-Outcome = tuple[int, str, str, str, str]  # of a grasp: label, status, failure mode, split, object
+GraspFacts = tuple[
+    int, str, str, str, str
+]  # of a grasp: label, status, failure mode, split, object
 
 
-def tally(grasps: Iterable[Outcome]) -> dict[str, Any]:
+def tally(grasps: Iterable[GraspFacts]) -> dict[str, Any]:
     """The counts of a shard's line, by the names of its fields."""
     none = dict.fromkeys(OUTCOME.values(), 0)
     found: dict[str, Any] = {"counts": dict(none), "status": {}, "failure_modes": {}, "splits": {}}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.files import sha256_of
 from tacgen.core.version import __version__
-from tacgen.dataset.check import Outcome, tally
+from tacgen.dataset.check import GraspFacts, tally
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.inputs import library_versions
@@ -33,7 +33,7 @@ def write_shard_file(
     """
     part, indices = shard_range(spec.part_sizes, spec.shard_size, shard)
     layout, sizes = spec.layout, spec.sizes(len(indices))
-    outcomes: list[Outcome] = []
+    outcomes: list[GraspFacts] = []
     with DiskFile(path) as disk:
         with h5py.File(disk, "w", libver=LIBRARY_VERSION) as file:
             _write_attributes(file, spec, indices)

@@ -65,7 +65,7 @@ class FitJob:
     reference: NDArray[np.uint8] | None
 
 
-class Fit:
+class TrainingState:
     """The state of one training, from its start or its last checkpoint.
 
     ``network`` is trained; ``average`` is the running mean of its weights after each epoch, which
@@ -187,7 +187,7 @@ class Fit:
         return cast(StabilityNet, self.average.module)
 
     def _temperature(self) -> float:
-        """Of the validation grasps as other cameras might have seen them, where there is such."""
+        """Temperature on the validation grasps, as other cameras see them where there is such."""
         changes, batches = self.job.recipe.augmentation, self.job.validation
         passes = range(CALIBRATION_PASSES if changes.on else 1)
         seeds = [self._seed(_STREAM_CALIBRATION, k) for k in passes]
@@ -204,7 +204,7 @@ class Fit:
 
     @functools.cached_property
     def _input_statistics(self) -> NDArray[np.float64]:
-        """Of one augmented pass over the training grasps, (N, 6)."""
+        """Statistics (N, 6) of the inputs in one augmented pass over the training grasps."""
         seed, batches = self._seed(_STREAM_CALIBRATION), self.job.fit.as_taken()
         return input_statistics(batches.shuffled(seed, 0, self.job.recipe.augmentation))
 

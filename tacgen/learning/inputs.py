@@ -16,7 +16,7 @@ from tacgen.learning.training_recipe import Augmentation
 
 MIN_STD = 1e-3  # grey levels; a channel that never changes is not amplified beyond this
 PRESSED_FRACTION = 0.95
-"""Of the change soon after; the simulation's moment of grasp is at this fraction of the force."""
+"""Share of the change soon after; the simulated moment of grasp is at this share of the force."""
 MIN_GAIN = 0.1  # of an image against the gel at rest; a darker one shows nothing to amplify
 FAINT_GREY = 1.0  # contrast of the camera's noise at the network's size, which is not amplified
 
@@ -117,6 +117,7 @@ def to_network(
     ``reference`` (h, w, 3) is the undeformed gel at the same size; not needed for ``raw``. Where
     the spec is ``normalised``, the median over the pixels of an image's ratio to it is the gain of
     a channel, and the largest root mean square difference of a grasp's frames is its contrast.
+    Raises ``LearningError`` if the reference is missing.
     """
     images = frames.astype(np.float32)
     if spec.image != "raw":

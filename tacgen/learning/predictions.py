@@ -16,9 +16,9 @@ MIN_PROBABILITY = 1e-12
 """Predictions are cut to this, so that one certain mistake does not make the loss infinite."""
 LabelledBatches = Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]]
 RANGE_MARGIN = 0.5
-"""Of the training's range, on either side: the extremes of some hundred grasps are chance."""
+"""Share of the training's range, on either side: the extremes of some hundred grasps are chance."""
 CONTRAST_RANGE = (0.75, 1.33)
-"""Of the typical contrast over the training's: forces and chance alone change it by less."""
+"""Typical contrast over the training's: forces and chance alone change it by less."""
 MIN_CONTRAST = 1e-6  # of training images that all show one colour
 MIN_COMPARED = 20  # grasps; the median contrast of fewer depends on their forces
 TEMPERATURE_RANGE = (1.0, 16.0)

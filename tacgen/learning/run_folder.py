@@ -34,7 +34,10 @@ class ModelFolder:
         self.report_path = self.root / "report.html"
 
     def read_metrics(self, *, up_to_epoch: int) -> list[dict[str, Any]]:
-        """The lines of the first epochs; later ones belong to an epoch that was not finished."""
+        """The lines of the first epochs; later ones belong to an epoch that was not finished.
+
+        Raises ``LearningError`` if the file is broken.
+        """
         try:
             lines = self.metrics_path.read_text(encoding="utf-8").splitlines()
             metrics = [json.loads(line) for line in lines if line.strip()]

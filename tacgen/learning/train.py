@@ -14,7 +14,7 @@ from tacgen.core.workers import map_in_processes
 from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
-from tacgen.learning.fit import Fit, FitJob
+from tacgen.learning.fit import FitJob, TrainingState
 from tacgen.learning.grasps import EqualRanges, GraspTable, SimulatedGrasps
 from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
 from tacgen.learning.loader import Batches, DecodedInputs
@@ -140,7 +140,7 @@ def _train_one(
         job = FitJob(
             plan.name, plan.objects, recipe, spec, sensor, batches, validation, weights, reference
         )
-        fit = Fit(job, folder, device)
+        fit = TrainingState(job, folder, device)
         if fit.network.backbone.origin == NO_WEIGHTS:
             print_status(f"{plan.name}: {NO_WEIGHTS_WARNING}")
         metrics = fit.run()

@@ -25,8 +25,8 @@ RELATIVE = (
 )
 BLOCK_PX = 8
 NOISE_RATIO = 1.25
-"""Of the root mean square of blocks' means over that of white noise, which is 1 ± 0.09 of images
-that differ in their noise alone, and 6 or more of those of a can turned by half a turn."""
+"""Largest root mean square of blocks' means over that of white noise: 1 ± 0.09 where images differ
+in their noise alone, and 6 or more where a can is turned by half a turn."""
 MIN_GREY = 0.1  # less is rounding of images without noise
 _COMPARED = ("force_normal_n", "indentation_mm")
 

@@ -98,7 +98,7 @@ def add_object(
 
 
 def object_name(mesh_path: Path) -> str:
-    """A folder name from a file name; refused where the file name says nothing."""
+    """A folder name from a file name; raises ``ObjectError`` where that says nothing."""
     stem = re.sub(r"[^A-Za-z0-9]+", "_", mesh_path.stem).strip("_").lower()
     if not stem or stem in NO_NAMES:
         msg = f"{mesh_path}: its file name is no name for an object; pass --name"

@@ -19,7 +19,10 @@ MAX_PARTS = 256  # far more than the import makes
 
 
 def read_surface(path: Path, scale_mm: float) -> Mesh:
-    """The surface in a mesh file, one unit of which is ``scale_mm``."""
+    """The surface in a mesh file, one unit of which is ``scale_mm``.
+
+    Raises ``ObjectError`` if it cannot be read, or holds no mesh.
+    """
     if path.suffix == ".npz":
         return read_meshes(path, scale_mm)[0]
     import trimesh  # slow to import, and shipped objects do not need it
@@ -34,7 +37,7 @@ def read_surface(path: Path, scale_mm: float) -> Mesh:
 
 
 def read_meshes(path: Path, scale_mm: float) -> tuple[Mesh, ...]:
-    """The meshes written by ``write_meshes``."""
+    """The meshes written by ``write_meshes``; raises ``ObjectError`` if they cannot be read."""
     _check_file(path)
     try:
         check_archive(path)

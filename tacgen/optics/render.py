@@ -164,7 +164,7 @@ def render_rgb(
     height_map_mm : (H, W)
         The deformed gel surface, gel frame, mm: as it is, dome included, not smoothed any more.
     table : LookupTable
-        Of the same resolution.
+        The sensor's, of the same resolution.
     shadows : bool
         Cast shadows.
     rng : Generator, optional

@@ -16,8 +16,8 @@ TorsionLimit = Callable[[float], float]
 """Moment about its normal that a pad holds, mm for each newton of normal force, by the share of
 its friction that a tangential force takes up."""
 ROTATION_CENTERS = np.concatenate([[0.0], np.geomspace(0.05, 50.0, 24)])
-"""Of a sliding patch, from its middle, in mean distances of its pressure: closest together where
-the limits change most; the last leaves 2 % of the friction for a moment."""
+"""Places of a sliding patch's centre of rotation, from its middle, in mean distances of its
+pressure: closest where the limits change most; the last leaves 2 % of friction for a moment."""
 
 STIFFER_THAN_GEL = 10.0
 """The simulated pads are rigid: touches within 0.2 mm at 8 N share a force, whereas the places at

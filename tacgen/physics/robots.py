@@ -17,7 +17,7 @@ from tacgen.physics.gripper import GripperSpec, load_gripper
 from tacgen.physics.settings import PhysicsSettings
 
 AXIS_FORCE_N = 2000.0
-"""Of the floating gripper's vertical axis: far more than any grasp, so that it follows."""
+"""Force of the floating gripper's vertical axis: far more than any grasp, so that it follows."""
 BASE_POSITION_M = (-0.5, 0.0, 0.0)  # of the arm: the object is well within its reach of 850 mm
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)  # the quaternion of no rotation
 ELBOW_UP_RAD = np.array([0.2699, -1.6352, -1.9463, -1.1309, 1.5708, -1.3009])
@@ -180,7 +180,7 @@ def load_robot(name: str, *, beside: Path | None = None) -> RobotSpec:
 
 
 def gripper_file(name: str, *, beside: Path | None = None) -> Path:
-    """The YAML file of the gripper of the robot ``name``; as ``load_robot``."""
+    """The YAML file of the gripper of the robot ``name``; raises as ``load_robot`` does."""
     try:
         return gripper_path(name.removeprefix(_prefix(name)), beside=beside)
     except RecipeError as error:

@@ -25,7 +25,7 @@ Pads = Literal[PadName, "both"]
 SMALLEST_DOME_RADIUS_MM = 20.0
 """A dome must be wider than the pad, whose half diagonal is 15.3 mm."""
 ITERATIONS_PER_FORCE_RATIO = 0.5
-"""Of force over weight: with 50 iterations a 2 g block creeps in a 20 N grip, a ratio of 1000."""
+"""Iterations by force over weight: with 50, a 2 g block creeps in a 20 N grip, a ratio of 1000."""
 MOST_ITERATIONS = 500  # what that block needs; a bound on the time of a grasp
 
 

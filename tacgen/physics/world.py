@@ -25,7 +25,7 @@ TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
 BALL_TOLERANCE = 1e-3  # of the radius, for vertices: 0.02 mm of a golf ball
 BALL_FILL = 0.92  # of its volume: 162 vertices fill 0.97, 512 uneven ones 0.96, 42 fill 0.87
 SOLVER_TOLERANCE_M_S = 1e-5
-"""Of a contact, by the solver in its last iteration; a held object creeps by less."""
+"""A contact's residual in the solver's last iteration; a held object creeps by less."""
 HULL_MARGIN_MM = 1.0  # what Bullet adds around a convex hull; on a link it cannot be taken off
 NO_TURN = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
 

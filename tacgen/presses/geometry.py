@@ -83,7 +83,7 @@ class PressedGel:
     def slope(self, dx_mm: FloatArray, dy_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """∂h/∂x and ∂h/∂y at distances along columns and rows (...) from the centre.
 
-        Of the gel-frame height map: positive away from the centre, where the gel is deepest.
+        Slopes of the gel-frame height map: positive away from the centre, where the gel is deepest.
         """
         r = np.sqrt(dx_mm * dx_mm + dy_mm * dy_mm)  # five times as fast as np.hypot
         per_mm = self.radial_slope(r) / np.maximum(r, 1e-12)

@@ -258,7 +258,7 @@ def read_9dtact(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
     Source: files as written by 9DTact's ``_2_Sensor_Calibration.py``: one reference and one ball
     press, rectified and cropped; the ball's radius and mm/px stand in its ``shape_config.yaml``,
     not here, so both must be given. ``source`` is one such folder or holds several of one sensor,
-    whose references' median is the background.
+    whose references' median is the background. Raises ``PressError`` if there is none.
     """
     scale, radius_mm = _both_given(source, mm_per_px, ball_radius_mm)
     references = sorted(source.rglob("rectify_crop_ref.png"))
@@ -289,7 +289,7 @@ def read_gelsight_mini_pretrain(
     gelsight-mini-pretrain); images as bytes or, as the ``datasets`` library writes them, as
     ``{bytes, path}``. Rows whose indenter is a sphere are taken. Sizes stand in ``indenter_param``,
     in a unit that is not stated. There is no background: the median of the pictures stands in for
-    it. A ball's radius and mm/px must be given.
+    it. A ball's radius and mm/px must be given. Raises ``PressError`` without files or balls.
     """
     scale, radius_mm = _both_given(source, mm_per_px, ball_radius_mm)
     files = [source] if source.is_file() else sorted(source.rglob("*.parquet"))

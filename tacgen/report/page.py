@@ -41,7 +41,7 @@ _NUMBER_TEXT = re.compile(r"[-+−]?\d+(\.\d+)?(·10[⁻⁰¹²³⁴⁵⁶⁷⁸
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class PageSection:
     """A heading and its content as HTML."""
 
     title: str
@@ -51,14 +51,14 @@ class Section:
         return Markup("<section>\n<h2>{}</h2>\n{}\n</section>").format(self.title, self.body)
 
 
-def text_section(title: str, *paragraphs: str) -> Section:
+def text_section(title: str, *paragraphs: str) -> PageSection:
     """Plain paragraphs; markup in them is shown, not interpreted."""
     return _section(title, "paragraphs", [typeset(text) for text in paragraphs])
 
 
 def table_section(
     title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
-) -> Section:
+) -> PageSection:
     """A table; a column's floats have as many decimals, columns of numbers align right."""
     columns = [_column([row[k] for row in rows]) for k in range(len(header))]
     cells = [[column[place] for column in columns] for place in range(len(rows))]
@@ -69,13 +69,13 @@ def table_section(
     return _section(title, "table", heads, cells, typeset(note))
 
 
-def facts_section(title: str, facts: Iterable[tuple[str, object]], note: str = "") -> Section:
+def facts_section(title: str, facts: Iterable[tuple[str, object]], note: str = "") -> PageSection:
     """Names with their values, one pair a line."""
     pairs = [(typeset(name), _column([value])[0][0]) for name, value in facts]
     return _section(title, "facts", pairs, typeset(note))
 
 
-def figure_section(title: str, figure: Figure, note: str = "") -> Section:
+def figure_section(title: str, figure: Figure, note: str = "") -> PageSection:
     """A matplotlib figure as an embedded PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -88,7 +88,7 @@ def figure_section(title: str, figure: Figure, note: str = "") -> Section:
     return _section(title, "image", uri, title, width_px, typeset(note))
 
 
-def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str = "") -> Section:
+def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str = "") -> PageSection:
     """Captions with their RGB images, in as many columns as their shapes leave room for."""
     from tacgen.core.images import jpeg_uri  # OpenCV: pages without pictures do without it
 
@@ -102,7 +102,7 @@ def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str =
 def write_page(
     path: Path,
     title: str,
-    sections: Sequence[Section] = (),
+    sections: Sequence[PageSection] = (),
     *,
     summary: str = "",
     verdict: str = "",
@@ -137,9 +137,9 @@ def templates(package: str = "tacgen.report", *, escaped: bool = True) -> Enviro
     return found
 
 
-def _section(title: str, macro: str, *arguments: Any) -> Section:
+def _section(title: str, macro: str, *arguments: Any) -> PageSection:
     macros: Any = templates().get_template("macros.html").module
-    return Section(typeset(title), Markup(getattr(macros, macro)(*arguments)))
+    return PageSection(typeset(title), Markup(getattr(macros, macro)(*arguments)))
 
 
 def _column(values: Sequence[object]) -> list[tuple[str, bool]]:

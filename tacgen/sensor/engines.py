@@ -37,6 +37,7 @@ class EngineContacts(ABC):
         """Mesh of all objects, its pose in the gel frame, force (3,) and moment on the gel.
 
         The moment is that about the normal through the centre of pressure, then ``center_mm`` (2,).
+        Raises ``SensorError`` if no object is watched.
         """
         if not self._objects:
             msg = "the sensor knows of no object; call add_object with the body that it touches"
@@ -91,7 +92,7 @@ class _BulletStep:
     contacts : (n, 13) float
         Points on both bodies, normal, distance, and the impulses of the last substep, N s.
     poses_m : (1 + bodies, 4, 4) float
-        Of the gel and of the objects.
+        Poses of the gel and of the objects.
     step_s, substeps : float, int
         With which the step was made.
     """

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
-from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm, marker_pitch_mm
+from tacgen.contact.shear import MarkerField, ShearMotion, marker_grid_mm, marker_pitch_mm
 from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
@@ -41,7 +41,7 @@ class Imprint:
     window: Window = (0, 0, 0, 0)
     depth_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     pixel_area_mm2: float = 0.0
-    motion: Motion | None = None
+    motion: ShearMotion | None = None
     markers: MarkerField | None = None
 
     @property

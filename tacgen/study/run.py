@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.calibrate.friction.sweep import friction_json, mu_range, sweep_friction
+from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError, TacgenError
 from tacgen.core.files import sha256_of_content, write_text
 from tacgen.core.progress import print_status
+from tacgen.dataset.inputs import changed_roles
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.run_folder import read_json
@@ -47,12 +49,13 @@ def run_study(
     ``table.json``, ``table.md`` and ``table.html``.
 
     Raises ``TacgenError`` if what is given cannot be used, the folder holds another study or
-    version, or a row cannot be collected. A row that cannot be trained or tested keeps its
+    version, or rows of objects, a sensor or an engine that have changed since, or a row cannot be
+    collected. A row that cannot be trained or tested keeps its
     ``problem`` in the table; ``check_finished`` raises it.
     """
     chosen = with_rows(study, rows)
     run = _StudyRun(study, out, real, quick, workers)
-    run.finished_rows()
+    run.refuse_changed_inputs()
     check_real_data(chosen, real, quick=quick)
     start_s = time.perf_counter()
     done: dict[str, dict[str, Any]] = {}
@@ -107,6 +110,18 @@ class _StudyRun:
         kept = {str(row.get("settings_sha256")): row for row in rows}
         return {current[key]: row for key, row in kept.items() if key in current}
 
+    def refuse_changed_inputs(self) -> None:
+        """Raise a ``LearningError`` if a finished row was made with other inputs than now."""
+        rows, problems = self.finished_rows(), []
+        for row in self.study.rows:
+            if made := rows.get(row.name, {}).get("inputs"):
+                now = recipe_inputs(self.study.data_recipe(row, quick=self.quick)).sha256
+                if roles := changed_roles(made, now):
+                    problems.append(f"{row.name}: made with another {', '.join(roles)}")
+        if problems:
+            first = f"{self.out}: holds rows of another world; give another --out, or restore it:"
+            raise LearningError.from_problems([first, *problems])
+
     def write_table(self, done: Mapping[str, Mapping[str, Any]], took_s: float) -> dict[str, Any]:
         """Write the rows that are done among those of earlier runs, in the study's order."""
         # Read anew each time: another process may have added rows meanwhile.
@@ -140,6 +155,7 @@ class _StudyRun:
         recipe = self.study.data_recipe(row, quick=self.quick)
         training = self.study.train_recipe(row, quick=self.quick)
         friction: Mapping[str, Any] = {}
+        inputs = recipe_inputs(recipe).sha256  # before anything is calibrated
         if row.calibrate_contact and self.real.contact is not None:
             contact = recipe.contact.model_copy(update={"file": str(self.real.contact)})
             recipe = recipe.model_copy(update={"contact": contact})
@@ -165,6 +181,7 @@ class _StudyRun:
             "contact_file": recipe.contact.file,
             "friction": {name: fit["mu"] for name, fit in friction.items()},
             "settings_sha256": self._settings_sha256(row),
+            "inputs": dict(inputs),
             "problem": "",
             "real_problem": "",
         }

@@ -70,6 +70,7 @@ def test_what_could_not_run_is_refused_at_once(tmp_path, monkeypatch, capsys, wo
     ("words", "message"),
     [
         (["--failed", "--", "train", "train_single"], "--failed: only for a recipe"),
+        (["--grow", "--", "train", "train_single"], "--grow: only for a recipe"),
         (["quickstart", "--out", "x", "--gpus", "1"], "--gpus: only for a command"),
         (["quickstart", "again", "--out", "x"], "with --out, give exactly one recipe"),
     ],

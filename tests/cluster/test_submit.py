@@ -18,7 +18,7 @@ from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_rec
 from tacgen.cluster.submission import slurm_parameters
 from tacgen.collection.pipeline import dataset_spec
 from tacgen.collection.recipe import Cluster, load_recipe, with_cluster
-from tacgen.collection.run import collect
+from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import ClusterError, DatasetError, RecipeError, TacgenError
 from tacgen.dataset import DatasetFolder
 from tests.small_world import write_world
@@ -91,6 +91,23 @@ def test_jobs_make_the_bytes_that_collect_makes_and_lost_ones_are_made_up(world,
     collect(recipe, tmp_path / "direct", progress=False)
     assert hashes(out) == hashes(tmp_path / "direct")
     assert submission.submit(recipe, out, LOCAL).jobs == ()
+
+
+def test_jobs_make_what_a_dataset_grows_by(prepared, world, monkeypatch):
+    """Two shards more, of three grasps; the jobs find them in the plan that is there."""
+    out, recipe = prepared
+    prepare(recipe, out)
+    text = world.read_text().replace("force_n: [3, 25]", "force_n: [3, 10, 25]")
+    world.write_text(text)
+    grown = load_recipe(world)
+    with pytest.raises(DatasetError, match="--grow"):
+        submission.submit(grown, out, LOCAL)
+    handed = []
+    monkeypatch.setattr(submission, "_hand_over", lambda tasks, *_: handed.extend(tasks) or ("1",))
+    assert submission.submit(grown, out, LOCAL, grow=True).shards == 5
+    assert sorted(shard for job in handed for shard in job.shards) == [0, 1, 2, 3, 4]
+    grasps, spec = prepare(grown, out)
+    assert (len(grasps), spec.parts) == (9, (6, 3))
 
 
 def run_submit(world, out):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacgen.contact.shear import MarkerField, Motion, marker_grid_mm
+from tacgen.contact.shear import MarkerField, ShearMotion, marker_grid_mm
 from tacgen.core.records import Markers, Sensor
 
 SENSOR = Sensor("s", 120, 160, 0.1, 4.0, markers=Markers(9, 12, 1.25, 0.2))
@@ -36,7 +36,7 @@ def test_the_markers_motion_sums_to_the_laws(x_mm, y_mm, radius_mm, shear, turn)
 
 def test_a_marker_in_the_patch_goes_with_the_object_and_one_far_away_stays():
     around = field()
-    motion = Motion(np.array([0.2, -0.1]), 0.0, np.zeros(2))
+    motion = ShearMotion(np.array([0.2, -0.1]), 0.0, np.zeros(2))
     moved = around.shear_mm(motion)
     distance = np.hypot(*POINTS.T)
     np.testing.assert_allclose(
@@ -70,7 +70,7 @@ def test_a_turn_leaves_the_middle_and_turns_the_pose_about_the_patch():
 
 def test_an_indentation_pushes_the_markers_apart():
     around = field(depth=1.0)
-    still = Motion(np.zeros(2), 0.0, np.zeros(2))
+    still = ShearMotion(np.zeros(2), 0.0, np.zeros(2))
     outwards = ((around.displaced_mm(still) - POINTS) * POINTS).sum(axis=1)
     near = np.hypot(*POINTS.T) < 4
     assert (outwards[near] > 0).all()

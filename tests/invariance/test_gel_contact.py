@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 import trimesh
 
+from tacgen.contact.effects import all_effects
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import ContactFrame, Markers, Mesh, Sensor
-from tacgen.sensor.gel_response import GelLoad, gel_loads
+from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_loads
 from tacgen.sensor.tactile_pad import TactilePad
+from tests.contact.effects.test_reading import forms_of, law_of
+from tests.contact.effects.test_registry import press_columns
 from tests.small_world import slope_table
 
+FIRST_FORMS = [
+    pytest.param(law_of(one, next(forms_of(one))[1]), id=f"{one.channel}-{one.name}")
+    for one in all_effects()
+    if one.in_simulation and not one.is_local
+]
 FLAT = Sensor("flat", 120, 160, 0.1, 3.0, 0.0, Markers(6, 8, 2.0, 0.2))
 DOMED = replace(FLAT, name="domed", dome_radius_mm=30.0)
 LOAD = GelLoad(9.0, shear_sum_mm=(0.9, -0.6), turn_sum_mm2=2.0)
@@ -62,7 +70,7 @@ def changed_bodies():
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
-@pytest.mark.parametrize(("name", "mesh", "undone"), changed_bodies())
+@pytest.mark.parametrize(("name", "mesh", "undone"), list(changed_bodies()))
 def test_how_a_mesh_is_written_does_not_matter(sensor, name, mesh, undone):
     pad = pad_of(sensor, markers=True)
     plain, other = pad.render(mesh_of(body()), POSE, LOAD), pad.render(mesh, POSE @ undone, LOAD)
@@ -165,6 +173,43 @@ def test_another_grid_of_markers_is_the_same_gel(pitch_mm, at_mm):
     np.testing.assert_array_equal(
         shifts(sensor, own, (1.0, -0.5), pose)[0], shifts(sensor, unknown, (1.0, -0.5), pose)[0]
     )
+
+
+@pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
+def test_a_force_twice_as_large_on_a_gel_half_as_soft_is_the_same_picture(sensor):
+    pad, mesh = pad_of(sensor, markers=True), mesh_of(body())
+    pictures = []
+    for by in (1.0, 2.0):
+        law = ContactLaw.linear(5.135 / by, 1.0 / by, marker_pitch_mm=2.0)
+        frame = ContactFrame(0.0, by * 2.0, by * np.array([0.6, -0.4]), by * 3.0, POSE)
+        pictures.append(pad.render(mesh, POSE, gel_loads(law, [frame])[0]).rgb)
+    np.testing.assert_array_equal(*pictures)
+
+
+def course(law, press, clock_s=0.0, readings=1):
+    """The last load of a press, each of its samples read so many times."""
+    gel = GelCourse(law)
+    for k in range(len(press["trial"])):
+        pull_n = np.array([press["force_shear_x_n"][k], press["force_shear_y_n"][k]])
+        time_s, force_n = press["time_s"][k] + clock_s, press["force_normal_n"][k]
+        frame = ContactFrame(time_s, force_n, pull_n, 1.5, POSE)
+        loads = [gel.load(frame, 0.0) for _ in range(readings)]
+    return loads[-1]
+
+
+PRESS = {name: values[:40] for name, values in press_columns(1, 60).items()}  # held, and pulled
+
+
+@pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
+@pytest.mark.parametrize("law", FIRST_FORMS)
+def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twice(sensor, law):
+    pad, mesh = pad_of(sensor, markers=True), mesh_of(body())
+    plain = pad.render(mesh, POSE, course(law, PRESS))
+    assert plain.imprint.volume_mm3 > 0.0
+    for options in ({"clock_s": 1000.0}, {"readings": 2}):
+        other = pad.render(mesh, POSE, course(law, PRESS, **options))
+        assert other.imprint.volume_mm3 == pytest.approx(plain.imprint.volume_mm3, rel=1e-9)
+        assert np.abs(other.rgb.astype(int) - plain.rgb).max() <= 1
 
 
 def test_shear_scaled_scales_the_motion():

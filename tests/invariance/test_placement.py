@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import trimesh
 
-from tacgen.core.records import GraspConfig, GraspObject
+from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.contacts import pressed
 from tacgen.physics.engine import Touch
 from tacgen.physics.reach import within_reach
 from tests.physics.conftest import GRAVITY_M_S2, LIFT_LOAD, block, grasp, hull_mesh
-from validation.physics.placement import FAR, NEAR, NEARBY, Placement, Study, drawn, spread
+from validation.physics.placement import FAR, NEAR, NEARBY, Study, drawn, spread
 
 ENGINES = ("pybullet", "mujoco")
 
@@ -28,26 +28,85 @@ def simulator(request: pytest.FixtureRequest) -> Iterator[GraspSimulator]:
         yield opened
 
 
+@dataclass(frozen=True)
+class Change:
+    """What is done to the object, the grasp and the settings; by default nothing."""
+
+    of_object: Callable[[GraspObject], GraspObject] = lambda obj: obj
+    of_grasp: Callable[[GraspConfig], GraspConfig] = lambda config: config
+    of_settings: Callable[[PhysicsSettings], PhysicsSettings] = lambda settings: settings
+
+
+def mirrored(obj: GraspObject) -> GraspObject:
+    """With −x for x."""
+    mirror = np.array([-1.0, 1.0, 1.0])
+
+    def there(mesh: Mesh) -> Mesh:
+        return Mesh.fixed(mesh.vertices_mm * mirror, mesh.faces[:, ::-1])
+
+    return replace(
+        obj,
+        surface=there(obj.surface),
+        collision=tuple(map(there, obj.collision)),
+        center_of_mass_mm=obj.center_of_mass_mm * mirror,
+        inertia_kg_mm2=obj.inertia_kg_mm2 * np.outer(mirror, mirror),
+    )
+
+
+MIRROR = Change(mirrored, lambda config: replace(config, x_mm=-config.x_mm))
+HALF_TURN = Change(of_grasp=lambda config: replace(config, yaw_rad=config.yaw_rad + np.pi))
+OTHER_ORDER = Change(lambda obj: replace(obj, collision=obj.collision[::-1]))
+HALF_STEP = Change(
+    of_settings=lambda settings: replace(settings, time_step_s=settings.time_step_s / 2)
+)
+CHANGES = {
+    "mirrored": MIRROR,
+    "yaw + π": HALF_TURN,
+    "parts in another order": OTHER_ORDER,
+    "half the time step": HALF_STEP,
+}
+PLACES = {
+    name: [Change(one.of_object, one.of_grasp) for one in placements]
+    for name, placements in (("far", FAR), ("nearby", NEARBY))
+}
+
+
 def settings_of(simulator: GraspSimulator, **figures: float) -> PhysicsSettings:
     return PhysicsSettings(engine=simulator.engine, tactile_pads="both", **figures)
 
 
+def changed_traces(
+    simulator: GraspSimulator, obj: GraspObject, config: GraspConfig, changes: Iterable[Change]
+) -> list[GraspTrace]:
+    """The grasp with each of the changes."""
+    return [
+        trace
+        for one in changes
+        for trace in Study(simulator, one.of_settings(settings_of(simulator))).traces(
+            one.of_object(obj), one.of_grasp(config), NEARBY[:1]
+        )
+    ]
+
+
 def spreads(
-    simulator: GraspSimulator, name: str, placements: tuple[Placement, ...], count: int
+    simulator: GraspSimulator, name: str, changes: Sequence[Change], count: int
 ) -> list[float]:
-    """Of the friction ratio of each grasp; labels may differ within 2 % of the border alone."""
-    study, obj = Study(simulator, settings_of(simulator)), load_object(name)
-    found = []
+    """Of the friction ratio of each grasp; labels may differ within 2 % of the border alone.
+
+    Of half the time step one label may differ: a held object that turns by chance.
+    """
+    obj, found, differing = load_object(name), [], 0
     for config in drawn(obj, seed=5, count=count):
-        traces = study.traces(obj, config, placements)
+        traces = changed_traces(simulator, obj, config, changes)
         margins = [trace.margin for trace in traces if trace.margin is not None]
         if not margins:
             continue
-        assert len(margins) == len(placements)
+        assert len(margins) == len(changes)
         found.append(spread([margin.friction_ratio for margin in margins]))
         least = [min(margin.friction_ratio, margin.torsion_ratio) for margin in margins]
         if min(abs(one - 1) for one in least) > NEAR:
-            assert len({trace.label for trace in traces}) == 1, config
+            differing += len({trace.label for trace in traces}) > 1
+    assert differing <= (HALF_STEP in changes)
     return found
 
 
@@ -65,27 +124,48 @@ def ball(friction: float = 0.35) -> GraspObject:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("placements", [FAR, NEARBY], ids=["far", "nearby"])
+@pytest.mark.parametrize(
+    "changes",
+    [*PLACES.values(), [Change(), MIRROR, HALF_TURN, OTHER_ORDER], [Change(), HALF_STEP]],
+    ids=[*PLACES, "symmetric", "half the time step"],
+)
 @pytest.mark.parametrize("name", ["flat_screwdriver", "strawberry", "tomato_soup_can", "spatula"])
-def test_margins_do_not_depend_on_the_place(
-    simulator: GraspSimulator, name: str, placements: tuple[Placement, ...]
+def test_margins_of_an_object_do_not_depend_on_the_place(
+    simulator: GraspSimulator, name: str, changes: Sequence[Change]
 ) -> None:
-    found = spreads(simulator, name, placements, count=16)
+    found = spreads(simulator, name, changes, count=16)
     assert np.median(found) < 0.01
     assert np.quantile(found, 0.9) < 0.05
 
 
-def test_a_margin_does_not_depend_on_the_place(simulator: GraspSimulator) -> None:
-    """On a lip: two touches of each pad, whose share of its force rigid bodies leave open."""
-    obj, settings = load_object("tomato_soup_can"), settings_of(simulator)
-    config = GraspConfig(0, obj.name, 7.0, 0.0, -6.0, 92.0)
-    ratios = []
-    for place in (*FAR[:3], NEARBY[2]):
-        there, asked = place.of_object(obj), place.of_grasp(config)
-        margin = run_grasp(simulator, there, asked, settings, frames=FrameRequest()).margin
-        assert margin is not None
-        ratios.append(margin.friction_ratio)
-    assert spread(ratios) < 0.01
+LIP = GraspConfig(0, "tomato_soup_can", 7.0, 0.0, -6.0, 92.0)
+"""On a lip: two touches of each pad, whose share of its force rigid bodies leave open."""
+
+
+@pytest.mark.parametrize(
+    "change",
+    [*PLACES["far"][1:3], PLACES["nearby"][2], *CHANGES.values()],
+    ids=["moved", "turned", "by a hair", *CHANGES],
+)
+def test_a_margin_does_not_depend_on_the_place(simulator: GraspSimulator, change: Change) -> None:
+    traces = changed_traces(simulator, load_object(LIP.object), LIP, (Change(), change))
+    margins = [trace.margin for trace in traces if trace.margin is not None]
+    for ratio in ("friction_ratio", "torsion_ratio"):
+        limit = 0.02 if change is HALF_STEP else 0.01
+        assert spread([getattr(margin, ratio) for margin in margins]) < limit
+    assert len({trace.label for trace in traces}) == 1
+
+
+@pytest.mark.parametrize("change", [MIRROR, HALF_TURN], ids=["mirrored", "yaw + π"])
+def test_left_and_right_change_places(simulator: GraspSimulator, change: Change) -> None:
+    """Of a mirrored grasp, and of a gripper that is turned by half a turn."""
+    plain, other = changed_traces(simulator, load_object(LIP.object), LIP, (Change(), change))
+    mirror = np.eye(4) if change is HALF_TURN else np.diag([-1.0, 1.0, 1.0, 1.0])
+    for pad, opposite in (("left", "right"), ("right", "left")):
+        one, two = plain.frames[pad][0], other.frames[opposite][0]
+        expected = mirror @ one.pose_gel_object @ mirror
+        np.testing.assert_allclose(two.pose_gel_object, expected, atol=0.02)
+        assert two.force_normal_n == pytest.approx(one.force_normal_n, rel=2e-3)
 
 
 @pytest.mark.parametrize("height_mm", [-8.0, -3.0, 5.0, 8.0])

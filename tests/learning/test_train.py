@@ -117,7 +117,7 @@ def test_the_kept_model_is_the_mean_of_the_latest_epochs(
 ):
     learnt = []
 
-    class Watched(fit_module.Fit):
+    class Watched(fit_module.TrainingState):
         def _learn(self, epoch):
             result = super()._learn(epoch)
             learnt.append({k: v.double().clone() for k, v in self.network.state_dict().items()})
@@ -126,7 +126,7 @@ def test_the_kept_model_is_the_mean_of_the_latest_epochs(
     def always_as_good(labels, probabilities):
         return score(labels, probabilities) | {"balanced_accuracy": 0.9}
 
-    monkeypatch.setattr(train_module, "Fit", Watched)
+    monkeypatch.setattr(train_module, "TrainingState", Watched)
     monkeypatch.setattr(fit_module, "score", always_as_good)
     recipe = recipe_of("single", training={"epochs": 5, "average_epochs": average_epochs})
     assert train(recipe, toy, tmp_path / "run")["models"]["pooled"]["best_epoch"] == 5
@@ -286,7 +286,7 @@ def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
     toy, tmp_path, monkeypatch
 ):
     """The rate is normal in the first epoch and absurd from the second on."""
-    run_epoch = fit_module.Fit._run_epoch
+    run_epoch = fit_module.TrainingState._run_epoch
 
     def wild(self, epoch):
         if epoch == 2:
@@ -294,7 +294,7 @@ def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
                 group["lr"] = 1e6
         return run_epoch(self, epoch)
 
-    monkeypatch.setattr(fit_module.Fit, "_run_epoch", wild)
+    monkeypatch.setattr(fit_module.TrainingState, "_run_epoch", wild)
     run = tmp_path / "run"
     with pytest.raises(
         LearningError, match=r"diverged to .* in epoch 2.*learning_rate.*epoch 1 is kept"

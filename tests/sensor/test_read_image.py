@@ -202,6 +202,7 @@ def imprint(volume_mm3, motion_mm):
     return Reading(none, none, none > 0, none, 0.3, volume_mm3, dots, none, 0.1, motion_mm, "")
 
 
+@pytest.mark.slow
 def test_an_error_of_a_load_is_what_the_law_makes_of_that_of_the_imprint():
     """By Monte Carlo: loads of imprints that scatter as their standard errors say."""
     law = replace(ContactLaw.linear(K_N, K_S), effects=tuple(LAWS["anisotropy"]))

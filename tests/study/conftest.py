@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tacgen.dataset.inputs import Inputs
 from tests.learning.conftest import (
     collect,
     make_sample,
@@ -43,6 +44,7 @@ def toy_collect(monkeypatch):
         return Nothing()
 
     monkeypatch.setattr("tacgen.study.run.collect", fake)
+    monkeypatch.setattr("tacgen.study.run.recipe_inputs", lambda recipe: Inputs())
     return made
 
 

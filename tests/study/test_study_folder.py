@@ -6,9 +6,12 @@ import sys
 
 import pandas as pd
 import pytest
+import yaml
 
 from tacgen import cli
+from tacgen.collection.inputs import recipe_inputs
 from tacgen.core.errors import LearningError, TacgenError
+from tacgen.core.resources import find_object_folder
 from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
 from tacgen.study.study_recipe import load_study, reductions
@@ -130,6 +133,28 @@ def test_a_row_that_the_study_now_says_otherwise_is_not_kept(tmp_path, no_networ
     changed = load_study(small_study(tmp_path, ", train: {training: {epochs: 2}}"))
     run_study(changed, out, RealData(), rows=[ROWS[1]])
     assert names_in(out) == [ROWS[1]]
+
+
+def test_rows_of_an_object_that_has_changed_are_refused_and_stay(
+    tmp_path, no_networks, monkeypatch
+):
+    monkeypatch.setattr("tacgen.study.run.recipe_inputs", recipe_inputs)
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(find_object_folder("cup"), tmp_path / "objects" / "cup")
+    path, out = small_study(tmp_path), tmp_path / "out"
+    path.write_text(path.read_text().replace("[can, cup]", "[cup]"))
+    run_study(load_study(path), out, RealData(), rows=[ROWS[0]])
+    about = tmp_path / "objects/cup/object.yaml"
+    about.write_text(f"# a remark\n{about.read_text()}")
+    run_study(load_study(path), out, RealData(), rows=[ROWS[0]])
+    before = (out / "table.json").read_bytes()
+    figures = yaml.safe_load(about.read_text())
+    figures["friction"]["value"] = 0.05
+    about.write_text(yaml.safe_dump(figures))
+    for row in ROWS:
+        with pytest.raises(LearningError, match="single image: made with another object/cup$"):
+            run_study(load_study(path), out, RealData(), rows=[row])
+    assert (out / "table.json").read_bytes() == before
 
 
 def test_rows_tested_on_different_grasps_say_on_which(tmp_path, no_networks):

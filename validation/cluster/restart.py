@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 GRASPS = 40
-"""Of each run; the rate is that of the second half."""
+"""Grasps of each run; the rate is that of the second half."""
 
 
 def restart_of(recipe: str, workers: int) -> dict[str, float]:

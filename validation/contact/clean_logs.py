@@ -133,7 +133,7 @@ def _coarse(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.Dat
 
 
 def _required_only(frame: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.DataFrame:
-    """Of the columns, those that every log has, and shear in half of the logs."""
+    """The columns that every log has, and shear in half of the logs."""
     kept = ["trial", "time_s", "force_normal_n", "volume_mm3"]
     if rng.random() < 0.5:
         kept += [name for name in frame if "shear" in str(name)]

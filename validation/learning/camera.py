@@ -18,7 +18,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.presses.press_folder import read_presses
 
 BORDER_FRACTION = 0.1
-"""Of the shorter side: the frame of pixels around each picture, which few contacts reach."""
+"""Share of the shorter side: the frame of pixels around each picture, which few contacts reach."""
 SMOOTH_PX = 3.0
 """What is finer counts as noise, what is wider as gain."""
 MAD_TO_STD = 1.4826

@@ -46,7 +46,7 @@ EFFECTS = {
 NAMES = ("clean", *EFFECTS)
 TUNED_ON = ("taxim", "fots_gelsight")
 LEAST_SHARE = 0.002
-"""Of the pixels: fewer that change are no effect that could be found."""
+"""Share of the pixels: fewer that change are no effect that could be found."""
 MIX = np.array([[0.85, 0.12, 0.03], [0.06, 0.84, 0.10], [0.05, 0.13, 0.82]])
 
 

@@ -26,7 +26,7 @@ from tacgen.presses.screening import usable_presses
 from tacgen.sensor.read_image import LEAST_DEPTH_MM
 
 CONTACT_SHARE = 0.9
-"""Of the seen radius: the gel leaves the ball at the rim, and circles follow its dark edge."""
+"""Share of the seen radius: the gel leaves a ball at the rim, and circles follow its dark edge."""
 
 
 def sphere_rmse_mm(

@@ -237,12 +237,12 @@ def _fit_group(load: FloatArray, response: FloatArray, trial: IntArray) -> Slope
 
 def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str) -> HeldOut:
     """Every trial predicted by a fit to the other folds' trials."""
-    numbers = np.unique(trial)
+    numbers, first, index = np.unique(trial, return_index=True, return_inverse=True)
     folds = min(len(numbers), MAX_FOLDS)
-    fold = np.searchsorted(numbers, trial) % folds
+    fold = np.argsort(np.argsort(first))[index] % folds  # in the order of pressing
     error = np.empty_like(response)
-    for index in range(folds):
-        out = fold == index
+    for k_th in range(folds):
+        out = fold == k_th
         k = fit_slope(load[~out], response[~out], trial[~out]).value
         error[out] = response[out] - k * load[out]
     squared = (error**2).sum(axis=1)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.friction.sweep import FrictionFit, Key, friction_json
+from tacgen.calibrate.friction.sweep import FrictionFit, SweepKey, friction_json
 from tacgen.collection.perturbed import Outcome
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.report import figures as plots
@@ -19,7 +19,7 @@ FEW_GRASPS = 10  # below so many labels a bootstrap's interval is short by chanc
 def write_friction_report(
     path: Path,
     real: RealGrasps,
-    outcomes: Mapping[Key, Outcome],
+    outcomes: Mapping[SweepKey, Outcome],
     fits: Mapping[str, FrictionFit],
     warnings: Sequence[str] = (),
 ) -> None:
@@ -56,7 +56,7 @@ def verdict_of(name: str, fit: Mapping[str, Any]) -> str:
 
 
 def _object_figure(
-    grasps: Sequence[RealGrasp], outcomes: Mapping[Key, Outcome], fit: Mapping[str, Any]
+    grasps: Sequence[RealGrasp], outcomes: Mapping[SweepKey, Outcome], fit: Mapping[str, Any]
 ) -> Figure:
     figure, grid = plots.new_figure(12, 3.4, 1, 3, width_ratios=(1.2, 1, 1))
     curve, real_map, simulated_map = grid[0]

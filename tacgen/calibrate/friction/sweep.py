@@ -18,7 +18,7 @@ from tacgen.core.files import refuse_foreign, write_text
 from tacgen.core.resources import find_object_folder
 from tacgen.dataset.real_grasps import RealGrasps
 
-Key = tuple[str, float]
+SweepKey = tuple[str, float]
 """(grasp_id, μ)."""
 
 
@@ -92,7 +92,7 @@ def sweep_friction(
     *,
     workers: int,
     show: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[dict[str, FrictionFit], dict[Key, perturbed.Outcome]]:
+) -> tuple[dict[str, FrictionFit], dict[SweepKey, perturbed.Outcome]]:
     """Fit every object's friction to its real grasps: the fits by name, and every outcome.
 
     Finished simulations are kept in ``out/outcomes.jsonl``; an interrupted sweep goes on from them.
@@ -121,7 +121,7 @@ def sweep_friction(
 
 
 def data_warnings(
-    real: RealGrasps, outcomes: Mapping[Key, perturbed.Outcome], mu_values: Sequence[float]
+    real: RealGrasps, outcomes: Mapping[SweepKey, perturbed.Outcome], mu_values: Sequence[float]
 ) -> list[str]:
     """Problems of the data, grasps that cannot be simulated among them."""
     # A grasp that is executed at one μ is so at all: of its labels the best is looked at.

@@ -151,7 +151,7 @@ class SmoothModel:
     ) -> FloatArray:
         """Grey levels (n_slope, n_direction, p, 3) at nodes of slope, direction, place (p, f).
 
-        Of gel at rest: what a contact adds is ``of_contact``.
+        Light of the gel at rest: what a contact adds is ``of_contact``.
         """
         tangent = np.tan(slope_rad)[:, None]
         gx, gy = tangent * np.cos(direction_rad), tangent * np.sin(direction_rad)

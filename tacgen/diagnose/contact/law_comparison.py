@@ -14,7 +14,7 @@ from tacgen.core.images import difference, evenly, side_by_side
 from tacgen.core.records import ContactFrame
 from tacgen.report import figures as plots
 from tacgen.report.formatting import number
-from tacgen.report.page import Section, figure_section, pictures_section, write_page
+from tacgen.report.page import PageSection, figure_section, pictures_section, write_page
 from tacgen.sensor.tactile_pad import TactileFrame
 
 STRIP_FRAMES = 6  # what a page's width holds
@@ -47,7 +47,7 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
     )
 
 
-def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFrame]]) -> Section:
+def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFrame]]) -> PageSection:
     figure, grid = plots.new_figure(10, 3, 1, 2)
     force, volume = grid[0]
     times_s = [frame.time_s for frame in frames]
@@ -61,7 +61,7 @@ def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFram
     return figure_section("Force and imprint volume", figure)
 
 
-def _strips(rendered: dict[str, list[TactileFrame]]) -> Section:
+def _strips(rendered: dict[str, list[TactileFrame]]) -> PageSection:
     chosen = evenly(len(rendered["before"]), STRIP_FRAMES)
     before, after = ([rendered[name][k].rgb for k in chosen] for name in ("before", "after"))
     changes = [

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit, logit, logsumexp
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.diagnose.grasps.hypotheses import Candidate, Prediction
+from tacgen.diagnose.grasps.hypotheses import HypothesisCandidate, Prediction
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import gain_by_torsion
 
@@ -79,7 +79,7 @@ class CandidateModel(LabelModel):
 
     coordinate: FloatArray
     as_declared: FloatArray
-    candidate: Candidate
+    candidate: HypothesisCandidate
 
     @property
     def acts(self) -> BoolArray:
@@ -111,7 +111,7 @@ class CandidateModel(LabelModel):
 
 
 def interpolated(
-    candidate: Candidate,
+    candidate: HypothesisCandidate,
     nodes: FloatArray,
     node_margin: FloatArray,
     node_turning: FloatArray,
@@ -160,7 +160,7 @@ def _along(axis: FloatArray, nodes: FloatArray, values: FloatArray) -> FloatArra
 class JointOutcome:
     """Margins (N,) of grasps simulated with several causes at once; NaN where one was not."""
 
-    coordinate: Mapping[Candidate, float]
+    coordinate: Mapping[HypothesisCandidate, float]
     margin: FloatArray
 
 
@@ -265,7 +265,7 @@ class Cause:
     second_mode: float | None = None
 
     @property
-    def candidate(self) -> Candidate:
+    def candidate(self) -> HypothesisCandidate:
         """What is wrong."""
         return self.model.candidate
 
@@ -300,7 +300,7 @@ class Explanation:
     covariance: FloatArray
 
     @property
-    def candidates(self) -> frozenset[Candidate]:
+    def candidates(self) -> frozenset[HypothesisCandidate]:
         """What is wrong."""
         return frozenset(cause.candidate for cause in self.causes)
 
@@ -323,7 +323,7 @@ class ModelComparison:
         self,
         declared: LabelModel,
         models: Sequence[CandidateModel],
-        joint: Mapping[frozenset[Candidate], JointOutcome] | None = None,
+        joint: Mapping[frozenset[HypothesisCandidate], JointOutcome] | None = None,
     ) -> None:
         self.declared = declared
         self.models = tuple(models)
@@ -376,7 +376,7 @@ class ModelComparison:
         level = self.singles(labels)
         found = list(level)
         for _ in range(1, RULES.max_causes):
-            sets: dict[frozenset[Candidate], list[CandidateModel]] = {}
+            sets: dict[frozenset[HypothesisCandidate], list[CandidateModel]] = {}
             for leader in level[: RULES.most_extended]:
                 own = [cause.model for cause in leader.causes]
                 for model in self.models:
@@ -502,7 +502,7 @@ class Posterior:
         """Probability that exactly this is wrong."""
         return float(np.exp(one.gain - self.log_total))
 
-    def probability(self, candidates: Set[Candidate]) -> float:
+    def probability(self, candidates: Set[HypothesisCandidate]) -> float:
         """Probability that all of these are wrong, among whatever else."""
         gains = [one.gain for one in self.explanations if candidates <= one.candidates]
         return float(np.exp(logsumexp(gains) - self.log_total)) if gains else 0.0
@@ -525,7 +525,7 @@ class Posterior:
             }
             for cause in self.found
         ]
-        reported = frozenset[Candidate]().union(*powers)
+        reported = frozenset[HypothesisCandidate]().union(*powers)
         return tuple(
             one
             for one in self.explanations
@@ -629,7 +629,7 @@ class Posterior:
         return tuple(name for name in dict.fromkeys(names) if name != cause.name)
 
 
-def _has_value(one: Explanation, cause: Cause, powers: Mapping[Candidate, float]) -> bool:
+def _has_value(one: Explanation, cause: Cause, powers: Mapping[HypothesisCandidate, float]) -> bool:
     """Whether the product of these ``powers`` has, by ``one``, the value of the found ``cause``."""
     power = np.array([powers.get(own.candidate, 0.0) for own in one.causes])
     apart = power @ np.array([own.coordinate for own in one.causes]) - cause.coordinate

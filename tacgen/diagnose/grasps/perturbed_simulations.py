@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.collection.perturbed import (
-    Key,
     Outcome,
+    OutcomeKey,
     Perturbation,
     perturbed_settings,
     place_of,
@@ -24,7 +24,12 @@ from tacgen.collection.perturbed import (
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspConfig
-from tacgen.diagnose.grasps.hypotheses import Candidate, Parameter, Prediction, candidates_for
+from tacgen.diagnose.grasps.hypotheses import (
+    HypothesisCandidate,
+    HypothesisParameter,
+    Prediction,
+    candidates_for,
+)
 from tacgen.diagnose.grasps.model_comparison import (
     CandidateModel,
     Cause,
@@ -70,9 +75,9 @@ class PerturbedSimulations:
     out: Path
     workers: int
     show: Show = lambda done, total: None
-    known: dict[Key, Outcome] = field(default_factory=dict)
-    further: dict[Candidate, set[float]] = field(default_factory=dict)
-    joint: dict[frozenset[Candidate], JointOutcome] = field(default_factory=dict)
+    known: dict[OutcomeKey, Outcome] = field(default_factory=dict)
+    further: dict[HypothesisCandidate, set[float]] = field(default_factory=dict)
+    joint: dict[frozenset[HypothesisCandidate], JointOutcome] = field(default_factory=dict)
 
     def simulate(self, wanted: Iterable[tuple[GraspConfig, Perturbation]]) -> None:
         """Make the outcomes of these grasps known."""
@@ -123,9 +128,9 @@ class PerturbedSimulations:
 
     def _at_once(
         self, causes: Sequence[Cause]
-    ) -> tuple[dict[Candidate, float], dict[int, Perturbation]]:
+    ) -> tuple[dict[HypothesisCandidate, float], dict[int, Perturbation]]:
         """Where several causes are, and their changes to grasps whose label could be another."""
-        places: dict[Candidate, float] = {}
+        places: dict[HypothesisCandidate, float] = {}
         acting: list[tuple[tuple[str, ...], Perturbation]] = []
         for cause in causes:
             own, value = cause.candidate.parameter, _rounded(cause.value)
@@ -154,7 +159,7 @@ class PerturbedSimulations:
                     yield config, candidate.parameter.value(float(place))
 
     @cached_property
-    def _candidates(self) -> tuple[Candidate, ...]:
+    def _candidates(self) -> tuple[HypothesisCandidate, ...]:
         """The candidates for these grasps, values within what their objects allow."""
         objects = tuple(dict.fromkeys(config.object for config in self.configs))
         found = []
@@ -194,7 +199,7 @@ class PerturbedSimulations:
         return declared_model(*margins_of(outcomes), moment_part(outcomes))
 
     @cached_property
-    def _force(self) -> Candidate:
+    def _force(self) -> HypothesisCandidate:
         """The candidate from whose simulations others follow."""
         force = Prediction.FORCE
         return next(one for one in self._candidates if one.parameter.prediction is force)
@@ -211,7 +216,7 @@ class PerturbedSimulations:
             models.append(interpolated(candidate, *tables[:3], log_force, tables[3]))
         return ModelComparison(self._declared(), models, self.joint)
 
-    def _tables(self, candidate: Candidate, force: Tables | None = None) -> Tables:
+    def _tables(self, candidate: HypothesisCandidate, force: Tables | None = None) -> Tables:
         """Nodes (K,), margin, turning share and moment's part (K, N), as in ``LabelModel``.
 
         They are simulated, predicted, or in between. ``force`` are those of the force, from which
@@ -247,13 +252,13 @@ class PerturbedSimulations:
             margin[:, n] = between
         return nodes, margin, turning, moment
 
-    def _gains(self, parameter: Parameter, nodes: FloatArray) -> FloatArray | None:
+    def _gains(self, parameter: HypothesisParameter, nodes: FloatArray) -> FloatArray | None:
         """What margins (K, N) gain by a factor with a closed form."""
         gain = GAINS.get(parameter.prediction)
         return None if gain is None else gain(self._declared().moment, np.log(nodes)[:, None])
 
     def _predicted(
-        self, candidate: Candidate, nodes: FloatArray, force: Tables | None
+        self, candidate: HypothesisCandidate, nodes: FloatArray, force: Tables | None
     ) -> tuple[FloatArray, FloatArray]:
         """Margin and turning share (K, N) at ``nodes`` as far as they follow from simulations."""
         declared = self._declared()
@@ -269,7 +274,7 @@ class PerturbedSimulations:
             turning = np.where(acts, at_force(log_scale, force[2], wanted), turning)
         return np.where(acts, limited(found), margin), turning
 
-    def _log_force(self, parameter: Parameter, nodes: FloatArray) -> FloatArray:
+    def _log_force(self, parameter: HypothesisParameter, nodes: FloatArray) -> FloatArray:
         """Log (K, N) of the force over the declared one that each value amounts to."""
 
         def delivered(change: Perturbation) -> list[float]:

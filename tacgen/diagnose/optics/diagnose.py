@@ -19,7 +19,13 @@ from tacgen.diagnose.optics.residuals import Dependence, dependences
 from tacgen.diagnose.optics.rules import RULES, SelectionRules
 from tacgen.diagnose.optics.selection import Scored, Selection, Step, log_gain, select
 from tacgen.diagnose.optics.sharpness import LostNoise, lost_noise
-from tacgen.optics.effects import Candidate, PressScene, Stage, optical_effect, optical_effects
+from tacgen.optics.effects import (
+    OpticalCandidate,
+    PressScene,
+    Stage,
+    optical_effect,
+    optical_effects,
+)
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
 from tacgen.presses.press_images import PressImages
@@ -342,7 +348,7 @@ def _found(
 
 
 def _parameters(
-    fit: PressFit, model: Model, candidate: Candidate, known: Known
+    fit: PressFit, model: Model, candidate: OpticalCandidate, known: Known
 ) -> dict[str, dict[str, Any]]:
     """The fitted parameters of an effect, with standard errors over the presses."""
     effect, errors = optical_effect(candidate.effect), fit.stderr(model, known)

@@ -10,7 +10,7 @@ from tacgen.calibrate.lookup.model_choice import fold_of
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.optics.rendering import PressView
 from tacgen.diagnose.optics.rules import SelectionRules
-from tacgen.optics.effects import Candidate, Parameter, Stage, optical_effect
+from tacgen.optics.effects import OpticalCandidate, OpticalParameter, Stage, optical_effect
 from tacgen.optics.render import Effects
 from tacgen.presses.experiments import per_experiment
 
@@ -40,22 +40,22 @@ class Model:
 
     Attributes
     ----------
-    candidates : tuple of Candidate
+    candidates : tuple of OpticalCandidate
     fixed : mapping
         Effects that the table has, as it has them.
     shared : mapping
-        Parameter → its value for all presses.
+        OpticalParameter → its value for all presses.
     places : (N, 3) float
         Estimated centre and contact radius, mm.
     """
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[OpticalCandidate, ...]
     fixed: Effects
     shared: Mapping[Key, float]
     places: FloatArray
 
     @property
-    def free(self) -> dict[Key, Parameter]:
+    def free(self) -> dict[Key, OpticalParameter]:
         """The shared parameters that a fit frees."""
         return {(c.effect, name): p for c in self.candidates for name, p in c.shared.items()}
 

@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from tacgen.core.arrays import FloatArray
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, typical
-from tacgen.optics.effects import Candidate, PressScene, optical_effect, optical_effects
+from tacgen.optics.effects import OpticalCandidate, PressScene, optical_effect, optical_effects
 
 Kind = tuple[Known, bool, bool]
 """What must be taken as stated; if each press has its own value; if it grows over a session."""
@@ -27,7 +27,7 @@ effect looks like it. What needs a picture's exposure or place as stated is judg
 effects on the image leave, and a value of each press's own last."""
 
 
-def _kind(candidate: Candidate) -> Kind:
+def _kind(candidate: OpticalCandidate) -> Kind:
     stage = optical_effect(candidate.effect).stage
     return known_for(stage), bool(candidate.each), candidate.over_session
 
@@ -49,7 +49,7 @@ class Scored:
     p_value: float
 
     @property
-    def candidate(self) -> Candidate:
+    def candidate(self) -> OpticalCandidate:
         """What was added."""
         return self.model.candidates[-1]
 
@@ -158,7 +158,7 @@ def _step(
 
 
 def _scored(
-    fit: PressFit, model: Model, candidate: Candidate, known: Known, before: list[FloatArray]
+    fit: PressFit, model: Model, candidate: OpticalCandidate, known: Known, before: list[FloatArray]
 ) -> Scored:
     starts = [_with(model, candidate, start) for start in candidate.starts]
     if len(starts) > 1:
@@ -193,7 +193,7 @@ def _chance(evidence: FloatArray, table_presses: float) -> float:
     return float(student.sf(evidence.mean() / error, n - 1))
 
 
-def _with(model: Model, candidate: Candidate, start: Mapping[str, float]) -> Model:
+def _with(model: Model, candidate: OpticalCandidate, start: Mapping[str, float]) -> Model:
     """The model and one candidate more; what the table has of its effect is where it starts."""
     shared, name = dict(model.shared), candidate.effect
     table = model.fixed.get(name, {})

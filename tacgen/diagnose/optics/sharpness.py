@@ -30,11 +30,11 @@ class LostNoise:
     effect : OpticalEffect
         That of the stage ``FOCUS``.
     sigma_mm, sigma_stderr_mm : float
-        Of the Gaussian; at least, where rounding to whole grey levels hides what is left.
+        Width of the Gaussian; at least, where rounding to whole grey levels hides what is left.
     gain, gain_stderr : float
         What it explains of the noise, grey levels, over the test presses.
     p_value : float
-        Of as little noise as this in pictures that are as sharp as the table's.
+        Probability of as little noise as this in pictures that are as sharp as the table's.
     """
 
     effect: OpticalEffect

@@ -3,9 +3,9 @@
 from importlib import import_module
 from pkgutil import iter_modules
 
-from tacgen.optics.effects.effect import Candidate as Candidate
+from tacgen.optics.effects.effect import OpticalCandidate as OpticalCandidate
 from tacgen.optics.effects.effect import OpticalEffect as OpticalEffect
-from tacgen.optics.effects.effect import Parameter as Parameter
+from tacgen.optics.effects.effect import OpticalParameter as OpticalParameter
 from tacgen.optics.effects.effect import Patch as Patch
 from tacgen.optics.effects.effect import PressScene as PressScene
 from tacgen.optics.effects.effect import Stage as Stage

@@ -6,10 +6,10 @@ from typing import Any
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.effects import effect as base
 
-GAINS = {f"gain_{c}": base.Parameter(1.0, 0.4, 1.6, prior=0.3) for c in base.CHANNELS}
-DRIFTS = {f"drift_{c}": base.Parameter(0.0, -0.8, 0.8, prior=0.3) for c in base.CHANNELS}
+GAINS = {f"gain_{c}": base.OpticalParameter(1.0, 0.4, 1.6, prior=0.3) for c in base.CHANNELS}
+DRIFTS = {f"drift_{c}": base.OpticalParameter(0.0, -0.8, 0.8, prior=0.3) for c in base.CHANNELS}
 OFFSETS = {
-    f"offset_{c}": base.Parameter(0.0, -80.0, 80.0, "grey", step=0.5, prior=30.0)
+    f"offset_{c}": base.OpticalParameter(0.0, -80.0, 80.0, "grey", step=0.5, prior=30.0)
     for c in base.CHANNELS
 }
 
@@ -29,15 +29,17 @@ class BackgroundGain(base.OpticalEffect):
         )
         return array * (gain + drift * array.dtype.type(patch.time)) + offset
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """Gains of all presses alike, growing over the session, or one for each picture."""
         return [
-            base.Candidate(self.name, "exposure since the table", GAINS),
-            base.Candidate(self.name, "exposure and offset since the table", {**GAINS, **OFFSETS}),
-            base.Candidate(
+            base.OpticalCandidate(self.name, "exposure since the table", GAINS),
+            base.OpticalCandidate(
+                self.name, "exposure and offset since the table", {**GAINS, **OFFSETS}
+            ),
+            base.OpticalCandidate(
                 self.name, "exposure that drifts over the session", DRIFTS, over_session=True
             ),
-            base.Candidate(self.name, "exposure of each picture", each=tuple(GAINS)),
+            base.OpticalCandidate(self.name, "exposure of each picture", each=tuple(GAINS)),
         ]
 
 

@@ -40,7 +40,7 @@ class Blur(base.OpticalEffect):
 
     name = "blur"
     stage = base.Stage.SURFACE
-    parameters = MappingProxyType({"sigma_mm": base.Parameter(0.0, 0.0, 2.0, "mm")})
+    parameters = MappingProxyType({"sigma_mm": base.OpticalParameter(0.0, 0.0, 2.0, "mm")})
 
     def apply(
         self, array: FloatArray, patch: base.Patch, *, sigma_mm: float = 0.0, **_: Any
@@ -52,12 +52,12 @@ class Blur(base.OpticalEffect):
         """Three standard deviations, and what the kernel's even number of pixels adds."""
         return 4 * sigma_mm
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """One width."""
         upper, step = MAX_SIGMA_RADII * scene.contact_radius_mm, STEP_PX * scene.mm_per_px
         sigma = replace(self.parameters["sigma_mm"], upper=upper, step=step)
         start = {"sigma_mm": FIRST_SIGMA_PX * scene.mm_per_px}
-        return [base.Candidate(self.name, "Gaussian", {"sigma_mm": sigma}, starts=(start,))]
+        return [base.OpticalCandidate(self.name, "Gaussian", {"sigma_mm": sigma}, starts=(start,))]
 
 
 class Defocus(base.OpticalEffect):
@@ -79,7 +79,7 @@ class Defocus(base.OpticalEffect):
         """The whole picture: at a window's edge neighbours would be missing."""
         return WHOLE_PICTURE_MM
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """None: the noise of the pictures shows it, not their error."""
         return []
 

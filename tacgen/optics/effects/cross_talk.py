@@ -10,7 +10,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.optics.effects import effect as base
 
 LEAKS = {
-    shown + leaking: base.Parameter(0.0, -0.6, 0.6, prior=0.3)
+    shown + leaking: base.OpticalParameter(0.0, -0.6, 0.6, prior=0.3)
     for shown in base.CHANNELS
     for leaking in base.CHANNELS
     if shown != leaking
@@ -18,7 +18,7 @@ LEAKS = {
 """``rg`` is the share of green's change that is added to red, and so on."""
 
 CAMERA = {
-    f"camera_{shown}{leaking}": base.Parameter(float(shown == leaking), -0.8, 1.8, prior=0.3)
+    f"camera_{shown}{leaking}": base.OpticalParameter(float(shown == leaking), -0.8, 1.8, prior=0.3)
     for shown in base.CHANNELS
     for leaking in base.CHANNELS
 }
@@ -39,16 +39,16 @@ class CrossTalk(base.OpticalEffect):
             grey = array + _mixed(array - patch.background, "", values)
         return _mixed(grey, "camera_", values) if CAMERA.keys() & values else grey
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """Only beside a table from before: one fitted to the same presses mixes as they do."""
         if not scene.has_table:
             return []
         return [
-            base.Candidate(self.name, "colours of what a contact changes", LEAKS),
-            base.Candidate(self.name, "the camera's colours", CAMERA),
+            base.OpticalCandidate(self.name, "colours of what a contact changes", LEAKS),
+            base.OpticalCandidate(self.name, "the camera's colours", CAMERA),
         ]
 
-    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.Candidate]) -> str:
+    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.OpticalCandidate]) -> str:
         """A fitted table has its own colours."""
         if scene.has_table:
             return ""

@@ -48,7 +48,7 @@ class Stage(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class OpticalParameter:
     """A number of an effect.
 
     Attributes
@@ -59,7 +59,7 @@ class Parameter:
         How far a fit may go.
     unit : str
     step : float
-        Of the finite differences of a fit.
+        Step of the finite differences of a fit.
     prior : float
         Standard deviation, around the identity, that a fit holds it by; 0 for none.
     """
@@ -125,7 +125,7 @@ class PressScene:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class OpticalCandidate:
     """One way in which presses may show an effect: what a fit frees, and where it begins.
 
     Attributes
@@ -147,7 +147,7 @@ class Candidate:
 
     effect: str
     label: str
-    shared: Mapping[str, Parameter] = field(default_factory=lambda: MappingProxyType({}))
+    shared: Mapping[str, OpticalParameter] = field(default_factory=lambda: MappingProxyType({}))
     each: tuple[str, ...] = ()
     starts: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
     over_session: bool = False
@@ -171,7 +171,7 @@ class OpticalEffect:
     name: ClassVar[str]
     reported_name: ClassVar[str] = ""
     stage: ClassVar[Stage]
-    parameters: ClassVar[Mapping[str, Parameter]]
+    parameters: ClassVar[Mapping[str, OpticalParameter]]
 
     def apply(self, array: FloatArray, patch: Patch, **values: Any) -> FloatArray:
         """The image (..., 3), or the height map of a ``SURFACE`` effect, changed; a new array.
@@ -199,11 +199,11 @@ class OpticalEffect:
         """Expected centre and contact radius (3,) and ball radius of a press, changed."""
         return place_mm, ball_mm
 
-    def candidates(self, scene: PressScene) -> list[Candidate]:
+    def candidates(self, scene: PressScene) -> list[OpticalCandidate]:
         """The ways in which these presses may show it."""
-        return [Candidate(self.name, "all parameters", self.parameters)]
+        return [OpticalCandidate(self.name, "all parameters", self.parameters)]
 
-    def cannot_tell(self, scene: PressScene, found: Sequence[Candidate]) -> str:
+    def cannot_tell(self, scene: PressScene, found: Sequence[OpticalCandidate]) -> str:
         """What these presses cannot say about it, and what measurement would; or nothing."""
         return ""
 

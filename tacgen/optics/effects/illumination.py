@@ -23,7 +23,7 @@ class Illumination(base.OpticalEffect):
     stage = base.Stage.LIGHT
     parameters = MappingProxyType(
         {
-            f"{channel}_{place}": base.Parameter(0.0, -4.0, 4.0, step=0.02, prior=1.0)
+            f"{channel}_{place}": base.OpticalParameter(0.0, -4.0, 4.0, step=0.02, prior=1.0)
             for channel in base.CHANNELS
             for place in PLACES
         }
@@ -37,13 +37,13 @@ class Illumination(base.OpticalEffect):
         brighter = 1 + place @ np.array(shares, dtype=array.dtype)
         return patch.background + (array - patch.background) * brighter
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """Only beside a table from before: one fitted to the same presses holds the light."""
         if not scene.has_table:
             return []
-        return [base.Candidate(self.name, "light of each channel by place", self.parameters)]
+        return [base.OpticalCandidate(self.name, "light of each channel by place", self.parameters)]
 
-    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.Candidate]) -> str:
+    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.OpticalCandidate]) -> str:
         """Lamps close by are a property of the sensor."""
         if scene.has_table:
             return ""

@@ -15,9 +15,9 @@ class PressCenter(base.OpticalEffect):
     stage = base.Stage.PRESS
     parameters = MappingProxyType(
         {
-            "shift_x": base.Parameter(0.0, -0.6, 0.6, "radii", prior=0.15),
-            "shift_y": base.Parameter(0.0, -0.6, 0.6, "radii", prior=0.15),
-            "growth": base.Parameter(0.0, -0.4, 0.4, prior=0.1),
+            "shift_x": base.OpticalParameter(0.0, -0.6, 0.6, "radii", prior=0.15),
+            "shift_y": base.OpticalParameter(0.0, -0.6, 0.6, "radii", prior=0.15),
+            "growth": base.OpticalParameter(0.0, -0.4, 0.4, prior=0.1),
         }
     )
 
@@ -28,12 +28,12 @@ class PressCenter(base.OpticalEffect):
         shift = [values.get("shift_x", 0.0), values.get("shift_y", 0.0), values.get("growth", 0.0)]
         return place_mm + place_mm[2] * np.array(shift), ball_mm
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """All centres off by the same, or each by its own."""
         centers = {name: self.parameters[name] for name in ("shift_x", "shift_y")}
         return [
-            base.Candidate(self.name, "all centres off by the same", centers),
-            base.Candidate(self.name, "each press's place", each=tuple(self.parameters)),
+            base.OpticalCandidate(self.name, "all centres off by the same", centers),
+            base.OpticalCandidate(self.name, "each press's place", each=tuple(self.parameters)),
         ]
 
 

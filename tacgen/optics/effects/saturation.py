@@ -56,8 +56,8 @@ class Saturation(base.OpticalEffect):
     stage = base.Stage.CAMERA
     parameters = MappingProxyType(
         {
-            "level_grey": base.Parameter(255.0, 60.0, 255.0, "grey", step=0.5),
-            "knee_grey": base.Parameter(0.0, 0.0, 25.0, "grey", step=0.3),
+            "level_grey": base.OpticalParameter(255.0, 60.0, 255.0, "grey", step=0.5),
+            "knee_grey": base.OpticalParameter(0.0, 0.0, 25.0, "grey", step=0.3),
         }
     )
 
@@ -76,7 +76,7 @@ class Saturation(base.OpticalEffect):
             return np.minimum(array, level)
         return level - knee * np.logaddexp(np.zeros_like(knee), (level - array) / knee)
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """Where the brightest values pile up."""
         ends = clip_level(scene.grey) == self.parameters["level_grey"].upper  # as every scale does
         if ends or not seems_clipped(scene.grey):
@@ -85,8 +85,12 @@ class Saturation(base.OpticalEffect):
         level = {"level_grey": self.parameters["level_grey"]}
         soft, bends = {**start, "knee_grey": FIRST_KNEE_GREY}, self.parameters
         return [
-            base.Candidate(self.name, "the camera clips", level, starts=(start,), evident=True),
-            base.Candidate(self.name, "the camera bends", bends, starts=(soft,), evident=True),
+            base.OpticalCandidate(
+                self.name, "the camera clips", level, starts=(start,), evident=True
+            ),
+            base.OpticalCandidate(
+                self.name, "the camera bends", bends, starts=(soft,), evident=True
+            ),
         ]
 
 

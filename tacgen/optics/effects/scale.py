@@ -16,8 +16,8 @@ class Scale(base.OpticalEffect):
     stage = base.Stage.PRESS
     parameters = MappingProxyType(
         {
-            "contact_per_label": base.Parameter(1.0, 0.5, 1.6, step=0.005),
-            "ball_per_stated": base.Parameter(1.0, 0.6, 1.8, step=0.005, prior=0.15),
+            "contact_per_label": base.OpticalParameter(1.0, 0.5, 1.6, step=0.005),
+            "ball_per_stated": base.OpticalParameter(1.0, 0.6, 1.8, step=0.005, prior=0.15),
         }
     )
 
@@ -28,21 +28,21 @@ class Scale(base.OpticalEffect):
         place = place_mm * np.array([1.0, 1.0, values.get("contact_per_label", 1.0)])
         return place, ball_mm * values.get("ball_per_stated", 1.0)
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """The ball, or the labelled circles."""
         ball, contact = "ball_per_stated", "contact_per_label"
         return [
-            base.Candidate(
+            base.OpticalCandidate(
                 self.name, "ball over the stated, or pixel under it", {ball: self.parameters[ball]}
             ),
-            base.Candidate(
+            base.OpticalCandidate(
                 self.name,
                 "contact radius over the labelled one",
                 {contact: self.parameters[contact]},
             ),
         ]
 
-    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.Candidate]) -> str:
+    def cannot_tell(self, scene: base.PressScene, found: Sequence[base.OpticalCandidate]) -> str:
         """One ball fixes no size."""
         if len(np.unique(scene.ball_radii_mm)) > 1:
             return ""

@@ -181,8 +181,8 @@ class Shadow(base.OpticalEffect):
     stage = base.Stage.SHADOW
     parameters = MappingProxyType(
         {
-            "strength": base.Parameter(0.0, 0.0, 1.0, step=0.02),
-            "length_mm": base.Parameter(0.0, 0.0, 20.0, "mm"),
+            "strength": base.OpticalParameter(0.0, 0.0, 1.0, step=0.02),
+            "length_mm": base.OpticalParameter(0.0, 0.0, 20.0, "mm"),
         }
     )
 
@@ -226,11 +226,11 @@ class Shadow(base.OpticalEffect):
                 image,
             )
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """One strength, and one of a few lengths."""
         strength = {"strength": self.parameters["strength"]}
         starts = tuple({"strength": FIRST_STRENGTH, "length_mm": x} for x in LENGTHS_MM)
-        return [base.Candidate(self.name, "cast by the dent", strength, starts=starts)]
+        return [base.OpticalCandidate(self.name, "cast by the dent", strength, starts=starts)]
 
 
 SHADOW = base.register(Shadow())

@@ -19,7 +19,9 @@ class Vignetting(base.OpticalEffect):
     name = "vignetting"
     stage = base.Stage.LENS
     parameters = MappingProxyType(
-        dict.fromkeys(("strength", "change_strength"), base.Parameter(0.0, -0.6, 0.95, step=0.02))
+        dict.fromkeys(
+            ("strength", "change_strength"), base.OpticalParameter(0.0, -0.6, 0.95, step=0.02)
+        )
     )
 
     def apply(
@@ -40,12 +42,12 @@ class Vignetting(base.OpticalEffect):
         dimmed = (array - patch.background) * (twice_change * square)
         return (array - dimmed.astype(array.dtype)) * gain
 
-    def candidates(self, scene: base.PressScene) -> list[base.Candidate]:
+    def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """A background through the same lens, or not."""
         change, whole = ({name: self.parameters[name]} for name in ("change_strength", "strength"))
         return [
-            base.Candidate(self.name, "of what presses change", change),
-            base.Candidate(self.name, "of the background too", whole),
+            base.OpticalCandidate(self.name, "of what presses change", change),
+            base.OpticalCandidate(self.name, "of the background too", whole),
         ]
 
 

@@ -7,8 +7,8 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from tacgen.optics.image_models.base import ImageModel as ImageModel
-from tacgen.optics.image_models.base import Section as Section
 from tacgen.optics.image_models.base import Shade as Shade
+from tacgen.optics.image_models.base import TableSection as TableSection
 from tacgen.optics.image_models.base import features as features
 from tacgen.optics.image_models.base import load_model as load_model
 from tacgen.optics.image_models.base import nearest_quadratic as nearest_quadratic

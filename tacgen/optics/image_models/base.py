@@ -10,7 +10,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
 from tacgen.optics.smooth import Window
 
-Section: TypeAlias = tuple[dict[str, NDArray[Any]], dict[str, Any]]
+TableSection: TypeAlias = tuple[dict[str, NDArray[Any]], dict[str, Any]]
 """Arrays and numbers of a model in a table's file."""
 
 
@@ -53,7 +53,7 @@ class ImageModel(Protocol):
         """
         return np.zeros((len(gx), 3))
 
-    def save(self) -> Section:
+    def save(self) -> TableSection:
         """The arrays and the numbers from which ``load`` makes it again."""
 
     @classmethod

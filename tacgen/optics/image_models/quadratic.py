@@ -11,8 +11,8 @@ from tacgen.core.arrays import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.image_models.base import (
     ImageModel,
-    Section,
     Shade,
+    TableSection,
     between_nodes,
     features,
     register_model,
@@ -57,7 +57,7 @@ class Quadratic(ImageModel):
         nodes = np.einsum("sdcf,vuf->sdvuc", self.coefficients, features(u, v))
         return between_nodes(nodes, self.max_slope_rad, gx, gy)
 
-    def save(self) -> Section:
+    def save(self) -> TableSection:
         """As of ``ImageModel``."""
         return {"coefficients": self.coefficients}, {}
 

@@ -11,8 +11,8 @@ from tacgen.core.arrays import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.image_models.base import (
     ImageModel,
-    Section,
     Shade,
+    TableSection,
     between_nodes,
     register_model,
 )
@@ -111,7 +111,7 @@ class Response(ImageModel):
         terms = np.stack([share, share * gx / length, share * gy / length], axis=-1)
         return np.asarray((terms[:, :, None] * here).sum(axis=1))
 
-    def save(self) -> Section:
+    def save(self) -> TableSection:
         """As of ``ImageModel``; the response in half precision."""
         arrays: dict[str, NDArray[Any]] = {"response": self.response.astype(np.float16)}
         if self.contact is None:

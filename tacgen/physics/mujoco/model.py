@@ -23,7 +23,7 @@ DRIVEN_MASS = 1e6
 a step."""
 FINGER_INERTIA_KG_M2 = 1e-3  # a finger turns with the hand alone; MuJoCo wants one
 SOFTNESS = {"solref": [0.005, 1.0], "solimp": [0.99, 0.999, 0.0001, 0.5, 2.0]}
-"""Of the fingers' boxes, motors and coupling: two time steps, and 0.01 mm under a few kilograms."""
+"""The fingers' boxes, motors and coupling: two time steps, and 0.01 mm under a few kilograms."""
 IMPEDANCE_RATIO = 1e3  # friction is that much stiffer than the normal …
 NOSLIP_ITERATIONS = 5  # … and after five of these a held object creeps by less than 1 µm/s
 ITERATIONS = 100  # of Newton's method, which needs some ten
@@ -168,7 +168,7 @@ class Scene:
             self._add_box(finger, f"{pad} finger {number}", half_mm, center_mm)
 
     def _add_pair(self, touched: str, part: str, friction: float, **attributes: Any) -> None:
-        """Of a pair alone does MuJoCo take a damping of the friction."""
+        """Add a pair of geoms: MuJoCo takes a damping of friction from pairs alone."""
         self._spec.add_pair(
             name=pair_of(touched, part), geomname1=touched, geomname2=part,
             friction=[friction, friction, 0.0, 0.0, 0.0], **attributes,

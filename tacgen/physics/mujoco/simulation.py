@@ -31,7 +31,7 @@ from tacgen.physics.settings import PhysicsSettings
 
 LARGEST_STIFFNESS_N_M = 1e6  # of a pad
 SLIP_DAMPING_1_S = 100.0
-"""Of friction: a slide decays in 10 ms or sooner. More needs softer pads (0.3 mm at μ = 0.5)."""
+"""Friction's: a slide decays in 10 ms or sooner. More needs softer pads (0.3 mm at μ = 0.5)."""
 POINTS_ON_TABLE = 4  # at which an object that is no ball stands: a box's
 SLIDE_RESERVE = 1.5  # of the force that keeps a sliding touch: 0.6 of it slide faster than the lift
 RESPONSE_STEPS = 2.4  # time constant of a contact; below two it is unstable

@@ -16,7 +16,7 @@ from tacgen.diagnose.grasps import perturbed_simulations
 from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
 from tacgen.diagnose.grasps.hypotheses import (
     Hypothesis,
-    Parameter,
+    HypothesisParameter,
     advice,
     candidates_for,
     register,
@@ -27,7 +27,7 @@ from tacgen.diagnose.grasps.report import write_grasp_report
 
 BOX = "sugar_box"
 RECIPE = Recipe.model_validate({"name": "declared", "objects": [BOX], "grid": {"sample": 8}})
-STICKY = Parameter(
+STICKY = HypothesisParameter(
     key="pad_friction_factor",
     unit="1",
     declared=1.0,

@@ -15,7 +15,7 @@ from tacgen.diagnose.optics.diagnose import diagnose_optics
 from tacgen.optics import render_rgb
 from tacgen.optics.effects import (
     OpticalEffect,
-    Parameter,
+    OpticalParameter,
     Stage,
     check_effects,
     optical_effects,
@@ -39,7 +39,7 @@ class Glow(OpticalEffect):
 
     name = "glow"
     stage = Stage.LIGHT
-    parameters = MappingProxyType({"strength": Parameter(0.0, -0.9, 0.9, step=0.02)})
+    parameters = MappingProxyType({"strength": OpticalParameter(0.0, -0.9, 0.9, step=0.02)})
 
     def apply(self, array, patch, *, strength=0.0, **_):
         brighter = np.exp(np.asarray(strength, array.dtype) * (1 - 4 * patch.v**3))
@@ -96,12 +96,13 @@ def test_a_name_is_registered_once_and_known_only_while_it_is(glow):
     register(Glow())
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_no_other_module_names_an_effect(path):
+def test_no_other_module_names_an_effect():
     names = {effect.name for effect in optical_effects()}
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Constant):
-            assert node.value not in names, f"line {node.lineno}"
-        if isinstance(node, ast.ImportFrom):
-            parts = {*(node.module or "").split("."), *(alias.name for alias in node.names)}
-            assert not (parts & names), f"line {node.lineno}"
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            where = f"{path.relative_to(PACKAGE)}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, ast.Constant):
+                assert node.value not in names, where
+            if isinstance(node, ast.ImportFrom):
+                parts = {*(node.module or "").split("."), *(alias.name for alias in node.names)}
+                assert not (parts & names), where

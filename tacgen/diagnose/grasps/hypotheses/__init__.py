@@ -3,9 +3,9 @@
 from importlib import import_module
 from pkgutil import iter_modules
 
-from tacgen.diagnose.grasps.hypotheses.registry import Candidate as Candidate
 from tacgen.diagnose.grasps.hypotheses.registry import Hypothesis as Hypothesis
-from tacgen.diagnose.grasps.hypotheses.registry import Parameter as Parameter
+from tacgen.diagnose.grasps.hypotheses.registry import HypothesisCandidate as HypothesisCandidate
+from tacgen.diagnose.grasps.hypotheses.registry import HypothesisParameter as HypothesisParameter
 from tacgen.diagnose.grasps.hypotheses.registry import Prediction as Prediction
 from tacgen.diagnose.grasps.hypotheses.registry import advice as advice
 from tacgen.diagnose.grasps.hypotheses.registry import candidates_for as candidates_for

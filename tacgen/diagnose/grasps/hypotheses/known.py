@@ -4,35 +4,42 @@ from typing import Any
 
 from tacgen.collection.perturbed import Perturbation
 from tacgen.core.records import GraspObject
-from tacgen.diagnose.grasps.hypotheses.registry import Hypothesis, Parameter, Prediction, register
+from tacgen.diagnose.grasps.hypotheses.registry import (
+    Hypothesis,
+    HypothesisParameter,
+    Prediction,
+    register,
+)
 
 FORCE_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 2.0)
 """On the grip force: to three deviations of its prior, closer together near 1."""
 BALANCE = "balance the object on an edge"
 
 
-def number(key: str, **options: Any) -> Parameter:
+def number(key: str, **options: Any) -> HypothesisParameter:
     """A parameter that is the field ``key`` of ``Perturbation``."""
 
     def perturb(value: Any) -> Perturbation:
         return Perturbation(**{key: value})
 
-    return Parameter(key=key, perturb=perturb, **options)
+    return HypothesisParameter(key=key, perturb=perturb, **options)
 
 
-def factor(key: str, nodes: tuple[float, ...], spread: float, **options: Any) -> Parameter:
+def factor(
+    key: str, nodes: tuple[float, ...], spread: float, **options: Any
+) -> HypothesisParameter:
     """A factor on what is declared."""
     return number(key, unit="1", declared=1.0, nodes=nodes, spread=spread, **options)
 
 
 def shift(
     key: str, unit: str, nodes: tuple[float, ...], spread: float, **options: Any
-) -> Parameter:
+) -> HypothesisParameter:
     """A difference from what is declared."""
     return number(key, unit=unit, declared=0.0, nodes=nodes, spread=spread, **options)
 
 
-def center_of_mass(axis: str, nodes_mm: tuple[float, ...]) -> Parameter:
+def center_of_mass(axis: str, nodes_mm: tuple[float, ...]) -> HypothesisParameter:
     """The centre of mass's shift along an axis of the object, within the object."""
     column = "xyz".index(axis)
 

@@ -38,7 +38,7 @@ class Prediction(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class HypothesisParameter:
     """One number of a hypothesis.
 
     ``nodes`` are values at which outcomes are simulated or predicted, ascending, the declared one
@@ -100,16 +100,16 @@ class Hypothesis:
     name: str
     weight: float
     of_gripper: bool
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[HypothesisParameter, ...]
     separated_by: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class HypothesisCandidate:
     """A parameter of a hypothesis, the objects whose grasps it acts on, and its prior weight."""
 
     hypothesis: Hypothesis
-    parameter: Parameter
+    parameter: HypothesisParameter
     objects: tuple[str, ...]
     weight: float
 
@@ -153,7 +153,7 @@ def registered() -> tuple[Hypothesis, ...]:
     return tuple(sorted(_REGISTRY.values(), key=lambda one: (-one.weight, one.name)))
 
 
-def candidates_for(objects: Sequence[str]) -> tuple[Candidate, ...]:
+def candidates_for(objects: Sequence[str]) -> tuple[HypothesisCandidate, ...]:
     """Every candidate for grasps of these objects.
 
     What belongs to the gripper or the table acts on all of them. What belongs to an object is
@@ -167,7 +167,7 @@ def candidates_for(objects: Sequence[str]) -> tuple[Candidate, ...]:
             sets = [*((name,) for name in objects), tuple(objects)]
         for one in hypothesis.parameters:
             weight = hypothesis.weight * one.share / len(sets)
-            found += [Candidate(hypothesis, one, chosen, weight) for chosen in sets]
+            found += [HypothesisCandidate(hypothesis, one, chosen, weight) for chosen in sets]
     return tuple(found)
 
 
