@@ -27,6 +27,7 @@ def write_grasp_page(root: Path, index: int, path: Path) -> None:
         ("force_n", config.force_n),
         ("x_mm, y_mm, z_mm", f"{config.x_mm:g}, {config.y_mm:g}, {config.z_mm:g}"),
         ("moment of grasp", f"frame {sample.grasp_frame}, {sample.grasp_time_s:.2f} s"),
+        ("lift", f"{sample.lift_start_time_s:.2f} to {sample.lift_end_time_s:.2f} s"),
         ("split", sample.split),
     ]
     sections = [facts_section("Grasp", facts)]

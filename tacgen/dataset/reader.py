@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from bisect import bisect_right
 from collections import OrderedDict
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import sha256_of
-from tacgen.core.records import GraspConfig, SlipMargin
+from tacgen.core.records import GraspConfig, SlipMargin, Until
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample, frame_times_s, rgb_at_load
@@ -144,7 +145,8 @@ class Dataset:
         """What the images of a pad depend on beside the grasps, as plain data.
 
         ``sensor`` (name), ``sensor_sha256`` (of its description), ``table`` (hash), ``pad``,
-        ``markers``, ``shadows`` and ``time_s``, the frames' times; None where it is not known.
+        ``markers``, ``shadows``, ``time_s``, the frames' times, and ``until``, where they end; None
+        where it is not known.
         """
         optics: dict[str, Any] = {}
         with contextlib.suppress(RecipeError):
@@ -158,6 +160,7 @@ class Dataset:
             "markers": optics.get("markers"),
             "shadows": optics.get("shadows"),
             "time_s": np.round(self.time_s, TIME_DIGITS).tolist(),
+            "until": self.until,
         }
 
     @property
@@ -172,9 +175,15 @@ class Dataset:
 
     def times_s(self, index: int) -> NDArray[np.float64]:
         """When the frames of a grasp were taken, (T,): one of them at its moment of grasp."""
-        moment = (self._read(index, f"/grasp/{name}") for name in ("grasp_frame", "grasp_time_s"))
-        frame, grasp_time_s = (value.item() for value in moment)
-        return frame_times_s(self.time_s, frame, grasp_time_s)
+        names = ("grasp_frame", "grasp_time_s", "lift_start_time_s")
+        frame, grasp_s, lift_s = (self._read(index, f"/grasp/{name}").item() for name in names)
+        last_s = lift_s if self.until == "lift" else math.nan
+        return frame_times_s(self.time_s, frame, grasp_s, last_s)
+
+    @property
+    def until(self) -> Until:
+        """Where the frames of a grasp end: at the start of the lift, or when it is over."""
+        return self._shard(0).until
 
     @property
     def shape_px(self) -> tuple[int, int]:

@@ -114,7 +114,13 @@ def write_card(root: Path | str) -> Path:
     arrays, first = list(dataset.layout.arrays()), int(dataset.indices[0])
     inputs = summary["inputs"] or {"recipe": summary["recipe_sha256"], **summary["calibration"]}
     text = card.render(
-        summary=summary, inputs=inputs, arrays=arrays, height=height, width=width, first=first
+        summary=summary,
+        inputs=inputs,
+        arrays=arrays,
+        height=height,
+        width=width,
+        first=first,
+        until=dataset.until,
     )
     dataset.close()
     replace_page(folder.card_path, text)
