@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tacgen.dataset.torch_dataset import TorchGrasps
 
 TIME_DIGITS = 3  # of a frame's time in s that count
+ROUNDING_S = 1e-6  # by which a frame at the start of the lift may seem later
 _MAX_OPEN = 8  # shards kept open; far below any limit on open files
 
 
@@ -185,6 +186,15 @@ class Dataset:
         """Where the frames of a grasp end: at the start of the lift, or when it is over."""
         return self._shard(0).until
 
+    def lift_frames(self) -> NDArray[np.int64]:
+        """The last frame of each grasp before the lift, (N,); −1 where it was not recorded."""
+        columns = self.columns()
+        start_s = columns["lift_start_time_s"]
+        if self.until == "lift":
+            return np.full(len(start_s), self.n_frames - 1)
+        last = np.searchsorted(self.time_s, start_s + ROUNDING_S, side="right") - 1
+        return np.where(np.isnan(start_s), -1, np.maximum(last, columns["grasp_frame"]))
+
     @property
     def shape_px(self) -> tuple[int, int]:
         """Height and width of the tactile images."""
@@ -192,18 +202,23 @@ class Dataset:
         return height, width
 
     def columns(
-        self, shards: Sequence[int] | None = None, *, contact: bool = False
+        self,
+        shards: Sequence[int] | None = None,
+        *,
+        contact: bool = False,
+        pad: str | None = None,
     ) -> dict[str, NDArray[Any]]:
         """What is known of each grasp, by name, (N, …), in the order of ``indices``.
 
-        ``shards`` limits it to those places in ``lines``; ``contact`` adds what the first pad's
-        contact arrays hold, (N, T) or (N, T, 2).
+        ``shards`` limits it to those places in ``lines``; ``contact`` adds what the contact arrays
+        of a ``pad``, the first by default, hold, (N, T) or (N, T, 2).
         """
+        pad = self._pad(pad)
         parts: dict[str, list[NDArray[Any]]] = {}
         for place in range(len(self.lines)) if shards is None else shards:
             layout = self._shard(place).layout
             for field in (*COLUMNS, *(FRAME_FIELDS if contact else ())):
-                path = layout.path(field, self.pads[0])
+                path = layout.path(field, pad)
                 values = self._read(self._starts[place], path, whole=True)
                 parts.setdefault(field.name, []).append(_as_text(values))
         return {name: np.concatenate(values) for name, values in parts.items()}

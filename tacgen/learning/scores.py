@@ -49,19 +49,26 @@ def expected_calibration_error(
     return float((found["n"] * off).sum() / max(len(labels), 1))
 
 
-def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict[str, Any]:
+def score(
+    labels: NDArray[np.int64],
+    probabilities: NDArray[np.float64],
+    prior: float | NDArray[np.float64] = 0.5,
+) -> dict[str, Any]:
     """All scores of some predictions: labels (N,) and probabilities (N,) of success.
 
     ``accuracy`` with ``accuracy_interval`` (Wilson, 95 %), ``balanced_accuracy``, ``auroc`` (None
     where only one class is there), ``ece``, ``confusion`` (rows: true failure, success; columns:
-    predicted failure, success), ``n``. A probability of 0.5 counts as success.
+    predicted failure, success), ``n``. A probability of 0.5 counts as success; for the balanced
+    accuracy, which weighs both outcomes alike, one of ``prior``, the share of successes that the
+    probabilities were calibrated to.
     """
     from sklearn.metrics import confusion_matrix, roc_auc_score
 
     predicted = (probabilities >= 0.5).astype(np.int64)
     confusion = confusion_matrix(labels, predicted, labels=[0, 1])
     present = confusion.sum(axis=1) > 0
-    recall = confusion.diagonal()[present] / confusion.sum(axis=1)[present]
+    evenly = confusion_matrix(labels, (probabilities >= prior).astype(np.int64), labels=[0, 1])
+    recall = evenly.diagonal()[present] / evenly.sum(axis=1)[present]
     n_right = int(confusion.trace())
     return {
         "accuracy": n_right / len(labels),
@@ -84,7 +91,7 @@ def training_lines(summary: Mapping[str, Any]) -> Iterator[str]:
             f"n = {scores['n']}), {model['epoch_s']:.1f} s an epoch"
         )
     origins = sorted({model["weights"] for model in summary["models"].values()})
-    yield f"pre-trained weights: {', '.join(origins)}"
+    yield f"pre-trained weights: {', '.join(origins)}; frames: {summary['frames_seen']}"
 
 
 def evaluation_lines(result: Mapping[str, Any]) -> Iterator[str]:
