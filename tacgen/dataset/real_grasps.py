@@ -65,6 +65,11 @@ class RealGrasps:
     is_simulated: bool = False
     taken_with: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def kind(self) -> str:
+        """What they are, before the word grasps."""
+        return "exported simulated" if self.is_simulated else "real"
+
     def by_object(self) -> Mapping[str, tuple[RealGrasp, ...]]:
         """The grasps of each object, objects in the order of the file."""
         names = dict.fromkeys(grasp.config.object for grasp in self.grasps)

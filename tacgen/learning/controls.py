@@ -4,6 +4,7 @@ import copy
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import exact_torch
 from tacgen.learning.grasps import SimulatedGrasps
 from tacgen.learning.inputs import InputSpec, frames_of, resized
+from tacgen.learning.intervals import mean_scores
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.parameter_baseline import forest
 from tacgen.learning.predictions import Predictions, predict
@@ -29,6 +31,8 @@ CONTROL_EPOCHS = 5
 """Passes over the training grasps: what tells nothing is not learnt in more of them either."""
 LOST_FORCE = 0.1
 """Of the force at the moment of grasp: with less in the last frame the object is gone."""
+SHUFFLES = 3
+"""Permutations of the labels: where images are of two kinds, one alone is right of all or none."""
 _STREAM_SHUFFLE = 30  # keeps the random numbers of one seed apart
 
 Tested = Mapping[str, tuple[NDArray[np.int64], InputSpec]]
@@ -62,9 +66,9 @@ def control_scores(
     """Scores on the tested grasps of what cannot know their outcome, by name.
 
     ``shuffled labels``: a network trained on the images, the labels of the training grasps
-    permuted. ``constant images``: one that sees the gel at rest, whatever happens. ``force alone``:
-    trees that see the commanded force instead. The networks are trained for ``CONTROL_EPOCHS`` on
-    the run's grasps, as the run was.
+    permuted; the mean of ``SHUFFLES`` of them. ``constant images``: one that sees the gel at rest,
+    whatever happens. ``force alone``: trees that see the commanded force instead. The networks are
+    trained for ``CONTROL_EPOCHS`` on the run's grasps, as the run was.
 
     Raises ``LearningError`` if ``source`` is not the dataset that the run was trained on.
     """
@@ -86,18 +90,20 @@ def control_scores(
     epochs = min(recipe.training.epochs, CONTROL_EPOCHS)
     training = recipe.training.model_copy(update={"epochs": epochs})
     short = recipe.model_copy(update={"training": training})
-    trained: dict[str, Callable[[ModelPlan], SimulatedGrasps]] = {
-        "shuffled labels": lambda one: _with_shuffled_labels(source, one, recipe.seed),
-        "constant images": lambda one: _ConstantImages(source),
+    print_status(f"controls: {SHUFFLES + 1} trainings of {epochs} epochs")
+
+    def retrained(altered: Callable[[ModelPlan], SimulatedGrasps]) -> dict[str, Any]:
+        return score_of([_retrained(short, altered(p), p, tested[p.name], device) for p in plans])
+
+    shuffled = [
+        retrained(partial(_with_shuffled_labels, source, seed=recipe.seed, shuffle=shuffle))
+        for shuffle in range(SHUFFLES)
+    ]
+    return {
+        "shuffled labels": mean_scores(shuffled),
+        "constant images": retrained(lambda _: _ConstantImages(source)),
+        "force alone": score_of([_by_force(source, one, tested[one.name][0]) for one in plans]),
     }
-    for name in trained:
-        print_status(f"control {name}: trains {epochs} epochs")
-    found = {
-        name: [_retrained(short, altered(one), one, tested[one.name], device) for one in plans]
-        for name, altered in trained.items()
-    }
-    found["force alone"] = [_by_force(source, one, tested[one.name][0]) for one in plans]
-    return {name: score_of(parts) for name, parts in found.items()}
 
 
 def score_of(parts: Sequence[Predictions]) -> dict[str, Any]:
@@ -120,9 +126,11 @@ class _ConstantImages(SimulatedGrasps):
         return np.repeat(self.reference[None], len(frames), axis=0)
 
 
-def _with_shuffled_labels(source: SimulatedGrasps, plan: ModelPlan, seed: int) -> SimulatedGrasps:
+def _with_shuffled_labels(
+    source: SimulatedGrasps, plan: ModelPlan, *, seed: int, shuffle: int
+) -> SimulatedGrasps:
     """The same images with the labels permuted within those to fit to, and to validate on."""
-    rng = np.random.default_rng(seed_of(seed, plan.name, (_STREAM_SHUFFLE,)))
+    rng = np.random.default_rng(seed_of(seed, plan.name, (_STREAM_SHUFFLE, shuffle)))
     label = source.table.label.copy()
     for rows in (plan.fit_rows, plan.validation_rows):
         label[rows] = rng.permutation(label[rows])

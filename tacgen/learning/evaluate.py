@@ -25,11 +25,12 @@ from tacgen.learning.grasps import (
     SimulatedGrasps,
 )
 from tacgen.learning.inputs import check_source, read_input, resized
+from tacgen.learning.intervals import standardised_gap
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import Predictions, input_statistics, notes_on_images, predict
 from tacgen.learning.reports import started_from, write_evaluation_report
 from tacgen.learning.run_folder import RunFolder, read_json
-from tacgen.learning.scores import score
+from tacgen.learning.scores import score, tested_on
 from tacgen.learning.splits import unseen_tests
 from tacgen.learning.training_recipe import TrainRecipe
 
@@ -313,17 +314,22 @@ def _distinct_texts(values: NDArray[np.float64], least: int = 4) -> list[str]:
 
 
 def _add_gap(folder: RunFolder, result: dict[str, Any]) -> None:
-    """The accuracy lost from simulated to real grasps, on the objects that both have."""
+    """The accuracy lost from simulated to real grasps; every object of both weighs the same."""
     path = folder.source_eval_path("sim")
     if result["source"] != "real" or not path.is_file():
         return
     simulated = read_json(path, "run `tacgen eval RUN --data DIR` again").get("by_object", {})
     shared = sorted(set(simulated) & set(result["by_object"]))
     if shared:
-        accuracy, real = (
-            sum(scores[name]["accuracy"] * scores[name]["n"] for name in shared)
-            / sum(scores[name]["n"] for name in shared)
-            for scores in (simulated, result["by_object"])
-        )
-        gap = {"sim_to_real_gap": accuracy - real, "gap_objects": shared}
-        result |= {"sim_accuracy": accuracy, **gap}
+        accuracy, real, interval = standardised_gap(simulated, result["by_object"])
+        result |= {
+            "sim_accuracy": accuracy,
+            "real_accuracy": real,
+            "sim_to_real_gap": accuracy - real,
+            "gap_interval": list(interval),
+            "gap_objects": shared,
+            "gap_missing": {
+                "simulated": sorted(set(result["by_object"]) - set(shared)),
+                tested_on(result): sorted(set(simulated) - set(shared)),
+            },
+        }
