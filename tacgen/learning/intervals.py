@@ -9,6 +9,15 @@ from scipy.stats import t as student
 
 from tacgen.learning.scores import wilson_interval
 
+
+def _of_seeds(values: Sequence[float]) -> float:
+    """Half of Student's interval of a mean over seeds; 0 of one seed."""
+    k = len(values)
+    if k == 1:
+        return 0.0
+    return float(student.ppf(0.975, k - 1)) * float(np.std(values, ddof=1)) / math.sqrt(k)
+
+
 ScoresByObject = Mapping[str, Mapping[str, float]]
 """By object ``accuracy`` and ``n``, the grasps that it was found on."""
 
@@ -21,7 +30,17 @@ def over_seeds(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     names = results[0]["by_object"]
     parts = {name: mean_scores([one["by_object"][name] for one in results]) for name in names}
     seeds = [result["accuracy"] for result in results]
-    return dict(results[0]) | mean_scores(results) | {"by_object": parts, "seeds": seeds}
+    gaps = _mean_gap(results) if "sim_to_real_gap" in results[0] else {}
+    return dict(results[0]) | mean_scores(results) | gaps | {"by_object": parts, "seeds": seeds}
+
+
+def _mean_gap(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    names = ("sim_accuracy", "real_accuracy", "sim_to_real_gap")
+    means = {name: float(np.mean([one[name] for one in results])) for name in names}
+    low, high = np.mean([one["gap_interval"] for one in results], axis=0).tolist()
+    gap, of_seeds = means["sim_to_real_gap"], _of_seeds([r["sim_to_real_gap"] for r in results])
+    below, above = math.hypot(gap - low, of_seeds), math.hypot(high - gap, of_seeds)
+    return means | {"gap_interval": [gap - below, gap + above]}
 
 
 def mean_scores(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -45,9 +64,7 @@ def interval_over_seeds(accuracies: Sequence[float], n: int) -> tuple[float, flo
     """
     mean = float(np.mean(accuracies))
     low, high = wilson_interval(mean * n, n)
-    k = len(accuracies)
-    spread = float(np.std(accuracies, ddof=1)) if k > 1 else 0.0
-    of_seeds = float(student.ppf(0.975, k - 1)) * spread / math.sqrt(k) if k > 1 else 0.0
+    of_seeds = _of_seeds(accuracies)
     return (
         max(0.0, mean - math.hypot(mean - low, of_seeds)),
         min(1.0, mean + math.hypot(high - mean, of_seeds)),

@@ -17,6 +17,7 @@ from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.grasps import RealGraspImages, SimulatedGrasps, frames_until
 from tacgen.learning.inputs import InputSpec, read_input
+from tacgen.learning.predictor import Predictor
 from tacgen.learning.train import train
 from tests.learning.conftest import (
     REFERENCE,
@@ -146,6 +147,15 @@ def test_equal_grasps_exported_as_real_ones_are_no_gap(runs, data, tmp_path, nam
     assert result["gap_missing"] == {"simulated": [], "another simulation, NOT real": []}
     assert result["auroc"] == simulated["auroc"]
     assert not any("moment of grasp" in note or "lifts start" in note for note in result["notes"])
+
+
+def test_predict_says_that_later_images_are_not_asked_for(runs, data, capsys):
+    images = Dataset(data)[0]["rgb"]
+    for run, said in ((runs["lift"], True), (runs["outcome"], False)):
+        Predictor(run).predict([images])
+        assert ("none after the start of the lift" in capsys.readouterr().err) is said
+    Predictor(runs["lift"]).predict([images[: LIFT_FRAME + 1]])
+    assert "none after" not in capsys.readouterr().err
 
 
 def test_real_sequences_without_a_lift_frame_are_noted(runs, data, tmp_path):
