@@ -68,7 +68,8 @@ def evaluate(
         msg = "--controls are trained again, on simulated grasps; give --data DIR instead of --real"
         raise LearningError(msg)
     if controls and data is None:
-        data = Path(read_json(folder.summary_path, "finish `tacgen train` first")["data"])
+        trained_on = read_json(folder.summary_path, "finish `tacgen train` first").get("data")
+        data = None if trained_on is None else Path(trained_on)
     if (data is None) == (real is None):
         msg = "give either --data DIR (simulated test grasps) or --real DIR (real grasps)"
         raise LearningError(msg)
