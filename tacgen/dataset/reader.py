@@ -7,7 +7,7 @@ import math
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -186,9 +186,8 @@ class Dataset:
         """Where the frames of a grasp end: at the start of the lift, or when it is over."""
         return self._shard(0).until
 
-    def lift_frames(self) -> NDArray[np.int64]:
-        """The last frame of each grasp before the lift, (N,); −1 where it was not recorded."""
-        columns = self.columns()
+    def lift_frames(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+        """The last frame before the lift of the grasps of ``columns``, (N,); −1 where unknown."""
         start_s = columns["lift_start_time_s"]
         if self.until == "lift":
             return np.full(len(start_s), self.n_frames - 1)

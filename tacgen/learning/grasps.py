@@ -120,7 +120,7 @@ class SimulatedGrasps:
         self.shape_px: tuple[int, int] = self.reference.shape[:2]
         self.n_frames = self.dataset.n_frames
         self.taken_with: Mapping[str, Any] = self.dataset.taken_with(pad)
-        self.lift_frame = self.dataset.lift_frames()[rows]
+        self.lift_frame = self.dataset.lift_frames(columns)[rows]
         self._rows = rows
 
     def normal_force_n(self) -> NDArray[np.float64]:

@@ -24,10 +24,13 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path, *, images: bool 
     table = grasps[list(COLUMNS)].copy()
     table.insert(0, "grasp_id", [grasp_id(int(index)) for index in grasps["index"]])
     if images:
-        lift_frame = dict(zip(dataset.indices, dataset.lift_frames(), strict=True))
-        frames = grasps["grasp_frame"], grasps["index"].map(lift_frame)
-        for name, column in zip(FRAMES, frames, strict=True):
-            table[name] = column.where(column != FRAME_UNKNOWN).astype("Int64")
+        columns = {name: column.to_numpy() for name, column in grasps.items()}
+        for name, frames in zip(
+            FRAMES, (grasps["grasp_frame"], dataset.lift_frames(columns)), strict=True
+        ):
+            table[name] = pd.Series(frames, grasps.index, dtype="Int64").replace(
+                FRAME_UNKNOWN, pd.NA
+            )
     write_text(folder / "grasps.csv", table.to_csv(index=False))
     about = {"simulated": True, "note": NOTE, "taken_with": dataset.taken_with()}
     write_text(folder / ABOUT, json.dumps(about, indent=1))
