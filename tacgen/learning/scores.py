@@ -25,7 +25,8 @@ def wilson_interval(n_right: float, n: int) -> tuple[float, float]:
     share, z2_n = n_right / n, float(norm.ppf(0.975)) ** 2 / n
     middle = (share + z2_n / 2) / (1 + z2_n)
     half = math.sqrt(z2_n * (share * (1 - share) + z2_n / 4)) / (1 + z2_n)
-    return max(0.0, middle - half), min(1.0, middle + half)
+    # The share is one end where it is 0 or 1, whatever rounding makes of it.
+    return max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share))
 
 
 def reliability(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> pd.DataFrame:

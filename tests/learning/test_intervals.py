@@ -16,6 +16,9 @@ def test_wilson_is_scipys_and_takes_means():
     for right, n in ((0, 5), (3, 7), (96, 100), (40, 40)):
         found = binomtest(right, n).proportion_ci(0.95, method="wilson")
         assert wilson_interval(right, n) == pytest.approx((found.low, found.high))
+    for n in range(1, 200):
+        assert wilson_interval(n, n)[1] == 1.0
+        assert wilson_interval(0, n)[0] == 0.0
     assert wilson_interval(3, 7)[0] < wilson_interval(3.5, 7)[0] < wilson_interval(4, 7)[0]
 
 
