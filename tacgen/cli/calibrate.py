@@ -207,7 +207,7 @@ def friction(
     common.warn(warnings)
     write_friction_report(out / "report.html", grasps, outcomes, fits, warnings)
     if write_objects:
-        sweep.write_object_copies(fits, out / "objects", loaded)
+        sweep.write_object_copies(fits, out / "objects", loaded, grasps.kind)
     verdicts = [verdict_of(name, fit) for name, fit in sweep.friction_json(fits).items()]
     common.print_result(sweep.friction_json(fits), verdicts, json_output)
     common.hand_over(

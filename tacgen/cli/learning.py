@@ -54,9 +54,17 @@ def evaluate(
         list[str] | None,
         Option(
             help="Test although the images of --data were taken with another one of sensor, table, "
-            "pad, markers, shadows, time_s; may be repeated."
+            "pad, markers, shadows, time_s, until; may be repeated."
         ),
     ] = None,
+    controls: Annotated[
+        bool,
+        Option(
+            "--controls",
+            help="Also score networks trained on shuffled labels and on constant images, and trees "
+            "that see the force alone; on the run's dataset if no --data is given.",
+        ),
+    ] = False,
     device: DeviceOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -67,11 +75,15 @@ def evaluate(
     if baseline is not None:
         from tacgen.learning.grasps import SimulatedGrasps
         from tacgen.learning.parameter_baseline import baseline_lines, baseline_scores
+        from tacgen.learning.twins import equal_ranges, one_sided
 
         if data is None or run is not None or real is not None:
             msg = "--baseline takes no RUN and no --real; give a dataset with --data DIR"
             raise LearningError(msg)
-        scores = baseline_scores(SimulatedGrasps(data).table)
+        source = SimulatedGrasps(data)
+        equal = equal_ranges(source)
+        table, _ = one_sided(source.table, equal)
+        scores = baseline_scores(table, equal)
         common.print_result(scores, baseline_lines(scores), json_output)
         common.hand_over(f"tacgen train train_single_small --data {quoted(data)} --out run")
         return
@@ -81,7 +93,7 @@ def evaluate(
     from tacgen.learning.evaluate import evaluate as evaluate_run
     from tacgen.learning.scores import evaluation_lines
 
-    result = evaluate_run(run, data, real, device=device, across=across or ())
+    result = evaluate_run(run, data, real, device=device, across=across or (), controls=controls)
     common.print_result(result, evaluation_lines(result), json_output)
     lines = [f"tacgen export {quoted(data)} --format real-grasps --out grasps"] if not real else []
     common.hand_over(*lines, f"tacgen predict {quoted(run)} {quoted(real or 'grasps')}/images/*")

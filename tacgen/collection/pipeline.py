@@ -141,6 +141,9 @@ class GraspPipeline:
             label_confidence=label_confidence(trace, grasp.grasped, self.recipe),
             grasp_frame=frame,
             grasp_time_s=trace.grasp_time_s,
+            lift_start_time_s=trace.lift_start_time_s,
+            lift_end_time_s=trace.lift_end_time_s,
+            outcome_time_s=trace.outcome_time_s,
             picture=picture,
             reason=trace.reason,
         )

@@ -52,6 +52,9 @@ GRASPS: Mapping[str, str] = {
     "z_mm": "height of the pads' centre above the table, mm",
     "yaw_rad": "angle of the gripper about z, rad; 0 if not given",
     "failure_mode": "translational_slip, rotational_slip or empty",
+    "grasp_frame": "number of the image at the moment of grasp, from 0; found in the images if not "
+    "given",
+    "lift_frame": "number of the last image before the lift, from 0",
 }
 DEPTH_CURVES: Mapping[str, str] = {
     "depth_mm": "indentation, mm",

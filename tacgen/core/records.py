@@ -20,6 +20,9 @@ PADS: tuple[str, ...] = get_args(PadName)
 Status = Literal["executed", "unreachable", "no_contact", "crashed"]
 FailureMode = Literal["", "translational_slip", "rotational_slip"]
 
+Until = Literal["lift", "outcome"]
+"""Where the tactile frames of a grasp end: at the start of the lift, or when it is over."""
+
 LABEL_SUCCESS, LABEL_FAILURE, LABEL_NOT_EXECUTED = 1, 0, -1
 
 
@@ -193,6 +196,8 @@ class GraspTrace:
     is x, y, z (mm) and the quaternion x, y, z, w of the object in the world at the frames' times.
     ``grasp_time_s`` is the moment of grasp, when the force was found steady, from closing on (NaN
     where the grasp was not executed), ``grasp_frame`` the frame that was taken at that moment.
+    ``lift_start_time_s`` and ``lift_end_time_s`` are on the same clock, as is ``outcome_time_s``:
+    when the object passed the limit that made the grasp fail, else the end of the lift.
     """
 
     config: GraspConfig
@@ -207,6 +212,9 @@ class GraspTrace:
     reason: str = ""
     grasp_time_s: float = float("nan")
     grasp_frame: int = 0
+    lift_start_time_s: float = float("nan")
+    lift_end_time_s: float = float("nan")
+    outcome_time_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ It needs no network and stays below ``MAX_PAGE_BYTES``: a large dataset is repre
 taken evenly, and the page says so.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -147,7 +148,8 @@ def _card(
     forces_n = {"normal": values["force_normal_n"], "shear": shear_n}
     top_n = max(float(force_n.max()) for force_n in forces_n.values())
     index, moment = point["index"], int(values["grasp_frame"])
-    time_s = frame_times_s(time_s, moment, float(values["grasp_time_s"]))
+    last_s = float(values["lift_start_time_s"]) if dataset.until == "lift" else math.nan
+    time_s = frame_times_s(time_s, moment, float(values["grasp_time_s"]), last_s)
     small = made.get(index)
     if small is None:
         pads, seen = dataset.pads if executed else (), partial(dataset.rgb, index)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import sha256_of
-from tacgen.core.records import GraspConfig, SlipMargin
+from tacgen.core.records import GraspConfig, SlipMargin, Until
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample, frame_times_s, rgb_at_load
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from tacgen.dataset.torch_dataset import TorchGrasps
 
 TIME_DIGITS = 3  # of a frame's time in s that count
+ROUNDING_S = 1e-6  # by which a frame at the start of the lift may seem later
 _MAX_OPEN = 8  # shards kept open; far below any limit on open files
 
 
@@ -144,7 +146,8 @@ class Dataset:
         """What the images of a pad depend on beside the grasps, as plain data.
 
         ``sensor`` (name), ``sensor_sha256`` (of its description), ``table`` (hash), ``pad``,
-        ``markers``, ``shadows`` and ``time_s``, the frames' times; None where it is not known.
+        ``markers``, ``shadows``, ``time_s``, the frames' times, and ``until``, where they end; None
+        where it is not known.
         """
         optics: dict[str, Any] = {}
         with contextlib.suppress(RecipeError):
@@ -157,6 +160,7 @@ class Dataset:
             "markers": optics.get("markers"),
             "shadows": optics.get("shadows"),
             "time_s": np.round(self.time_s, TIME_DIGITS).tolist(),
+            "until": self.until,
         }
 
     @property
@@ -171,9 +175,23 @@ class Dataset:
 
     def times_s(self, index: int) -> NDArray[np.float64]:
         """When the frames of a grasp were taken, (T,): one of them at its moment of grasp."""
-        moment = (self._read(index, f"/grasp/{name}") for name in ("grasp_frame", "grasp_time_s"))
-        frame, grasp_time_s = (value.item() for value in moment)
-        return frame_times_s(self.time_s, frame, grasp_time_s)
+        names = ("grasp_frame", "grasp_time_s", "lift_start_time_s")
+        frame, grasp_s, lift_s = (self._read(index, f"/grasp/{name}").item() for name in names)
+        last_s = lift_s if self.until == "lift" else math.nan
+        return frame_times_s(self.time_s, frame, grasp_s, last_s)
+
+    @property
+    def until(self) -> Until:
+        """Where the frames of a grasp end: at the start of the lift, or when it is over."""
+        return self._shard(0).until
+
+    def lift_frames(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+        """The last frame before the lift of the grasps of ``columns``, (N,); −1 where unknown."""
+        start_s = columns["lift_start_time_s"]
+        if self.until == "lift":
+            return np.full(len(start_s), self.n_frames - 1)
+        last = np.searchsorted(self.time_s, start_s + ROUNDING_S, side="right") - 1
+        return np.where(np.isnan(start_s), -1, np.maximum(last, columns["grasp_frame"]))
 
     @property
     def shape_px(self) -> tuple[int, int]:
@@ -182,18 +200,23 @@ class Dataset:
         return height, width
 
     def columns(
-        self, shards: Sequence[int] | None = None, *, contact: bool = False
+        self,
+        shards: Sequence[int] | None = None,
+        *,
+        contact: bool = False,
+        pad: str | None = None,
     ) -> dict[str, NDArray[Any]]:
         """What is known of each grasp, by name, (N, …), in the order of ``indices``.
 
-        ``shards`` limits it to those places in ``lines``; ``contact`` adds what the first pad's
-        contact arrays hold, (N, T) or (N, T, 2).
+        ``shards`` limits it to those places in ``lines``; ``contact`` adds what the contact arrays
+        of a ``pad``, the first by default, hold, (N, T) or (N, T, 2).
         """
+        pad = self._pad(pad)
         parts: dict[str, list[NDArray[Any]]] = {}
         for place in range(len(self.lines)) if shards is None else shards:
             layout = self._shard(place).layout
             for field in (*COLUMNS, *(FRAME_FIELDS if contact else ())):
-                path = layout.path(field, self.pads[0])
+                path = layout.path(field, pad)
                 values = self._read(self._starts[place], path, whole=True)
                 parts.setdefault(field.name, []).append(_as_text(values))
         return {name: np.concatenate(values) for name, values in parts.items()}

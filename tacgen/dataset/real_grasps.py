@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 REQUIRED = ("grasp_id", "object", "label")
 CONFIGURATION = ("force_n", "x_mm", "y_mm", "z_mm")
 """What a grasp must say to be simulated again; networks do without."""
+FRAMES = ("grasp_frame", "lift_frame")
+FRAME_UNKNOWN = -1
 FAILURE_MODES: tuple[FailureMode, ...] = get_args(FailureMode)
 BACKGROUND = "background.png"  # image of the undeformed gel, where there is one
 ABOUT = "about.json"
@@ -34,13 +36,19 @@ MAX_PROBLEMS_SHOWN = 20  # enough to see a pattern in a message
 
 @dataclass(frozen=True, slots=True)
 class RealGrasp:
-    """One real grasp: what was asked for, and how it ended (label 1 success, 0 failure)."""
+    """One real grasp: what was asked for, and how it ended (label 1 success, 0 failure).
+
+    Of its images ``grasp_frame`` is that of the moment of grasp and ``lift_frame`` the last before
+    the lift; ``FRAME_UNKNOWN`` where that is not known.
+    """
 
     grasp_id: str
     config: GraspConfig
     label: int
     failure_mode: FailureMode
     images: tuple[Path, ...]
+    grasp_frame: int = FRAME_UNKNOWN
+    lift_frame: int = FRAME_UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +64,11 @@ class RealGrasps:
     warnings: tuple[str, ...]
     is_simulated: bool = False
     taken_with: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """What they are, before the word grasps."""
+        return "exported simulated" if self.is_simulated else "real"
 
     def by_object(self) -> Mapping[str, tuple[RealGrasp, ...]]:
         """The grasps of each object, objects in the order of the file."""
@@ -91,6 +104,13 @@ def read_real_grasps(
     records = enumerate(table.to_dict("records"))
     unused: list[str] = []
     grasps = tuple(_grasp(folder, number, row, unused) for number, row in records)
+    problems = [
+        f"{path}: grasp {grasp.grasp_id!r}: {name} = {frame}, but it has {len(grasp.images)} images"
+        for grasp in grasps
+        for name, frame in zip(FRAMES, (grasp.grasp_frame, grasp.lift_frame), strict=True)
+        if grasp.images and frame >= len(grasp.images)
+    ]
+    DatasetError.raise_if(problems[:MAX_PROBLEMS_SHOWN])
     warnings = similar_columns(table.columns, GRASPS, str(path))
     for name in ("z_mm", "yaw_rad"):
         if problem := unit_problems(name, np.array(list(map(_number, table.get(name, ()))))):
@@ -155,19 +175,9 @@ def _problems(
     def add(row: int, text: str) -> None:
         problems.append(f"{path}:{row + 2}: {text}")
 
-    numbers = [name for name in (*CONFIGURATION, "yaw_rad") if name in table]
     for row, record in enumerate(table.to_dict("records")):
-        for name in numbers:
-            empty = record[name] == "" and name not in needs
-            if not empty and not np.isfinite(_number(record[name])):
-                add(row, f"{name} = {record[name]!r} is no number; give it or drop the row")
-        if _number(record.get("force_n", "")) <= 0:
-            add(row, f"force_n = {record['force_n']} is no force to grip with")
-        if _number(record["label"]) not in (0.0, 1.0):
-            wrong = f"label = {record['label']!r} is neither 1 (success) nor 0 (failure)"
-            add(row, f"{wrong}; write one of them or drop the row")
-        if (mode := record.get("failure_mode", "")) not in FAILURE_MODES:
-            add(row, f"failure_mode = {mode!r} is none of {', '.join(FAILURE_MODES[1:])}")
+        for text in _row_problems(record, needs):
+            add(row, text)
     for name in table["object"].unique() if known_objects else ():
         if name not in known_objects:
             rows = np.flatnonzero(table["object"] == name)
@@ -179,6 +189,23 @@ def _problems(
         known = f"grasp_id {grasp_id!r} stands on line {first + 2} already"
         add(second, f"{known}; give each grasp its own")
     return problems
+
+
+def _row_problems(record: Mapping[str, str], needs: Sequence[str]) -> Iterator[str]:
+    for name in [name for name in (*CONFIGURATION, "yaw_rad") if name in record]:
+        empty = record[name] == "" and name not in needs
+        if not empty and not np.isfinite(_number(record[name])):
+            yield f"{name} = {record[name]!r} is no number; give it or drop the row"
+    for name in filter(record.get, FRAMES):
+        if not (_number(record[name]).is_integer() and _number(record[name]) >= 0):
+            yield f"{name} = {record[name]!r} is no number of an image, from 0; leave it out"
+    if _number(record.get("force_n", "")) <= 0:
+        yield f"force_n = {record['force_n']} is no force to grip with"
+    if _number(record["label"]) not in (0.0, 1.0):
+        wrong = f"label = {record['label']!r} is neither 1 (success) nor 0 (failure)"
+        yield f"{wrong}; write one of them or drop the row"
+    if (mode := record.get("failure_mode", "")) not in FAILURE_MODES:
+        yield f"failure_mode = {mode!r} is none of {', '.join(FAILURE_MODES[1:])}"
 
 
 def _number(text: str) -> float:
@@ -194,7 +221,8 @@ def _grasp(folder: Path, number: int, record: Mapping[str, Any], unused: list[st
     config = GraspConfig(index=number, object=record["object"], yaw_rad=yaw_rad, **axes)
     name, label = record["grasp_id"], int(float(record["label"]))
     images = _images(folder, name, unused)
-    return RealGrasp(name, config, label, record.get("failure_mode", ""), images)
+    frames = [int(float(record.get(column) or FRAME_UNKNOWN)) for column in FRAMES]
+    return RealGrasp(name, config, label, record.get("failure_mode", ""), images, *frames)
 
 
 def _images(folder: Path, grasp_id: str, unused: list[str]) -> tuple[Path, ...]:

@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.records import PADS, FailureMode, GraspConfig, Sensor, SlipMargin, Status
+from tacgen.core.records import (
+    PADS,
+    FailureMode,
+    GraspConfig,
+    Sensor,
+    SlipMargin,
+    Status,
+    Until,
+)
 from tacgen.dataset.inputs import Inputs
 from tacgen.dataset.schema import FIELDS, STATE_FIELDS, Layout
 
@@ -38,6 +46,7 @@ class GraspSample:
     grasp was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z
     (mm) and the quaternion x, y, z, w in the world. ``grasp_time_s`` is the moment of grasp, from
     closing on (NaN where unknown), ``grasp_frame`` the frame that was taken then.
+    ``lift_start_time_s``, ``lift_end_time_s`` and ``outcome_time_s`` are as in ``GraspTrace``.
     ``label_confidence`` is the label's probability, NaN where unknown. ``picture`` (h, w, 3) uint8
     shows the scene from outside.
     """
@@ -58,6 +67,9 @@ class GraspSample:
     picture: NDArray[np.uint8] | None = None
     reason: str = ""
     grasp_time_s: float = math.nan
+    lift_start_time_s: float = math.nan
+    lift_end_time_s: float = math.nan
+    outcome_time_s: float = math.nan
 
 
 def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
@@ -70,14 +82,20 @@ def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
 
 
 def frame_times_s(
-    time_s: NDArray[np.float64], grasp_frame: int, grasp_time_s: float
+    time_s: NDArray[np.float64],
+    grasp_frame: int,
+    grasp_time_s: float,
+    last_time_s: float = math.nan,
 ) -> NDArray[np.float64]:
     """When a grasp's frames were taken, (T,), where ``time_s`` are the times of the dataset.
 
     The frame of the moment of grasp was taken at that moment, but in a sequence of one, which
-    states a time of its own.
+    states a time of its own. ``last_time_s`` is when frames end that end with the lift's start.
     """
     times_s = np.array(time_s, np.float64)
+    if not math.isnan(last_time_s) and (len(times_s) > 1 or times_s[0] > 0):
+        times_s = np.minimum(times_s, last_time_s)
+        times_s[-1] = last_time_s
     if not math.isnan(grasp_time_s) and (len(times_s) > 1 or times_s[0] == 0):
         times_s[grasp_frame] = grasp_time_s
     return times_s
@@ -130,6 +148,11 @@ class DatasetSpec:
     inputs: Inputs = field(default_factory=Inputs)
     grids: tuple[Any, ...] = ()
     parts: tuple[int, ...] = ()
+
+    @property
+    def until(self) -> Until:
+        """Where the frames end."""
+        return "lift" if dict(self.recipe.get("frames") or {}).get("until") == "lift" else "outcome"
 
     @property
     def part_sizes(self) -> tuple[int, ...]:

@@ -26,6 +26,8 @@ SPLITS = ("train", "test")
 STATUSES = ("executed", "unreachable", "no_contact", "crashed")
 FAILURE_MODES = ("", "translational_slip", "rotational_slip")
 
+FRAMES_UNTIL = "frames_until"
+"""Root attribute: ``lift`` where no frame is later than the start of the lift."""
 NOISE_AT_LOAD = "noise_at_load_grey"
 """Root attribute: standard deviation of the camera's noise that readers add; none if missing."""
 
@@ -126,7 +128,11 @@ _MOMENT = "moment of grasp, from closing on; NaN where none"
 _FOOTPRINT = "gripper's centre from the footprint's"
 _ON_GEL = "force of the object on the gel along the gel's x and y"
 _POSE = "x, y, z in mm and the quaternion x, y, z, w"
-_TIME = "time of the frames from closing on; that of the moment of grasp is taken then"
+_TIME = (
+    "time of the frames from closing on; that of the moment of grasp is taken then, and with the "
+    "attribute frames_until = lift none after the lift's start"
+)
+_OUTCOME_TIME = "when a limit of success was passed, from closing on; else the lift's end"
 
 
 def _column(name: str, unit: str, frame: str, text: str, source: str = "", **how: Any) -> Field:
@@ -164,6 +170,9 @@ FIELDS: tuple[Field, ...] = (
     _column("turn_rad", "rad", "gripper", "how far it turned in the gripper"),
     _column("grasp_frame", "1", "", "frame taken at the moment of grasp", dtype="int32"),
     _column("grasp_time_s", "s", "", _MOMENT, nan=True),
+    _column("lift_start_time_s", "s", "", "start of the lift", nan=True),
+    _column("lift_end_time_s", "s", "", "end of the lift", nan=True),
+    _column("outcome_time_s", "s", "", _OUTCOME_TIME, nan=True),
     _column(
         "margin_translational", "weights", "", _TRANSLATIONAL, "margin.translational", nan=True
     ),

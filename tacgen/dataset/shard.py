@@ -17,9 +17,16 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
-from tacgen.core.records import PADS
+from tacgen.core.records import PADS, Until
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
-from tacgen.dataset.schema import FIELDS, FORMAT_VERSION, NOISE_AT_LOAD, ArraySpec, Layout
+from tacgen.dataset.schema import (
+    FIELDS,
+    FORMAT_VERSION,
+    FRAMES_UNTIL,
+    NOISE_AT_LOAD,
+    ArraySpec,
+    Layout,
+)
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
 MAX_TEXT_BYTES = 256  # of a name or status; more is damage
@@ -41,6 +48,7 @@ class Shard:
     index_range: tuple[int, int]
     recipe_sha256: str
     noise_at_load_grey: float
+    until: Until
 
     def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""
@@ -128,7 +136,8 @@ def _checked(path: Path, file: h5py.File) -> Shard:
         _refuse(path, problems)
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
     recipe_sha256 = _text(file, "recipe_sha256")
-    return Shard(path, file, layout, arrays, (start, stop), recipe_sha256, noise_grey)
+    until: Until = "lift" if _text(file, FRAMES_UNTIL) == "lift" else "outcome"
+    return Shard(path, file, layout, arrays, (start, stop), recipe_sha256, noise_grey, until)
 
 
 def _refuse(path: Path, problems: Sequence[str]) -> NoReturn:

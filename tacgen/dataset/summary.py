@@ -112,7 +112,14 @@ def write_card(root: Path | str) -> Path:
     height, width = dataset.shape_px
     card = templates("tacgen.dataset", escaped=False).get_template("card.md")
     arrays, first = list(dataset.layout.arrays()), int(dataset.indices[0])
-    text = card.render(summary=summary, arrays=arrays, height=height, width=width, first=first)
+    text = card.render(
+        summary=summary,
+        arrays=arrays,
+        height=height,
+        width=width,
+        first=first,
+        until=dataset.until,
+    )
     dataset.close()
     replace_page(folder.card_path, text)
     return folder.card_path

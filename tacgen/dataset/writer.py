@@ -16,7 +16,7 @@ from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range
-from tacgen.dataset.schema import FORMAT_VERSION, NOISE_AT_LOAD, Field, Layout
+from tacgen.dataset.schema import FORMAT_VERSION, FRAMES_UNTIL, NOISE_AT_LOAD, Field, Layout
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
@@ -123,6 +123,7 @@ def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> Non
         "sensor": spec.sensor.name,
         "pads": ",".join(spec.pads),
         "how_to_read": HOW_TO_READ,
+        FRAMES_UNTIL: spec.until,
     }
     for name, text in texts.items():
         file.attrs[name] = np.bytes_(text.encode())

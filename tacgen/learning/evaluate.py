@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from tacgen.core.errors import LearningError, require_known
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
+from tacgen.dataset.real_grasps import FRAME_UNKNOWN
 from tacgen.learning.checkpoint import ModelCard, load_model
+from tacgen.learning.controls import Tested, control_scores, last_force_rule
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.grasps import (
     CONFIGURATION_DIGITS,
@@ -23,17 +25,18 @@ from tacgen.learning.grasps import (
     SimulatedGrasps,
 )
 from tacgen.learning.inputs import check_source, read_input, resized
+from tacgen.learning.intervals import standardised_gap
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import Predictions, input_statistics, notes_on_images, predict
 from tacgen.learning.reports import started_from, write_evaluation_report
 from tacgen.learning.run_folder import RunFolder, read_json
-from tacgen.learning.scores import score
+from tacgen.learning.scores import score, tested_on
 from tacgen.learning.splits import unseen_tests
 from tacgen.learning.training_recipe import TrainRecipe
 
 MAX_GROUPS = 8
 """Rows of a table of scores by value; more values than that are put into half as many ranges."""
-ACROSS = ("sensor", "table", "pad", "markers", "shadows", "time_s")
+ACROSS = ("sensor", "table", "pad", "markers", "shadows", "time_s", "until")
 """In what the images of a dataset may differ from those of the training; ``Dataset.taken_with``."""
 _AUROC_NOTE = (
     "The AUROC overall ranks the grasps of all models together; by object it ranks one model's."
@@ -47,21 +50,29 @@ def evaluate(
     *,
     device: str | None = None,
     across: Sequence[str] = (),
+    controls: bool = False,
 ) -> dict[str, Any]:
     """Test the models of ``run`` on the test grasps of a dataset, or on real grasps.
 
     Writes ``eval.json`` and ``eval.html`` into the run, and the same figures as
     ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is computed. A dataset
     may differ from the training data in what is named in ``across`` (see ``ACROSS``); of real
-    grasps every known difference is noted.
+    grasps every known difference is noted. With ``controls`` the result has those of
+    ``control_scores`` beside the networks, by default on the run's own dataset.
 
     Raises ``TacgenError`` if the run or the grasps cannot be used, all of them were trained on, or
     the images were taken in another way.
     """
+    folder = RunFolder(run)
+    if controls and real is not None:
+        msg = "--controls are trained again, on simulated grasps; give --data DIR instead of --real"
+        raise LearningError(msg)
+    if controls and data is None:
+        trained_on = read_json(folder.summary_path, "finish `tacgen train` first").get("data")
+        data = None if trained_on is None else Path(trained_on)
     if (data is None) == (real is None):
         msg = "give either --data DIR (simulated test grasps) or --real DIR (real grasps)"
         raise LearningError(msg)
-    folder = RunFolder(run)
     plan, recipe = folder.plan(), folder.recipe()
     source: GraspSource
     where, notes = str(data or real), []
@@ -76,8 +87,13 @@ def evaluate(
     notes += _differences(plan, recipe, source, where, across)
     test = _Test(folder, plan, recipe, source, where, choose_device(recipe.training, device), notes)
     with exact_torch(recipe.training.threads):
-        predictions, cards = test.predict_all(unseen)
+        predictions, cards, tested = test.predict_all(unseen)
     result = _summary(predictions, cards, source_name, where, notes)
+    if isinstance(source, SimulatedGrasps):
+        if recipe.model.kind == "sequence":
+            result["last_force_rule"] = last_force_rule(source, tested)
+        if controls:
+            result["controls"] = control_scores(folder, plan, recipe, source, tested, test.device)
     result["real_is_simulated"] = source_name == "real" and source.is_simulated
     _add_gap(folder, result)
     text = json.dumps(result, indent=1)
@@ -106,7 +122,7 @@ def _differences(
     both = [n for n in trained if None not in (trained[n], tested.get(n))]
     found = {name.removesuffix("_sha256") for name in both if trained[name] != tested[name]}
     if recipe.model.kind == "single":
-        found.discard("time_s")
+        found -= {"time_s", "until"}
     differing = [name for name in ACROSS if name in found]
     refused = [name for name in differing if name not in across]
     if refused and isinstance(source, SimulatedGrasps):
@@ -123,14 +139,18 @@ def _differences(
 
 
 def scores_by_value(
-    values: NDArray[np.float64], labels: NDArray[np.int64], probabilities: NDArray[np.float64]
+    values: NDArray[np.float64],
+    labels: NDArray[np.int64],
+    probabilities: NDArray[np.float64],
+    prior: float | NDArray[np.float64] = 0.5,
 ) -> dict[str, Any]:
     """Scores of (N,) grasps by each of their values, or by ranges where there are many.
 
     Ranges hold about as many grasps each; their names are their ends. Grasps whose value is not
-    known (NaN) are in none.
+    known (NaN) are in none. ``prior`` is as for ``score``.
     """
     known = np.isfinite(values)
+    priors = np.broadcast_to(prior, values.shape)[known]
     values, labels, probabilities = values[known], labels[known], probabilities[known]
     values = np.round(values, CONFIGURATION_DIGITS)
     distinct = np.unique(values)
@@ -140,7 +160,9 @@ def scores_by_value(
         places = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
         names = [f"{low} to {high}" for low, high in itertools.pairwise(_distinct_texts(edges))]
     groups = {name: places == k for k, name in enumerate(names)}
-    return {name: score(labels[g], probabilities[g]) for name, g in groups.items() if g.any()}
+    return {
+        name: score(labels[g], probabilities[g], priors[g]) for name, g in groups.items() if g.any()
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +177,9 @@ class _Test:
     device: str
     notes: list[str] = field(default_factory=list)
 
-    def predict_all(self, unseen: NDArray[np.bool_]) -> tuple[list[Predictions], list[ModelCard]]:
+    def predict_all(
+        self, unseen: NDArray[np.bool_]
+    ) -> tuple[list[Predictions], list[ModelCard], Tested]:
         """The predictions of each model for the ``unseen`` (N,) grasps of its objects."""
         wanted = {name: model["objects"] for name, model in self.plan["models"].items()}
         known = [one for objects in wanted.values() for one in objects]
@@ -169,18 +193,20 @@ class _Test:
             raise LearningError(msg)
         if unknown:
             self._note(f"NOT tested, since no model is for them: {', '.join(unknown)}")
-        found = []
+        found, tested = [], {}
         for name, objects in wanted.items():
             rows = np.flatnonzero(np.isin(self.source.table.objects, objects) & unseen)
             if len(rows):
-                found.append(self._predict(name, rows))
+                predicted, card = self._predict(name, rows)
+                found.append((predicted, card))
+                tested[name] = rows, card.input
             else:
                 where = self.where
                 self._note(f"the model {name} was NOT tested: {where} has no test grasps for it")
         if not found:
             msg = f"{self.where}: has no test grasps; collect it with split.test_fraction above 0"
             raise LearningError(msg)
-        return [predicted for predicted, _ in found], [card for _, card in found]
+        return [predicted for predicted, _ in found], [card for _, card in found], tested
 
     def _predict(self, name: str, rows: NDArray[np.int64]) -> tuple[Predictions, ModelCard]:
         folder, kind = self.folder.model(name), self.recipe.model.kind
@@ -204,7 +230,8 @@ class _Test:
         for note in notes_on_images(statistics, card):
             self._note(f"{self.where}: {note}")
         frames = [partial(read_input, self.source, int(row), card.input) for row in rows]
-        return Predictions(self.source.table.take(rows), probabilities, frames), card
+        table = self.source.table.take(rows)
+        return Predictions(table, probabilities, frames, network.prior), card
 
     def _batches(
         self, rows: NDArray[np.int64], card: ModelCard, trained_reference: NDArray[np.uint8] | None
@@ -217,11 +244,17 @@ class _Test:
                 f"{self.where}: has no background.png, so images are compared with the undeformed "
                 "gel of the training data"
             )
-        sequences = any(source.frame_count(int(row)) > 1 for row in rows)
-        if isinstance(source, RealGraspImages) and spec.kind == "single" and sequences:
+        sequences = np.array([source.frame_count(int(row)) > 1 for row in rows])
+        unknown = sequences & (source.table.grasp_frame[rows] == FRAME_UNKNOWN)
+        if spec.kind == "single" and unknown.any():
             self._note(
                 f"{self.where}: of grasps with several images and no moment of grasp, the image "
                 "after which the change from the gel at rest stops growing is taken for it"
+            )
+        if spec.shows_until == "lift" and (source.lift_frame[rows] == FRAME_UNKNOWN).any():
+            self._note(
+                f"{self.where}: does not tell when the lifts start, so all images are used, where "
+                "the network was trained on those before; give lift_frame in grasps.csv"
             )
         inputs = DecodedInputs(source, rows, spec, self.recipe.input.cache_mb)
         return Batches(inputs, spec, reference, self.recipe.training.batch_size)
@@ -239,6 +272,7 @@ def _summary(
     notes: list[str],
 ) -> dict[str, Any]:
     labels, probabilities = Predictions.joined(predictions)
+    priors = np.concatenate([np.full(len(part.table), part.prior) for part in predictions])
     objects, force_n, z_mm = (
         np.concatenate([getattr(part.table, name) for part in predictions])
         for name in ("objects", "force_n", "z_mm")
@@ -247,15 +281,17 @@ def _summary(
     wrong = [(part.table, part.probabilities, i) for part in predictions for i in part.wrong()]
     return {
         "source": source,
-        **score(labels, probabilities),
+        **score(labels, probabilities, priors),
         "by_object": {
-            str(name): score(labels[objects == name], probabilities[objects == name])
-            for name in np.unique(objects)
+            str(name): score(labels[own], probabilities[own], priors[own])
+            for name, own in ((name, objects == name) for name in np.unique(objects))
         },
-        "by_force_n": scores_by_value(force_n, labels, probabilities),
-        "by_z_mm": scores_by_value(z_mm, labels, probabilities),
+        "by_force_n": scores_by_value(force_n, labels, probabilities, priors),
+        "by_z_mm": scores_by_value(z_mm, labels, probabilities, priors),
         "data": where,
         "kind": cards[0].input.kind,
+        "until": cards[0].input.shows_until,
+        "frames_seen": cards[0].input.frames_seen(),
         "weights": ", ".join(weights),
         "weights_note": f"pre-trained weights: {', '.join(started_from(name) for name in weights)}",
         "auroc_note": _AUROC_NOTE if len(cards) > 1 else "",
@@ -279,17 +315,22 @@ def _distinct_texts(values: NDArray[np.float64], least: int = 4) -> list[str]:
 
 
 def _add_gap(folder: RunFolder, result: dict[str, Any]) -> None:
-    """The accuracy lost from simulated to real grasps, on the objects that both have."""
+    """The accuracy lost from simulated to real grasps; every object of both weighs the same."""
     path = folder.source_eval_path("sim")
     if result["source"] != "real" or not path.is_file():
         return
     simulated = read_json(path, "run `tacgen eval RUN --data DIR` again").get("by_object", {})
     shared = sorted(set(simulated) & set(result["by_object"]))
     if shared:
-        accuracy, real = (
-            sum(scores[name]["accuracy"] * scores[name]["n"] for name in shared)
-            / sum(scores[name]["n"] for name in shared)
-            for scores in (simulated, result["by_object"])
-        )
-        gap = {"sim_to_real_gap": accuracy - real, "gap_objects": shared}
-        result |= {"sim_accuracy": accuracy, **gap}
+        accuracy, real, interval = standardised_gap(simulated, result["by_object"])
+        result |= {
+            "sim_accuracy": accuracy,
+            "real_accuracy": real,
+            "sim_to_real_gap": accuracy - real,
+            "gap_interval": list(interval),
+            "gap_objects": shared,
+            "gap_missing": {
+                "simulated": sorted(set(result["by_object"]) - set(shared)),
+                tested_on(result): sorted(set(simulated) - set(shared)),
+            },
+        }

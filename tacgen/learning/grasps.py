@@ -9,16 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError
-from tacgen.core.records import LABEL_NOT_EXECUTED
+from tacgen.core.records import LABEL_NOT_EXECUTED, Until
 from tacgen.core.safe_io import read_rgb
 from tacgen.dataset import Dataset
-from tacgen.dataset.real_grasps import BACKGROUND, read_real_grasps
+from tacgen.dataset.real_grasps import BACKGROUND, FRAME_UNKNOWN, read_real_grasps
 
 CONFIGURATION_DIGITS = 6
 """Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
 YAW_DIGITS = 4
 """Decimals of a yaw in rad, 0.006°: π and −π, written with six digits, are one."""
-FRAME_UNKNOWN = -1
 AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
 _DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXES, np.float64)
@@ -98,7 +97,8 @@ def configuration_key(text: str, equal: EqualRanges) -> str:
 class SimulatedGrasps:
     """The executed grasps of a dataset; its shards are opened when first needed.
 
-    ``reference`` (H, W, 3) is the image of the undeformed gel. Raises ``DatasetError`` if the
+    ``reference`` (H, W, 3) is the image of the undeformed gel, ``lift_frame`` (N,) the last frame
+    before the lift (``FRAME_UNKNOWN`` where it was not recorded). Raises ``DatasetError`` if the
     dataset is incomplete, mixed or damaged, ``LearningError`` if no grasp in it was executed.
     """
 
@@ -120,6 +120,13 @@ class SimulatedGrasps:
         self.shape_px: tuple[int, int] = self.reference.shape[:2]
         self.n_frames = self.dataset.n_frames
         self.taken_with: Mapping[str, Any] = self.dataset.taken_with(pad)
+        self.lift_frame = self.dataset.lift_frames(columns)[rows]
+        self._rows = rows
+
+    def normal_force_n(self) -> NDArray[np.float64]:
+        """Force into the pad's gel in every frame of each grasp, (N, T)."""
+        columns = self.dataset.columns(contact=True, pad=self.pad)
+        return np.asarray(columns["force_normal_n"][self._rows], np.float64)
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some tactile images of one grasp, (len(frames), H, W, 3) RGB."""
@@ -145,7 +152,8 @@ class RealGraspImages:
 
     An image of the undeformed gel may lie beside ``grasps.csv`` as ``background.png``: the
     ``reference`` (H, W, 3), else None.
-    ``is_simulated`` says whether a simulation wrote the folder, ``taken_with`` what it says of how.
+    ``is_simulated`` says whether a simulation wrote the folder, ``taken_with`` what it says of how,
+    ``lift_frame`` (N,) is as in ``SimulatedGrasps``.
 
     Raises ``DatasetError``, which lists the rows that cannot be used. Raises ``LearningError``,
     which lists the grasps without images.
@@ -170,9 +178,10 @@ class RealGraspImages:
             objects=[grasp.config.object for grasp in found.grasps],
             label=[grasp.label for grasp in found.grasps],
             split=["test"] * len(found.grasps),
-            grasp_frame=[FRAME_UNKNOWN] * len(found.grasps),
+            grasp_frame=[grasp.grasp_frame for grasp in found.grasps],
             **{name: [getattr(grasp.config, name) for grasp in found.grasps] for name in AXES},
         )
+        self.lift_frame = np.array([grasp.lift_frame for grasp in found.grasps])
         first = read_rgb(found.grasps[0].images[0], LearningError)
         self.shape_px: tuple[int, int] = first.shape[:2]
         background = self.folder / BACKGROUND
@@ -203,3 +212,9 @@ class RealGraspImages:
 
 GraspSource = SimulatedGrasps | RealGraspImages
 """Where the images of a table's grasps are read from; can be pickled to a loader's worker."""
+
+
+def frames_until(source: GraspSource, row: int, until: Until) -> int:
+    """How many images of a grasp there are until the lift, as far as that is known, or in all."""
+    last = int(source.lift_frame[row])
+    return source.frame_count(row) if until == "outcome" or last == FRAME_UNKNOWN else last + 1

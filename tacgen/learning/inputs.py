@@ -11,7 +11,9 @@ from scipy.ndimage import gaussian_filter, maximum_filter1d
 from sklearn.preprocessing import StandardScaler
 
 from tacgen.core.errors import LearningError
-from tacgen.learning.grasps import FRAME_UNKNOWN, GraspSource
+from tacgen.core.records import Until
+from tacgen.dataset.real_grasps import FRAME_UNKNOWN
+from tacgen.learning.grasps import GraspSource, frames_until
 from tacgen.learning.training_recipe import Augmentation
 
 MIN_STD = 1e-3  # grey levels; a channel that never changes is not amplified beyond this
@@ -31,7 +33,7 @@ class InputSpec:
     undeformed gel), or nothing (``raw``). Images of another size than ``source_shape_px`` are
     refused. ``normalised`` removes each image's gain and each grasp's contrast: sensors differ in
     them. ``mean`` and ``std`` are those of the training images, by channel: the input is
-    (image − mean) / std.
+    (image − mean) / std. ``until`` says whether a sequence ends before the lift or shows it.
     """
 
     kind: Literal["single", "sequence"]
@@ -42,6 +44,20 @@ class InputSpec:
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     normalised: bool = False
+    until: Until = "outcome"
+
+    @property
+    def shows_until(self) -> Literal["grasp", "lift", "outcome"]:
+        """The last that the network sees of a grasp."""
+        return "grasp" if self.kind == "single" else self.until
+
+    def frames_seen(self) -> str:
+        """Which frames of a grasp the network sees, for a reader."""
+        if self.kind == "single":
+            return "the image at the moment of grasp (prediction)"
+        if self.until == "lift":
+            return f"up to {self.n_frames} images, none after the start of the lift (prediction)"
+        return f"{self.n_frames} images over the whole recording, outcome and all (detection)"
 
 
 def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[int]:
@@ -66,7 +82,8 @@ def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], wher
             f"{w}×{h} px; use the same sensor and image size"
         )
     if spec.kind == "sequence":
-        short = [str(source.table.ids[row]) for row in rows if source.frame_count(row) < 2]
+        ids = source.table.ids
+        short = [str(ids[row]) for row in rows if frames_until(source, row, spec.until) < 2]
         if short:
             problems.append(
                 f"{where}: {len(short)} grasps have a single image ({', '.join(short[:3])}, …), "
@@ -93,7 +110,13 @@ def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uin
         reference = source.reference
         rest = frames[0] if reference is None else resized(reference[None], spec.size_px)[0]
         return frames[[pressed_frame(frames, rest)]]
-    return resized(source.frames(row, chosen_frames(spec, count, grasp_frame)), spec.size_px)
+    return resized(source.frames(row, frames_of(source, row, spec)), spec.size_px)
+
+
+def frames_of(source: GraspSource, row: int, spec: InputSpec) -> list[int]:
+    """Indices of the images of a source's grasp that the network sees."""
+    count = frames_until(source, row, spec.until)
+    return chosen_frames(spec, count, int(source.table.grasp_frame[row]))
 
 
 def pressed_frame(frames: NDArray[np.uint8], rest: NDArray[np.uint8]) -> int:

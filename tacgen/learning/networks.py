@@ -7,6 +7,7 @@ arXiv 2208.02885, section III.D.
 from collections.abc import Mapping
 
 import torch
+from scipy.special import expit
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
@@ -30,6 +31,11 @@ class StabilityNet(nn.Module):
     prior_logit: float = 0.0
     """Log odds of success among the grasps to predict, added to the logits: training weighs the
     outcomes to be equally likely."""
+
+    @property
+    def prior(self) -> float:
+        """Share of successes among the grasps to predict."""
+        return float(expit(self.prior_logit))
 
     def __init__(self, weights: str) -> None:
         super().__init__()

@@ -4,27 +4,32 @@ They show whether the outcome can be learnt at all; what images do not show limi
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tacgen.learning.grasps import AXES, GraspTable
+from tacgen.learning.grasps import AXES, EqualRanges, GraspTable
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import ExtraTreesClassifier
 
 FOLDS = 5  # the usual number; four fifths of 150 grasps are 120, about what a network learns from
 SEED = 0  # of the folds and of the trees: any, so that the scores repeat
 N_TREES = 300  # enough that the vote of the trees no longer depends on their seed
 
 
-def baseline_scores(table: GraspTable) -> dict[str, Any]:
+def baseline_scores(table: GraspTable, equal: EqualRanges | None = None) -> dict[str, Any]:
     """Accuracy of decision trees that see all axes which vary, and all but each one.
 
-    Only training grasps are used, by cross-validation over five folds. For each object ``n``,
+    Only training grasps are used, by cross-validation over five folds, in which grasps that are
+    the same by their ``equal`` ranges (see ``twins.py``) stay together. For each object ``n``,
     ``successes``, ``majority_accuracy`` (of always predicting the more common outcome) and
     ``tree_accuracy`` by the names of the axes that the trees see (empty where an outcome has fewer
-    grasps than there are folds).
+    different grasps than there are folds).
     """
     rows = {name: table.rows(objects=(name,), split="train") for name in table.object_names()}
-    return {name: _of_object(table.take(own)) for name, own in rows.items()}
+    return {name: _of_object(table.take(own), equal or {}) for name, own in rows.items()}
 
 
 def baseline_lines(scores: Mapping[str, Any]) -> Iterator[str]:
@@ -40,15 +45,17 @@ def baseline_lines(scores: Mapping[str, Any]) -> Iterator[str]:
             yield f"  accuracy of trees that see {axes}: {accuracy:.3f}"
 
 
-def _of_object(table: GraspTable) -> dict[str, Any]:
+def _of_object(table: GraspTable, equal: EqualRanges) -> dict[str, Any]:
     counts = np.bincount(table.label, minlength=2)
+    groups = np.array(table.configurations(equal))
+    different = [len(np.unique(groups[table.label == label])) for label in (0, 1)]
     varying = [axis for axis in AXES if len(np.unique(getattr(table, axis))) > 1]
     accuracy: dict[str, float] = {}
-    if counts.min() >= FOLDS and varying:
-        accuracy[", ".join(varying)] = _accuracy(table, varying)
+    if min(different) >= FOLDS and varying:
+        accuracy[", ".join(varying)] = _accuracy(table, varying, groups)
         for axis in varying if len(varying) > 1 else ():
             rest = [name for name in varying if name != axis]
-            accuracy[f"all but {axis}"] = _accuracy(table, rest)
+            accuracy[f"all but {axis}"] = _accuracy(table, rest, groups)
     return {
         "n": len(table),
         "successes": int(counts[1]),
@@ -57,11 +64,17 @@ def _of_object(table: GraspTable) -> dict[str, Any]:
     }
 
 
-def _accuracy(table: GraspTable, axes: list[str]) -> float:
-    from sklearn.ensemble import ExtraTreesClassifier
-    from sklearn.model_selection import StratifiedKFold, cross_val_score
+def _accuracy(table: GraspTable, axes: list[str], groups: NDArray[np.str_]) -> float:
+    from sklearn.model_selection import StratifiedGroupKFold, cross_val_score
 
-    trees = ExtraTreesClassifier(N_TREES, random_state=SEED)
-    folds = StratifiedKFold(FOLDS, shuffle=True, random_state=SEED)
+    folds = StratifiedGroupKFold(FOLDS, shuffle=True, random_state=SEED)
     known = np.stack([getattr(table, axis) for axis in axes], axis=1)
-    return float(cross_val_score(trees, known, table.label, cv=folds).mean())
+    found = cross_val_score(forest(), known, table.label, groups=groups, cv=folds)
+    return float(found.mean())
+
+
+def forest() -> "ExtraTreesClassifier":
+    """The trees that learn from figures."""
+    from sklearn.ensemble import ExtraTreesClassifier
+
+    return ExtraTreesClassifier(N_TREES, random_state=SEED)

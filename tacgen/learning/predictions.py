@@ -31,12 +31,13 @@ class Predictions:
     """One model's predictions for N grasps.
 
     ``probabilities`` (N,) are of success; each of ``frames`` reads the images of a grasp as the
-    network saw them, (T, h, w, 3) uint8.
+    network saw them, (T, h, w, 3) uint8. ``prior`` is the share of successes in training.
     """
 
     table: GraspTable
     probabilities: NDArray[np.float64]
     frames: Sequence[Callable[[], NDArray[np.uint8]]]
+    prior: float = 0.5
 
     def wrong(self) -> list[int]:
         """Positions of the misclassified grasps."""

@@ -72,7 +72,12 @@ class Predictor:
         """
         inputs = [self._input(np.asarray(grasp)) for grasp in images]
         counts, trained_s = {len(grasp) for grasp in images}, self._trained_s
-        if self.spec.kind == "sequence" and trained_s and counts - {len(trained_s)}:
+        if self.spec.shows_until == "lift":
+            if max(counts, default=0) > self.spec.n_frames:
+                print_status(
+                    f"the run was trained on {self.spec.frames_seen()}; give no later ones"
+                )
+        elif self.spec.kind == "sequence" and trained_s and counts - {len(trained_s)}:
             print_status(
                 f"the run was trained on {len(trained_s)} frames over {trained_s[-1]:g} s of each "
                 f"grasp, not {', '.join(map(str, sorted(counts)))}; give those of the same times"

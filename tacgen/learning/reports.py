@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.images import evenly, side_by_side
 from tacgen.learning.predictions import Predictions
-from tacgen.learning.scores import reliability, tested_on
+from tacgen.learning.scores import beside, gap_text, reliability, tested_on
 from tacgen.learning.training_recipe import TrainRecipe
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page
@@ -65,6 +65,8 @@ def write_evaluation_report(
         confusion=plots.confusion(np.asarray(result["confusion"]), CLASS_NAMES, CLASS_NAMES),
         calibration=plots.reliability_diagram(reliability(*Predictions.joined(predictions))),
         tested_on=tested_on(result),
+        beside=beside(result),
+        gap_text=gap_text,
         n_wrong=len(wrong),
         wrong=[_strip(part, i) for part, i in wrong[:MAX_SHOWN]],
         score_header=SCORE_HEADER,

@@ -1,26 +1,32 @@
 """How good predictions are: the scores, and the lines of text that report them."""
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import binomtest
+from scipy.stats import norm
 
 CALIBRATION_BINS = 10  # as usual for the expected calibration error; twelve grasps a bin of 120
 
 
-def wilson_interval(n_right: int, n: int) -> tuple[float, float]:
+def wilson_interval(n_right: float, n: int) -> tuple[float, float]:
     """95 % confidence interval of a proportion of which ``n_right`` of ``n`` were observed.
+
+    ``n_right`` may be a mean over several trials.
 
     Source: E. B. Wilson, *Probable inference, the law of succession, and statistical inference*,
     1927.
     """
     if n == 0:
         return 0.0, 1.0
-    found = binomtest(n_right, n).proportion_ci(0.95, method="wilson")
-    return float(found.low), float(found.high)
+    share, z2_n = n_right / n, float(norm.ppf(0.975)) ** 2 / n
+    middle = (share + z2_n / 2) / (1 + z2_n)
+    half = math.sqrt(z2_n * (share * (1 - share) + z2_n / 4)) / (1 + z2_n)
+    # The share is one end where it is 0 or 1, whatever rounding makes of it.
+    return max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share))
 
 
 def reliability(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> pd.DataFrame:
@@ -49,19 +55,26 @@ def expected_calibration_error(
     return float((found["n"] * off).sum() / max(len(labels), 1))
 
 
-def score(labels: NDArray[np.int64], probabilities: NDArray[np.float64]) -> dict[str, Any]:
+def score(
+    labels: NDArray[np.int64],
+    probabilities: NDArray[np.float64],
+    prior: float | NDArray[np.float64] = 0.5,
+) -> dict[str, Any]:
     """All scores of some predictions: labels (N,) and probabilities (N,) of success.
 
     ``accuracy`` with ``accuracy_interval`` (Wilson, 95 %), ``balanced_accuracy``, ``auroc`` (None
     where only one class is there), ``ece``, ``confusion`` (rows: true failure, success; columns:
-    predicted failure, success), ``n``. A probability of 0.5 counts as success.
+    predicted failure, success), ``n``. A probability of 0.5 counts as success; for the balanced
+    accuracy, which weighs both outcomes alike, one of ``prior``, the share of successes that the
+    probabilities were calibrated to.
     """
     from sklearn.metrics import confusion_matrix, roc_auc_score
 
     predicted = (probabilities >= 0.5).astype(np.int64)
     confusion = confusion_matrix(labels, predicted, labels=[0, 1])
     present = confusion.sum(axis=1) > 0
-    recall = confusion.diagonal()[present] / confusion.sum(axis=1)[present]
+    evenly = confusion_matrix(labels, (probabilities >= prior).astype(np.int64), labels=[0, 1])
+    recall = evenly.diagonal()[present] / evenly.sum(axis=1)[present]
     n_right = int(confusion.trace())
     return {
         "accuracy": n_right / len(labels),
@@ -84,7 +97,7 @@ def training_lines(summary: Mapping[str, Any]) -> Iterator[str]:
             f"n = {scores['n']}), {model['epoch_s']:.1f} s an epoch"
         )
     origins = sorted({model["weights"] for model in summary["models"].values()})
-    yield f"pre-trained weights: {', '.join(origins)}"
+    yield f"pre-trained weights: {', '.join(origins)}; frames: {summary['frames_seen']}"
 
 
 def evaluation_lines(result: Mapping[str, Any]) -> Iterator[str]:
@@ -92,13 +105,35 @@ def evaluation_lines(result: Mapping[str, Any]) -> Iterator[str]:
     yield _score_line(tested_on(result), result)
     for name, scores in result["by_object"].items():
         yield _score_line(f"  {name}", scores)
+    yield f"frames that the network saw: {result['frames_seen']}"
+    for name, scores in beside(result).items():
+        yield _score_line(name, scores)
     if "sim_to_real_gap" in result:
         gap = "gap to the other simulation" if result["real_is_simulated"] else "sim-to-real gap"
-        yield (
-            f"{gap}: {result['sim_to_real_gap']:+.3f} "
-            f"(accuracy {result['sim_accuracy']:.3f} on simulated test grasps)"
-        )
+        yield f"{gap}: {gap_text(result)}"
     yield result["weights_note"]
+
+
+def beside(result: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """The scores to compare a network's with, by name: the rule's, and the controls'."""
+    found = {f"control, {name}": scores for name, scores in result.get("controls", {}).items()}
+    if "last_force_rule" in result:
+        rule = "rule: holds unless the last force is below 10 % of that at the grasp"
+        return {rule: result["last_force_rule"], **found}
+    return found
+
+
+def gap_text(result: Mapping[str, Any]) -> str:
+    """The gap between two sources with its interval, and the objects that are not in it."""
+    lo, hi = result["gap_interval"]
+    missing = [
+        f"; {side}: no {', '.join(names)}" for side, names in result["gap_missing"].items() if names
+    ]
+    return (
+        f"{result['sim_to_real_gap']:+.3f} [{lo:+.3f}, {hi:+.3f}] (accuracy "
+        f"{result['sim_accuracy']:.3f} on simulated, {result['real_accuracy']:.3f} on these "
+        f"grasps; each of {', '.join(result['gap_objects'])} weighs the same{''.join(missing)})"
+    )
 
 
 def tested_on(result: Mapping[str, Any]) -> str:

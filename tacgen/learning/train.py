@@ -9,13 +9,20 @@ import numpy as np
 
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
+from tacgen.core.records import Until
 from tacgen.core.version import __version__, versions
 from tacgen.core.workers import map_in_processes
+from tacgen.dataset.real_grasps import FRAME_UNKNOWN
 from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.fit import FitJob, TrainingState
-from tacgen.learning.grasps import EqualRanges, GraspTable, SimulatedGrasps
+from tacgen.learning.grasps import (
+    EqualRanges,
+    GraspTable,
+    SimulatedGrasps,
+    frames_until,
+)
 from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import predict
@@ -44,11 +51,20 @@ def train(
     """
     device = choose_device(recipe.training, device)
     source = SimulatedGrasps(data, recipe.input.pad)
-    kind, options, n_frames = recipe.model.kind, recipe.input, source.n_frames
+    kind, options = recipe.model.kind, recipe.input
+    until: Until = "outcome"
+    n_frames = 1
+    if kind == "sequence":
+        until, note = _where_frames_end(recipe, source)
+        if note:
+            print_status(f"{data}: {note}")
+        n_frames = max(frames_until(source, row, until) for row in range(len(source.table)))
+        n_frames = min(options.frames or n_frames, n_frames)
     spec = InputSpec(
         kind=kind,
         size_px=options.size_px,
-        n_frames=min(options.frames or n_frames, n_frames) if kind == "sequence" else 1,
+        n_frames=n_frames,
+        until=until,
         image=options.image,
         source_shape_px=source.shape_px,
         normalised=options.normalised,
@@ -63,14 +79,18 @@ def train(
         if warning := few_grasps_warning(plan, source.table):
             print_status(f"warning: {warning}")
     run = RunFolder(out)
-    if run.prepare(_run_plan(recipe, source, table, plans, equal, device), recipe.resolved()):
+    run_plan = _run_plan(recipe, source, table, plans, equal, device)
+    if run.prepare(run_plan | {"until": spec.shows_until}, recipe.resolved()):
         print_status(f"{out}: resumes the run that is there")
-    job = partial(_train_one, recipe, source, spec, run, device)
+    job = partial(train_one, recipe, source, spec, run, device)
     done = map_in_processes(job, plans, workers, method="spawn")
     results = {plan.name: result for plan, result in zip(plans, done, strict=True)}
     summary = {
         "recipe": recipe.name,
+        "data": str(data),
         "kind": recipe.model.kind,
+        "until": spec.shows_until,
+        "frames_seen": spec.frames_seen(),
         "device": device,
         "threads": recipe.training.threads,
         "versions": versions(*INFLUENTIAL),
@@ -114,7 +134,21 @@ def _run_plan(
     }
 
 
-def _train_one(
+def _where_frames_end(recipe: TrainRecipe, source: SimulatedGrasps) -> tuple[Until, str]:
+    """What a sequence shows last, by recipe and dataset, and what to report where they differ."""
+    asked = recipe.input.until
+    if source.dataset.until == "lift":
+        other = "its frames end at the start of the lift, whatever input.until asks for"
+        return "lift", "" if asked == "lift" else other
+    if asked == "lift" and (source.lift_frame == FRAME_UNKNOWN).any():
+        return "outcome", (
+            "does NOT tell when its lifts start, so the network sees all frames, and with them the "
+            "outcome; collect it again with this version for a network that predicts"
+        )
+    return asked, ""
+
+
+def train_one(
     recipe: TrainRecipe,
     source: SimulatedGrasps,
     spec: InputSpec,
@@ -146,9 +180,10 @@ def _train_one(
         metrics = fit.run()
         network, card, _ = load_model(folder.model_path)
         probabilities, labels = predict(network.to(device), validation.in_order(), device)
-        epochs, scores = metrics[-1]["epoch"], score(labels, probabilities)
+        epochs, scores = metrics[-1]["epoch"], score(labels, probabilities, network.prior)
         result: dict[str, Any] = {
             "objects": list(plan.objects),
+            "frames_seen": spec.frames_seen(),
             "grasps_fit": len(plan.fit_rows),
             "grasps_validation": len(plan.validation_rows),
             "successes_fit": int(parts[0].labels.sum()),

@@ -16,7 +16,7 @@ from pydantic import (
 
 from tacgen.core.config import Section
 from tacgen.core.files import sha256_of_content
-from tacgen.core.records import PadName
+from tacgen.core.records import PadName, Until
 from tacgen.core.yaml_source import YamlSource, load_checked
 
 MIN_INPUT_PX, MAX_INPUT_PX = 32, 2048
@@ -56,6 +56,9 @@ class InputOptions(Section):
     """Whether each image's gain and each grasp's contrast are removed; not for ``raw``."""
     frames: Annotated[int, Field(ge=2, le=256)] | None = None
     """Frames of a sequence, evenly spaced; all if not given."""
+    until: Until = "lift"
+    """Where a sequence ends: at the start of the ``lift``, to predict the outcome, or after it, to
+    detect the ``outcome``, which its last frames show."""
     cache_mb: NonNegativeInt = 1024
     """Memory for resized images."""
 

@@ -174,6 +174,7 @@ class _Grasp:
         self.body, self.robot = self.world.build(obj, settings, config.force_n, met)
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
+        self.ends_at_lift = sequence and request.until == "lift"
         self.bodies = Bodies(
             pads=self.gripper.sides,
             principal_moments_kg_m2=self.body.principal_moments_kg_m2,
@@ -201,7 +202,11 @@ class _Grasp:
             return self._not_executed("no_contact", reason)
         grasped = self._observe()
         capacity = self._load_pads(grasped)
-        self.recorder.advance(self._steps(settings.hold_s))
+        self.recorder.advance_to_frame(self._steps(settings.hold_s))
+        if self.ends_at_lift:
+            lift_step = self.recorder.step
+            earlier = [min(end, lift_step) for end in self.frame_ends[:-1]]
+            self.frame_ends = [*earlier, lift_step]
         self.robot.fingers.couple()
         start, lifted = self._lift()
         if self.frame_ends:
@@ -349,6 +354,9 @@ class _Grasp:
             reason=self.note,
             grasp_time_s=moment * settings.time_step_s,
             grasp_frame=frame,
+            lift_start_time_s=float(motion.time_s[0]),
+            lift_end_time_s=float(motion.time_s[-1]),
+            outcome_time_s=outcome.outcome_time_s(motion, settings, label),
         )
 
     def _not_executed(self, status: Status, reason: str) -> GraspTrace:

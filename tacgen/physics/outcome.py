@@ -68,15 +68,26 @@ def failure_mode(motion: Motion, settings: PhysicsSettings) -> FailureMode:
 
     Where neither was passed, the one it came closer to.
     """
-    allowed_mm = settings.lift_mm - settings.success_rise_mm
-    slide = np.linalg.norm(motion.slide_mm, axis=1) / allowed_mm
-    turn = motion.turn_rad / settings.success_turn_rad
+    slide, turn = _over_limits(motion, settings)
     first_slide, first_turn = _first(slide >= 1.0), _first(turn >= 1.0)
     if first_slide == first_turn:
         turned = turn.max() >= slide.max()
     else:
         turned = first_turn < first_slide
     return "rotational_slip" if turned else "translational_slip"
+
+
+def outcome_time_s(motion: Motion, settings: PhysicsSettings, label: int) -> float:
+    """When a failure passed the first limit; the end of the lift where it passed none, or held."""
+    passed = np.maximum(*_over_limits(motion, settings)) >= 1.0
+    last = len(passed) - 1
+    return float(motion.time_s[last if label == LABEL_SUCCESS else min(_first(passed), last)])
+
+
+def _over_limits(motion: Motion, settings: PhysicsSettings) -> tuple[FloatArray, FloatArray]:
+    """Slide (n,) over that which the rise allows, and turn (n,) over that of a success."""
+    slide = np.linalg.norm(motion.slide_mm, axis=1) / (settings.lift_mm - settings.success_rise_mm)
+    return slide, motion.turn_rad / settings.success_turn_rad
 
 
 def first_slip(motion: Motion, settings: PhysicsSettings) -> tuple[float, FloatArray]:

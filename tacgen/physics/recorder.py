@@ -109,6 +109,15 @@ class Recorder:
             window.append(self.snapshot())
         return window
 
+    def advance_to_frame(self, count: int) -> None:
+        """Advance by ``count`` steps, at the end of which a frame can be taken."""
+        early = max(0, count - self._average)
+        self.advance(early)
+        self.snapshot()
+        for _ in range(count - early):
+            self.advance(1)
+            self.snapshot()
+
     def window(self, end: int) -> list[Snapshot]:
         """The snapshots of the frame that ends at step ``end``."""
         return [self.snapshots[step] for step in range(max(0, end - self._average), end + 1)]

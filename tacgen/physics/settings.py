@@ -15,7 +15,7 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import PhysicsError
-from tacgen.core.records import PADS, PadName
+from tacgen.core.records import PADS, PadName, Until
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.physics.pybullet_import import load_bullet
 
@@ -164,7 +164,8 @@ class FrameRequest:
     ``single``: one frame at the moment of grasp, when the force has reached the command and is
     steady. ``sequence``: ``count`` frames over ``span_s`` from the moment the fingers start to
     close, the first at 0 and the last at its end; the one before the moment of grasp is taken at
-    that moment. A sequence of one frame is the one at the end.
+    that moment. A sequence of one frame is the one at the end. With ``until: lift`` no frame is
+    later than the start of the lift, and the last is taken then.
     """
 
     mode: Literal["single", "sequence"] = "single"
@@ -173,3 +174,6 @@ class FrameRequest:
     """Number of frames of a sequence."""
     span_s: PositiveFloat = 3.0
     """Time from the first to the last frame of a sequence."""
+    until: Until = "outcome"
+    """Where a sequence ends: at the start of the ``lift``, before the outcome shows, or after
+    ``span_s``, which shows the ``outcome`` of most grasps."""

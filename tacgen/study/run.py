@@ -20,6 +20,7 @@ from tacgen.core.progress import print_status
 from tacgen.dataset.inputs import changed_roles
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
+from tacgen.learning.intervals import over_seeds
 from tacgen.learning.run_folder import read_json
 from tacgen.learning.train import train
 from tacgen.study.real_data import RealData, calibration_grasps, check_real_data
@@ -163,7 +164,8 @@ class _StudyRun:
             friction = self._fitted_friction(recipe, self.real.calibration)
             recipe = _with_friction(recipe, friction)
         data = self.out / "data" / recipe.sha256()[:12]
-        run = self.out / "runs" / run_folder_name(row.name)
+        place = self.out / "runs" / run_folder_name(row.name)
+        runs = [(one, place / f"seed_{one.seed}") for one in self.study.seeded(training)]
         print_status(f"{row.name}: collecting into {data}")
         collected = collect(recipe, data, workers=self.workers)
         result: dict[str, Any] = {
@@ -171,6 +173,7 @@ class _StudyRun:
             "published": row.published.model_dump(),
             "objects": [entry.object_name for entry in recipe.objects],
             "kind": training.model.kind,
+            "seeds": self.study.seeds,
             "contact_law": recipe.contact.law,
             "input_px": list(training.input.size_px),
             "epochs": training.training.epochs,
@@ -186,20 +189,22 @@ class _StudyRun:
             "real_problem": "",
         }
         try:
-            models = train(training, data, run, workers=self.workers)["models"]
-            result["weights"] = sorted({model["weights"] for model in models.values()})
-            result["training_grasps"] = {
-                name: model["grasps_fit"] + model["grasps_validation"]
-                for name, model in models.items()
-            }
-            result["sim"] = evaluate(run, data=data)
+            for seeded, run in runs:
+                models = train(seeded, data, run, workers=self.workers)["models"]
+                result["weights"] = sorted({model["weights"] for model in models.values()})
+                result["training_grasps"] = {
+                    name: model["grasps_fit"] + model["grasps_validation"]
+                    for name, model in models.items()
+                }
+            result["sim"] = over_seeds([evaluate(run, data=data) for _, run in runs])
         except LearningError as error:
             # Such as grasps that all succeed: the other rows are still of use.
             print_status(f"{row.name}: {error}")
             return result | {"problem": str(error)}
         if self.real.test is not None:
             try:
-                result["real"] = evaluate(run, real=self.real.test)
+                tested = [evaluate(run, real=self.real.test) for _, run in runs]
+                result["real"] = over_seeds(tested)
             except TacgenError as error:
                 print_status(f"{row.name}: {error}")
                 result["real_problem"] = str(error)
@@ -217,7 +222,7 @@ class _StudyRun:
         data = self.study.data_recipe(row, quick=self.quick).sha256()
         train = self.study.train_recipe(row, quick=self.quick).sha256()
         calibrated = row.calibrate_friction, row.calibrate_contact
-        return sha256_of_content([row.name, data, train, *calibrated])
+        return sha256_of_content([row.name, data, train, *calibrated, self.study.seeds])
 
 
 def _title(name: object, quick: bool) -> str:

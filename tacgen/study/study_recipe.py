@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
@@ -66,6 +66,8 @@ class Study(Section):
     """A recipe for ``tacgen train`` without name and objects."""
     rows: tuple[Row, ...] = Field(min_length=1)
     """Rows of the table, each with its changes."""
+    seeds: Annotated[int, Field(ge=1, le=100)] = 3
+    """How many times each row is trained, with the seed of ``train`` and those after it."""
     quick: Variant = Variant()
     """Changes to all rows with ``--quick``."""
     notes: tuple[str, ...] = ()
@@ -84,6 +86,11 @@ class Study(Section):
         """The training recipe of the row."""
         merged = self._merged(self.train, row.train, self.quick.train if quick else {})
         return TrainRecipe.model_validate(merged)
+
+    def seeded(self, recipe: TrainRecipe) -> list[TrainRecipe]:
+        """A training recipe with each of the study's seeds."""
+        seeds = range(recipe.seed, recipe.seed + self.seeds)
+        return [recipe.model_copy(update={"seed": seed}) for seed in seeds]
 
     def _merged(self, *parts: Mapping[str, Any]) -> dict[str, Any]:
         return reduce(merged_mapping, parts, {"name": self.name})

@@ -47,12 +47,19 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
         names = ", ".join(started_from(name) for name in weights)
         remarks.append(f"Pre-trained weights: {names} (the paper: ImageNet).")
     sizes = ", ".join(f"{w}×{h} px" for h, w in sorted({tuple(row["input_px"]) for row in rows}))
+    of = {1: "of one seed; their intervals hold for other test grasps"}
+    seeds = ", ".join(
+        of.get(k, f"means over {k} seeds; their intervals hold for other test grasps and seeds")
+        for k in sorted({row["seeds"] for row in rows})
+    )
     epochs, averaged = (_listed(row[key] for row in rows) for key in ("epochs", "average_epochs"))
     counts = _listed(n for row in rows for n in row["training_grasps"].values())
     remarks += [
         f"Input {sizes}; epochs: {epochs}; training grasps a model (of which some choose the "
         f"epoch): {counts or 'none'}.",
         f"Weights averaged over about {averaged} epochs (the paper: 1).",
+        f"Accuracies are {seeds}.",
+        *_rules(rows),
         f"Running time {result['took_s'] / 60:.1f} minutes, without rows of earlier runs.",
         *_where_tested(result),
     ]
@@ -69,6 +76,16 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
             remarks.append(f"{row['name']}: {column}. {row['real_problem']}")
     remarks += [f"{r['name']}: contact law from {f}." for r in rows if (f := r["contact_file"])]
     return [*remarks, *result["notes"]]
+
+
+def _rules(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """What the frames that a sequence network saw tell without training."""
+    return [
+        f"{row['name']}: without training, the rule that a grasp holds unless the last force is "
+        f"below 10 % of that at the grasp scores {_scores(rule)[0]} ({_scores(rule)[1]})."
+        for row in rows
+        if (rule := (row.get("sim") or {}).get("last_force_rule"))
+    ]
 
 
 def _listed(values: Iterable[int]) -> str:
@@ -112,13 +129,14 @@ def _kind_of(simulated: bool) -> str:
 def _header(result: Mapping[str, Any]) -> tuple[str, ...]:
     interval = "95 % interval"
     tested = ("sim-to-sim", interval, "n", _tested_on(result), interval, "n")
-    return ("variant", "network", *tested, "paper, sim", "paper, real")
+    return ("variant", "network", "sees until", *tested, "paper, sim", "paper, real")
 
 
 def _row(row: Mapping[str, Any]) -> tuple[object, ...]:
     scores = (*_scores(row.get("sim")), *_scores(row.get("real")))
     published = (_accuracy(row["published"][source]) for source in ("sim", "real"))
-    return (row["name"], row["kind"], *scores, *published)
+    until = (row.get("sim") or {}).get("until", MISSING)
+    return (row["name"], row["kind"], until, *scores, *published)
 
 
 def _scores(scores: Mapping[str, Any] | None) -> tuple[str, str, str]:

@@ -65,6 +65,72 @@ def test_every_mode_has_the_same_frame_at_the_moment_of_grasp(engine, force_n, l
         np.testing.assert_allclose(times_s, stored_s, atol=settings.time_step_s)
 
 
+UNTIL_LIFT = (
+    FrameRequest("sequence", 8, 1.0, "lift"),
+    FrameRequest("sequence", 4, 3.0, "lift"),
+    FrameRequest("sequence", 3, 0.3, "lift"),  # 0.3 s are over before the lift
+    FrameRequest("sequence", 1, 3.0, "lift"),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
+def test_frames_until_the_lift_show_nothing_of_it_and_change_nothing(engine):
+    obj, settings = block(mass_kg=0.3, friction=0.5), PhysicsSettings(engine=engine)
+    with GraspSimulator("wsg50", engine) as simulator:
+        whole, *traces = (
+            grasp(simulator, obj, force_n=1.5, settings=settings, frames=request)
+            for request in (REQUESTS[0], *UNTIL_LIFT)
+        )
+    # A failure: of the whole sequence the gel is empty in the last frame.
+    assert whole.label == 0
+    assert whole.frames["left"][-1].force_normal_n < 0.1 * 1.5
+    start_s = whole.grasp_time_s + settings.hold_s
+    assert whole.lift_start_time_s == pytest.approx(start_s, abs=settings.time_step_s)
+    assert start_s < whole.outcome_time_s <= whole.lift_end_time_s
+    for trace, request in zip(traces, UNTIL_LIFT, strict=True):
+        names = ("rise_mm", "turn_rad", "lift_start_time_s", "lift_end_time_s", "outcome_time_s")
+        for name in names:
+            assert getattr(trace, name) == getattr(whole, name)
+        frames = trace.frames["left"]
+        assert len(frames) == request.count
+        assert frames[-1].time_s == pytest.approx(whole.lift_start_time_s)
+        assert frames[-1].force_normal_n == pytest.approx(1.5, rel=0.02)
+        if request.count > 1:
+            grasped = whole.frames["left"][whole.grasp_frame]
+            assert same(frames[trace.grasp_frame], grasped)
+            planned_s = np.linspace(0.0, request.span_s, request.count)
+            moments = trace.grasp_frame, trace.grasp_time_s, trace.lift_start_time_s
+            times_s = [frame.time_s for frame in frames]
+            np.testing.assert_allclose(
+                times_s, times_of(planned_s, *moments), atol=settings.time_step_s
+            )
+
+
+def test_phases_and_the_end_of_the_frames_are_kept_in_the_shard(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    frames = "{mode: sequence, count: 4, until: lift}"
+    recipe = load_recipe(
+        write_world(tmp_path, frames=frames, grid="{force_n: [3, 25], y_mm: 0, z_mm: 90}")
+    )
+    collect(recipe, tmp_path / "data")
+    data = Dataset(tmp_path / "data")
+    columns = data.columns(contact=True)
+    assert (data.until, data.taken_with()["until"]) == ("lift", "lift")
+    for row, (grasp_s, start_s, outcome_s, end_s) in enumerate(
+        zip(
+            *(columns[f"{name}_time_s"] for name in ("grasp", "lift_start", "outcome", "lift_end")),
+            strict=True,
+        )
+    ):
+        assert grasp_s < start_s < outcome_s <= end_s
+        assert data.times_s(row).tolist() == [0, grasp_s, start_s, start_s]
+        assert columns["force_normal_n"][row, 1:].min() > 0
+    assert columns["label"].tolist() == [0, 1]
+    assert columns["outcome_time_s"][1] == columns["lift_end_time_s"][1]
+    assert "end at the start of the lift" in (tmp_path / "data" / "README.md").read_text()
+
+
 def test_it_is_the_last_frame_before_the_moment_but_not_the_first():
     ends = frame_end_steps(FrameRequest("sequence", 4, 3.0), 0.01)
     assert ends == [0, 100, 200, 300]

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,6 +62,19 @@ def test_a_height_that_decides_and_is_not_seen_costs_accuracy():
 def test_chance_is_not_learnt():
     scores = baseline_scores(table_of(lambda f, y, z, rng: rng.random(len(f)) < 0.5))["can"]
     assert abs(scores["tree_accuracy"]["force_n, y_mm, z_mm"] - 0.5) < 0.13
+
+
+@pytest.mark.slow
+def test_grasps_that_are_the_same_are_in_one_fold():
+    """Each grasp twice, at two x that change nothing: trees would know an outcome by its twin."""
+    once = table_of(lambda f, y, z, rng: rng.random(len(f)) < 0.5, n=75)
+    table = once.take(np.tile(np.arange(75), 2))
+    table = replace(table, x_mm=np.repeat([-2.0, 2.0], 75))
+    known = baseline_scores(table)["can"]["tree_accuracy"]["all but x_mm"]
+    found = baseline_scores(table, {"can": {"x_mm": [(-2.0, 2.0)]}})["can"]["tree_accuracy"]
+    assert known > 0.9
+    # Three standard deviations of a guess on 75 are 0.17.
+    assert abs(found["all but x_mm"] - 0.5) < 0.18
 
 
 def test_one_outcome_alone_is_said_to_teach_nothing():

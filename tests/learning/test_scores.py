@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import expit, logit
+from scipy.stats import norm
 
 from tacgen.learning.scores import (
     expected_calibration_error,
@@ -40,6 +42,22 @@ def test_scores_of_a_small_example_by_hand():
     # Pairs (failure, success) in the right order: 0.4 beats 3 of 4, 0.8 beats 3 of 4.
     assert scores["auroc"] == pytest.approx(6 / 8)
     assert scores["n"] == 6
+
+
+def test_balanced_accuracy_does_not_depend_on_how_common_success_is():
+    """One sees x ~ N(±1, 1): right of each outcome in Φ(1) = 0.841 of cases, weighing both alike.
+
+    With 95 % successes its calibrated probabilities hardly ever fall below one half.
+    """
+    rng = np.random.default_rng(4)
+    labels = (rng.random(40_000) < 0.95).astype(np.int64)
+    ratio = 2 * (rng.normal(0, 1, 40_000) + np.where(labels == 1, 1, -1))
+    calibrated = expit(ratio + logit(0.95))
+    # Of 2000 failures the standard error is 0.008.
+    found = score(labels, calibrated, 0.95)["balanced_accuracy"]
+    assert found == pytest.approx(norm.cdf(1), abs=0.02)
+    assert score(labels, calibrated)["balanced_accuracy"] < found - 0.1
+    assert score(labels, calibrated, 0.95)["accuracy"] == score(labels, calibrated)["accuracy"]
 
 
 @pytest.mark.slow

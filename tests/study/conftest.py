@@ -18,7 +18,7 @@ from tests.learning.conftest import (
 def small_study(tmp_path: Path, extra: str = "", quick: str = "{}") -> Path:
     path = tmp_path / "s.yaml"
     path.write_text(
-        "name: s\nobjects: [can, cup]\n"
+        "name: s\nobjects: [can, cup]\nseeds: 1\n"
         "train: {model: {weights: none}, input: {size_px: [32, 40]}, training: {epochs: 1}}\n"
         f"rows:\n  - {{name: single image, published: {{sim: 0.9}}{extra}}}\n"
         "  - {name: one model for all, train: {per_object: false}}\n"
@@ -54,7 +54,7 @@ def no_networks(monkeypatch, toy_collect):
     trained: list[str] = []
 
     def train(recipe, data, run, **_):
-        trained.append(run.name)
+        trained.append(run.parent.name)
         model = {"weights": "none", "grasps_fit": 20, "grasps_validation": 4}
         return {"models": {"can": model}}
 

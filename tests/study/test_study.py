@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -15,7 +16,7 @@ from tacgen.core.errors import LearningError, RecipeError, TacgenError
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder, packaged
 from tacgen.dataset.export import export_dataset
-from tacgen.learning.scores import evaluation_lines
+from tacgen.learning.scores import evaluation_lines, wilson_interval
 from tacgen.objects import load_object
 from tacgen.objects.description import read_description
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
@@ -35,19 +36,19 @@ def test_every_shipped_study_loads(path):
     assert load_study(path.stem).name == path.stem
 
 
-def test_the_paper_table_is_twelve_objects_by_three_ways_with_the_papers_figures():
+def test_the_paper_table_is_twelve_objects_by_four_ways_with_the_papers_figures():
     study = load_study("paper_table")
     recipes = [study.data_recipe(row, quick=False) for row in study.rows]
-    assert [len(recipe.objects) for recipe in recipes] == [12, 12, 12]
+    assert [len(recipe.objects) for recipe in recipes] == [12] * 4
     assert [recipe.contact.law for recipe in recipes] == [
         "linear_depth",
-        "volume_linear",
-        "volume_linear",
+        *["volume_linear"] * 3,
     ]
-    kinds = [study.train_recipe(row, quick=False).model.kind for row in study.rows]
-    assert kinds == ["single", "single", "sequence"]
-    assert [row.published.sim for row in study.rows[1:]] == [0.968, 1.0]
-    assert [row.published.real for row in study.rows[1:]] == [0.864, 0.907]
+    trained = [study.train_recipe(row, quick=False) for row in study.rows]
+    assert [one.model.kind for one in trained] == ["single", "single", "sequence", "sequence"]
+    assert [one.input.until for one in trained[2:]] == ["lift", "outcome"]
+    assert [row.published.sim for row in study.rows[1:]] == [0.968, None, 1.0]
+    assert [row.published.real for row in study.rows[1:]] == [0.864, None, 0.907]
 
 
 def test_the_grids_of_the_table_are_force_and_one_axis_of_places_over_the_objects_own_ranges():
@@ -146,6 +147,13 @@ def test_the_world_of_the_ablation_is_as_one_row_of_each_group_declares():
         assert same in [other.model_copy(update={"grid": None}) for other in declared]
 
 
+def test_a_row_is_trained_with_three_seeds_unless_the_study_says_otherwise(tmp_path):
+    study = load_study("paper_table")
+    recipe = study.train_recipe(study.rows[0], quick=True)
+    assert [one.seed for one in study.seeded(recipe)] == [0, 1, 2]
+    assert len(load_study(small_study(tmp_path)).seeded(recipe)) == 1
+
+
 def test_mappings_merge_key_by_key_and_leave_their_inputs():
     below = {"a": {"b": 1, "c": 2}, "d": [1]}
     assert merged_mapping(below, {"a": {"c": 3}, "d": [2]}) == {"a": {"b": 1, "c": 3}, "d": [2]}
@@ -207,9 +215,17 @@ def toy(tmp_path) -> Path:
 def test_a_study_collects_once_trains_each_row_and_says_what_it_is(
     tmp_path, toy_collect, small_backbone
 ):
-    study, real = load_study(small_study(tmp_path)), write_real(tmp_path / "real")
-    result = run_study(study, tmp_path / "out", RealData(test=real), quick=True)
+    path, real = small_study(tmp_path), write_real(tmp_path / "real")
+    path.write_text(path.read_text().replace("seeds: 1", "seeds: 2"))
+    result = run_study(load_study(path), tmp_path / "out", RealData(test=real), quick=True)
     assert len(toy_collect) == 1
+    for row in result["rows"]:
+        sim, seeds = row["sim"], row["sim"]["seeds"]
+        assert len(seeds) == len(row["real"]["seeds"]) == row["seeds"] == 2
+        assert sim["accuracy"] == pytest.approx(np.mean(seeds))
+        low, high = wilson_interval(sim["accuracy"] * sim["n"], sim["n"])
+        assert sim["accuracy_interval"][0] <= low
+        assert sim["accuracy_interval"][1] >= high
     assert [row["sim"]["source"] for row in result["rows"]] == ["sim", "sim"]
     assert all("sim_to_real_gap" in row["real"] for row in result["rows"])
     assert all(isinstance(row["training_grasps"], dict) for row in result["rows"])
@@ -217,6 +233,8 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(
     assert "REDUCED VERSION" in text
     assert "NONE, trained from scratch" in text
     assert "| 0.900 |" in text
+    assert "| single image | single | grasp | " in text
+    assert "means over 2 seeds; their intervals hold for other test grasps and seeds" in text
     assert "sim-to-real" in text
     assert "NOT real" not in text
     assert json.loads((tmp_path / "out" / "table.json").read_text())["quick"] is True
@@ -232,7 +250,7 @@ def test_a_row_that_cannot_be_trained_keeps_its_reason_and_the_others_go_on(
     assert "training.grasps asks for 500" in result["rows"][0]["problem"]
     assert result["rows"][1]["sim"]["n"] > 0
     text = (tmp_path / "out" / "table.md").read_text()
-    assert "| single image | single | – | – | – |" in text
+    assert "| single image | single | – | – | – | – |" in text
     assert "single image: NOT trained. " in text
 
 

@@ -27,12 +27,13 @@ def write_friction_report(
     result = friction_json(fits)
     write_page(
         path,
-        "Friction from real grasps",
+        f"Friction from {real.kind} grasps",
         summary=" ".join(verdict_of(name, fit) for name, fit in result.items()),
         template="friction.html",
         result=result,
+        kind=real.kind,
         figures={
-            name: _object_figure(grasps, outcomes, result[name])
+            name: _object_figure(grasps, outcomes, result[name], real.kind)
             for name, grasps in real.by_object().items()
         },
         outcome_note=plots.OUTCOME_NOTE,
@@ -44,9 +45,9 @@ def verdict_of(name: str, fit: Mapping[str, Any]) -> str:
     """One sentence about one object's entry of ``friction.json``."""
     low, high = fit["interval"]
     if fit["bounded"] == "below":
-        return f"{name}: every real grasp succeeded, so μ is at least about {low:.2f}."
+        return f"{name}: every grasp succeeded, so μ is at least about {low:.2f}."
     if fit["bounded"] == "above":
-        return f"{name}: every real grasp failed, so μ is at most about {high:.2f}."
+        return f"{name}: every grasp failed, so μ is at most about {high:.2f}."
     fewest = min(count for _, count in fit["mislabels"])
     few = " With so few grasps the interval is a rough one." if fit["n_grasps"] < FEW_GRASPS else ""
     return (
@@ -56,7 +57,10 @@ def verdict_of(name: str, fit: Mapping[str, Any]) -> str:
 
 
 def _object_figure(
-    grasps: Sequence[RealGrasp], outcomes: Mapping[SweepKey, Outcome], fit: Mapping[str, Any]
+    grasps: Sequence[RealGrasp],
+    outcomes: Mapping[SweepKey, Outcome],
+    fit: Mapping[str, Any],
+    kind: str,
 ) -> Figure:
     figure, grid = plots.new_figure(12, 3.4, 1, 3, width_ratios=(1.2, 1, 1))
     curve, real_map, simulated_map = grid[0]
@@ -68,7 +72,7 @@ def _object_figure(
     real = np.array([grasp.label for grasp in grasps])
     simulated = np.array([outcomes[grasp.grasp_id, nearest].label for grasp in grasps])
     places = grasp_places(grasps)
-    plots.draw_outcomes(real_map, places, real, real, "real")
+    plots.draw_outcomes(real_map, places, real, real, kind)
     plots.draw_outcomes(simulated_map, places, simulated, real, f"simulated, μ = {nearest:.2f}")
     simulated_map.sharex(real_map)
     simulated_map.sharey(real_map)

@@ -152,22 +152,25 @@ def mu_range(text: str) -> tuple[float, ...]:
 
 
 def write_object_copies(
-    fits: Mapping[str, FrictionFit], folder: Path, recipe: Recipe | None = None
+    fits: Mapping[str, FrictionFit],
+    folder: Path,
+    recipe: Recipe | None = None,
+    kind: str = "real",
 ) -> None:
     """Copy each object's folder into ``folder`` with its friction replaced by the fitted one.
 
-    Objects beside the ``recipe`` are found too.
+    Objects beside the ``recipe`` are found too. ``kind`` is what the grasps were.
     """
     for name, fit in fits.items():
         target = folder / name
         source = recipe.entry_of(name).object_folder() if recipe else find_object_folder(name)
         shutil.copytree(source, target, dirs_exist_ok=True)
         path = target / "object.yaml"
-        low, high = fit.interval
+        interval = "95 % {:.3g} to {:.3g}".format(*fit.interval)
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         content["friction"] = {
             "value": round(fit.mu, 6),
-            "source": f"tacgen friction, {fit.n_grasps} real grasps, 95 % {low:.3g} to {high:.3g}",
+            "source": f"tacgen friction, {fit.n_grasps} {kind} grasps, {interval}",
         }
         write_text(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 

@@ -20,7 +20,7 @@ from tacgen.collection.recipe import Randomize, Recipe
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TacgenError
 from tacgen.core.safe_io import read_rgb
-from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
+from tacgen.dataset.real_grasps import FRAME_UNKNOWN, RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
 from tacgen.diagnose.grasps.rules import RULES
 from tacgen.sensor.tactile_pad import Imprint
@@ -66,8 +66,8 @@ def imprint_strengths(
 ) -> tuple[FloatArray, FloatArray]:
     """How strong each grasp's imprint is: measured (N,), simulated (N, len(RULES.image_forces)).
 
-    Compared are the moments of grasp where the sequences are equally long, else the strongest
-    images. NaN where an image lacks.
+    Compared are the moments of grasp where they are known or the sequences are equally long, else
+    the strongest images. NaN where an image lacks.
     """
     measured = np.full(len(grasps), np.nan)
     simulated = np.full((len(grasps), len(RULES.image_forces)), np.nan)
@@ -83,10 +83,13 @@ def imprint_strengths(
                 if not sample.pads:
                     continue
                 frames = next(iter(sample.pads.values())).rgb
-                moment = sample.grasp_frame if len(frames) == len(grasp.images) else None
+                known = grasp.grasp_frame != FRAME_UNKNOWN
+                alike = known or len(frames) == len(grasp.images)
+                moment = sample.grasp_frame if alike else None
                 simulated[row, column] = _strongest(frames, moment, untouched)
                 if factor == 1.0:
-                    measured[row] = _measured(grasp, folder, moment, untouched)
+                    own = grasp.grasp_frame if known else moment
+                    measured[row] = _measured(grasp, folder, own, untouched)
     return measured, simulated
 
 

@@ -27,7 +27,7 @@ def write_grasp_report(
     for name, grasps in real.by_object().items():
         own = np.array([grasp.config.object == name for grasp in real.grasps])
         figures[name], grid = plots.new_figure(12, 3.4, 1, 3, sharex=True, sharey=True)
-        titles = ("real", "simulated as declared", "simulated with what was found")
+        titles = (real.kind, "simulated as declared", "simulated with what was found")
         for axes, title, shown in zip(grid[0], titles, (labels, before, after), strict=True):
             plots.draw_outcomes(axes, grasp_places(grasps), shown[own], labels[own], title)
     write_page(

@@ -7,12 +7,18 @@ import pytest
 import yaml
 
 from tacgen.calibrate.friction.report import write_friction_report
-from tacgen.calibrate.friction.sweep import mu_range, sweep_friction, write_object_copies
-from tacgen.collection.perturbed import recipe_object
+from tacgen.calibrate.friction.sweep import (
+    FrictionFit,
+    mu_range,
+    sweep_friction,
+    write_object_copies,
+)
+from tacgen.collection.perturbed import Outcome, recipe_object
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
+from tacgen.core.records import GraspConfig
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
-from tacgen.dataset.real_grasps import read_real_grasps
+from tacgen.dataset.real_grasps import RealGrasp, RealGrasps, read_real_grasps
 from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
@@ -78,6 +84,25 @@ def test_the_result_is_written_into_a_copy_of_the_object(swept, tmp_path):
     assert written["value"] == fits[BOX].mu
     assert "6 real grasps" in written["source"]
     assert recipe_object(ObjectEntry(name=str(tmp_path / BOX))).friction == fits[BOX].mu
+
+
+def test_simulated_grasps_are_not_called_real(tmp_path):
+    """In the page, and in the object's file that cites them."""
+    config = GraspConfig(0, BOX, 5.0, 0.0, 0.0, 87.0)
+    grasps = (RealGrasp("g0", config, 1, "", ()), RealGrasp("g1", config, 0, "slip", ()))
+    outcomes = {(g.grasp_id, 0.5): Outcome(g.label, "") for g in grasps}
+    fits = {BOX: FrictionFit(0.5, (0.4, 0.6), np.array([0.5]), np.array([0]), 2, "both")}
+    for is_simulated, kind in ((True, "exported simulated"), (False, "real")):
+        found = RealGrasps(tmp_path, grasps, (), is_simulated=is_simulated)
+        assert found.kind == kind
+        write_friction_report(tmp_path / "report.html", found, outcomes, fits)
+        page = (tmp_path / "report.html").read_text()
+        assert f"Friction from {kind} grasps" in page
+        for words in ("real grasps", "real outcomes"):
+            assert (words in page) is not is_simulated
+        write_object_copies(fits, tmp_path, kind=found.kind)
+        text = (tmp_path / BOX / "object.yaml").read_text()
+        assert f"2 {kind} grasps" in text
 
 
 @pytest.mark.slow
