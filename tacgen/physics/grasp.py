@@ -1,6 +1,7 @@
 """One grasp, from placing the gripper to the label."""
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
@@ -180,6 +181,10 @@ class _Grasp:
             inertial=self.body.inertial,
             spinning_friction_m=dict.fromkeys(PADS, 0.0),
             time_step_s=settings.time_step_s,
+            pad_friction=obj.friction * settings.pad_friction,
+            table_friction=settings.table_friction,
+            lift_step=sys.maxsize,
+            vertices_m=np.concatenate([p.vertices_mm for p in obj.collision]) * M_PER_MM,
         )
 
     def run(self) -> GraspTrace:
@@ -203,6 +208,7 @@ class _Grasp:
         capacity = self._load_pads(grasped)
         self.recorder.advance(self._steps(settings.hold_s))
         self.robot.fingers.couple()
+        self.bodies = replace(self.bodies, lift_step=self.recorder.step + 1)
         start, lifted = self._lift()
         if self.frame_ends:
             self.recorder.advance(self.frame_ends[-1] - self.recorder.step)
