@@ -236,6 +236,7 @@ class ObjectBody:
         self.inertial, self.principal_moments_kg_m2 = inertial, moments_kg_m2
         joint = model.joint(OBJECT)
         self._data, self._place, self._speed = data, joint.qposadr[0], joint.dofadr[0]
+        self._first_m = data.qpos[self._place : self._place + 2].copy()
 
     def _pose(self) -> FloatArray:
         x, y, z, qw, qx, qy, qz = self._data.qpos[self._place : self._place + 7].tolist()
@@ -253,6 +254,11 @@ class ObjectBody:
         rotation = self._pose()[:3, :3]
         linear = linear + rotation @ np.cross(spin, self.inertial[:3, 3])
         return tuple(linear.tolist()), tuple((rotation @ spin).tolist())
+
+    def keep_place(self) -> None:
+        """Stand at rest where it was to begin with, however it has come to rest on the table."""
+        self._data.qpos[self._place : self._place + 2] = self._first_m
+        self._data.qvel[self._speed : self._speed + 6] = 0.0
 
 
 class Joints:
