@@ -29,8 +29,8 @@ from tacgen.physics.contacts import (
     Bodies,
     Placement,
     Snapshot,
-    contact_frames,
     contacts_of,
+    mean_contacts,
 )
 from tacgen.physics.engine import TABLE, Engine
 from tacgen.physics.gripper import touches_as_sphere
@@ -259,10 +259,12 @@ class _Grasp:
     def _observe(self) -> list[Snapshot]:
         """The moment of grasp: again where a pad's mean force is not the delivered one."""
         force_n = self.settings.delivered_force_n(self.config.force_n)
+        axis = self._closing_axis()
         for _ in range(OBSERVATIONS):
             grasped = self.recorder.observe()
-            loads = contact_frames(grasped, self.bodies, PADS).values()
-            off = max(abs(load.force_normal_n / force_n - 1) for load in loads)
+            contacts = mean_contacts(grasped)
+            loads_n = [abs(float(contacts.of(pad).force_n.sum(axis=0) @ axis)) for pad in PADS]
+            off = max(abs(load_n / force_n - 1) for load_n in loads_n)
             if off <= FORCE_TOLERANCE or self.note:
                 return grasped
         self.note = f"a pad's force was off by {100 * off:.0f} % at the moment of grasp"
@@ -272,10 +274,12 @@ class _Grasp:
         own = [p for p in self.world.contacts() if p.part != TABLE and p.normal_force_n > 0]
         if not own:  # as most of the time
             return dict.fromkeys(PADS, 0.0)
-        axis = np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
         contacts = contacts_of(own)
-        along_n = contacts.force_n @ axis
+        along_n = contacts.force_n @ self._closing_axis()
         return {pad: abs(float(along_n[contacts.part == pad].sum())) for pad in PADS}
+
+    def _closing_axis(self) -> FloatArray:
+        return np.array([math.cos(self.config.yaw_rad), math.sin(self.config.yaw_rad), 0.0])
 
     def _load_pads(self, grasped: Sequence[Snapshot]) -> Capacity:
         """Set the torsion that the pads can hold beside the weight."""

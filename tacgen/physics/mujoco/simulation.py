@@ -92,19 +92,20 @@ class Engine:
         self._met = [model.geom(name).id for name in scene.met]
         self._joints = Joints(self._mujoco, model, data, self._robot)
         self._fingers = Fingers(model, data)
-        self._driven = np.concatenate([self._joints.dofs, self._fingers.motors])
+        self._driven = [*self._joints.dofs.tolist(), *self._fingers.motors.tolist()]
         robot = self._robot.mounted(settings, self._joints, self._fingers)
         return ObjectBody(model, data, inertial, moments_kg_m2), robot
 
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
-        model, data = self._model, self._data
+        model, data, advance = self._model, self._data, self._mujoco.mj_step
+        speeds, applied, gain = data.qvel, data.qfrc_applied, DRIVEN_MASS / model.opt.timestep
         for _ in range(count):
             # By a force: friction does not lag behind a motion that the solver knows of.
-            missing = np.array([*self._joints.next_speeds(), *self._fingers.speeds_m_s])
-            missing -= data.qvel[self._driven]
-            data.qfrc_applied[self._driven] = missing * (DRIVEN_MASS / model.opt.timestep)
-            self._mujoco.mj_step(model, data)
+            wanted = [*self._joints.next_speeds(), *self._fingers.speeds_m_s]
+            for dof, speed in zip(self._driven, wanted, strict=True):
+                applied[dof] = (speed - speeds[dof]) * gain
+            advance(model, data)
 
     def contacts(self) -> tuple[ContactPoint, ...]:
         """All contact points of the last step on the object."""
@@ -281,9 +282,12 @@ class Joints:
 
     def drive(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """Move at ``speeds`` from now on, making up for what ``positions`` differ by in a step."""
-        missing = np.subtract(positions, self._data.qpos[self._places])
+        now, time_step_s = self._data.qpos, self._model.opt.timestep
         self._speeds = list(speeds)
-        self._first_speeds = (missing / self._model.opt.timestep + speeds).tolist()
+        self._first_speeds = [
+            (position - now[place]) / time_step_s + speed
+            for position, place, speed in zip(positions, self._places, speeds, strict=True)
+        ]
 
     def next_speeds(self) -> list[float]:
         """The speeds of the step that follows."""
