@@ -135,9 +135,8 @@ def grasp_capacity(
     """What ``pads``, by the contacts of each, can hold once the table is gone, world axes.
 
     The load is the weight and what the lift's acceleration adds to it. Tangential is the part of
-    it across ``closing_axis`` that the contact normals do not carry, by the pad that slips first;
-    the moment is that of load and normal forces about the axis through the pads' centres of
-    pressure. A pad's moment is that of
+    it across ``closing_axis`` that the contact normals do not carry; the moment is that of load and
+    normal forces about the axis through the pads' centres of pressure. A pad's moment is that of
     its ``torsion``, or of its contact points' friction about their own centre where that is larger.
 
     An object whose moment is not held swings, and dry friction stops it once the moment's mean over
@@ -154,13 +153,16 @@ def grasp_capacity(
     total_n = float(forces.sum())
     load = weight_n * up - pushes.sum(axis=0)
     load -= (load @ closing_axis) * closing_axis
+    # Where the faces are slanted friction acts along them.
+    slopes = np.abs(np.concatenate([pad.normal for pad in pads]) @ closing_axis)
+    friction_limit_n = friction * float(forces @ slopes)
+    tangential_load_n = float(np.linalg.norm(load))
+    share = tangential_load_n / friction_limit_n if friction_limit_n > 0 else np.inf
+
     center = (forces @ points) / total_n
     lever = center_of_mass_m - center
-    squeezed_n_m = np.cross(points - center, pushes).sum(axis=0)
-    along_n_m = float((np.cross(lever, -weight_n * up) + squeezed_n_m) @ closing_axis)
-    friction_limit_n, share = _friction_share(
-        pads, friction, load, center, squeezed_n_m, closing_axis
-    )
+    moment = np.cross(lever, -weight_n * up) + np.cross(points - center, pushes).sum(axis=0)
+    along_n_m = float(moment @ closing_axis)
     # The mean over the turn is the moment half-way, where a mass below the pads has come nearer.
     above_m = lever[2] - closing_axis[2] * (lever @ closing_axis)
     change_n_m = success_turn_rad / 2 * weight_n * min(0.0, float(above_m))
@@ -179,43 +181,13 @@ def grasp_capacity(
         whole_n_mm += normal_n * max(limit(0.0), friction * arm_mm)
     return Capacity(
         friction_limit_n=friction_limit_n,
-        tangential_load_n=share * friction_limit_n if friction_limit_n > 0 else weight_n,
+        tangential_load_n=tangential_load_n,
         torsion_limit_n_mm=torsion_n_mm,
         whole_torsion_n_mm=whole_n_mm,
         moment_n_mm=abs(along_n_m) * MM_PER_M,
         swing_moment_n_mm=max(0.0, abs(along_n_m) + change_n_m) * MM_PER_M,
         spinning_mm=tuple(spinning_mm),
     )
-
-
-def _friction_share(
-    pads: Sequence[Contacts],
-    friction: float,
-    load_n: FloatArray,
-    center_m: FloatArray,
-    squeezed_n_m: FloatArray,
-    closing_axis: FloatArray,
-) -> tuple[float, float]:
-    """What friction can hold, and the share of it that is taken up at the pad that slips first.
-
-    Pads whose touches do not face each other squeeze the object out of line: beside the load they
-    hold the moment of their pressing across the axis, as a couple. That of a weight nearer to one
-    pad only lets the object sink there until it hangs level.
-
-    Source: Nguyen 1988, Constructing force-closure grasps.
-    """
-    # Where the faces are slanted friction acts along them.
-    limits_n = [friction * float(p.normal_force_n @ np.abs(p.normal @ closing_axis)) for p in pads]
-    if not all(limit > 0 for limit in limits_n):
-        return sum(limits_n), np.inf
-    first_m, second_m = (
-        float((p.normal_force_n @ p.point_m / p.normal_force_n.sum() - center_m) @ closing_axis)
-        for p in pads
-    )
-    couple_n = np.cross(closing_axis, squeezed_n_m) / (first_m - second_m)
-    first_n, second_n = (limit / sum(limits_n) * load_n for limit in limits_n)
-    shares = np.linalg.norm([first_n + couple_n, second_n - couple_n], axis=1) / limits_n
-    return sum(limits_n), float(shares.max())
 
 
 def slip_margin(

@@ -159,29 +159,6 @@ class TestMargins:
         assert load_n(0.1) == pytest.approx(weight_n - 20 * np.sin(0.1))
         assert load_n(-0.1) == pytest.approx(weight_n + 20 * np.sin(0.1))
 
-    @pytest.mark.parametrize(("aside_mm", "up_mm"), [(9.0, 0.0), (0.0, 6.0), (-4.0, 5.0)])
-    def test_touches_hold_where_their_line_lies_in_both_friction_cones(
-        self, aside_mm: float, up_mm: float
-    ) -> None:
-        """Nguyen 1988: friction against the tangent of their line to the closing axis."""
-        shift_m = np.array([0.0, aside_mm, up_mm]) / 2000
-        left, right = flat_pads(10.0)
-        pads = (
-            replace(left, point_m=left.point_m + shift_m),
-            replace(right, point_m=right.point_m - shift_m),
-        )
-        capacity = grasp_capacity(
-            pads,
-            closing_axis=X_AXIS,
-            center_of_mass_m=np.array([0.0, 0.0, 0.05]),
-            mass_kg=1e-6,
-            friction=0.5,
-            torsion=declared(0.0),
-            success_turn_rad=0.1,
-        )
-        tangent = np.hypot(aside_mm, up_mm) / 60.0
-        assert capacity.friction_share == pytest.approx(tangent / 0.5, rel=1e-5)
-
     def test_spread_contact_points_resist_turning_by_friction(self) -> None:
         radius_m = 0.006
         pads = tuple(
