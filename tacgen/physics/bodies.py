@@ -63,6 +63,7 @@ class ObjectBody:
         for link in range(len(links)):
             world.set_surface(self.body, link, friction=OBJECT_FRICTION)
             world.collide(self.body, link, Collides.NOTHING if link else Collides.TABLE)
+        (self._x_m, self._y_m, _), _ = self.inertial_position()
 
     def inertial_position(self) -> Place:
         """Position (m) of the centre of mass and quaternion of the principal axes."""
@@ -73,3 +74,10 @@ class ObjectBody:
         """Linear velocity (m/s) of the centre of mass and angular velocity (rad/s), world axes."""
         linear, angular = self._world.bullet.getBaseVelocity(self.body)
         return linear, angular
+
+    def keep_place(self) -> None:
+        """Stand at rest where it was to begin with, however it has come to rest on the table."""
+        bullet, ((_, _, z_m), quaternion) = self._world.bullet, self.inertial_position()
+        place_m = (self._x_m, self._y_m, z_m)
+        bullet.resetBasePositionAndOrientation(self.body, place_m, quaternion)
+        bullet.resetBaseVelocity(self.body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -6,7 +6,7 @@ the gel frame.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import PADS, ContactFrame, frozen_array
 from tacgen.core.units import MM_PER_M
-from tacgen.physics.engine import ContactPoint, Touch
+from tacgen.physics.engine import TABLE, ContactPoint, Touch
 from tacgen.physics.frames import Pose, inverse, pose, rotation_of
 from tacgen.physics.gripper import Pad
+from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, least_shear, outermost
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,8 @@ class Bodies:
 
     ``pads`` are the gripper's by name; ``spinning_friction_m`` maps each to the moment about its
     normal that the engine lets it resist, for each newton; ``inertial`` is the object's inertial
-    frame in its own frame.
+    frame in its own frame. Before ``lift_step`` the object stands on the table where it touches it,
+    with those of its ``vertices_m`` (n, 3) that are near it.
     """
 
     pads: Mapping[str, Pad]
@@ -135,6 +137,10 @@ class Bodies:
     inertial: Pose
     spinning_friction_m: Mapping[str, float]
     time_step_s: float
+    pad_friction: float = 0.0
+    table_friction: float = 0.0
+    lift_step: int = 0
+    vertices_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def gripper_pose(snapshot: Placement) -> Pose:
@@ -160,33 +166,26 @@ def contact_frames(
 ) -> dict[str, ContactFrame]:
     """The load on each of ``pads`` at the end of ``window``, forces averaged over its steps."""
     last = window[-1]
-    contacts = mean_contacts(window)
-    spins = _spinning_moments_n_m(window, contacts, bodies)
+    loads = _pad_loads(window, bodies)
+    closing_axis = gripper_pose(last)[:3, 0]
     object_in_world = object_pose(last, bodies)
     frames = {}
     for pad in pads:
         gel = gel_pose(last, bodies, pad)
-        own = contacts.of(pad)
-        on_gel = -own.force_n @ gel[:3, :3]
-        at = (own.point_m - gel[:3, 3]) @ gel[:3, :3]
-        force = on_gel.sum(axis=0)
-        center_m = own.normal_force_n @ at / max(float(own.normal_force_n.sum()), 1e-12)
-        arms = at - center_m
-        moment = float(np.sum(arms[:, 0] * on_gel[:, 1] - arms[:, 1] * on_gel[:, 0]))
-        # The spinning moment is about the gripper's x, along which both gels' z lie.
-        moment -= spins[pad] * float(gel[:3, 2] @ gripper_pose(last)[:3, 0])
+        on_gel, center_mm, torsion_n_m = np.zeros(3), np.zeros(2), 0.0
+        if load := loads.get(pad):
+            on_gel = -load.force_n @ gel[:3, :3]
+            center_mm = ((load.center_m - gel[:3, 3]) @ gel[:3, :2]) * MM_PER_M
+            torsion_n_m = -load.moment_n_m * float(gel[:3, 2] @ closing_axis)
         gel_from_object = inverse(gel) @ object_in_world
         gel_from_object[:3, 3] *= MM_PER_M
-        center_mm = center_m[:2] * MM_PER_M
-        for array in (force, gel_from_object, center_mm):
-            array.setflags(write=False)
         frames[pad] = ContactFrame(
             time_s=last.step * bodies.time_step_s,
-            force_normal_n=0.0 - float(force[2]),
-            force_shear_n=force[:2],
-            torsion_n_mm=moment * MM_PER_M,
-            pose_gel_object=gel_from_object,
-            center_mm=center_mm,
+            force_normal_n=0.0 - float(on_gel[2]),
+            force_shear_n=frozen_array(on_gel[:2]),
+            torsion_n_mm=torsion_n_m * MM_PER_M,
+            pose_gel_object=frozen_array(gel_from_object),
+            center_mm=frozen_array(center_mm),
         )
     return frames
 
@@ -197,12 +196,47 @@ def load_courses(
     """The load on each of ``pads`` (n, 4) at every snapshot, as of ``ContactFrame.past``."""
     courses: dict[str, FloatArray] = {pad: np.zeros((len(snapshots), 4)) for pad in pads}
     for k, snapshot in enumerate(snapshots):
-        contacts = contacts_of(snapshot.contacts)
+        loads = _pad_loads([snapshot], bodies)
         for pad, course in courses.items():
-            own = contacts.of(pad)
-            x, y, z = -own.force_n.sum(axis=0) @ gel_pose(snapshot, bodies, pad)[:3, :3]
+            force_n = loads[pad].force_n if pad in loads else np.zeros(3)
+            x, y, z = -force_n @ gel_pose(snapshot, bodies, pad)[:3, :3]
             course[k] = snapshot.step * bodies.time_step_s, -z, x, y
     return courses
+
+
+def _pad_loads(window: Sequence[Snapshot], bodies: Bodies) -> dict[str, PadLoad]:
+    """What the pads that press do to the object, on the mean of ``window``.
+
+    While it stands on the table they do no more than it takes: see ``standing``.
+    """
+    last, contacts = window[-1], mean_contacts(window)
+    closing_axis = gripper_pose(last)[:3, 0]
+    spins, loads = _spinning_moments_n_m(window, contacts, bodies), {}
+    for pad in bodies.pads:
+        own = contacts.of(pad)
+        normal_n = float(own.normal_force_n.sum())
+        if normal_n > 0:
+            center_m = own.normal_force_n @ own.point_m / normal_n
+            moment = np.cross(own.point_m - center_m, own.force_n).sum(axis=0)
+            loads[pad] = PadLoad(
+                center_m=center_m,
+                normal=own.normal_force_n @ own.normal / normal_n,
+                force_n=own.force_n.sum(axis=0),
+                moment_n_m=float(moment @ closing_axis) + spins[pad],
+            )
+    touched = [point.point_m for point in last.contacts if point.part == TABLE]
+    if loads and touched and last.step < bodies.lift_step:
+        table, frame = contacts.of(TABLE), object_pose(last, bodies)
+        # An engine need not name all the corners on which an object stands.
+        places_m = bodies.vertices_m @ frame[:3, :3].T + frame[:3, 3]
+        near = places_m[:, 2] < min(z for _, _, z in touched) + NEAR_TABLE_M
+        corners_m = outermost(np.concatenate([touched, places_m[near]]), closing_axis)
+        shared = least_shear(
+            list(loads.values()), closing_axis, bodies.pad_friction,
+            corners_m, table.point_m, table.force_n, bodies.table_friction,
+        )  # fmt: skip
+        loads = dict(zip(loads, shared, strict=True))
+    return loads
 
 
 def with_past(frame: ContactFrame, course: FloatArray) -> ContactFrame:

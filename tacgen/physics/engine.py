@@ -76,6 +76,9 @@ class Body(Protocol):
     def velocity(self) -> Place:
         """Linear velocity (m/s) of the centre of mass and angular velocity (rad/s), world axes."""
 
+    def keep_place(self) -> None:
+        """Stand at rest where it was to begin with, however it has come to rest on the table."""
+
 
 class Joints(Protocol):
     """The joints of the links that carry the hand."""

@@ -19,6 +19,7 @@ from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
 from tacgen.physics.engine import ContactPoint, Vector
 from tacgen.physics.pybullet_import import load_bullet
 from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.standing import NEAR_TABLE_M
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
 """Larger than any grasp's reach; thick enough that nothing falls through in a step."""
@@ -206,7 +207,8 @@ def contact_points(
 ) -> tuple[ContactPoint, ...]:
     """Contact points on ``body``, from unfiltered ``getContactPoints``.
 
-    ``part_of`` names what touches it by body and link; those that it calls "" are left out.
+    ``part_of`` names what touches it by body and link; those that it calls "" are left out, and
+    points that are only near.
 
     Unfiltered matters: with a filter PyBullet may swap the two bodies and turn the normal, but
     not the friction, whose sign is then lost. As it comes, both act on the first body.
@@ -221,7 +223,9 @@ def contact_points(
             continue
         if not part:
             continue
-        (x, y, z), _, push_n, along_n, (ax, ay, az), across_n, (bx, by, bz) = acting
+        (x, y, z), gap_m, push_n, along_n, (ax, ay, az), across_n, (bx, by, bz) = acting
+        if push_n == 0 and gap_m > NEAR_TABLE_M:
+            continue
         normal = sign * x, sign * y, sign * z
         friction_n = (
             sign * (along_n * ax + across_n * bx),

@@ -168,6 +168,19 @@ def test_left_and_right_change_places(simulator: GraspSimulator, change: Change)
         assert two.force_normal_n == pytest.approx(one.force_normal_n, rel=2e-3)
 
 
+def test_a_grasp_does_not_depend_on_the_place(simulator: GraspSimulator) -> None:
+    """Its margin, shear and image. On a lip: two touches of each pad share its force."""
+    obj, study = load_object("tomato_soup_can"), Study(simulator, settings_of(simulator))
+    config, places = GraspConfig(0, obj.name, 7.0, 0.0, -6.0, 92.0), (*FAR[:3], NEARBY[2])
+    traces = study.traces(obj, config, places)
+    margins = [trace.margin for trace in traces if trace.margin is not None]
+    assert spread([margin.friction_ratio for margin in margins]) < 0.01
+    shears_n = [trace.frames[pad][0].force_shear_n for trace in traces for pad in trace.frames]
+    assert np.ptp(shears_n, axis=0).max() < 0.01
+    images = [study.images(obj, *one) for one in zip(traces, places, strict=True)]
+    assert np.ptp(images, axis=0).max() <= 3
+
+
 @pytest.mark.parametrize("height_mm", [-8.0, -3.0, 5.0, 8.0])
 def test_a_ball_holds_from_its_closed_form_at_every_height(
     simulator: GraspSimulator, height_mm: float

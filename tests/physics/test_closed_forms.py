@@ -23,7 +23,7 @@ from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.margins import torsion_factor
 
-from .conftest import GRAVITY_M_S2, block, grasp, opened, solid, threshold
+from .conftest import GRAVITY_M_S2, block, grasp, solid, threshold
 
 SETTINGS = PhysicsSettings(tactile_pads="both")
 Record = Callable[[str, object], None]
@@ -332,16 +332,6 @@ def test_a_pad_keeps_its_force_while_the_object_slides(
     assert shares.min() > 0
     # Of both: the coupled jaws can hold a difference.
     assert shares.mean() == pytest.approx(1.0, abs=0.02)
-
-
-@pytest.mark.parametrize("closing_speed_mm_s", [40.0, 420.0])
-def test_closing_on_flat_faces_leaves_no_shear(closing_speed_mm_s: float) -> None:
-    """The block stands on the table, which carries its weight; PyBullet's keeps up to 0.9 N."""
-    settings = replace(SETTINGS, closing_speed_mm_s=closing_speed_mm_s)
-    with opened("wsg50", "mujoco") as simulator:
-        trace = grasp(simulator, block(), force_n=10.0, settings=settings)
-    for pad in PADS:
-        assert trace.frames[pad][0].force_shear_n == pytest.approx([0.0, 0.0], abs=0.05)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""How much a grasp's margins, label and shear change where object and gripper are moved together.
+"""How much a grasp's margins, label, shear and images change where all is moved together.
 
 Of every object 16 grasps are drawn from its ranges and simulated at several placements: both moved
 and turned on the table, or by less than 1 µm and 1e-5 rad. Run it with
@@ -12,15 +12,18 @@ from functools import partial
 
 import numpy as np
 
-from tacgen.collection.gel import gel_patch
+from tacgen.collection.gel import SETTLED_PRESS, gel_patch
 from tacgen.contact.law import ContactLaw
+from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.core.resources import object_folders
 from tacgen.objects import load_object
+from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.frames import rotation_about_z
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Indenter
+from tacgen.sensor.gel_response import gel_loads, rounded_pose_and_load
+from tacgen.sensor.tactile_pad import TactilePad
 
 GRASPS = 16
 NEAR = 0.02  # of the border, within which a label may change
@@ -81,7 +84,8 @@ class Study:
 
     def __init__(self, simulator: GraspSimulator, settings: PhysicsSettings) -> None:
         self.simulator, self.settings = simulator, settings
-        self.indenter, self.law = Indenter(load_sensor("gelsight")), ContactLaw.default()
+        sensor, self.law = load_sensor("gelsight"), ContactLaw.default()
+        self.pad = TactilePad(sensor, load_table(sensor.table))
 
     def traces(
         self, obj: GraspObject, config: GraspConfig, placements: Sequence[Placement]
@@ -90,7 +94,7 @@ class Study:
         found = []
         for placement in placements:
             there = placement.of_object(obj)
-            patch_of = partial(gel_patch, self.indenter, self.law, there.surface)
+            patch_of = partial(gel_patch, self.pad.indenter, self.law, there.surface)
             trace = run_grasp(
                 self.simulator,
                 there,
@@ -101,6 +105,15 @@ class Study:
             )
             found.append(trace)
         return found
+
+    def images(self, obj: GraspObject, trace: GraspTrace, placement: Placement) -> FloatArray:
+        """Both pads' images (2, H, W, 3) at the moment of grasp."""
+        surface, images = placement.of_object(obj).surface, []
+        for (frame,) in trace.frames.values():
+            (load,) = gel_loads(self.law, [frame], grasp_index=SETTLED_PRESS)
+            pose, load = rounded_pose_and_load(frame.pose_gel_object, load)
+            images.append(self.pad.image(self.pad.press(surface, pose, load)))
+        return np.array(images, dtype=float)
 
 
 def spread(ratios: Sequence[float]) -> float:
@@ -113,8 +126,8 @@ def main() -> None:
     """Print, for each object, median and 90th percentile of the spreads, and what changes."""
     engine, seed, *names = [*sys.argv[1:], *("pybullet", "0")[len(sys.argv) - 1 :]]
     settings = PhysicsSettings(engine=engine, tactile_pads="both")  # type: ignore[arg-type]
-    columns = "friction ratio", "torsion ratio", "shear over N", "turn", "labels"
-    sys.stdout.write(f"{'':18}{'':8}" + "".join(f"{name:>20}" for name in columns) + "\n")
+    columns = "friction ratio", "torsion ratio", "shear over N", "turn", "image, grey"
+    sys.stdout.write(f"{'':18}{'':8}" + "".join(f"{name:>20}" for name in columns) + "  labels\n")
     with GraspSimulator(engine=settings.engine) as simulator:
         study = Study(simulator, settings)
         for name in names or list(object_folders()):
@@ -125,7 +138,7 @@ def main() -> None:
 
 
 def _line(study: Study, obj: GraspObject, seed: int, placements: Sequence[Placement]) -> str:
-    friction, torsion, shears, turns, changed = [], [], [], [], 0
+    friction, torsion, shears, turns, images, changed = [], [], [], [], [], 0
     for config in drawn(obj, seed):
         traces = study.traces(obj, config, placements)
         margins = [trace.margin for trace in traces]
@@ -145,10 +158,17 @@ def _line(study: Study, obj: GraspObject, seed: int, placements: Sequence[Placem
         ]
         shears.append(float(np.ptp(loads, axis=0).max()) / config.force_n)
         turns.append(float(np.ptp([trace.turn_rad for trace in traces if trace.label == 1] or [0])))
+        seen = [
+            study.images(obj, trace, placement)
+            for trace, placement in zip(traces, placements, strict=True)
+            if trace.frames["left"]
+        ]
+        images.append(float(np.ptp(seen, axis=0).max()))
     shown = [
         f"{100 * np.median(found):9.3f} {100 * np.quantile(found, 0.9):8.2f} %"
         for found in (friction, torsion, shears, turns)
     ]
+    shown.append(f"{np.median(images):9.1f} {max(images):8.1f}  ")
     return "".join(shown) + f"{changed:8d} of {len(friction)}"
 
 

@@ -92,19 +92,20 @@ class Engine:
         self._met = [model.geom(name).id for name in scene.met]
         self._joints = Joints(self._mujoco, model, data, self._robot)
         self._fingers = Fingers(model, data)
-        self._driven = np.concatenate([self._joints.dofs, self._fingers.motors])
+        self._driven = [*self._joints.dofs.tolist(), *self._fingers.motors.tolist()]
         robot = self._robot.mounted(settings, self._joints, self._fingers)
         return ObjectBody(model, data, inertial, moments_kg_m2), robot
 
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
-        model, data = self._model, self._data
+        model, data, advance = self._model, self._data, self._mujoco.mj_step
+        speeds, applied, gain = data.qvel, data.qfrc_applied, DRIVEN_MASS / model.opt.timestep
         for _ in range(count):
             # By a force: friction does not lag behind a motion that the solver knows of.
-            missing = np.array([*self._joints.next_speeds(), *self._fingers.speeds_m_s])
-            missing -= data.qvel[self._driven]
-            data.qfrc_applied[self._driven] = missing * (DRIVEN_MASS / model.opt.timestep)
-            self._mujoco.mj_step(model, data)
+            wanted = [*self._joints.next_speeds(), *self._fingers.speeds_m_s]
+            for dof, speed in zip(self._driven, wanted, strict=True):
+                applied[dof] = (speed - speeds[dof]) * gain
+            advance(model, data)
 
     def contacts(self) -> tuple[ContactPoint, ...]:
         """All contact points of the last step on the object."""
@@ -236,6 +237,7 @@ class ObjectBody:
         self.inertial, self.principal_moments_kg_m2 = inertial, moments_kg_m2
         joint = model.joint(OBJECT)
         self._data, self._place, self._speed = data, joint.qposadr[0], joint.dofadr[0]
+        self._first_m = data.qpos[self._place : self._place + 2].copy()
 
     def _pose(self) -> FloatArray:
         x, y, z, qw, qx, qy, qz = self._data.qpos[self._place : self._place + 7].tolist()
@@ -253,6 +255,11 @@ class ObjectBody:
         rotation = self._pose()[:3, :3]
         linear = linear + rotation @ np.cross(spin, self.inertial[:3, 3])
         return tuple(linear.tolist()), tuple((rotation @ spin).tolist())
+
+    def keep_place(self) -> None:
+        """Stand at rest where it was to begin with, however it has come to rest on the table."""
+        self._data.qpos[self._place : self._place + 2] = self._first_m
+        self._data.qvel[self._speed : self._speed + 6] = 0.0
 
 
 class Joints:
@@ -275,9 +282,12 @@ class Joints:
 
     def drive(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """Move at ``speeds`` from now on, making up for what ``positions`` differ by in a step."""
-        missing = np.subtract(positions, self._data.qpos[self._places])
+        now, time_step_s = self._data.qpos, self._model.opt.timestep
         self._speeds = list(speeds)
-        self._first_speeds = (missing / self._model.opt.timestep + speeds).tolist()
+        self._first_speeds = [
+            (position - now[place]) / time_step_s + speed
+            for position, place, speed in zip(positions, self._places, speeds, strict=True)
+        ]
 
     def next_speeds(self) -> list[float]:
         """The speeds of the step that follows."""
