@@ -117,7 +117,7 @@ def test_a_diagnosis_is_of_what_was_measured(tmp_path, effects):
     """All changes at once: the same effects, and a law that predicts the changed log as well."""
     rng = np.random.default_rng(3)
     log = pd.DataFrame(make_case(effects, 3.0, rng, blank_log(rng, 16, 24))[0])
-    changed = with_noise(log.assign(trial=7 * log["trial"] + 103))
+    changed = with_noise(renumbered(log))
     for name in ALL:
         changed = CHANGES[name].of_log(changed)
     found = []

@@ -69,6 +69,7 @@ def diagnose(
     samples to fit.
     """
     notes = list(notes)
+    columns = _numbered_in_order(columns, session_clock=session_clock)
     loaded: dict[str, _Channel] = {}
     # Thousands of products of small matrices: threads would only wait for each other.
     with threadpool_limits(limits=1):
@@ -265,6 +266,19 @@ def _law_of(channels: dict[str, result.ChannelDiagnosis]) -> ContactLaw:
         effects=tuple(effects),
         provenance=provenance,
     )
+
+
+def _numbered_in_order(columns: Columns, *, session_clock: bool) -> dict[str, NDArray[Any]]:
+    """The columns (N,) with trials numbered one by one, in the order of pressing.
+
+    Effects that follow the number of presses, and what is held out, are then of any numbering.
+    """
+    trial = np.asarray(columns["trial"])
+    numbers, first, place = np.unique(trial, return_index=True, return_inverse=True)
+    start = np.asarray(columns["time_s"])[first] if session_clock else np.zeros(numbers.size)
+    rank = np.empty(numbers.size, dtype=trial.dtype)
+    rank[np.lexsort((numbers, start))] = np.arange(numbers.size)
+    return {**columns, "trial": numbers.min() + rank[place]}
 
 
 def _usable_columns(
