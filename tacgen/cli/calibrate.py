@@ -150,10 +150,12 @@ def calibrate_contact(
             "(free where the volume was computed from the depth of a ball)."
         ),
     ] = "auto",
-    force_unit: Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")] = None,
+    column: common.ColumnOption = None,
+    flip: common.FlipOption = None,
+    force_unit: common.ForceUnitOption = None,
     marker_pitch_mm: common.MarkerPitchOption = None,
-    radius_mm: Annotated[float | None, Option(help="Ball of force-depth curves, mm.")] = None,
-    table: Annotated[Path | None, Option(help="table.npz, to read volumes in images.")] = None,
+    radius_mm: common.LogRadiusOption = None,
+    table: common.LogTableOption = None,
     save_log: Annotated[Path | None, Option(help="Also write the measured press log here.")] = None,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
@@ -161,20 +163,23 @@ def calibrate_contact(
     """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error."""
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
     from tacgen.calibrate.contact.command import result_text
-    from tacgen.calibrate.contact.depth_curves import is_depth_table
+    from tacgen.presses.lab_table import LogFormat
 
+    log_format = LogFormat.of_options(column or [], flip or [], force_unit)
     images = log.is_dir()
     common.refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
     result = calibrate(
-        log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
+        log, out, report, by=by, contact_point=contact_point, log_format=log_format,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
         radius_mm=radius_mm, table=table, save_log=save_log,
     )  # fmt: skip
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
     measured = log if not images else save_log or out.with_suffix(".csv")
-    follow_up = [f"tacgen diagnose contact {quoted(measured)} --out diagnosis"]
-    common.hand_over(*common.contact_lines(out), *([] if is_depth_table(measured) else follow_up))
+    options = [] if images else log_format.arguments
+    options += [] if radius_mm is None else ["--radius-mm", f"{radius_mm:g}"]
+    follow_up = ["tacgen diagnose contact", *map(quoted, [measured, *options]), "--out diagnosis"]
+    common.hand_over(*common.contact_lines(out), " ".join(follow_up))
 
 
 @common.app.command(rich_help_panel=common.CALIBRATION)
