@@ -1,6 +1,7 @@
 """A user's mesh file as a closed surface in mm, standing at the origin, and its convex parts."""
 
 import io
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ FORMATS = ("obj", "stl", "ply", "glb")
 SMALLEST_MM, LARGEST_MM = 2.0, 1000.0
 MAX_TRIANGLES = 2_000_000  # limits the time and memory of the import
 MANY_TRIANGLES = 200_000  # from here on frames become slower
+MAX_LINE_BYTES = 1 << 16  # of a text mesh: a face with thousands of corners
+MAX_INSTANCES = 10_000  # of meshes in a GLB; each takes a tenth of a millisecond and a copy
 MAX_HOLE_SHARE = 0.15  # a hole is filled if its rim is at most this share of the mesh's diagonal
 MAX_PARTS = 24  # PyBullet's time a step grows with the parts
 MAX_PART_VERTICES = 512  # a cylinder's 256 sections; a grasp takes 0.15 s, with 128 vertices 0.12
@@ -89,10 +92,14 @@ def _read(path: Path) -> trimesh.Trimesh:
     if problem:
         msg = f"{path}: {problem}"
         raise ObjectError(msg)
+    data = path.read_bytes()
+    if problem := _unfolds_to_too_much(kind, data):
+        msg = f"{path}: {problem}"
+        raise ObjectError(msg)
     try:
         # From memory, where a part that says it is larger than the file takes no more than that;
         # without a resolver: nothing but this file is opened, whatever it refers to.
-        file = io.BytesIO(path.read_bytes())
+        file = io.BytesIO(data)
         loaded = trimesh.load(file, file_type=kind, force="mesh", process=False)
     except Exception as error:
         # The readers raise whatever a damaged file leads them to.
@@ -104,6 +111,39 @@ def _read(path: Path) -> trimesh.Trimesh:
     return loaded
 
 
+def _unfolds_to_too_much(kind: str, data: bytes) -> str:
+    """Why a small file would take minutes or gigabytes to read; empty where it would not."""
+    if kind == "obj":
+        longest = max(map(len, data.split(b"\n")))
+        return f"has a line of {longest} bytes; export it anew" * (longest > MAX_LINE_BYTES)
+    if kind != "glb" or data[:4] != b"glTF":
+        return ""
+    try:
+        tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+        meshes = [_triangles_of(tree, mesh) for mesh in tree.get("meshes", ())]
+        used = [node["mesh"] for node in tree.get("nodes", ()) if "mesh" in node]
+        triangles = sum(meshes[number] for number in used)
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return "cannot be read as GLB: its table of contents is broken; export it anew"
+    if len(used) > MAX_INSTANCES:
+        return f"places {len(used)} meshes, more than {MAX_INSTANCES}; join them into one mesh"
+    return _too_many(triangles) if triangles > MAX_TRIANGLES else ""
+
+
+def _triangles_of(tree: Any, mesh: Any) -> int:
+    """Triangles of a glTF mesh, as its table of contents says."""
+    counts = [
+        tree["accessors"][part.get("indices", part["attributes"]["POSITION"])]["count"]
+        for part in mesh["primitives"]
+    ]
+    return sum(int(count) for count in counts) // 3
+
+
+def _too_many(triangles: int) -> str:
+    fix = "decimate it, for instance in MeshLab or Blender"
+    return f"{triangles} triangles, more than {MAX_TRIANGLES}; {fix}"
+
+
 def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
         msg = f"{path}: its corners are not points in space; export it as a triangle mesh"
@@ -113,10 +153,7 @@ def _check_numbers(path: Path, vertices: NDArray[np.float64], faces: NDArray[Any
     if bad:
         problems.append(f"{path}: {bad} vertices have coordinates that are no numbers; export anew")
     if len(faces) > MAX_TRIANGLES:
-        problems.append(
-            f"{path}: {len(faces)} triangles, more than {MAX_TRIANGLES}; decimate it, "
-            "for instance in MeshLab or Blender"
-        )
+        problems.append(f"{path}: {_too_many(len(faces))}")
     if faces.min() < 0 or faces.max() >= len(vertices):
         problems.append(f"{path}: has triangles whose corners do not exist; export it anew")
     ObjectError.raise_if(problems)
