@@ -153,6 +153,9 @@ class _NodeReader:
                     self._refuse(here, "is given twice; keep one")
                 result[key] = self.read(value_node, here)
             return result
+        return self._scalar(node, key_path)
+
+    def _scalar(self, node: yaml.Node, key_path: KeyPath) -> Any:
         self._check_text(key_path, node.value)
         if not node.tag.endswith((":str", ":timestamp")):
             if len(node.value) > MAX_NUMBER_LETTERS:
