@@ -27,7 +27,9 @@ MAX_TRIANGLES = 2_000_000  # limits the time and memory of the import
 MANY_TRIANGLES = 200_000  # from here on frames become slower
 MAX_LINE_BYTES = 1 << 16  # of a text mesh: a face with thousands of corners
 MAX_INSTANCES = 10_000  # of meshes in a GLB; each takes a tenth of a millisecond and a copy
-MAX_HOLE_SHARE = 0.15  # a hole is filled if its rim is at most this share of the mesh's diagonal
+MERGE_MM = 1e-5  # corners within it are one: roundoff of single precision at 100 mm
+SLIVER_SHARE = 1e-6  # of the largest body's volume: smaller bodies are roundoff
+MAX_HOLE_SHARE = 0.6  # a hole is filled if its rim is at most this share of the mesh's diagonal
 MAX_PARTS = 24  # PyBullet's time a step grows with the parts
 MAX_PART_VERTICES = 512  # a cylinder's 256 sections; a grasp takes 0.15 s, with 128 vertices 0.12
 ELEVATIONS_DEG = (-85.0, -55.0, -30.0, -10.0, 10.0, 30.0, 55.0, 85.0)
@@ -83,8 +85,8 @@ def import_surface(
 def _read(path: Path) -> trimesh.Trimesh:
     kind = path.suffix.lower().lstrip(".")
     problem = ""
-    if path.is_symlink() or not path.is_file():
-        problem = "no such file, or a link; give the mesh file itself"
+    if not path.is_file():
+        problem = "no such file; give a mesh file"
     elif kind not in FORMATS:
         problem = f"not a mesh tacgen reads; give one of {', '.join(FORMATS)}"
     elif path.stat().st_size > MAX_FILE_BYTES:
@@ -169,7 +171,7 @@ def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> N
             f"too small; if the mesh is in metres, pass --scale {1000 * scale:g}, "
             f"if in inches, --scale {25.4 * scale:g}"
         )
-    elif size.max() > LARGEST_MM or size.min() > stroke_mm:
+    elif size.max() > LARGEST_MM or _narrowest_mm(vertices_mm) > stroke_mm:
         problem = (
             f"too large for a gripper that opens {stroke_mm:.0f} mm; --scale is mm per unit of the "
             f"mesh: 1 for mm, 1000 for metres, and {scale:g} was given"
@@ -179,54 +181,135 @@ def _check_size(path: Path, vertices_mm: NDArray[np.float64], scale: float) -> N
         raise ObjectError(msg)
 
 
+def _narrowest_mm(vertices_mm: NDArray[np.float64]) -> float:
+    """Least distance between two parallel planes around the points: along a normal of their hull.
+
+    Where two edges are nearest to each other the true width is a little less.
+
+    Source: Houle & Toussaint 1988, Computing the width of a set.
+    """
+    corners = vertices_mm[ConvexHull(vertices_mm, qhull_options="QJ").vertices]
+    normals = ConvexHull(corners, qhull_options="QJ").equations[:, :3]
+    return min(float(np.ptp(corners @ normal)) for normal in normals)
+
+
 def _closed(
     path: Path, vertices_mm: NDArray[np.float64], faces: NDArray[Any]
 ) -> tuple[Mesh, list[str]]:
-    """The surface with doubles merged, small holes filled and faces outward."""
+    """The surface around what the mesh encloses, faces outward, and notes on what was changed.
+
+    Corners are merged, never moved: a sliver stays, as taking it out would open the surface.
+    """
     notes = []
-    surface = trimesh.Trimesh(vertices_mm, faces, process=False)
-    surface.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=5)
-    if len(surface.faces):
-        surface.update_faces(surface.nondegenerate_faces())
-        surface.update_faces(surface.unique_faces())
-        surface.remove_unreferenced_vertices()
-    if len(surface.faces) == 0:
+    vertices_mm, faces = _merged(vertices_mm, faces)
+    if len(faces) == 0:
         msg = f"{path}: holds no triangle that is more than a line; export it anew"
         raise ObjectError(msg)
-    if not surface.is_watertight:
-        filled = _fill_small_holes(surface)
+    whole = to_manifold(Mesh(vertices_mm, faces))
+    if whole.status() != manifold3d.Error.NoError:
+        surface = trimesh.Trimesh(vertices_mm, faces, process=False)
+        surface.update_faces(surface.unique_faces())
+        if not surface.is_winding_consistent:
+            trimesh.repair.fix_winding(surface)
+            notes.append("faces turned to agree with their neighbours")
+        filled, longest_mm = _fill_small_holes(surface)
         if filled:
-            notes.append(f"{filled} small hole(s) filled")
-    if not surface.is_watertight:
-        edges = surface.edges_sorted
-        _, counts = np.unique(edges, axis=0, return_counts=True)
-        msg = (
-            f"{path}: is not a closed surface: {int((counts == 1).sum())} open edges and "
-            f"{int((counts > 2).sum())} edges with more than two faces; close it, for instance by "
-            "MeshLab's `Close Holes` or Blender's `3D Print Toolbox: Make Manifold`"
-        )
-        raise ObjectError(msg)
-    if not surface.is_winding_consistent or surface.volume < 0:
-        trimesh.repair.fix_normals(surface, multibody=True)
-        notes.append("faces turned outward")
-    mesh = Mesh(frozen_array(surface.vertices), frozen_array(surface.faces, np.int32))
-    bodies = int(surface.body_count)
-    if bodies > 1:
-        mesh = _united(path, mesh)
-        notes.append(f"{bodies} separate bodies united")
-    if volume_mm3(mesh) <= 0:
+            notes.append(
+                f"{filled} hole(s) filled, the largest with a rim of {longest_mm:.1f} mm: the "
+                "surface there is not the object's"
+            )
+        whole = to_manifold(Mesh(np.array(surface.vertices), np.array(surface.faces)))
+        if whole.status() != manifold3d.Error.NoError:
+            raise ObjectError(_open_problem(path, surface))
+    mesh, about = _around_bodies(path, whole)
+    # The file keeps single precision: what is computed is computed from that.
+    return Mesh(frozen_array(mesh.vertices_mm.astype(np.float32)), mesh.faces), notes + about
+
+
+def _merged(
+    vertices_mm: NDArray[np.float64], faces: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    """Corners that are within ``MERGE_MM`` in one, without triangles that become lines."""
+    grid = np.round(vertices_mm / MERGE_MM)
+    _, first, same = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    corners = same.reshape(-1)[faces]
+    a, b, c = corners.T
+    corners = corners[(a != b) & (b != c) & (c != a)]
+    used, corners = np.unique(corners, return_inverse=True)
+    return vertices_mm[first[used]], corners.reshape(-1, 3)
+
+
+def _open_problem(path: Path, surface: trimesh.Trimesh) -> str:
+    _, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
+    return (
+        f"{path}: is not a closed surface: {int((counts == 1).sum())} open edges and "
+        f"{int((counts > 2).sum())} edges with more than two faces; close it, for instance by "
+        "MeshLab's `Close Holes` or Blender's `3D Print Toolbox: Make Manifold`"
+    )
+
+
+def _around_bodies(path: Path, whole: manifold3d.Manifold) -> tuple[Mesh, list[str]]:
+    """The surface of all bodies of a closed mesh together, and notes.
+
+    Each body is turned outward by itself. One that lies inside another is a cavity where its faces
+    look the other way than those of the outermost around it; else it is solid.
+    """
+    bodies = [body for body in whole.decompose() if abs(body.volume()) > 0]
+    sizes = [abs(body.volume()) for body in bodies]
+    largest = max(sizes, default=0.0)
+    kept = [k for k, size in enumerate(sizes) if size > SLIVER_SHARE * largest]
+    if not kept:
         msg = f"{path}: encloses no volume; give a solid object with its faces outward"
         raise ObjectError(msg)
-    # The file keeps single precision: what is computed is computed from that.
-    return Mesh(frozen_array(mesh.vertices_mm.astype(np.float32)), mesh.faces), notes
+    inward = {k for k in kept if bodies[k].volume() < 0}
+    outward = {k: _turned(bodies[k]) if k in inward else bodies[k] for k in kept}
+    around = {k: [j for j in kept if j != k and _is_inside(outward[k], outward[j])] for k in kept}
+    cavities = set()
+    if len(bodies) == 1 and not inward:
+        return from_manifold(whole), []
+    solid = manifold3d.Manifold()
+    for k in sorted(kept, key=lambda k: len(around[k])):
+        outermost = max(around[k], key=lambda j: sizes[j], default=k)
+        if (k in inward) != (outermost in inward):
+            cavities.add(k)
+            solid -= outward[k]
+        else:
+            solid += outward[k]
+    turned = inward - cavities
+    notes = [f"{len(turned)} of {len(kept)} bodies turned outward"] if turned else []
+    if len(kept) > 1:
+        notes.append(f"{len(kept)} separate bodies united")
+    if cavities:
+        hollow = sum(sizes[k] for k in cavities)
+        notes.append(f"{len(cavities)} closed cavities of {hollow / 1000:.3g} cm³ kept")
+    pieces = sum(piece.volume() > 0 for piece in solid.decompose())
+    if pieces > 1:
+        notes.append(f"{pieces} pieces apart from each other are one rigid body")
+    return from_manifold(solid), notes
 
 
-def _fill_small_holes(surface: trimesh.Trimesh) -> int:
-    """Close holes with short rims by a fan, in place; how many there were."""
+def _turned(body: manifold3d.Manifold) -> manifold3d.Manifold:
+    """Inside out: the same surface with its faces the other way."""
+    mesh = body.to_mesh64()
+    points = np.asarray(mesh.vert_properties)[:, :3]
+    faces = np.asarray(mesh.tri_verts).astype(np.int64)[:, ::-1]
+    return to_manifold(Mesh(points, frozen_array(faces, np.int32)))
+
+
+def _is_inside(body: manifold3d.Manifold, other: manifold3d.Manifold) -> bool:
+    low, high = (np.reshape(one.bounding_box(), (2, 3)) for one in (body, other))
+    if (low[0] < high[0]).any() or (low[1] > high[1]).any():
+        return False
+    return bool((body - other).volume() <= SLIVER_SHARE * body.volume())
+
+
+def _fill_small_holes(surface: trimesh.Trimesh) -> tuple[int, float]:
+    """Close holes with short rims by a fan, in place: how many, and the longest rim, mm."""
     limit_mm = MAX_HOLE_SHARE * float(np.linalg.norm(surface.extents))
+    longest_mm = 0.0
     open_edges = trimesh.grouping.group_rows(surface.edges_sorted, require_count=1)
     if len(open_edges) == 0:
-        return 0
+        return 0, 0.0
     # An open edge runs one way round its hole; the fan's face runs the other way.
     follow = {int(end): int(start) for start, end in surface.edges[open_edges]}
     vertices, faces, filled = surface.vertices.tolist(), surface.faces.tolist(), 0
@@ -244,20 +327,9 @@ def _fill_small_holes(surface: trimesh.Trimesh) -> int:
         vertices.append(points.mean(axis=0).tolist())
         middle = len(vertices) - 1
         faces += [[rim[i], rim[(i + 1) % len(rim)], middle] for i in range(len(rim))]
-        filled += 1
+        filled, longest_mm = filled + 1, max(longest_mm, length_mm)
     surface.vertices, surface.faces = np.array(vertices), np.array(faces)
-    return filled
-
-
-def _united(path: Path, mesh: Mesh) -> Mesh:
-    """One surface around bodies that may overlap."""
-    whole = to_manifold(mesh)
-    if whole.status() != manifold3d.Error.NoError:
-        msg = f"{path}: its bodies cannot be united ({whole.status().name}); unite them in Blender"
-        raise ObjectError(msg)
-    return from_manifold(
-        manifold3d.Manifold.batch_boolean(whole.decompose(), manifold3d.OpType.Add)
-    )
+    return filled, longest_mm
 
 
 def convex_parts(surface: Mesh) -> Iterator[tuple[Mesh, ...]]:
