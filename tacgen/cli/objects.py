@@ -52,10 +52,20 @@ def objects_add(
         str | None, Option(help="Name of the object; default: the mesh file's name.")
     ] = None,
     friction: Annotated[float, Option(help="Coulomb friction coefficient against the gel.")] = 0.4,
-    up: Annotated[str, Option(help="Axis of the mesh that points up: x, y or z.")] = "z",
+    up: Annotated[
+        str | None, Option(help="Axis of the mesh that points up; default: y of a GLB, else z.")
+    ] = None,
     yaw_rad: Annotated[
-        float, Option("--yaw", help="Angle about z along which the fingers shall close, rad.")
-    ] = 0.0,
+        float | None,
+        Option(
+            "--yaw",
+            help="Angle about z along which the fingers shall close, rad; default: along x, or "
+            "where the pads meet the object.",
+        ),
+    ] = None,
+    keep_pose: Annotated[
+        bool, Option("--keep-pose", help="Keep the mesh's pose even if it would topple.")
+    ] = False,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -69,7 +79,7 @@ def objects_add(
     print_status(f"importing {mesh}; convex decomposition takes up to a minute")
     added = add_object(
         mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, yaw_rad=yaw_rad,
-        force=force,
+        keep_pose=keep_pose, force=force,
     )  # fmt: skip
     common.note(added.notes)
     folder = Path("objects") / added.object.name

@@ -13,11 +13,11 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.objects.load import MAX_FILE_BYTES
 from tacgen.objects.meshes import from_manifold, hull, to_manifold, volume_mm3
-from tacgen.physics.frames import rotation_about_z
 from tacgen.physics.gripper import default_gripper
 
 UP_AXES = ("x", "y", "z")
@@ -36,18 +36,19 @@ ELEVATIONS_DEG = (-85.0, -55.0, -30.0, -10.0, 10.0, 30.0, 55.0, 85.0)
 """Where a hull is thinned. None at 0, so that a round side ends in an upright facet at its widest;
 the outermost near 90, so that a round bottom stands on a small facet."""
 DETAIL_MM = 0.2  # finest detail that the search for cuts between convex parts sees
+MOST_TO_CUT = 4000  # triangles that the search sees: its time grows with them
 CONVEX_SHARE = 0.01  # of its volume that a convex mesh may lack: roundoff, engraving, dimples
-CONCAVITIES = (0.05, 0.02)
+CONCAVITIES = (0.05, 0.02, 0.01)
 """CoACD's threshold, from a coarse to a fine cut: concavity left, as a share of the size."""
 
 
 def import_surface(
-    path: Path, *, scale: float = 1.0, up: str = "z", yaw_rad: float = 0.0
+    path: Path, *, scale: float = 1.0, up: str | None = None
 ) -> tuple[Mesh, list[str]]:
     """Read, check, repair and place a mesh: the closed surface, and notes on what was done.
 
     ``scale`` is the mm that one unit of the file stands for, 1000 for a mesh in metres; ``up`` the
-    file's axis that points up, y in glTF.
+    file's axis that points up: by default y in a GLB, as glTF has it, and z elsewhere.
 
     Raises ``ObjectError`` if it is not a closed surface of a size that a gripper can hold, after
     what can safely be repaired; the message says how to fix it.
@@ -59,27 +60,25 @@ def import_surface(
     # What no triangle uses may lie anywhere, beyond any number that can be worked with too.
     used, corners = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used] * scale, corners.reshape(faces.shape)
+    up = up or ("y" if path.suffix.lower() == ".glb" else "z")
     # A cyclic change of axes, which mirrors nothing, turns the file's `up` to z.
     vertices = np.roll(vertices, {"x": -1, "y": 1, "z": 0}[up], axis=1)
-    if yaw_rad:
-        vertices = vertices @ rotation_about_z(yaw_rad)
     _check_size(path, vertices, scale)
     mesh, notes = _closed(path, vertices, faces)
-    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
-    footprint = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-    placed = Mesh(frozen_array(mesh.vertices_mm - footprint), mesh.faces)
-    size, stroke_mm = high - low, default_gripper().stroke_mm
-    if size[0] > stroke_mm:
-        notes.append(
-            f"{size[0]:.0f} mm along x, more than the gripper's {stroke_mm:.0f} mm: "
-            "grasp it where it is narrower, or with yaw_rad: [1.5708]"
-        )
     if len(mesh.faces) > MANY_TRIANGLES:
         notes.append(
             f"{len(mesh.faces)} triangles: frames take longer than with up to {MANY_TRIANGLES}; "
             "a decimated mesh would do"
         )
-    return placed, notes
+    return placed(mesh), notes
+
+
+def placed(mesh: Mesh, rotation: FloatArray | None = None) -> Mesh:
+    """The mesh, turned by ``rotation`` (3, 3), with the middle of its footprint at the origin."""
+    vertices = mesh.vertices_mm if rotation is None else mesh.vertices_mm @ rotation.T
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    footprint = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    return Mesh(frozen_array(vertices - footprint), mesh.faces)
 
 
 def _read(path: Path) -> trimesh.Trimesh:
@@ -346,7 +345,10 @@ def convex_parts(surface: Mesh) -> Iterator[tuple[Mesh, ...]]:
         return
     coacd.set_log_level("error")
     # The search's time grows with the triangles.
-    coarse = from_manifold(to_manifold(surface).simplify(DETAIL_MM))
+    tolerance_mm, whole = DETAIL_MM, to_manifold(surface)
+    while (coarse_solid := whole.simplify(tolerance_mm)).num_tri() > MOST_TO_CUT:
+        tolerance_mm *= 1.5
+    coarse = from_manifold(coarse_solid)
     for concavity in CONCAVITIES:
         parts = coacd.run_coacd(
             coacd.Mesh(np.array(coarse.vertices_mm), np.array(coarse.faces)),
@@ -361,9 +363,12 @@ def convex_parts(surface: Mesh) -> Iterator[tuple[Mesh, ...]]:
 
 def _detailed(part_mm: NDArray[np.float64], surface: Mesh) -> Mesh:
     """The hull of a part cut from the coarse surface, with the vertices of ``surface`` in it."""
-    planes = ConvexHull(part_mm).equations
-    within = (surface.vertices_mm @ planes[:, :3].T + planes[:, 3] <= DETAIL_MM).all(axis=1)
-    return _even_hull(np.concatenate([part_mm, surface.vertices_mm[within]]))
+    low, high = part_mm.min(axis=0) - DETAIL_MM, part_mm.max(axis=0) + DETAIL_MM
+    points = surface.vertices_mm
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    for *normal, offset in ConvexHull(part_mm).equations:
+        points = points[points @ np.array(normal) + offset <= DETAIL_MM]
+    return _even_hull(np.concatenate([part_mm, points]))
 
 
 def _even_hull(points_mm: NDArray[np.float64]) -> Mesh:
