@@ -4,7 +4,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +38,7 @@ DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005  # Osmium, and a little less than th
 ALLOWED_ERROR_MM = 0.6
 """Error of where the pads touch: a slip threshold moves by less than 3 %."""
 MOST_ERROR_MM = 3.0  # a tenth of the dome's radius: the gel then shows another place
+STEPS = ("reading", "cutting into convex parts", "trying the suggested grasps")
 NO_NAMES = {"textured", "nontextured", "model", "mesh", "object", "meshes", "untitled"}
 
 
@@ -61,13 +62,15 @@ def add_object(
     keep_pose: bool = False,
     into: Path = Path("objects"),
     force: bool = False,
+    on_step: Callable[[str], None] = lambda step: None,
 ) -> AddedObject:
     """Import a mesh into ``into/<name>``; the folder appears whole or not at all.
 
     ``yaw_rad`` is the angle about z, in the mesh's own axes, along which the fingers shall close:
     the mesh is turned by its negative; by default that at which both pads meet it, if they do not
     along x. An object that would topple is rested as it comes to lie, unless ``keep_pose``. The
-    suggested places of grasps are those that the simulation could execute.
+    suggested places of grasps are those that the simulation could execute. ``on_step`` is told
+    each of the ``STEPS`` as it begins.
 
     Raises ``ObjectError`` if the arguments or the mesh cannot be used, or the object exists and not
     ``force``.
@@ -78,6 +81,7 @@ def add_object(
     folder = into / name
     _check_target(folder, force)
 
+    on_step(STEPS[0])
     surface, notes = import_surface(mesh_path, scale=scale, up=up)
     notes += _check_density(mesh_path, surface, mass_kg)
     turn = None if keep_pose else toppled(surface)
@@ -86,6 +90,7 @@ def add_object(
         notes.insert(0, _rest_note(turn))
     yaw_rad, surface, yaw_notes = _turned(surface, yaw_rad)
     ranges, range_notes = suggest_ranges(surface, mass_kg=mass_kg, friction=friction)
+    on_step(STEPS[1])
     for k, parts in enumerate(convex_parts(surface)):
         off_mm = touch_error_mm(surface, parts, ranges)
         # The finest cut has too many parts for what is only a little better.
@@ -93,6 +98,7 @@ def add_object(
             break
     if off_mm.max() > MOST_ERROR_MM:
         notes.insert(0, _touch_note(off_mm, parts) + ": expect other slip thresholds there")
+    on_step(STEPS[2])
     properties = mass_properties([(surface, 1.0)], mass_kg)
     ranges, tried = executed_ranges(
         GraspObject(

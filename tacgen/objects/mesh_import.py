@@ -73,6 +73,17 @@ def import_surface(
     return placed(mesh), notes
 
 
+def meshes_in(path: Path) -> list[Path]:
+    """The mesh itself, or the mesh files of a folder by name; an ``ObjectError`` if it has none."""
+    if not path.is_dir():
+        return [path]
+    found = sorted(one for one in path.iterdir() if one.suffix.lower().lstrip(".") in FORMATS)
+    if not found:
+        msg = f"{path}: holds no mesh file; give one with {', '.join(FORMATS)}"
+        raise ObjectError(msg)
+    return found
+
+
 def placed(mesh: Mesh, rotation: FloatArray | None = None) -> Mesh:
     """The mesh, turned by ``rotation`` (3, 3), with the middle of its footprint at the origin."""
     vertices = mesh.vertices_mm if rotation is None else mesh.vertices_mm @ rotation.T

@@ -386,3 +386,17 @@ def test_adding_shows_a_picture(own_folder):
     done = CliRunner().invoke(app, ["objects", "add", "tea_box.stl", "--mass", "0.2"])
     assert "look at objects/tea_box/picture.png" in done.stderr
     assert (own_folder / "objects" / "tea_box" / "picture.png").stat().st_size > 10_000
+
+
+def test_a_folder_of_meshes_is_added_and_what_is_refused_is_said(own_folder):
+    (own_folder / "scans").mkdir()
+    exported(box(), "scans/tea_box.stl")
+    exported(box(25.0, 25.0, 50.0), "scans/post.ply")
+    (own_folder / "scans/torn.obj").write_text("v 0 0 0\n")
+    (own_folder / "scans/notes.txt").write_text("none of them")
+    done = CliRunner().invoke(app, ["objects", "add", "scans", "--mass", "0.2", "--json"])
+    assert done.exit_code == 0, done.output
+    assert [row["name"] for row in json.loads(done.stdout)] == ["post", "tea_box"]
+    assert "refused: scans/torn.obj: holds no triangles" in done.stderr
+    both = CliRunner().invoke(app, ["objects", "add", "scans", "--mass", "0.2", "--name", "a"])
+    assert "--name is for one mesh" in str(both.exception)
