@@ -153,29 +153,34 @@ def calibrate_contact(
             "(free where presses of known balls show that they begin elsewhere)."
         ),
     ] = "auto",
-    force_unit: Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")] = None,
+    column: common.ColumnOption = None,
+    flip: common.FlipOption = None,
+    force_unit: common.ForceUnitOption = None,
     marker_pitch_mm: common.MarkerPitchOption = None,
-    radius_mm: Annotated[float | None, Option(help="Ball of force-depth curves, mm.")] = None,
-    table: Annotated[Path | None, Option(help="table.npz, to read volumes in images.")] = None,
+    radius_mm: common.LogRadiusOption = None,
+    table: common.LogTableOption = None,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error."""
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
     from tacgen.calibrate.contact.command import result_text
-    from tacgen.calibrate.contact.depth_curves import is_depth_table
+    from tacgen.presses.lab_table import LogFormat
 
+    log_format = LogFormat.of_options(column or [], flip or [], force_unit)
     measured = out.with_suffix(".csv") if log.is_dir() else log
     common.refuse_existing(force, out, *([measured] if measured != log else []))
     result = calibrate(
-        log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
+        log, out, report, by=by, contact_point=contact_point, log_format=log_format,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
         radius_mm=radius_mm, table=table,
     )  # fmt: skip
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
-    follow_up = [f"tacgen diagnose contact {quoted(measured)} --out diagnosis"]
-    common.hand_over(*common.contact_lines(out), *([] if is_depth_table(measured) else follow_up))
+    options = [] if measured != log else log_format.arguments
+    options += [] if radius_mm is None else ["--radius-mm", f"{radius_mm:g}"]
+    follow_up = ["tacgen diagnose contact", *map(quoted, [measured, *options]), "--out diagnosis"]
+    common.hand_over(*common.contact_lines(out), " ".join(follow_up))
 
 
 @common.app.command(rich_help_panel=common.CALIBRATION)

@@ -149,6 +149,22 @@ MarkerPitchOption = Annotated[
     float | None, Option(help="Spacing of the markers whose summed motion the log holds, mm.")
 ]
 
+ColumnOption = Annotated[
+    list[str] | None,
+    Option(
+        metavar="NAME=HEADER",
+        help='Header of a column in the log, such as force_normal_n="Fz [N]"; repeatable. A unit '
+        "in brackets is converted.",
+    ),
+]
+FlipOption = Annotated[
+    list[str] | None,
+    Option(metavar="NAME", help="Turn a column's sign: force, depth, volume or its full name."),
+]
+ForceUnitOption = Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")]
+LogRadiusOption = Annotated[float | None, Option(help="Ball of force-depth curves, mm.")]
+LogTableOption = Annotated[Path | None, Option(help="table.npz, to read volumes in images.")]
+
 
 def _workers(given: str) -> int:
     if given == "auto":

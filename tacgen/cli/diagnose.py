@@ -20,8 +20,16 @@ PRESSES_CONSIDERED = 200  # drawn from the rig's ranges; comparing them takes so
 
 @common.diagnose_app.command("contact")
 def diagnose_contact(
-    log: Annotated[Path, Argument(help="Press log: CSV or Parquet.")],
+    log: Annotated[
+        Path,
+        Argument(help="Press log or force-depth curves (CSV, Parquet), or images with forces."),
+    ],
     out: Annotated[Path, Option(help="Folder for diagnosis.json, contact.yaml, report.html.")],
+    column: common.ColumnOption = None,
+    flip: common.FlipOption = None,
+    force_unit: common.ForceUnitOption = None,
+    radius_mm: common.LogRadiusOption = None,
+    table: common.LogTableOption = None,
     marker_pitch_mm: common.MarkerPitchOption = None,
     grasp: Annotated[
         str | None,
@@ -46,7 +54,9 @@ def diagnose_contact(
     """Extend the linear contact law by the effects that a press log supports."""
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.diagnose.contact.result import diagnosis_record
+    from tacgen.presses.lab_table import LogFormat
 
+    log_format = LogFormat.of_options(column or [], flip or [], force_unit)
     proposals, loaded_rig = out / "next_presses.csv", None
     common.refuse_existing(force, out / "diagnosis.json", proposals)
     if rig is not None:
@@ -54,7 +64,9 @@ def diagnose_contact(
 
         loaded_rig = load_rig_recipe(rig)
     pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
-    diagnosis = diagnose_log(log, out, marker_pitch_mm=pitch_mm)
+    diagnosis = diagnose_log(
+        log, out, marker_pitch_mm=pitch_mm, log_format=log_format, radius_mm=radius_mm, table=table
+    )
     common.note(diagnosis.notes)
     if grasp is not None:
         from tacgen.collection.recipe import load_recipe

@@ -43,8 +43,10 @@ def objects_show(
 
 @common.objects_app.command("add")
 def objects_add(
-    mesh: Annotated[Path, Argument(help="Mesh file: OBJ, STL, PLY or GLB.")],
-    mass_kg: Annotated[float, Option("--mass", help="Mass of the object, kg.")],
+    mesh: Annotated[Path, Argument(help="Mesh file (OBJ, STL, PLY, GLB), or a folder of them.")],
+    mass_kg: Annotated[
+        float, Option("--mass", help="Mass of the object, or of each in a folder, kg.")
+    ],
     scale: Annotated[
         float, Option(help="Millimetres per unit of the mesh: 1000 for metres.")
     ] = 1.0,
@@ -52,32 +54,65 @@ def objects_add(
         str | None, Option(help="Name of the object; default: the mesh file's name.")
     ] = None,
     friction: Annotated[float, Option(help="Coulomb friction coefficient against the gel.")] = 0.4,
-    up: Annotated[str, Option(help="Axis of the mesh that points up: x, y or z.")] = "z",
+    up: Annotated[
+        str | None, Option(help="Axis of the mesh that points up; default: y of a GLB, else z.")
+    ] = None,
     yaw_rad: Annotated[
-        float, Option("--yaw", help="Angle about z along which the fingers shall close, rad.")
-    ] = 0.0,
+        float | None,
+        Option(
+            "--yaw",
+            help="Angle about z along which the fingers shall close, rad; default: along x, or "
+            "where the pads meet the object.",
+        ),
+    ] = None,
+    keep_pose: Annotated[
+        bool, Option("--keep-pose", help="Keep the mesh's pose even if it would topple.")
+    ] = False,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Import a mesh into ./objects; recipes can then name it."""
-    from tacgen.core.progress import print_status
-    from tacgen.objects.add import add_object
+    from tacgen.core.errors import ObjectError
+    from tacgen.core.progress import progress_counter
+    from tacgen.objects.add import STEPS, add_object
     from tacgen.objects.description import read_description
     from tacgen.objects.listing import facts_text, object_facts
+    from tacgen.objects.mesh_import import meshes_in
     from tacgen.objects.picture import write_picture
 
-    print_status(f"importing {mesh}; convex decomposition takes up to a minute")
-    added = add_object(
-        mesh, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up, yaw_rad=yaw_rad,
-        force=force,
-    )  # fmt: skip
-    common.note(added.notes)
-    folder = Path("objects") / added.object.name
-    facts = object_facts(added.object, read_description(folder))
-    write_picture(added.object, folder / "picture.png")
-    common.print_result(facts, facts_text(facts), json_output)
+    meshes, refused = meshes_in(mesh), list[str]()
+    if len(meshes) > 1 and name is not None:
+        msg = f"{mesh}: --name is for one mesh, the folder has {len(meshes)}; leave it out"
+        raise ObjectError(msg)
+    records, texts, done = [], [], list[str]()
+    with progress_counter("step") as show:
+        for number, path in enumerate(meshes):
+
+            def on_step(step: str, number: int = number, path: Path = path) -> None:
+                done_steps = len(STEPS) * number + STEPS.index(step)
+                show(done_steps, len(STEPS) * len(meshes), f"{path.name}: {step}")
+
+            try:
+                added = add_object(
+                    path, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up,
+                    yaw_rad=yaw_rad, keep_pose=keep_pose, force=force, on_step=on_step,
+                )  # fmt: skip
+            except ObjectError as error:
+                refused.append(str(error))
+                continue
+            common.note(added.notes)
+            folder = Path("objects") / added.object.name
+            facts = object_facts(added.object, read_description(folder))
+            write_picture(added.object, folder / "picture.png")
+            records.append(facts)
+            texts.append(facts_text(facts))
+            done.append(added.object.name)
+    if not done:
+        raise ObjectError.from_problems(refused)
+    common.warn(refused, "refused")
+    common.print_result(records if mesh.is_dir() else records[0], texts, json_output)
     common.hand_over(
-        f"look at {folder / 'picture.png'}",
+        *(f"look at objects/{one}/picture.png" for one in done),
         common.IN_RECIPE,
-        f"objects: [{added.object.name}]",
+        f"objects: [{', '.join(done)}]",
     )

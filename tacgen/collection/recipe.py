@@ -34,8 +34,15 @@ from tacgen.core.resources import (
 )
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
+from tacgen.dataset.manifest import MAX_SHARD_GRASPS
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
-from tacgen.physics.settings import FrameRequest, Pads, PhysicsSettings, force_problem
+from tacgen.physics.settings import (
+    MAX_FORCE_N,
+    FrameRequest,
+    Pads,
+    PhysicsSettings,
+    force_problem,
+)
 from tacgen.sensor.description import (
     SensorByName,
     SensorChoice,
@@ -112,7 +119,7 @@ class Robot(Located):
     name: str = "wsg50"
     """A gripper (one of ``recipes/grippers``, or the path of a YAML file), which floats; with
     ``ur5e_`` before its name it is on a UR5e arm."""
-    max_force_n: PositiveFloat | None = None
+    max_force_n: Annotated[PositiveFloat, Field(le=MAX_FORCE_N)] | None = None
     """Largest force of a finger; the gripper's own if not given."""
     tactile_pads: Pads = "left"
     """Fingers that carry a sensor."""
@@ -176,7 +183,7 @@ class Split(Section):
 class DatasetOptions(Section):
     """Content of the shards."""
 
-    shard_size: PositiveInt = 25
+    shard_size: Annotated[PositiveInt, Field(le=MAX_SHARD_GRASPS)] = 25
     """Grasps per shard."""
     depth: bool = False
     """Also store each grasp's depth map at the moment of grasp."""

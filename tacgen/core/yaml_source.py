@@ -18,9 +18,14 @@ from tacgen.core.resources import find_recipe
 MAX_BYTES = 1 << 20  # no recipe has as much text
 MAX_NODES = 200_000  # bounds on a file's size and on what its aliases may unfold to
 
+MAX_NUMBER_LETTERS = 100  # Python takes minutes for the digits of a long number
+
 _STANDARD_TAG = "tag:yaml.org,2002:"
 _FLOWS = {"while parsing a flow sequence": "[", "while parsing a flow mapping": "{"}
 """What PyYAML was reading, and with which bracket that begins."""
+_SCALARS = ("str", "int", "float", "bool", "null", "timestamp")
+_SEXAGESIMAL = re.compile(r"[-+]?[0-9_]+(:[0-9_]+)+(\.[0-9_]*)?")  # 1:30 is 90 in YAML 1.1
+_NO_TEXT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
 KeyPath = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -108,7 +113,9 @@ def _parse(path: Path) -> YamlSource:
         mark = getattr(error, "context_mark" if bracket else "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
         found = f"; close the `{bracket}` of this line" if bracket else ""
-        problem = f"not valid YAML: {getattr(error, 'problem', error)}{found}"
+        problem = f"not valid YAML: {getattr(error, 'problem', None) or error}{found}"
+    except (ValueError, OverflowError):
+        problem = "not valid YAML: it asks for a character that there is not"
     if not isinstance(root, yaml.MappingNode):
         msg = f"{path}{line}: {problem}"
         raise RecipeError(msg)
@@ -131,24 +138,47 @@ class _NodeReader:
             msg = f"{self._source.path}: unfolds to too many parts; write it without aliases"
             raise RecipeError(msg)
         self._source.origins.setdefault(key_path, (self._source.path, node.start_mark.line + 1))
-        if not node.tag.startswith(_STANDARD_TAG) or node.tag.startswith(f"{_STANDARD_TAG}python"):
+        kinds: tuple[str, ...] = _SCALARS
+        if isinstance(node, yaml.CollectionNode):
+            kinds = ("seq",) if isinstance(node, yaml.SequenceNode) else ("map",)
+        if node.tag.removeprefix(_STANDARD_TAG) not in kinds:
             self._refuse(key_path, f"has the tag {node.tag}; remove it")
         if isinstance(node, yaml.SequenceNode):
             return [self.read(item, (*key_path, i)) for i, item in enumerate(node.value)]
         if isinstance(node, yaml.MappingNode):
             result: dict[str, Any] = {}
             for key_node, value_node in node.value:
+                if not isinstance(key_node, yaml.ScalarNode):
+                    self._refuse(key_path, "has a list or a mapping as a key; write a name")
                 key = str(key_node.value)
                 here = (*key_path, key)
+                self._check_text(here, key)
                 self._source.origins[here] = (self._source.path, key_node.start_mark.line + 1)
                 if key in result:
                     self._refuse(here, "is given twice; keep one")
                 result[key] = self.read(value_node, here)
             return result
+        return self._scalar(node, key_path)
+
+    def _scalar(self, node: yaml.Node, key_path: KeyPath) -> Any:
+        self._check_text(key_path, node.value)
+        if not node.tag.endswith((":str", ":timestamp")):
+            if len(node.value) > MAX_NUMBER_LETTERS:
+                self._refuse(key_path, f"has {len(node.value)} letters, which is no number")
+            if _SEXAGESIMAL.fullmatch(node.value):
+                fix = "write the number, or put it in quotes"
+                self._refuse(key_path, f"= {node.value} counts in sixties in YAML; {fix}")
         try:
             return self._constructor.construct_object(node)
-        except (yaml.YAMLError, ValueError) as error:
-            return self._refuse(key_path, f"cannot be read: {error}")
+        except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError) as error:
+            kind = node.tag.removeprefix(_STANDARD_TAG)
+            why = error if isinstance(error, (yaml.YAMLError, ValueError)) else "it is none"
+            return self._refuse(key_path, f"= {node.value[:40]!r} cannot be read as {kind}: {why}")
+
+    def _check_text(self, key_path: KeyPath, text: str) -> None:
+        if found := _NO_TEXT.search(text):
+            what = f"U+{ord(found[0]):04X}, which is no character of a text; delete it"
+            self._refuse(tuple(_NO_TEXT.sub("?", str(key)) for key in key_path), f"holds {what}")
 
     def _refuse(self, key_path: KeyPath, text: str) -> NoReturn:
         raise RecipeError(self._source.problem(key_path, text)) from None

@@ -22,12 +22,13 @@ from tacgen.core.files import (
     write_text,
 )
 from tacgen.core.lock import holder_of, locked
-from tacgen.core.version import __version__
+from tacgen.core.version import __version__, newer_problem
 from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset.check import content_problems
 from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.inputs import GRID, changed_roles
 from tacgen.dataset.manifest import (
+    MAX_SHARDS,
     ShardLine,
     merge_manifest,
     part_number,
@@ -191,11 +192,12 @@ class DatasetFolder:
             name = self.plan_path.name
             msg = f"{self.root} is not a dataset: {name} is missing or broken; {fix}"
             raise MissingPlanError(msg)
-        if (schema := plan.get("schema", 1)) != 1:
-            msg = (
-                f"{self.plan_path}: schema {schema} is of another version of tacgen; use that one, "
-                "or give another --out"
-            )
+        if problem := newer_problem(plan.get("schema", 1), 1):
+            msg = f"{self.plan_path}: {problem}"
+            raise DatasetError(msg)
+        if plan["n_shards"] > MAX_SHARDS or plan["n_grasps"] > MAX_SHARDS * plan["shard_size"]:
+            n_shards = max(plan["n_shards"], -(-plan["n_grasps"] // plan["shard_size"]))
+            msg = f"{self.plan_path}: {n_shards:g} shards, more than {MAX_SHARDS}; make fewer"
             raise DatasetError(msg)
         return plan
 

@@ -12,15 +12,25 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import NonNegativeInt, TypeAdapter, ValidationError, model_validator
+from pydantic import (
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import read_small_text, write_text
+from tacgen.core.version import newer_problem
 
 MAX_LINE_BYTES = 1 << 20  # a line has some kilobytes
+MAX_SHARDS = 1_000_000  # of a dataset: with more, no file system lists them
+MAX_SHARD_GRASPS = 1_000_000
 FIX_MERGED = "remake the manifest with `tacgen merge`"
 FIX_PART = "`tacgen collect` remakes that shard"
 
@@ -46,14 +56,14 @@ class ShardLine:
     file: str
     index_range: tuple[NonNegativeInt, NonNegativeInt]
     sha256: str
-    bytes: int
-    raw_bytes: int
+    bytes: PositiveInt
+    raw_bytes: PositiveInt
     recipe: str
     recipe_sha256: str
     calibration: dict[str, str]
     sensor: str
-    pads: tuple[str, ...]
-    frames: int
+    pads: Annotated[tuple[str, ...], Field(min_length=1)]
+    frames: PositiveInt
     versions: dict[str, str]
     counts: dict[str, int]
     status: dict[str, int]
@@ -68,6 +78,12 @@ class ShardLine:
     def _checked(self) -> "ShardLine":
         if self.index_range[0] >= self.index_range[1]:
             msg = f"index_range = {self.index_range} is not [start, stop]"
+            raise ValueError(msg)
+        if self.n_grasps > MAX_SHARD_GRASPS or self.shard >= MAX_SHARDS:
+            msg = f"shard {self.shard} of {self.n_grasps} grasps is larger than any"
+            raise ValueError(msg)
+        if self.index_range[1] > MAX_SHARDS * MAX_SHARD_GRASPS:
+            msg = f"index_range = {self.index_range} is larger than any"
             raise ValueError(msg)
         if self.file != shard_file(self.shard):
             msg = f"file = {self.file!r} is not that of shard {self.shard}"
@@ -91,6 +107,9 @@ def parse_line(text: str, where: str, fix: str = FIX_MERGED) -> ShardLine:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
+        if key == "schema" and (newer := newer_problem(first["input"], 1)):
+            msg = f"{where}: {newer}"
+            raise DatasetError(msg) from None
         problem = f"{key}: {first['msg']}" if key else first["msg"].removeprefix("Value error, ")
         msg = f"{where}: not a line of a manifest: {problem}; {fix}"
         raise DatasetError(msg) from None

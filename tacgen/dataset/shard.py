@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import PADS, Until
+from tacgen.core.version import newer_problem
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
 from tacgen.dataset.schema import (
     FIELDS,
@@ -161,8 +162,8 @@ def _layout_of(path: Path, file: h5py.File) -> Layout:
     version, names = _attribute(file, "format_version", "i", ()), tuple(pads.split(","))
     if kind != "tacgen" or version is None:
         _refuse(path, ["not a shard of tacgen"])
-    elif version != FORMAT_VERSION:
-        _refuse(path, [f"format {version} is not {FORMAT_VERSION}, which this version reads"])
+    elif problem := newer_problem(int(version), FORMAT_VERSION):
+        _refuse(path, [problem])
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     whole = Layout(sensor, names)

@@ -4,14 +4,16 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
 import yaml
+from numpy.typing import NDArray
 
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.files import sha256_of, sync_file
 from tacgen.core.records import GraspObject, Mesh
@@ -19,18 +21,24 @@ from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import (
     DOME_RADIUS_MM,
     facet_note,
+    graspable,
     suggest_ranges,
     suggest_yaw,
     touch_error_mm,
 )
 from tacgen.objects.load import load_object, write_meshes
-from tacgen.objects.mesh_import import UP_AXES, convex_parts, import_surface
+from tacgen.objects.mesh_import import UP_AXES, convex_parts, import_surface, placed
 from tacgen.objects.meshes import mass_properties, volume_mm3
+from tacgen.objects.rest import toppled
+from tacgen.objects.trial import executed_ranges
+from tacgen.physics.frames import rotation_about_z
 
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'
 DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005  # Osmium, and a little less than the lightest foam
 ALLOWED_ERROR_MM = 0.6
 """Error of where the pads touch: a slip threshold moves by less than 3 %."""
+MOST_ERROR_MM = 3.0  # a tenth of the dome's radius: the gel then shows another place
+STEPS = ("reading", "cutting into convex parts", "trying the suggested grasps")
 NO_NAMES = {"textured", "nontextured", "model", "mesh", "object", "meshes", "untitled"}
 
 
@@ -49,15 +57,20 @@ def add_object(
     scale: float = 1.0,
     name: str | None = None,
     friction: float = DEFAULT_FRICTION,
-    up: str = "z",
-    yaw_rad: float = 0.0,
+    up: str | None = None,
+    yaw_rad: float | None = None,
+    keep_pose: bool = False,
     into: Path = Path("objects"),
     force: bool = False,
+    on_step: Callable[[str], None] = lambda step: None,
 ) -> AddedObject:
     """Import a mesh into ``into/<name>``; the folder appears whole or not at all.
 
     ``yaw_rad`` is the angle about z, in the mesh's own axes, along which the fingers shall close:
-    the mesh is turned by its negative.
+    the mesh is turned by its negative; by default that at which both pads meet it, if they do not
+    along x. An object that would topple is rested as it comes to lie, unless ``keep_pose``. The
+    suggested places of grasps are those that the simulation could execute. ``on_step`` is told
+    each of the ``STEPS`` as it begins.
 
     Raises ``ObjectError`` if the arguments or the mesh cannot be used, or the object exists and not
     ``force``.
@@ -68,33 +81,93 @@ def add_object(
     folder = into / name
     _check_target(folder, force)
 
-    surface, notes = import_surface(mesh_path, scale=scale, up=up, yaw_rad=yaw_rad)
+    on_step(STEPS[0])
+    surface, notes = import_surface(mesh_path, scale=scale, up=up)
     notes += _check_density(mesh_path, surface, mass_kg)
+    turn = None if keep_pose else toppled(surface)
+    if turn is not None:
+        surface = placed(surface, turn)
+        notes.insert(0, _rest_note(turn))
+    yaw_rad, surface, yaw_notes = _turned(surface, yaw_rad)
     ranges, range_notes = suggest_ranges(surface, mass_kg=mass_kg, friction=friction)
-    for parts in convex_parts(surface):
+    on_step(STEPS[1])
+    for k, parts in enumerate(convex_parts(surface)):
         off_mm = touch_error_mm(surface, parts, ranges)
-        if off_mm.max() <= ALLOWED_ERROR_MM:
+        # The finest cut has too many parts for what is only a little better.
+        if off_mm.max() <= (ALLOWED_ERROR_MM if k == 0 else MOST_ERROR_MM):
             break
+    if off_mm.max() > MOST_ERROR_MM:
+        notes.insert(0, _touch_note(off_mm, parts) + ": expect other slip thresholds there")
+    on_step(STEPS[2])
+    properties = mass_properties([(surface, 1.0)], mass_kg)
+    ranges, tried = executed_ranges(
+        GraspObject(
+            name=name,
+            surface=surface,
+            collision=parts,
+            mass_kg=mass_kg,
+            center_of_mass_mm=properties[0],
+            inertia_kg_mm2=properties[1],
+            friction=friction,
+            spinning_friction_mm=None,
+            grasp_ranges=ranges,
+            folder=folder,
+        )
+    )
+    range_notes += yaw_notes + tried
     description = describe(
         name, mesh_path, surface, mass_kg=mass_kg, friction=friction, ranges=ranges
     )
     _write(folder, surface, parts, description, force)
     notes += range_notes
-    better_rad = yaw_rad + suggest_yaw(surface, ranges["z_mm"])
-    if better_rad != yaw_rad:
-        notes.append(
-            "the pads would meet larger opposite faces at another angle about z: add it with "
-            f"--yaw {better_rad:.3f} --force"
-        )
     if note := facet_note(surface):
         notes.append(note)
-    notes.append(
+    if off_mm.max() <= MOST_ERROR_MM:
+        notes.append(_touch_note(off_mm, parts))
+    return AddedObject(load_object(folder), tuple(notes))
+
+
+def _turned(surface: Mesh, yaw_rad: float | None) -> tuple[float, Mesh, list[str]]:
+    """The surface turned so that the fingers close along ``yaw_rad``, chosen where it is None."""
+    notes = []
+    if yaw_rad:
+        surface = placed(surface, rotation_about_z(-yaw_rad))
+    heights = [share * float(np.ptp(surface.vertices_mm[:, 2])) for share in (0.25, 0.5, 0.75)]
+    better_rad = suggest_yaw(surface, heights)
+    if better_rad and yaw_rad is None and not any(graspable(surface, 0.0, z) for z in heights):
+        size_mm = np.ptp(surface.vertices_mm[:, 0])
+        surface = placed(surface, rotation_about_z(-better_rad))
+        notes.append(
+            f"{size_mm:.0f} mm along x, where the pads do not meet it: turned by "
+            f"{-better_rad:.3f} rad about z, so that they do; --yaw 0 keeps it"
+        )
+        return better_rad, surface, notes
+    if better_rad:
+        notes.append(
+            "the pads would meet larger opposite faces at another angle about z: add it with "
+            f"--yaw {(yaw_rad or 0.0) + better_rad:.3f} --force"
+        )
+    return yaw_rad or 0.0, surface, notes
+
+
+def _rest_note(turn: NDArray[np.float64]) -> str:
+    angle_deg = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
+    return (
+        "its centre of mass is not over what it stands on: rested as it topples, turned by "
+        f"{angle_deg:.0f}° about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}); look at its "
+        "picture, --keep-pose keeps the mesh's own pose"
+    )
+
+
+def _touch_note(off_mm: FloatArray, parts: tuple[Mesh, ...]) -> str:
+    return (
         f"where it is grasped the pads touch its collision shape ({len(parts)} convex) within "
         f"{off_mm[0]:.2f} mm along x, {off_mm[1]:.1f} mm across and "
         f"{np.degrees(off_mm[1] / DOME_RADIUS_MM):.1f}° of the surface"
         + ("" if off_mm.max() <= ALLOWED_ERROR_MM else f", more than {ALLOWED_ERROR_MM:g} mm")
     )
-    return AddedObject(load_object(folder), tuple(notes))
 
 
 def object_name(mesh_path: Path) -> str:
@@ -149,7 +222,12 @@ def describe(
 
 
 def _check_arguments(
-    name: str, mass_kg: float, scale: float, friction: float, up: str, yaw_rad: float
+    name: str,
+    mass_kg: float,
+    scale: float,
+    friction: float,
+    up: str | None,
+    yaw_rad: float | None,
 ) -> None:
     problems = []
     if not re.fullmatch(NAME_PATTERN, name):
@@ -162,9 +240,9 @@ def _check_arguments(
         problems.append(f"--scale {scale:g} is not above 0; give mm per unit of the mesh")
     if not (np.isfinite(friction) and 0 <= friction <= 2):
         problems.append(f"--friction {friction:g} is not in 0 to 2; give a Coulomb coefficient")
-    if not abs(yaw_rad) <= 2 * np.pi:
+    if not abs(yaw_rad or 0.0) <= 2 * np.pi:
         problems.append(f"--yaw {yaw_rad:g} is more than a turn; give radians: 90° is 1.571")
-    if up not in UP_AXES:
+    if up is not None and up not in UP_AXES:
         problems.append(f"--up {up!r} is no axis; give one of {', '.join(UP_AXES)}")
     ObjectError.raise_if(problems)
 

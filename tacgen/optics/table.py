@@ -6,15 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any, Literal
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, FiniteFloat, ValidationError
 
+from tacgen.core.config import Section
 from tacgen.core.errors import TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.safe_io import check_archive
+from tacgen.core.yaml_source import MOST_PROBLEMS, problem_text
 from tacgen.optics.image_models import ContactLight as ContactLight
 from tacgen.optics.image_models import (
     ImageModel,
@@ -134,6 +137,32 @@ class LookupTable:
         return self.background.shape[0], self.background.shape[1]
 
 
+PositiveFinite = Annotated[FiniteFloat, Field(gt=0)]
+MAX_TABLE_BYTES = 1 << 30  # of its arrays, unpacked; a table has some megabytes
+
+
+class _ContactHeader(Section):
+    depth_mm: PositiveFinite
+    dome_radius_mm: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+
+
+class _Header(Section):
+    """What stands in a table's file beside its arrays."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    mm_per_px: PositiveFinite
+    max_slope_rad: Annotated[float, Field(gt=0, le=math.pi / 2)]
+    interpolation: Literal["linear", "floor"]
+    sensor: str
+    noise_grey: Annotated[FiniteFloat, Field(ge=0)]
+    effects: dict[str, dict[str, FiniteFloat]]
+    provenance: dict[str, Any]
+    contact: _ContactHeader | None = None
+    """Of early tables, which name no model."""
+    model: dict[str, Any] = Field(default_factory=dict)
+
+
 _SCALARS = ("mm_per_px", "max_slope_rad", "interpolation", "sensor", "noise_grey")
 
 
@@ -174,7 +203,7 @@ def load_table(path: Path | str) -> LookupTable:
     """
     path = Path(path)
     try:
-        check_archive(path)
+        check_archive(path, MAX_TABLE_BYTES)
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ("coefficients", "background", "meta")}
             arrays |= {name: archive[name] for name in archive.files}
@@ -190,31 +219,56 @@ def load_table(path: Path | str) -> LookupTable:
     except (OSError, ValueError, BadZipFile) as error:
         msg = f"{path}: cannot be read as a table: {error}"
         raise TableError(msg) from None
-    meta = json.loads(arrays["meta"].tobytes())
-    scalars = {name: meta[name] for name in _SCALARS}
-    # Tables of before name no model: its numbers are among the others.
-    numbers = {**meta, **meta.get("model", {})}
+    header = _read_header(path, arrays.pop("meta"))
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiu" or not np.isfinite(array).all() or not array.size:
+            msg = f"{path}: {name} holds no finite numbers; calibrate again or fetch it anew"
+            raise TableError(msg)
+    numbers = {**header.model_dump(exclude={"model"}, exclude_none=True), **header.model}
     kind = numbers.get("kind", "response" if "response" in arrays else "quadratic")
     try:
+        if "contact" in numbers:
+            contact = _ContactHeader.model_validate(numbers["contact"], strict=True)
+            numbers["contact"] = contact.model_dump()
         model = load_model(kind, arrays, numbers)
-    except KeyError as error:
-        msg = f"{path}: its image model {kind!r} lacks {error.args[0]}"
-        raise TableError(msg) from None
+        members: dict[str, Any] = {"model": model}
+        if isinstance(model, Response):
+            members = {"response": model.response, "contact": model.contact}
+        elif isinstance(model, Quadratic):
+            members = {}
+        return LookupTable(
+            coefficients=arrays["coefficients"].astype(np.float32),
+            background=arrays["background"].astype(np.float32),
+            effects=header.effects,
+            provenance=header.provenance,
+            **members,
+            **{name: getattr(header, name) for name in _SCALARS},
+        )
     except TableError as error:
-        msg = f"{path}: {error}"
+        problems = [f"{path}: {line}" for line in str(error).splitlines()]
+        raise TableError.from_problems(problems) from None
+    except (KeyError, TypeError, ValueError) as error:
+        what = str(error.args[0]) if error.args else "its contact"
+        msg = f"{path}: its image model {kind!r} lacks or misstates {what}; calibrate again"
         raise TableError(msg) from None
-    members: dict[str, Any] = {"model": model}
-    if isinstance(model, Response):
-        members = {"response": model.response, "contact": model.contact}
-    elif isinstance(model, Quadratic):
-        members = {}
-    return LookupTable(
-        coefficients=arrays["coefficients"].astype(np.float32),
-        background=arrays["background"].astype(np.float32),
-        effects=meta["effects"],
-        provenance=meta["provenance"],
-        **members,
-        **scalars,
+
+
+def _read_header(path: Path, meta: NDArray[Any]) -> _Header:
+    """The header, checked as strictly as a recipe."""
+    try:
+        return _Header.model_validate_json(meta.tobytes())
+    except ValidationError as error:
+        found = error.errors()
+    if any(one["type"] == "extra_forbidden" for one in found):
+        keys = ", ".join(str(one["loc"][-1]) for one in found if one["type"] == "extra_forbidden")
+        msg = f"{path}: made by a newer tacgen (its header has {keys}); upgrade tacgen"
+        raise TableError(msg)
+    raise TableError.from_problems(
+        [
+            f"{path}: header: {'.'.join(map(str, one['loc']))}{' ' if one['loc'] else ''}"
+            f"{problem_text(one)}; calibrate again or fetch it anew"
+            for one in found[:MOST_PROBLEMS]
+        ]
     )
 
 

@@ -15,6 +15,7 @@ from tacgen.core.records import PADS
 from tacgen.core.resources import gripper_path
 from tacgen.core.units import M_PER_MM
 from tacgen.core.yaml_source import read_yaml, validate
+from tacgen.physics.settings import MAX_FORCE_N
 
 PAD_MARGIN_MM = 1.0
 """The pads' vertices lie inside their surface by the margin that Bullet adds around hulls."""
@@ -131,7 +132,7 @@ class GripperSpec(Section):
     """Where its figures are from."""
     stroke_mm: _Length
     """Largest opening between the pads."""
-    force_range_n: tuple[NonNegativeFloat, _Length]
+    force_range_n: tuple[NonNegativeFloat, Annotated[_Length, Field(le=MAX_FORCE_N)]]
     """Least and largest force of a finger."""
     hand: _Hand
     """The gripper without its fingers."""

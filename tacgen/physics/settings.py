@@ -24,6 +24,8 @@ EngineChoice = Literal["auto", "pybullet", "mujoco"]
 Pads = Literal[PadName, "both"]
 SMALLEST_DOME_RADIUS_MM = 20.0
 """A dome must be wider than the pad, whose half diagonal is 15.3 mm."""
+MAX_FORCE_N = 1000.0
+"""Of a finger: ten times what grippers with such pads have."""
 ITERATIONS_PER_FORCE_RATIO = 0.5
 """Iterations by force over weight: with 50, a 2 g block creeps in a 20 N grip, a ratio of 1000."""
 MOST_ITERATIONS = 500  # what that block needs; a bound on the time of a grasp
@@ -109,7 +111,7 @@ class PhysicsSettings:
     """Added to the force of a finger."""
     height_offset_mm: float = 0.0
     """Added to the height of the pads."""
-    max_force_n: PositiveFloat = 40.0
+    max_force_n: Annotated[PositiveFloat, Field(le=MAX_FORCE_N)] = 40.0
     """Largest force of a finger; set it as ``robot.max_force_n``. The WSG-50's grasping
     force of 80 N is twice a finger's (Weiss Robotics, WSG 50 data sheet)."""
     tactile_pads: Pads = "left"

@@ -17,14 +17,14 @@ from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.safe_io import check_archive, read_rgb, rgb_of_array
 from tacgen.core.yaml_source import read_yaml
-from tacgen.presses.press_images import PressImages
-from tacgen.presses.press_log import (
-    SHEAR_FORCES,
+from tacgen.presses.lab_table import (
     column_problems,
     numeric_columns,
     read_table,
     trial_number_problems,
 )
+from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_log import SHEAR_FORCES
 
 COORDINATES = ("center_x_px", "center_y_px", "contact_radius_px")
 STAGE = ("x_mm", "y_mm")
@@ -274,15 +274,16 @@ def _read_list(
     path: Path, required: tuple[str, ...], ball_radius_mm: float | None, problems: list[str]
 ) -> pd.DataFrame:
     """``presses.csv`` with every column; its first press is in row 2 of the file."""
-    table = read_table(path)
+    read = read_table(path)
+    table, rows = read.columns, read.rows
     if ball_radius_mm is not None:
         table["radius_mm"] = [str(ball_radius_mm)] * len(next(iter(table.values())))
     problems += column_problems(table, path, required)
-    numbers, cells = numeric_columns(table, path, NUMBERS)
+    numbers, cells = numeric_columns(table, path, NUMBERS, rows)
     frame = pd.DataFrame(table, dtype=str)
     problems += cells
     if "trial" in numbers:
-        problems += trial_number_problems(numbers["trial"], path)
+        problems += trial_number_problems(numbers["trial"], path, rows)
     if "radius_mm" in numbers:
         problems += _radius_problems(numbers["radius_mm"], frame, path, "radius_mm" in required)
     if "file" in frame:

@@ -5,11 +5,9 @@ any other column is a covariate. What makes a whole file useless raises;
 what makes one press unusable drops that press, with the reason in ``PressLog.dropped``.
 """
 
-import csv
-import io
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -19,13 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.core.columns import DEPTH_CURVES, PRESS_LOG, PRESSES, csv_problem, similar_columns
-from tacgen.core.errors import PressError, require_known
+from tacgen.core.columns import PRESS_LOG, similar_columns
+from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
-from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import frozen_array
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.independent_rows import independent_rows
+from tacgen.presses.lab_table import (
+    FORCE_UNITS_N,
+    MAX_LISTED,
+    Cells,
+    LogFormat,
+    LogTable,
+    parsed,
+    read_log_table,
+    split_header,
+    trial_number_problems,
+)
 
 REQUIRED = ("trial", "time_s", "force_normal_n", "volume_mm3")
 SHEAR_FORCES = ("force_shear_x_n", "force_shear_y_n")
@@ -33,17 +41,13 @@ SHEAR_MOTIONS = ("shear_x_mm", "shear_y_mm")
 SHEAR = (*SHEAR_FORCES, *SHEAR_MOTIONS)
 OPTIONAL_NUMBERS = ("radius_mm", "x_mm", "y_mm", *SHEAR)
 CONTRACT = (*REQUIRED, "indenter", *OPTIONAL_NUMBERS)
-FORCE_UNITS_N = MappingProxyType(
-    {"n": 1.0, "mn": 1e-3, "gf": STANDARD_GRAVITY_M_S2 * 1e-3, "kgf": STANDARD_GRAVITY_M_S2}
-)
-"""Newtons in one of each unit that a force gauge may show."""
-
-FIRST_ROW = 2  # of the samples, as a spreadsheet counts: the header is row 1
-MAX_LISTED = 5  # bad cells of one column that an error spells out
+PLAIN = LogFormat()
 
 MAX_EMPTY_SHARE = 0.5
 """Up to this share of a trial's samples may be empty before the whole trial is dropped: what is
 measured beside them is as good as ever."""
+
+MAX_DROPPED_SHARE = 0.5  # of a log's samples: with more gone, what is left is not the session
 
 MAX_WARNED = 5  # presses whose empty cells or gaps are spelled out
 
@@ -53,16 +57,26 @@ MAX_PLAUSIBLE_FORCE_N = 100.0
 PLAUSIBLE_COMPLIANCE_MM3_PER_N = (0.15, 150.0)
 """Published gels are between 1 and 10 mm³/N; an order of magnitude more."""
 
+PLAUSIBLE_DEPTHS_MM = (0.02, 50.0)
+"""What the deepest press can be: gels are 2 to 10 mm thick, and seen to give way from 0.02 mm."""
+
+LONGEST_PRESS_S, LATEST_CLOCK_S = 1e5, 1e10
+"""A press is no day long, and no clock in seconds is 300 years after 1970."""
+USUAL_PRESS_S = 5.0
+ODD_PRESS_S, ODD_STEP_S = 300.0, 1.0  # longer presses with rarer samples may be in ms
+
+SIGN_CORRELATION = 0.5  # of force and size of the response: beyond its negative, the sign is wrong
+SHUFFLED_SHARE = 0.1  # of a log's steps that go backwards in time: two presses under a number, few
+
+PUBLISHED_COMPLIANCE_MM3_PER_N = 5.0  # within the published range
+UNIT_WORDS = MappingProxyType({"n": "newtons", "mn": "millinewtons", "gf": "grams", "kgf": "kg"})
+
 OUTLIER_FACTOR = 25.0
 """A trial this many times softer or stiffer than the median one was logged in another unit."""
 
 GAP_FACTOR = 25.0  # a step of the clock this many times the trial's median step is a gap
 
 Columns = Mapping[str, NDArray[Any]]
-Cells = Sequence[str]
-"""A column of a table as text, a cell a row; empty where the file has none."""
-
-EMPTY_CELLS = ("", "nan", "na", "n/a", "none", "null")  # in any case
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,175 +152,170 @@ class PressLog:
         return np.asarray(np.logical_and.reduce(known))
 
 
-def read_press_log(path: Path, *, force_unit: str | None = None) -> PressLog:
+def read_press_log(
+    path: Path, log_format: LogFormat = PLAIN, *, radius_mm: float | None = None
+) -> PressLog:
     """Read and check a press log: CSV, or Parquet by its suffix (``.parquet``, ``.pq``).
 
-    ``force_unit`` is that of the force columns (a key of ``FORCE_UNITS_N``). By default newtons,
-    and forces that cannot be newtons are an error; a unit that is given is not checked.
+    A log with ``depth_mm`` and no ``volume_mm3`` is one of a ball, of ``radius_mm`` or the column
+    of that name: the volume is the ball's below the gel's surface at rest. Rows of presses that
+    are not in the order of their time are sorted.
 
     Raises ``PressError`` with every problem of the file at once: unreadable or empty, missing or
-    doubled columns, cells that are not numbers, forces in another unit, no usable press.
+    doubled columns, cells that are not numbers, another unit or sign, most samples unusable.
     """
-    path = Path(path)
-    table = read_table(path)
-    require_known("force unit", force_unit or "n", FORCE_UNITS_N, PressError)
-    problems = column_problems(table, path, REQUIRED)
-    PressError.raise_if(problems)
-    numbers, problems = numeric_columns(table, path, (*REQUIRED, *OPTIONAL_NUMBERS))
-    problems += trial_number_problems(numbers["trial"], path)
-    PressError.raise_if(problems)
-    for name in ("force_normal_n", *SHEAR_FORCES):
-        if name in numbers and force_unit is not None:
-            numbers[name] = numbers[name] * FORCE_UNITS_N[force_unit]
-    columns = {
-        name: numbers[name] if name in numbers else _covariate(name, cells)
-        for name, cells in table.items()
+    return press_log_of(read_log_table(Path(path), log_format), radius_mm=radius_mm)
+
+
+def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog:
+    """The press log in a table that is read already; as ``read_press_log``."""
+    table.require("trial", "time_s", "force_normal_n", "volume_mm3 or depth_mm")
+    path, numbers = table.path, table.numbers
+    problems = [*table.problems, *trial_number_problems(numbers["trial"], path, table.rows)]
+    PressError.raise_if(problems or value_problems(table))
+    trial = numbers["trial"].astype(np.int64)
+    order, moved = row_order(trial, numbers["time_s"])
+    columns: dict[str, NDArray[Any]] = {
+        name: (numbers[name] if name in numbers else _covariate(name, cells))[order]
+        for name, cells in table.cells.items()
     }
-    columns["trial"] = columns["trial"].astype(np.int64)
-    if force_unit is None and (problem := _force_unit_problem(columns, path)):
+    columns["trial"] = trial[order]
+    notes = [*table.notes, *table.unclear, *([f"{path}: {moved}"] if moved else [])]
+    if "time_s" not in table.sure:
+        notes += _check_clock_unit(table, columns)
+    if "volume_mm3" not in columns:
+        columns |= _ball_volumes(columns, path, radius_mm)
+        notes.append(f"{path}: no volume_mm3: volumes are those of the ball at depth_mm")
+    rows = table.rows[order]
+    if "force_normal_n" not in table.sure and (problem := _force_unit_problem(columns, path, rows)):
         raise PressError(problem)
-    log = _checked(columns, path)
-    similar = similar_columns(table, PRESS_LOG, str(path))
+    log = _checked(columns, path, rows)
+    similar = similar_columns(table.cells, PRESS_LOG, str(path))
     independent, found = independent_rows(log.columns)
-    notes = (f"{path}: {note}" for note in found)
-    return replace(log.select(independent), warnings=(*similar, *log.warnings, *notes))
+    notes += [*similar, *log.warnings, *(f"{path}: {note}" for note in found)]
+    return replace(log.select(independent), warnings=tuple(notes))
 
 
-def read_table(path: Path) -> dict[str, Cells]:
-    """The columns of a CSV or Parquet file as stripped text, by stripped name.
+def _ball_volumes(columns: Columns, path: Path, radius_mm: float | None) -> dict[str, FloatArray]:
+    """Radius and volume (N,) of a ball at ``depth_mm``; negative depths are no contact."""
+    depth = columns["depth_mm"]
+    radius = columns.get("radius_mm", np.full(len(depth), np.nan))
+    if radius_mm is not None:
+        radius = np.full(len(depth), radius_mm)
+    if not np.isfinite(radius[np.isfinite(depth)]).all():
+        msg = (
+            f"{path}: depth_mm suffices instead of volume_mm3 for a ball of known radius; give "
+            "--radius-mm, a column radius_mm, or volume_mm3"
+        )
+        raise PressError(msg)
+    return {"radius_mm": radius, "volume_mm3": ball_volume_mm3(depth, radius)}
 
-    Raises ``PressError`` where the file is missing, empty, not a table, or has two columns of one
-    name.
+
+def row_order(trial: IntArray, time_s: FloatArray) -> tuple[IntArray, str]:
+    """Rows (N,) with every press in one block in the order of its time, and a note if they moved.
+
+    Rows are shuffled where the clock goes backwards in many steps: of several presses under one
+    number it does so once for each.
     """
-    path = Path(path)
-    if not path.is_file():
-        msg = f"{path}: no such file; give a press log as .csv or .parquet"
-        raise PressError(msg)
-    try:
-        header, columns = _parquet(path) if _is_parquet(path) else _csv(path)
-    except (OSError, ValueError, LookupError, TypeError, csv.Error) as error:
-        # pandas and pyarrow raise the latter for metadata that is not what they write themselves.
-        msg = f"{path}: cannot be read as a table: {csv_problem(error)}"
-        raise PressError(msg) from error
-    names = [name.strip() for name in header]
-    doubled = sorted({name for name in names if names.count(name) > 1})
-    if doubled:
-        msg = f"{path}: columns appear twice: {', '.join(doubled)}; keep one of each"
-        raise PressError(msg)
-    if not columns or not columns[0]:
-        msg = f"{path}: holds no samples; a press log has one row a sample under its header"
-        raise PressError(msg)
-    return dict(zip(names, columns, strict=True))
+    _, first, label = np.unique(trial, return_index=True, return_inverse=True)
+    grouped = np.argsort(first[label], kind="stable")
+
+    def steps(values: FloatArray) -> FloatArray:
+        """From row to row of one press."""
+        return np.asarray(np.diff(values[grouped])[np.diff(label[grouped]) == 0])
+
+    clock = steps(time_s)
+    backwards = clock < 0
+    if backwards.sum() > SHUFFLED_SHARE * len(backwards):
+        start = np.full(len(first), np.inf)
+        np.fmin.at(start, label, time_s)
+        rank = np.argsort(np.lexsort((first, start)))
+        by_time = np.lexsort((time_s, rank[label]))
+        return by_time, "the rows of presses are not in the order of their time; sorted"
+    if (np.diff(grouped) != 1).any() and not backwards.any():
+        joined = steps(np.arange(len(trial), dtype=np.float64)) != 1
+        typical = np.median(clock[clock > 0]) if (clock > 0).any() else 0.0
+        if joined.any() and not (clock[joined] > GAP_FACTOR * typical).any():
+            return grouped, "the rows of presses alternate; those of each are joined"
+    return np.arange(len(trial)), ""
 
 
-def _is_parquet(path: Path) -> bool:
-    return path.suffix.lower() in (".parquet", ".pq")
-
-
-def _csv(path: Path) -> tuple[list[str], list[Cells]]:
-    """Header and columns; cells that a row lacks are empty."""
-    text = path.read_text(encoding="utf-8").lstrip("\ufeff")  # the mark that spreadsheets write
-    rows = csv.reader(io.StringIO(text, newline=""))
-    header = next(rows, [])
-    if not header:
-        msg = "No columns to parse from file"
-        raise ValueError(msg)
-    filled, last = list[list[str]](), ""
-    for row in rows:
-        if len(row) > len(header):
-            msg = f"Expected {len(header)} fields in line {rows.line_num}, saw {len(row)}"
-            raise ValueError(msg)
-        filled.append([cell.strip() for cell in row] + [""] * (len(header) - len(row)))
-        last = row[-1] if row else ""
-    if "\n" in last and not text.rstrip().endswith('"'):
-        begin = ", ".join(filled[-1]).splitlines()[0][:40]
-        msg = f"a quote that is not closed in the row that begins with {begin!r}"
-        raise ValueError(msg)
-    return header, list(zip(*filled, strict=True))
-
-
-def _parquet(path: Path) -> tuple[list[str], list[Cells]]:
-    import pandas as pd  # 60 MB and 0.3 s, which a log in CSV does without
-
-    require_extra("parquet", f"{path}: reading Parquet needs", PressError)
-    frame = pd.read_parquet(path)
-    known = frame.notna()
-    columns = list[Cells]()
-    for k in range(frame.shape[1]):
-        values = frame.iloc[:, k]
-        if pd.api.types.is_bool_dtype(values):
-            values = values.astype("Int64")
-        texts = values.astype(object).where(known.iloc[:, k], "")
-        columns.append([_text(value) for value in texts])
-    return [str(name) for name in frame.columns], columns
-
-
-def _text(value: object) -> str:
-    return (value.decode() if isinstance(value, bytes) else str(value)).strip()
-
-
-def column_names(path: Path) -> list[str]:
-    """The header of a table; empty where it cannot be read, which ``read_table`` then reports."""
-    path = Path(path)
-    try:
-        if _is_parquet(path):
-            return list(read_table(path))
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return [name.strip() for name in next(csv.reader(file), [])]
-    except (PressError, OSError, ValueError, csv.Error):
-        return []
-
-
-def column_problems(names: Iterable[str], path: Path, required: tuple[str, ...]) -> list[str]:
-    """What is wrong with the header, a line each."""
-    names = list(names)
-    if len(names) == 1 and (separator := next((s for s in ";\t|" if s in names[0]), "")):
-        return [f"{path}: columns are separated by {separator!r}; save it with commas"]
+def value_problems(table: LogTable) -> list[str]:
+    """Signs and units that the values of a log cannot have, a line each."""
     problems = []
-    for name in required:
-        if name not in names:
-            others = [other for other in names if other not in CONTRACT]
-            near = get_close_matches(name, others, n=1, cutoff=0.55)
-            meaning = {**PRESS_LOG, **PRESSES, **DEPTH_CURVES}[name]
-            hint = f"rename {near[0]!r} if it is that" if near else f"add it ({meaning})"
-            problems.append(f"{path}: column {name!r} is missing; {hint}")
+    path, force = table.path, table.numbers["force_normal_n"]
+    response = next((n for n in ("volume_mm3", "depth_mm") if n in table.numbers), "")
+    values = table.numbers.get(response, np.full(len(force), np.nan))
+    known = np.isfinite(force) & np.isfinite(values)
+    if known.sum() > 2:
+        low, high = np.percentile(values[known], (1.0, 99.0))
+        if -low > max(high, 0.0):
+            short = response.partition("_")[0]
+            problems.append(
+                f"{path}: {response} is negative in contact (down to {low:.3g}); flip the sign: "
+                f"--flip {short}"
+            )
+        off, grown = (one - one.mean() for one in (force[known], np.abs(values[known])))
+        spread = float(np.sqrt((off**2).sum() * (grown**2).sum()))
+        if spread > 0 and (off * grown).sum() / spread < -SIGN_CORRELATION:
+            problems.append(
+                f"{path}: force_normal_n is negative in contact (down to {force[known].min():.3g} "
+                "N); flip the sign: --flip force"
+            )
+    peak = float(np.nanmax(np.abs(values))) if known.any() else 0.0
+    if response == "depth_mm" and response not in table.sure and known.any():
+        least, most = PLAUSIBLE_DEPTHS_MM
+        unit = "m" if 0 < peak < least else "um" if peak > most else ""
+        if unit:
+            problems.append(
+                f"{path}: depth_mm reaches {peak:.3g}: this looks like {unit}; "
+                f"{_true_unit(table, response, unit)}"
+            )
+    largest = float(np.nanmax(force)) if np.isfinite(force).any() else 0.0
+    too_large = largest > MAX_PLAUSIBLE_FORCE_N and response == "depth_mm"
+    if too_large and "force_normal_n" not in table.sure:
+        units = " or ".join(
+            f"--force-unit {unit} ({largest * newtons:.3g} N)"
+            for unit, newtons in FORCE_UNITS_N.items()
+            if largest * newtons <= MAX_PLAUSIBLE_FORCE_N
+        )
+        problems.append(
+            f"{path}: force_normal_n reaches {largest:.4g}: these are hardly newtons; give "
+            f"{units or 'newtons'}, or --force-unit n if they are"
+        )
     return problems
 
 
-def numeric_columns(
-    table: Mapping[str, Cells], path: Path, names: tuple[str, ...]
-) -> tuple[dict[str, FloatArray], list[str]]:
-    """Those of ``names`` that the table has, as float64; empty cells are NaN; and the problems."""
-    numbers: dict[str, FloatArray] = {}
-    problems = []
-    for name in names:
-        if name not in table:
-            continue
-        values, filled = _parsed(table[name])
-        bad = np.isnan(values) & filled
-        for index in np.flatnonzero(bad)[:MAX_LISTED]:
-            cell = table[name][index]
-            fix = "use a decimal point" if "," in cell else "write a number or leave it empty"
-            problems.append(f"{path}: row {index + 2}: {name} = {cell!r} is not a number; {fix}")
-        if bad.sum() > MAX_LISTED:
-            problems.append(f"{path}: … and {bad.sum() - MAX_LISTED} more such cells in {name}")
-        numbers[name] = np.where(np.isfinite(values), values, np.nan)
-    return numbers, problems
+def _true_unit(table: LogTable, name: str, unit: str) -> str:
+    header = split_header(table.headers[name])[0]
+    return f'say which it is: --column {name}="{header} [{unit}]" (or another unit)'
 
 
-def trial_number_problems(trial: FloatArray, path: Path) -> list[str]:
-    """Trials that are empty or no integers, a line each."""
-    wrong = np.flatnonzero(~(trial == np.round(trial)))
-    return [
-        f"{path}: row {index + 2}: trial is "
-        f"{'empty' if np.isnan(trial[index]) else format(trial[index], 'g')}, not an integer; "
-        "give each press a number"
-        for index in wrong[:MAX_LISTED]
-    ]
+def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
+    """A warning where a clock is odd for seconds; raises where it can be no clock in seconds."""
+    time_s, blocks = columns["time_s"], _trial_blocks(columns["trial"])
+    spans = [float(np.ptp(time_s[b])) for b in blocks if np.isfinite(time_s[b]).all()]
+    if not spans:
+        return []
+    span, start = float(np.median(spans)), float(np.nanmin(time_s))
+    steps = np.diff(time_s)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    said = f"{table.path}: a press lasts {span:.3g} s by time_s (median), from {start:.4g} s"
+    if span > LONGEST_PRESS_S or start > LATEST_CLOCK_S:
+        units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+        unit = min(units, key=lambda u: abs(math.log(max(span, 1e-9) * units[u] / USUAL_PRESS_S)))
+        msg = f"{said}: this looks like {unit}; {_true_unit(table, 'time_s', unit)}"
+        raise PressError(msg)
+    if span > ODD_PRESS_S and step >= ODD_STEP_S:
+        return [
+            f"{said}, a sample every {step:.3g} s; if it is in ms, "
+            f"{_true_unit(table, 'time_s', 'ms')}"
+        ]
+    return []
 
 
-def _checked(columns: Columns, path: Path) -> PressLog:
-    found = _Findings(columns, path, np.ones(len(columns["trial"]), dtype=bool))
+def _checked(columns: Columns, path: Path, rows: IntArray) -> PressLog:
+    found = _Findings(columns, path, rows, np.ones(len(rows), dtype=bool))
     blocks = _trial_blocks(columns["trial"])
     for block in blocks:
         _check_cells(found, block)
@@ -323,15 +332,17 @@ def _checked(columns: Columns, path: Path) -> PressLog:
     session_clock = _check_session_clock(found, blocks)
     _check_covariates(found)
     dropped = tuple(sorted(found.dropped, key=lambda each: each.rows))
-    if not found.keep.any():
+    if found.keep.sum() <= (1 - MAX_DROPPED_SHARE) * (len(rows) - found.copied):
         reasons = [str(trial) for trial in dropped[:MAX_LISTED]]
         if len(dropped) > MAX_LISTED:
             reasons.append(f"… and {len(dropped) - MAX_LISTED} more")
-        raise PressError.from_problems([f"{path}: no usable press remains", *reasons])
+        what = f"only {found.keep.sum()} of {len(rows)} samples can be used"
+        what = what if found.keep.any() else "no usable press remains"
+        raise PressError.from_problems([f"{path}: {what}", *reasons, *found.warnings[:MAX_LISTED]])
     return PressLog(
         columns=_frozen(columns, found.keep),
         path=path,
-        rows=frozen_array(np.flatnonzero(found.keep) + FIRST_ROW, np.int64),
+        rows=frozen_array(rows[found.keep], np.int64),
         dropped=dropped,
         warnings=tuple(found.warnings),
         session_clock=session_clock,
@@ -341,24 +352,10 @@ def _checked(columns: Columns, path: Path) -> PressLog:
 
 def _covariate(name: str, cells: Cells) -> NDArray[Any]:
     """Float64 where every filled cell is a number, text otherwise."""
-    values, filled = _parsed(cells)
+    values, filled = parsed(cells)
     if filled.any() and np.isfinite(values[filled]).all() and name != "indenter":
         return values
     return np.where(filled, np.asarray(cells, dtype=str), "")
-
-
-def _parsed(cells: Cells) -> tuple[FloatArray, BoolArray]:
-    """The cells as numbers (NaN where they are none), and whether they are filled."""
-    filled = np.array([cell.lower() not in EMPTY_CELLS for cell in cells], dtype=bool)
-    return np.array([_number(cell) for cell in cells], dtype=np.float64), filled
-
-
-def _number(cell: str) -> float:
-    try:
-        # Python also reads 1_000 and the digits of other scripts.
-        return float(cell) if cell.isascii() and "_" not in cell else float("nan")
-    except ValueError:
-        return float("nan")
 
 
 def _frozen(columns: Columns, mask: BoolArray) -> Columns:
@@ -372,9 +369,11 @@ class _Findings:
 
     columns: Columns
     path: Path
+    rows: IntArray  # (N,), in the file
     keep: BoolArray
     dropped: list[DroppedTrial] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    copied: int = 0  # samples of presses that are copies: nothing is lost with them
 
     def kept(self, block: IntArray) -> IntArray:
         return block[self.keep[block]]
@@ -385,7 +384,7 @@ class _Findings:
     def drop(self, block: IntArray, reason: str, fix: str) -> None:
         if self.keep[block].any():
             self.keep[block] = False
-            span = int(block[0]) + FIRST_ROW, int(block[-1]) + FIRST_ROW
+            span = int(self.rows[block].min()), int(self.rows[block].max())
             self.dropped.append(DroppedTrial(self.trial(block), span, reason, fix, str(self.path)))
 
     def warn(self, text: str) -> None:
@@ -397,25 +396,34 @@ def _trial_blocks(trial: IntArray) -> list[IntArray]:
     return np.split(np.arange(len(trial)), np.flatnonzero(np.diff(trial)) + 1)
 
 
-def _force_unit_problem(columns: Columns, path: Path) -> str:
+def _force_unit_problem(columns: Columns, path: Path, rows: IntArray) -> str:
     """The problem where the forces of the whole log cannot be newtons; empty where they can."""
     peak, compliance = _peaks_and_compliances(columns, _trial_blocks(columns["trial"]))
     if not np.isfinite(compliance).any():
         return ""
     typical_peak, typical = float(np.nanmedian(peak)), float(np.nanmedian(compliance))
-    softest, stiffest = PLAUSIBLE_COMPLIANCE_MM3_PER_N[1], PLAUSIBLE_COMPLIANCE_MM3_PER_N[0]
-    suspicious = typical_peak > MAX_PLAUSIBLE_FORCE_N or (typical_peak > 20 and typical < stiffest)
-    unit, newtons, option = "grams", STANDARD_GRAVITY_M_S2 * 1e-3, "gf"
-    if typical_peak * newtons > MAX_PLAUSIBLE_FORCE_N:
-        unit, newtons, option = "millinewtons", 1e-3, "mn"
-    if not suspicious or typical / newtons > softest:
+    stiffest, softest = PLAUSIBLE_COMPLIANCE_MM3_PER_N
+    if not (typical_peak > MAX_PLAUSIBLE_FORCE_N or (typical_peak > 20 and typical < stiffest)):
         return ""
-    row = int(np.nanargmax(columns["force_normal_n"])) + FIRST_ROW
+    # Nearest to published gels first: all that the log may be in is said, with what follows of it.
+    likely = sorted(
+        (abs(math.log(typical / newtons / PUBLISHED_COMPLIANCE_MM3_PER_N)), unit, newtons)
+        for unit, newtons in FORCE_UNITS_N.items()
+        if typical_peak * newtons <= MAX_PLAUSIBLE_FORCE_N
+        and stiffest <= typical / newtons <= softest
+    )
+    if not likely:
+        return ""
+    row = rows[int(np.nanargmax(columns["force_normal_n"]))]
+    choices = [
+        f"--force-unit {unit} ({UNIT_WORDS[unit]}: {typical / newtons:.2g} mm³/N)"
+        for _, unit, newtons in likely
+    ]
     return (
         f"{path}: row {row}: force_normal_n reaches {np.nanmax(peak):.4g} (median over presses "
-        f"{typical_peak:.4g}) at {typical:.2g} mm³ a unit of force: these look like {unit}, not "
-        f"newtons; multiply the force columns by {newtons:.6g}, or give --force-unit {option} "
-        "(--force-unit n if they are newtons)"
+        f"{typical_peak:.4g}) at {typical:.2g} mm³ a unit of force: hardly newtons, published "
+        f"gels have 1 to 10 mm³/N; give {' or '.join(choices)}, or --force-unit n if they "
+        "are newtons"
     )
 
 
@@ -444,7 +452,7 @@ def _check_cells(found: _Findings, block: IntArray) -> None:
     if not bad.any():
         return
     guilty = ", ".join(name for name, known in finite.items() if not known.all())
-    where = ", ".join(str(index + FIRST_ROW) for index in block[bad][:MAX_LISTED])
+    where = ", ".join(str(row) for row in found.rows[block[bad][:MAX_LISTED]])
     what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
     if bad.mean() > MAX_EMPTY_SHARE:
         found.drop(block, f"{what} (row {where})", "fill the cells or delete the press")
@@ -458,7 +466,7 @@ def _check_clock(found: _Findings, block: IntArray) -> None:
     kept = found.kept(block)
     steps = np.diff(found.columns["time_s"][kept])
     if (steps < 0).any():
-        row, more = kept[1:][steps < 0][0] + FIRST_ROW, int((steps < 0).sum()) - 1
+        row, more = found.rows[kept[1:][steps < 0][0]], int((steps < 0).sum()) - 1
         reason = f"time_s goes backwards at row {row}" + (f" and {more} more" if more else "")
         fix = "sort the rows by trial and time, and give each press its own trial number"
         found.drop(block, reason, fix)
@@ -468,7 +476,7 @@ def _check_clock(found: _Findings, block: IntArray) -> None:
     gaps = steps > GAP_FACTOR * np.median(steps[steps > 0])
     if gaps.any():
         found.warn(
-            f"row {kept[1:][gaps][0] + FIRST_ROW}: trial {found.trial(block)}: the clock jumps by "
+            f"row {found.rows[kept[1:][gaps][0]]}: trial {found.trial(block)}: the clock jumps by "
             f"{steps[gaps][0]:.3g} s ({gaps.sum()} such gaps): what depends on the load's history "
             "is not known across it"
         )
@@ -481,11 +489,12 @@ def _check_repeats(found: _Findings, blocks: list[IntArray]) -> None:
     for block in blocks:
         if not found.keep[block].any():
             continue
-        trial, row = found.trial(block), int(block[0]) + FIRST_ROW
+        trial, row = found.trial(block), int(found.rows[block[0]])
         force, volume = (found.columns[name][block] for name in REQUIRED[2:])
         original = seen.setdefault(force.tobytes() + volume.tobytes(), block)
         if original is not block and len(block) > 3:
-            where = f"trial {found.trial(original)} (from row {original[0] + FIRST_ROW})"
+            where = f"trial {found.trial(original)} (from row {found.rows[original[0]]})"
+            found.copied += len(block)
             found.drop(block, f"it is a copy of {where}", "delete one of the two")
         elif first_row.setdefault(trial, row) != row:
             known = f"trial {trial} is already at row {first_row[trial]}"
@@ -550,5 +559,5 @@ def _check_covariates(found: _Findings) -> None:
         kept = values[found.keep]
         empty = np.isnan(kept) if kept.dtype.kind == "f" else kept == ""
         if kept.dtype.kind in "fU" and empty.any():
-            row = np.flatnonzero(found.keep)[np.argmax(empty)] + FIRST_ROW
+            row = found.rows[np.flatnonzero(found.keep)[np.argmax(empty)]]
             found.warn(f"row {row}: {name} is empty in {empty.sum()} of {len(kept)} samples")

@@ -124,6 +124,16 @@ PRESS_LOG = "trial,time_s,force_normal_n,volume_mm3,operator\n" + "".join(
     f"{k // 4},{0.1 * k:.2f},{k % 4 + 0.5},{10.0 * (k % 4):.3f},ann\n" for k in range(20)
 )
 
+LAB_LOG = "# rig 2\nTimestamp;Press #;Fz [mN];Depth [mm]\n" + "".join(
+    f"2024-03-05 10:00:{k:02d},50;P{k // 10};{k % 10 * 300},5;0,{k % 10}\n" for k in range(30)
+)
+
+
+def _read_depth_log(path: Path) -> object:
+    from tacgen.presses.press_log import read_press_log
+
+    return read_press_log(path, radius_mm=4.0)
+
 
 def _make_parquet(folder: Path) -> Path:
     import io
@@ -341,6 +351,7 @@ READERS = {
     "added surface": Reader(_added_object("*.ply"), _read_object),
     "added parts": Reader(_added_object("*.npz"), _read_object),
     "press log csv": Reader(_text("log.csv", PRESS_LOG), _read_press_log),
+    "press log of a lab": Reader(_text("lab.csv", LAB_LOG), _read_depth_log),
     "press log parquet": Reader(_make_parquet, _read_press_log),
     "press list": Reader(_presses("presses.csv"), _read_presses),
     "press image": Reader(_presses("a.png"), _read_presses),

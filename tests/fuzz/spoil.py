@@ -35,6 +35,7 @@ TOKENS = [
     *(b"null", b"[]", b"{}", b'""', b"true", b"!!python/object/apply:os.system [x]", b"*a"),
     *(b"&a", b"a: " * 9, b"../../x", b"/etc/passwd", b"\xff\xfe", b"\x00", b"[" * 3000),
     *(b"\xf0\x9f\xa4\x96", b"\n", b",", b": ", b"  - ", b'"', b"2024-01-01", b"0x10", b"1:30"),
+    *(b"!!bool foo", b"!!timestamp x", b'!!int ""', b"!!set {a}", b"9" * 5000, b'"\\uD800"'),
 ]
 
 

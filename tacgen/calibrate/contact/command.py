@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.calibrate.contact import depth_curves
+from tacgen.calibrate.contact.contact_point import free_contact_points
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.law import ContactLaw, save_law
@@ -17,9 +18,10 @@ from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, sha256_of
 from tacgen.core.version import __version__
 from tacgen.optics.table import load_table
+from tacgen.presses.lab_table import LogFormat, LogTable, read_log_table
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder, read_presses
 from tacgen.presses.press_forces import MeasuredLog, measure_presses
-from tacgen.presses.press_log import read_press_log
+from tacgen.presses.press_log import PLAIN, PressLog, press_log_of
 from tacgen.presses.screening import usable_presses
 
 MIN_FOR_OWN_TABLE, MIN_PRESSES_FOR_OWN_TABLE = 10, 6
@@ -45,7 +47,7 @@ def calibrate_contact(
     *,
     by: str | None = None,
     contact_point: str = "auto",
-    force_unit: str | None = None,
+    log_format: LogFormat = PLAIN,
     marker_pitch_mm: float = np.nan,
     radius_mm: float | None = None,
     table: Path | None = None,
@@ -68,10 +70,11 @@ def calibrate_contact(
         measured, volume_share = found.warnings, found.volume_stderr_share
         if np.isnan(marker_pitch_mm):
             marker_pitch_mm = found.marker_pitch_mm
-    elif depth_curves.is_depth_table(log):
-        return _explain_depths(Path(log), Path(out), report, radius_mm)
+    table_read = read_log_table(Path(log), log_format)
+    if depth_curves.holds_depths(table_read):
+        return _explain_depths(table_read, Path(out), report, radius_mm)
     fit = fit_contact(
-        read_press_log(log, force_unit=force_unit),
+        press_log_of(table_read),
         by=by,
         free_contact_point=CONTACT_POINTS[contact_point],
         marker_pitch_mm=marker_pitch_mm,
@@ -87,6 +90,42 @@ def calibrate_contact(
 
         write_report(fit, report)
     return ContactCalibration(fit, fit.law, fit.warnings)
+
+
+def read_contact_log(
+    log: Path,
+    log_format: LogFormat,
+    *,
+    radius_mm: float | None = None,
+    table: Path | None = None,
+    save_log: Path,
+) -> tuple[PressLog, float]:
+    """What ``calibrate_contact`` reads, as a press log, and the markers' pitch, NaN if unknown.
+
+    Depths become the volumes of their ball, with the contact point of each press found; a ball of
+    unknown radius is that which explains the curves. Pictures are measured into ``save_log``.
+    """
+    if Path(log).is_dir():
+        path, found = _measure_images(Path(log), table, save_log)
+        read = press_log_of(read_log_table(path, PLAIN))
+        return replace(read, warnings=(*found.warnings, *read.warnings)), found.marker_pitch_mm
+    cells = read_log_table(Path(log), log_format)
+    if not depth_curves.holds_depths(cells):
+        return press_log_of(cells), np.nan
+    cells.require("trial", "time_s", "force_normal_n")
+    notes = [f"{log}: the contact point of every press was estimated from its depth and force"]
+    curves = depth_curves.read_depth_curves(cells)
+    if None in depth_curves.known_radii(curves, radius_mm):
+        fitted = depth_curves.explain_curves(curves)
+        depth_curves.check_identified(Path(log), fitted)
+        radius_mm = float(np.median([fit.radius_mm for fit in fitted.curves.values()]))
+        notes.append(
+            f"{log}: the ball's radius is fitted, {radius_mm:.3g} mm, so that V = k_n F holds as "
+            "well as it can: give --radius-mm before you believe in stiffening"
+        )
+    read, _ = free_contact_points(press_log_of(cells, radius_mm=radius_mm))
+    columns = {name: values for name, values in read.columns.items() if name != "depth_mm"}
+    return replace(read, columns=columns, warnings=(*notes, *read.warnings)), np.nan
 
 
 def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
@@ -128,13 +167,18 @@ def result_text(result: ContactCalibration, *, json_output: bool) -> str:
 
 
 def _explain_depths(
-    log: Path, out: Path, report: Path | None, radius_mm: float | None
+    table: LogTable, out: Path, report: Path | None, radius_mm: float | None
 ) -> ContactCalibration:
     """The law of curves without volumes is the k_n that all of them share."""
-    curves = depth_curves.read_depth_curves(log)
+    log, curves = table.path, depth_curves.read_depth_curves(table)
     found = depth_curves.explain_curves(curves, radius_mm)
     depth_curves.check_identified(log, found)
-    warnings = depth_curves.depth_warnings(log, found, radius_mm)
+    known = depth_curves.known_radii(curves, radius_mm)[0]
+    warnings = (
+        *table.notes,
+        *table.unclear,
+        *depth_curves.depth_warnings(log, found, known),
+    )
     provenance: dict[str, Any] = {
         "data": {log.name: sha256_of(log)},
         "versions": {"tacgen": __version__},

@@ -20,7 +20,8 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
 from tacgen.presses.geometry import ball_volume_mm3
-from tacgen.presses.press_log import column_names, column_problems, numeric_columns, read_table
+from tacgen.presses.lab_table import LogTable
+from tacgen.presses.press_log import row_order, value_problems
 from tacgen.report.page import templates
 
 RADII_MM = (0.1, 100.0)  # indenters outside this range are no balls that a gel is pressed with
@@ -38,11 +39,12 @@ RISE_EXPECTED_SHARE = 0.03  # of it: a fit that expects more there puts the cont
 
 @dataclass(frozen=True, slots=True)
 class DepthCurve:
-    """One curve: depth and force (N,), in the file's order."""
+    """One curve: depth and force (N,), in the order of time; the ball's radius where known."""
 
     name: str
     depth_mm: FloatArray
     force_n: FloatArray
+    radius_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,39 +123,43 @@ class DepthReport:
     p_value: float  # of curves that share one k_n
 
 
-def is_depth_table(path: Path) -> bool:
-    """Whether a file holds depths and no volumes: force–depth curves, not a press log."""
-    columns = column_names(path)
-    return "depth_mm" in columns and "volume_mm3" not in columns
+def holds_depths(table: LogTable) -> bool:
+    """Whether a table holds depths and no volumes: force–depth curves, not a press log."""
+    return "depth_mm" in table.cells and "volume_mm3" not in table.cells
 
 
-def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
-    """Read curves from columns ``force_normal_n``, ``depth_mm`` and ``curve`` (or ``trial``).
+def read_depth_curves(table: LogTable) -> tuple[DepthCurve, ...]:
+    """Curves from columns ``force_normal_n``, ``depth_mm`` and ``curve`` (or ``trial``).
 
-    Raises ``PressError`` listing what is missing, not a number, or too short.
+    Rows without a depth or a force are left out. Raises ``PressError`` listing what is missing, not
+    a number, in another unit, or too short.
     """
-    table = read_table(path)
-    problems = column_problems(table, path, ("force_normal_n", "depth_mm"))
-    PressError.raise_if(problems)
-    numbers, problems = numeric_columns(table, path, ("force_normal_n", "depth_mm"))
-    one_curve = ["curve"] * len(table["depth_mm"])
-    names = np.array(table.get("curve", table.get("trial", one_curve)))
-    curves = []
-    for name in dict.fromkeys(names):
-        rows = np.flatnonzero(names == name)
-        depth, force = numbers["depth_mm"][rows], numbers["force_normal_n"][rows]
-        empty = ~(np.isfinite(depth) & np.isfinite(force))
-        if empty.any():
+    table.require("force_normal_n", "depth_mm")
+    PressError.raise_if(table.problems or value_problems(table))
+    path, numbers, cells = table.path, table.numbers, table.cells
+    one_curve = [""] * len(table.rows)
+    names = np.array(cells.get("curve", cells.get("trial", one_curve)))
+    first = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    label = np.array([first[name] for name in names])
+    force, depth = numbers["force_normal_n"], numbers["depth_mm"]
+    order, _ = row_order(label, numbers.get("time_s", np.zeros(len(label))))
+    curves, problems = [], []
+    for name in first:
+        rows = order[names[order] == name]
+        known = rows[np.isfinite(depth[rows]) & np.isfinite(force[rows])]
+        where = f"{path}: row {table.rows[rows].min()}: {f'curve {name}' if name else 'the curve'}"
+        touching = int((depth[known] > 0).sum())
+        if len(known) <= len(rows) / 2:
+            problems.append(f"{where}: depth_mm or force_normal_n is empty in most rows; fill them")
+        elif touching < MIN_SAMPLES or not force[known].max() > 0:
             problems.append(
-                f"{path}: row {rows[np.argmax(empty)] + 2}: curve {name}: depth_mm or "
-                "force_normal_n is empty; fill it or delete the row"
+                f"{where} has {touching} samples in contact; at least {MIN_SAMPLES} with a "
+                "positive force are needed"
             )
-        elif (depth > 0).sum() < MIN_SAMPLES or not force.max() > 0:
-            problems.append(
-                f"{path}: row {rows[0] + 2}: curve {name} has {(depth > 0).sum()} samples in "
-                f"contact; at least {MIN_SAMPLES} with a positive force are needed"
-            )
-        curves.append(DepthCurve(str(name), depth, force))
+        radius = numbers.get("radius_mm", np.full(len(label), np.nan))[rows]
+        one_ball = np.isfinite(radius).all() and np.ptp(radius) == 0 and radius[0] > 0
+        ball_mm = float(radius[0]) if one_ball else None
+        curves.append(DepthCurve(str(name) or "1", depth[known], force[known], ball_mm))
     PressError.raise_if(problems)
     return tuple(curves)
 
@@ -161,21 +167,28 @@ def read_depth_curves(path: Path) -> tuple[DepthCurve, ...]:
 def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = None) -> DepthReport:
     """Find each curve's ball and k_n, and what holds for all.
 
-    ``radius_mm`` is the ball's radius where it is known; a power of the force is then fitted, and
-    kept if it differs from 1 by more than it scatters.
+    ``radius_mm`` is the ball's radius where the curves do not know it; where it is known, a power
+    of the force is fitted, and kept if it differs from 1 by more than it scatters.
     """
+    radii = known_radii(curves, radius_mm)
     reference_n = 0.5 * max(float(curve.force_n.max()) for curve in curves)
     shapes = np.geomspace(*RADII_MM, N_SHAPES)
     power = Pooled(1.0, 0.0, 1.0)
-    if radius_mm is not None:
+    if None not in radii:
         shapes = np.append(np.linspace(*POWERS, N_SHAPES), 1.0)
-        bent = [_explain(curve, shapes, radius_mm, reference_n) for curve in curves]
+        bent = [
+            _explain(curve, shapes, radius, reference_n)
+            for curve, radius in zip(curves, radii, strict=True)
+        ]
         power = Pooled.of(
             [fit.power for fit in bent], [_stderr(fit.power_interval) for fit in bent]
         )
         if abs(power.value - 1.0) <= 1.96 * power.scatter:
             shapes, power = np.array([1.0]), Pooled(1.0, 0.0, 1.0)
-    own = [_explain(curve, shapes, radius_mm, reference_n) for curve in curves]
+    own = [
+        _explain(curve, shapes, radius, reference_n)
+        for curve, radius in zip(curves, radii, strict=True)
+    ]
     logs = [(math.log(low), math.log(high)) for low, high in (fit.k_interval for fit in own)]
     k_log = Pooled.of([math.log(fit.k_n) for fit in own], [_stderr(log) for log in logs])
     ends = (math.exp(k_log.value + sign * 1.96 * k_log.scatter) for sign in (-1, 1))
@@ -189,6 +202,12 @@ def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = Non
         one_k_n_will_do=k_log.p_value >= MIN_SHARED_P,
         p_value=k_log.p_value,
     )
+
+
+def known_radii(curves: tuple[DepthCurve, ...], radius_mm: float | None) -> list[float | None]:
+    """The ball's radius of each curve, mm; None for all where it is not known of all."""
+    radii = [radius_mm or curve.radius_mm for curve in curves]
+    return radii if None not in radii else [None] * len(curves)
 
 
 def _stderr(interval: tuple[float, float]) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tacgen.calibrate.contact.command import read_contact_log
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw, FittedEffect, save_law
 from tacgen.core.errors import PressError
@@ -25,7 +26,8 @@ from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors
 from tacgen.diagnose.contact.residuals import Dependence, dependences
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
 from tacgen.diagnose.contact.search import Attribution, Selection
-from tacgen.presses.press_log import SHEAR_FORCES, Columns, read_press_log
+from tacgen.presses.lab_table import LogFormat
+from tacgen.presses.press_log import PLAIN, SHEAR_FORCES, Columns
 
 SEED = 20220804  # any; results are repeatable
 MIN_SAMPLES = 4  # of a trial: what two second differences need
@@ -35,15 +37,26 @@ HELD_OUT = "a quarter of the trials, spread over the session, selection repeated
 
 
 def diagnose_log(
-    path: Path, out: Path, *, marker_pitch_mm: float = float("nan")
+    path: Path,
+    out: Path,
+    *,
+    marker_pitch_mm: float = float("nan"),
+    log_format: LogFormat = PLAIN,
+    radius_mm: float | None = None,
+    table: Path | None = None,
 ) -> result.Diagnosis:
     """Diagnose the press log at ``path``; write diagnosis.json, contact.yaml and report.html.
+
+    All that ``calibrate_contact`` reads is read: logs, force–depth curves, images with forces.
 
     Raises ``PressError`` if the log cannot be used; the message says what and where.
     """
     from tacgen.diagnose.contact.report import write_report
 
-    log = read_press_log(path)
+    log, pitch_mm = read_contact_log(
+        path, log_format, radius_mm=radius_mm, table=table, save_log=out / "press_log.csv"
+    )
+    marker_pitch_mm = pitch_mm if np.isnan(marker_pitch_mm) else marker_pitch_mm
     diagnosis = diagnose(log.columns, notes=result.log_notes(log), session_clock=log.session_clock)
     provenance = {"data_sha256": {path.name: log.sha256}, **diagnosis.law.provenance}
     law = replace(diagnosis.law, marker_pitch_mm=marker_pitch_mm, provenance=provenance)

@@ -78,7 +78,9 @@ def load_model(
 ) -> ImageModel:
     """The model of a table's file; a ``TableError`` where there is none of its kind."""
     if kind not in _MODELS:
-        msg = f"its image model {kind!r} is unknown; there are {', '.join(_MODELS)}"
+        msg = (
+            f"its image model {kind!r} is unknown (there are {', '.join(_MODELS)}); upgrade tacgen"
+        )
         raise TableError(msg)
     return _MODELS[kind].load(arrays, numbers)
 

@@ -22,6 +22,7 @@ from tacgen.calibrate.contact.depth_curves import (
 from tacgen.cli import app
 from tacgen.core.errors import PressError
 from tacgen.presses.geometry import ball_volume_mm3
+from tacgen.presses.lab_table import LogFormat, read_log_table
 
 
 def curve(name, radius_mm, k_n, deepest_mm, *, late_mm=0.0, power=1.0, seed=0):
@@ -155,11 +156,18 @@ def test_a_contact_point_before_the_force_rises_is_said():
     assert not any("rises" in text for text in depth_warnings(Path("c.csv"), prompt, None))
 
 
-def test_what_is_wrong_with_a_file_is_said(tmp_path):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"depth_mm": [0.1, None]}, "row 2: curve a: depth_mm or force_normal_n is empty in most"),
+        ({"depth_mm": [0.1, 0.2]}, "row 2: curve a has 2 samples in contact; at least 8"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(tmp_path, change, words):
     path = tmp_path / "curves.csv"
-    pd.DataFrame({"curve": "a", "force_normal_n": [1.0, 2.0], "depth_mm": [0.1, None]}).to_csv(path)
-    with pytest.raises(PressError, match="row 3: curve a: depth_mm or force_normal_n is empty"):
-        read_depth_curves(path)
+    pd.DataFrame({"curve": "a", "force_normal_n": [1.0, 2.0], **change}).to_csv(path)
+    with pytest.raises(PressError, match=words):
+        read_depth_curves(read_log_table(path, LogFormat()))
 
 
 @pytest.mark.slow

@@ -176,7 +176,7 @@ def test_what_a_schedule_leaves_open(tmp_path):
 def test_signs_that_cannot_be(tmp_path):
     frame = session()
     frame["volume_mm3"] *= -1.0
-    with pytest.raises(PressError, match="does not grow with the load"):
+    with pytest.raises(PressError, match="flip the sign: --flip volume"):
         fit_contact(read_press_log(write(frame, tmp_path)))
 
 

@@ -1,0 +1,162 @@
+"""Meshes of several bodies: each turned outward by itself, cavities kept; slivers stay closed."""
+
+import os
+
+import numpy as np
+import pytest
+import trimesh
+
+from tacgen.core.errors import ObjectError
+from tacgen.objects.mesh_import import import_surface
+from tacgen.objects.meshes import mass_properties, volume_mm3
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def box(size, at=(0.0, 0.0, 0.0)):
+    return trimesh.creation.box(size).apply_translation(at)
+
+
+def inverted(mesh):
+    mesh.invert()
+    return mesh
+
+
+def read(*bodies, name="mesh.stl", **options):
+    trimesh.util.concatenate(bodies).export(name)
+    return import_surface(name, **options)
+
+
+def center_mm(surface):
+    return mass_properties([(surface, 1.0)], 1.0)[0]
+
+
+BODY, HANDLE = (60.0, 40.0, 80.0), (40.0, 10.0, 12.0)
+
+
+@pytest.mark.parametrize("turned", [(), (0,), (1,), (0, 1)])
+def test_the_handle_adds_its_mass_whichever_way_its_faces_look(turned):
+    """A box with a bar that sticks 30 mm out of it: volume and centre of mass in closed form."""
+    bodies = [box(BODY), box(HANDLE, (40.0, 0.0, 0.0))]
+    surface, notes = read(*(inverted(b) if k in turned else b for k, b in enumerate(bodies)))
+    whole, bar = 60.0 * 40.0 * 80.0, 30.0 * 10.0 * 12.0
+    assert volume_mm3(surface) == pytest.approx(whole + bar, rel=1e-6)
+    x = (whole * 0.0 + bar * 45.0) / (whole + bar) - 15.0  # from the middle of the footprint
+    assert center_mm(surface) == pytest.approx([x, 0.0, 40.0], abs=1e-3)
+    said = [f"{len(turned)} of 2 bodies turned outward"] if turned else []
+    assert [note for note in notes if "turned" in note] == said
+
+
+OUTER, INNER = (30.0, 40.0, 50.0), (20.0, 28.0, 30.0)
+SHELL_MM3 = 30.0 * 40 * 50 - 20 * 28 * 30.0
+
+
+@pytest.mark.parametrize("all_inverted", [False, True])
+def test_a_closed_cavity_stays_hollow(all_inverted):
+    bodies = [box(OUTER), inverted(box(INNER, (0.0, 0.0, 5.0)))]
+    surface, notes = read(*map(inverted, bodies) if all_inverted else bodies)
+    assert volume_mm3(surface) == pytest.approx(SHELL_MM3, rel=1e-6)
+    hollow = 20 * 28 * 30.0
+    z = (60_000.0 * 25.0 - hollow * 30.0) / SHELL_MM3
+    assert center_mm(surface)[2] == pytest.approx(z, abs=1e-3)
+    assert any("1 closed cavities of 16.8 cm³ kept" in note for note in notes)
+
+
+def test_a_body_inside_another_with_faces_the_same_way_adds_nothing():
+    surface, _ = read(box(OUTER), box(INNER))
+    assert volume_mm3(surface) == pytest.approx(60_000.0, rel=1e-6)
+
+
+def test_a_ball_in_a_cavity_is_solid():
+    ball = box((5.0, 5.0, 5.0))
+    surface, _ = read(box(OUTER), inverted(box(INNER)), ball)
+    assert volume_mm3(surface) == pytest.approx(SHELL_MM3 + 125.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("turned", [(), (0,), (1,), (0, 1)])
+def test_two_bodies_apart_of_which_one_is_inverted(turned):
+    bodies = [box((20.0, 30.0, 40.0)), box((10.0, 30.0, 40.0), (40.0, 0.0, 0.0))]
+    surface, notes = read(*(inverted(b) if k in turned else b for k, b in enumerate(bodies)))
+    assert volume_mm3(surface) == pytest.approx(36_000.0, rel=1e-6)
+    assert any("2 pieces apart from each other are one rigid body" in note for note in notes)
+
+
+def test_bodies_that_share_an_edge_or_a_corner_are_closed():
+    surface, _ = read(box((20.0,) * 3), box((20.0,) * 3, (20.0, 20.0, 0.0)), name="edge.ply")
+    assert volume_mm3(surface) == pytest.approx(16_000.0, rel=1e-6)
+
+
+def test_single_faces_that_look_the_wrong_way_are_turned():
+    solid = box((20.0, 30.0, 40.0)).subdivide()
+    solid.faces[5] = solid.faces[5][::-1]
+    solid.faces[17] = solid.faces[17][::-1]
+    surface, notes = read(solid, name="faces.ply")
+    assert volume_mm3(surface) == pytest.approx(24_000.0, rel=1e-6)
+    assert any("agree with their neighbours" in note for note in notes)
+
+
+@pytest.mark.parametrize("height", [0.0, 1e-9, 1e-7, 3e-6])
+@pytest.mark.parametrize("place", [0.5, 0.2])
+def test_slivers_are_no_holes(height, place):
+    """An edge cut at a point that lies on it, or nearly so: the triangle beyond it is a sliver."""
+    solid = box((30.0, 30.0, 30.0))
+    edge = solid.edges_unique[0]
+    a, b = solid.vertices[edge]
+    across = np.cross(b - a, [0.3, 0.5, 0.8])
+    middle = a + place * (b - a) + height * across / np.linalg.norm(across)
+    vertices = np.vstack([solid.vertices, middle])
+    faces = []
+    for k, face in enumerate(solid.faces):
+        if k == next(j for j, f in enumerate(solid.faces) if set(edge) <= set(f)):
+            tip = next(v for v in face if v not in edge)
+            order = list(np.roll(face, -list(face).index(tip)))
+            faces += [[order[0], order[1], 8], [order[0], 8, order[2]], [order[1], order[2], 8]]
+        else:
+            faces.append(list(face))
+    cut = trimesh.Trimesh(vertices, faces, process=False)
+    surface, notes = read(cut, name="sliver.ply")
+    assert volume_mm3(surface) == pytest.approx(27_000.0, rel=1e-4)
+    assert notes == []
+
+
+def test_faces_on_both_sides_of_a_sheet_enclose_nothing():
+    sheet = box((30.0, 30.0, 30.0))
+    sheet.update_faces(sheet.face_normals[:, 2] < 0.5)
+    both = trimesh.util.concatenate([sheet, inverted(sheet.copy())])
+    with pytest.raises(ObjectError, match="encloses no volume"):
+        read(both, name="sheet.ply")
+
+
+def test_a_hole_is_filled_and_said_with_its_size():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
+    low = ball.triangles_center[:, 2] < -19.3
+    rim_mm = 2 * np.pi * np.sqrt(20.0**2 - 19.3**2)
+    ball.update_faces(~low)
+    surface, notes = read(ball, name="ball.ply")
+    cap = np.pi * 0.7**2 * (20.0 - 0.7 / 3)
+    assert volume_mm3(surface) == pytest.approx(4 / 3 * np.pi * 20.0**3 - cap, rel=0.02)
+    (note,) = [note for note in notes if "hole(s) filled" in note]
+    assert float(note.split("rim of ")[1].split()[0]) == pytest.approx(rim_mm, rel=0.25)
+
+
+def test_a_tilted_bar_is_as_wide_as_across_it():
+    """140 mm along each axis, 30 mm thick: a gripper that opens 110 mm holds it."""
+    turn = trimesh.transformations.rotation_matrix(np.pi / 4, [1, 1, 0.3])
+    bar = box((30.0, 30.0, 240.0)).apply_transform(turn)
+    assert np.ptp(bar.vertices, axis=0).min() > 110.0
+    surface, _ = read(bar)
+    assert volume_mm3(surface) == pytest.approx(30.0 * 30 * 240, rel=1e-5)
+    with pytest.raises(ObjectError, match="too large for a gripper"):
+        read(box((130.0, 130.0, 240.0)).apply_transform(turn))
+
+
+def test_a_link_to_a_mesh_is_read():
+    read(box((30.0, 30.0, 30.0)), name="there.stl")
+    os.symlink("there.stl", "here.stl")
+    assert volume_mm3(import_surface("here.stl")[0]) == pytest.approx(27_000.0, rel=1e-6)
+    os.symlink("nowhere.stl", "broken.stl")
+    with pytest.raises(ObjectError, match="no such file"):
+        import_surface("broken.stl")

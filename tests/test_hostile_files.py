@@ -1,0 +1,298 @@
+"""Files made to harm: refused with one message, before they take time or memory.
+
+Readers by kind; spoiled at random they are read in ``tests/fuzz``.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen.collection.recipe import load_recipe
+from tacgen.core.errors import DatasetError, ObjectError, RecipeError, TableError, TacgenError
+from tacgen.core.yaml_source import read_yaml
+from tacgen.dataset import Dataset, DatasetFolder
+from tacgen.dataset.manifest import MAX_SHARD_GRASPS, parse_line
+from tacgen.objects.mesh_import import import_surface
+from tacgen.optics import load_table, save_table
+from tests.dataset.conftest import collect_toy, make_spec
+from tests.small_world import slope_table, write_world
+
+SECONDS = 5.0
+"""Of this machine's processor, for a file that is refused; without a check they took 30 to 90."""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("!!bool foo", "cannot be read as bool"),
+        ("!!bool ''", "cannot be read as bool"),
+        ("!!timestamp x", "cannot be read as timestamp"),
+        ("!!timestamp 2024-13-45", "cannot be read as timestamp"),
+        ('!!int ""', "cannot be read as int"),
+        ("!!int 0x", "cannot be read as int"),
+        ("!!int 0b", "cannot be read as int"),
+        ("!!float ''", "cannot be read as float"),
+        ("!!float 1.2.3", "cannot be read as float"),
+        ("!!null x y", None),
+        ("!!seq x", "has the tag"),
+        ("!!map x", "has the tag"),
+        ("!!set {a, b}", "has the tag"),
+        ("!!omap [a: 1]", "has the tag"),
+        ("!!pairs [a: 1]", "has the tag"),
+        ("!!binary aGVsbG8=", "has the tag"),
+        ("!!str [1]", "has the tag"),
+        ("!!python/name:os.system x", "has the tag"),
+        ("!mine x", "has the tag"),
+        ("9" * 5000, "5000 letters, which is no number"),
+        ("0x" + "f" * 5000, "letters, which is no number"),
+        ("1." + "0" * 5000, "letters, which is no number"),
+        ("1" + ":59" * 3000, "letters, which is no number"),
+        ("1:30", "counts in sixties"),
+        ("-1:30:15", "counts in sixties"),
+        ("1:30.5", "counts in sixties"),
+        ('"\\uD800"', "U+D800"),
+        ('"a\\uDFFFb"', "U+DFFF"),
+        ('"\\0"', "U+0000"),
+        ('"\\e[31m"', "U+001B"),
+        ('"\\UFFFFFFFF"', "character that there is not"),
+        ("{? [a, b] : 1}", "a list or a mapping as a key"),
+        ('{"\\uD800": 1}', "U+D800"),
+        ("[" * 3000, "nested too deeply"),
+        ("*a", "not valid YAML"),
+        ("&a [*a]", "too many parts"),
+    ],
+)
+def test_yaml(tmp_path, text, words):
+    path = tmp_path / "a.yaml"
+    path.write_text(f"name: {text}\n")
+    start = time.process_time()
+    if words is None:
+        read_yaml(path)
+        return
+    with pytest.raises(RecipeError, match="a.yaml") as caught:
+        read_yaml(path)
+    assert words in str(caught.value)
+    assert time.process_time() - start < SECONDS
+    str(caught.value).encode()
+
+
+def test_a_description_that_is_no_text_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = write_world(tmp_path, description='"a \\uD83D b"')
+    with pytest.raises(RecipeError, match="description holds U"):
+        load_recipe(path)
+
+
+@pytest.mark.parametrize("force_n", [1e6, 1e308, 1001.0])
+def test_forces_beyond_any_gripper(tmp_path, monkeypatch, force_n):
+    monkeypatch.chdir(tmp_path)
+    grid = f"{{force_n: [{force_n}], y_mm: [0], z_mm: [60]}}"
+    path = write_world(tmp_path, grid=grid, robot=f"{{max_force_n: {force_n}}}")
+    with pytest.raises(RecipeError, match="max_force_n = .* must be at most 1000"):
+        load_recipe(path)
+
+
+HEADERS = {
+    "broken": "{",
+    "empty": "",
+    "a list": "[]",
+    "null": "null",
+    "too deep": "[" * 100_000,
+    "not text": b"\xff\xfe\x00",
+    "surrogate": '{"sensor": "\\ud800"}',
+}
+CHANGES = {
+    "mm_per_px": ["x", None, 0, -1.0, float("nan"), float("inf"), True, [0.1], "0.1"],
+    "max_slope_rad": ["x", None, 0, 2.0, float("nan")],
+    "noise_grey": ["1", None, -1.0, float("inf")],
+    "interpolation": ["cubic", None, 3],
+    "sensor": [None, 3, ["a"]],
+    "effects": [None, [], "blur", {"blur": None}, {"blur": {"sigma": "x"}}, {"blur": 3}],
+    "provenance": [None, "x", []],
+    "model": [None, [], {"kind": ["quadratic"]}, {"kind": "network"}, {"kind": "response"}],
+    "contact": ["x", {"depth_mm": "a"}, {"depth_mm": 0.0}],
+    "gel_of_tomorrow": [1],
+}
+
+
+def table_file(folder: Path, header: bytes | str | None = None, **arrays) -> Path:
+    """A sound table with another header or other arrays; None leaves one out."""
+    path = folder / "table.npz"
+    save_table(slope_table((24, 32), 0.3), path)
+    with np.load(path) as archive:
+        members = {name: archive[name] for name in archive.files}
+    if header is not None:
+        data = header.encode() if isinstance(header, str) else header
+        members["meta"] = np.frombuffer(data or b" ", np.uint8)
+    members |= arrays
+    np.savez(path, **{name: array for name, array in members.items() if array is not None})
+    return path
+
+
+@pytest.mark.parametrize("kind", HEADERS)
+def test_table_headers(tmp_path, kind):
+    with pytest.raises(TableError, match="table.npz: header"):
+        load_table(table_file(tmp_path, HEADERS[kind]))
+
+
+def header_of(folder: Path) -> dict:
+    with np.load(table_file(folder)) as archive:
+        return json.loads(archive["meta"].tobytes())
+
+
+@pytest.mark.parametrize("key", CHANGES)
+def test_values_in_table_headers(tmp_path, key):
+    sound = header_of(tmp_path)
+    for value in CHANGES[key]:
+        with pytest.raises(TableError, match="table.npz") as caught:
+            load_table(table_file(tmp_path, json.dumps({**sound, key: value})))
+        assert key in str(caught.value) or "image model" in str(caught.value), value
+
+
+@pytest.mark.parametrize("key", ["mm_per_px", "max_slope_rad", "noise_grey", "effects", "sensor"])
+def test_keys_that_table_headers_lack(tmp_path, key):
+    lacking = {name: value for name, value in header_of(tmp_path).items() if name != key}
+    with pytest.raises(TableError, match=f"{key}"):
+        load_table(table_file(tmp_path, json.dumps(lacking)))
+
+
+def test_a_table_of_a_newer_tacgen_says_so(tmp_path):
+    header = {**header_of(tmp_path), "lens": 1}
+    with pytest.raises(TableError, match="made by a newer tacgen .its header has lens.; up"):
+        load_table(table_file(tmp_path, json.dumps(header)))
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"coefficients": np.full((4, 5, 3, 6), "x")},
+        {"coefficients": np.full((4, 5, 3, 6), np.nan)},
+        {"coefficients": np.ones((4, 5, 3, 6), complex)},
+        {"coefficients": np.zeros((0, 5, 3, 6))},
+        {"coefficients": np.zeros((4, 5))},
+        {"background": np.zeros((24, 32))},
+        {"background": np.full((24, 32, 3), np.inf)},
+        {"response": np.zeros((2, 2))},
+        {"response": np.zeros((3, 3, 2, 2, 3)), "contact": np.zeros((2, 2, 3, 3))},
+    ],
+)
+def test_arrays_of_tables(tmp_path, arrays):
+    header = header_of(tmp_path)
+    if "response" in arrays:
+        header["model"] = {"kind": "response"}
+    with pytest.raises(TableError, match="table.npz"):
+        load_table(table_file(tmp_path, json.dumps(header), **arrays))
+
+
+def test_a_table_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_path):
+    path = tmp_path / "table.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("background.npy", "w", force_zip64=True) as file,
+    ):
+        np.lib.format.write_array_header_1_0(
+            file, {"descr": "<f4", "fortran_order": False, "shape": (20000, 20000, 3)}
+        )
+        for _ in range(300):
+            file.write(bytes(4 << 20))
+    start = time.process_time()
+    with pytest.raises(TableError, match="take more than 1024 MiB"):
+        load_table(path)
+    assert time.process_time() - start < 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"index_range": [0, 10**15]}, "larger than any"),
+        ({"index_range": [10**15, 10**15 + 4]}, "larger than any"),
+        ({"index_range": [0, MAX_SHARD_GRASPS + 1]}, "larger than any"),
+        ({"raw_bytes": 0}, "raw_bytes"),
+        ({"bytes": 0}, "bytes"),
+        ({"pads": []}, "pads"),
+        ({"frames": 0}, "frames"),
+        ({"schema": 2}, "made by a newer tacgen"),
+    ],
+)
+def test_lines_of_manifests(tmp_path, changes, words):
+    folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
+    line = json.loads(folder.line_path(0).read_text()) | changes
+    with pytest.raises(DatasetError, match=words):
+        parse_line(json.dumps(line), "manifest.jsonl:1")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"n_shards": 10**10}, "10000000000|1e[+]10"),
+        ({"n_grasps": 10**15}, "shards, more than"),
+        ({"schema": 2}, "made by a newer tacgen"),
+    ],
+)
+def test_plans_of_datasets(tmp_path, changes, words):
+    folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
+    plan = json.loads(folder.plan_path.read_text()) | changes
+    folder.plan_path.write_text(json.dumps(plan))
+    with pytest.raises(DatasetError, match=words):
+        DatasetFolder(folder.root).plan()
+    with pytest.raises(TacgenError):
+        Dataset(folder.root)
+
+
+def test_an_obj_with_one_endless_line(tmp_path):
+    path = tmp_path / "line.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + " 1 2 3" * 2_000_000)
+    start = time.process_time()
+    with pytest.raises(ObjectError, match="has a line of 12000001 bytes"):
+        import_surface(path)
+    assert time.process_time() - start < SECONDS
+
+
+def glb(tree: dict) -> bytes:
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text))
+    return head + struct.pack("<I4s", len(text), b"JSON") + text
+
+
+MESHES = {
+    "accessors": [{"count": 36, "componentType": 5126, "type": "VEC3"}],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+}
+
+
+@pytest.mark.parametrize(
+    ("tree", "words"),
+    [
+        ({**MESHES, "nodes": [{"mesh": 0}] * 200_000}, "places 200000 meshes"),
+        (
+            {**MESHES, "accessors": [{"count": 10**9}], "nodes": [{"mesh": 0}]},
+            "333333333 triangles, more than",
+        ),
+        ({**MESHES, "nodes": [{"mesh": 7}]}, "table of contents is broken"),
+        ({**MESHES, "nodes": [{"mesh": "a"}]}, "table of contents is broken"),
+        ({"meshes": [{}], "nodes": []}, "table of contents is broken"),
+    ],
+)
+def test_glb_scenes_that_unfold(tmp_path, tree, words):
+    path = tmp_path / "scene.glb"
+    path.write_bytes(glb(tree))
+    start = time.process_time()
+    with pytest.raises(ObjectError, match=words):
+        import_surface(path)
+    assert time.process_time() - start < SECONDS
+
+
+def test_the_sound_table_is_read(tmp_path):
+    """What the changes above are made to."""
+    table = load_table(table_file(tmp_path))
+    assert table.shape_px == (24, 32)
+    assert replace(table, noise_grey=2.0).noise_grey == 2.0
