@@ -16,6 +16,7 @@ import tacgen.core.rare_collections  # noqa: F401
 # Importing a module of commands registers them.
 from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects, recipes  # noqa: F401
 from tacgen.cli.common import app
+from tacgen.core.disk import disk_message
 from tacgen.core.errors import Interrupted, TacgenError
 from tacgen.core.progress import LOG
 
@@ -33,9 +34,8 @@ def main() -> None:
     except TacgenError as error:
         _stop(str(error), error.exit_code)
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        fix = "check the path, its permissions and the free space"
-        _stop(f"{where}{error.strerror or error}; {fix}", TacgenError.exit_code)
+        fix = "check the path and its permissions"
+        _stop(disk_message(error, error.filename or "", fix), TacgenError.exit_code)
     except Interrupted:
         _stop("interrupted; finished work is kept", 130)
 

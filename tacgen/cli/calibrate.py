@@ -9,6 +9,7 @@ from typer import Argument, Option
 
 from tacgen.cli import common
 from tacgen.cli.common import quoted
+from tacgen.core.files import refuse_existing
 
 ReportOption = Annotated[Path | None, Option(help="Folder for a report (HTML).")]
 TableOutput = Annotated[Path, Option("--out", help="Table file to write (table.npz).")]
@@ -73,7 +74,7 @@ def calibrate_lookup(
     """Fit the lookup table to images of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
 
-    common.refuse_existing(force, out)
+    refuse_existing(force, out)
     made, used = command.calibrate_lookup(
         presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
         without_dots=without_dots,
@@ -122,7 +123,7 @@ def calibrate_import(
     from tacgen.calibrate.lookup.taxim_import import import_polycalib
     from tacgen.optics import save_table
 
-    common.refuse_existing(force, out)
+    refuse_existing(force, out)
     save_table(import_polycalib(polycalib, background, mm_per_px), out)
     typer.echo(str(out))
     common.hand_over(*common.table_lines(out))
@@ -164,7 +165,7 @@ def calibrate_contact(
     from tacgen.calibrate.contact.depth_curves import is_depth_table
 
     images = log.is_dir()
-    common.refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
+    refuse_existing(force, out, *([save_log or out.with_suffix(".csv")] if images else []))
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, force_unit=force_unit,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
@@ -253,8 +254,7 @@ def rig(
     loaded = load_rig_recipe(recipe)
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})
-    common.refuse_existing(force, out / "truth.yaml")
-    for path in run_rig(loaded, out):
+    for path in run_rig(loaded, out, force=force):
         typer.echo(str(path))
     commands = {
         "images": [f"tacgen calibrate lookup {quoted(out)}/presses --out table.npz"],

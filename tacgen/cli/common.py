@@ -12,7 +12,6 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
-from tacgen.core.errors import DatasetError
 from tacgen.core.progress import LOG, is_quiet
 from tacgen.core.resources import object_folders, packaged
 from tacgen.core.workers import available_cores
@@ -240,11 +239,3 @@ def table_lines(path: Path, presses: Path | None = None) -> list[str]:
         return [IN_RECIPE, f"sensor: {{name: {sensor}, table: {path}}}"]
     table = load_table(path)
     return sensor_lines(path, table.shape_px, table.mm_per_px)
-
-
-def refuse_existing(force: bool, *paths: Path) -> None:
-    """Raise a ``DatasetError`` if one of ``paths`` exists and not ``force``."""
-    there = [path for path in paths if path.exists()]
-    if there and not force:
-        msg = f"{there[0]}: exists already; pass --force to replace it, or another --out"
-        raise DatasetError(msg)

@@ -10,6 +10,7 @@ from typer import Option
 
 from tacgen.cli import common
 from tacgen.cli.common import quoted
+from tacgen.core.files import refuse_existing
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
@@ -106,7 +107,7 @@ def compare_engines(
     loaded = load_recipe(recipe)
     table, record = (Path(out or "") / name for name in ("grasps.csv", "comparison.json"))
     if out:
-        common.refuse_existing(force, table, record)
+        refuse_existing(force, table, record)
         out.mkdir(parents=True, exist_ok=True)
     with progress_counter("grasp") as show:
         found = engines.compare_engines(loaded, workers=workers, show=show)
@@ -262,7 +263,7 @@ def render(
     from tacgen.collection.grasp_gif import write_gif
     from tacgen.collection.recipe import load_recipe
 
-    common.refuse_existing(force, out)
+    refuse_existing(force, out)
     outcome = write_gif(load_recipe(recipe), grasp, out)
     typer.echo(f"{out}: grasp {grasp}, {outcome}")
     common.hand_over(f"tacgen collect {quoted(recipe)} --out data")

@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from tacgen.core.disk import disk_errors
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import (
     atomic_path,
@@ -25,7 +26,6 @@ from tacgen.core.lock import holder_of, locked
 from tacgen.core.version import __version__
 from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset.check import content_problems
-from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.inputs import GRID, changed_roles
 from tacgen.dataset.manifest import (
     ShardLine,
@@ -158,7 +158,7 @@ class DatasetFolder:
         if self.plan().get("recipe_sha256") != spec.recipe_sha256:
             msg = f"{self.root}: now holds a dataset of another recipe; give another --out"
             raise DatasetError(msg)
-        with disk_errors(self.root):
+        with disk_errors(self.root, "finished shards are kept"):
             self.line_path(shard).unlink(missing_ok=True)
             path = self.shard_path(shard)
             with atomic_path(path) as partial:

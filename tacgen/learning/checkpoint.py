@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
+from tacgen.core.disk import DiskFile
 from tacgen.core.errors import LearningError
 from tacgen.core.files import atomic_path
 from tacgen.core.version import __version__
@@ -58,8 +59,9 @@ def save_model(
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     if reference is not None:
         tensors[_REFERENCE_KEY] = torch.from_numpy(np.ascontiguousarray(reference))
+    content = save(tensors, metadata={_CARD_KEY: json.dumps(asdict(card))})
     with atomic_path(path) as partial:
-        save_file(tensors, partial, metadata={_CARD_KEY: json.dumps(asdict(card))})
+        partial.write_bytes(content)
 
 
 def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] | None]:
@@ -94,8 +96,9 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
 
 def save_state(path: Path, state: dict[str, Any]) -> None:
     """Write a training state of tensors and plain values, whole or not at all."""
-    with atomic_path(path) as partial:
-        torch.save(state, partial)
+    with atomic_path(path) as partial, DiskFile(partial) as disk:
+        torch.save(state, disk)
+        disk.raise_failure()
 
 
 def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
