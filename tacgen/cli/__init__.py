@@ -4,6 +4,7 @@ Imports of the stages are inside the commands, so that ``tacgen --help`` is fast
 only affects the commands that need it.
 """
 
+import io
 import logging
 import signal
 import sys
@@ -29,6 +30,9 @@ def main() -> None:
         signal.signal(number, _interrupt)
     signal.signal(signal.SIGALRM, _interrupt)
     sys.unraisablehook = _raise_again
+    for stream in (sys.stdout, sys.stderr):  # whatever the locale: "mm³" is not in all of them
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="surrogateescape")
     try:
         app()
     except TacgenError as error:

@@ -181,7 +181,9 @@ class DatasetFolder:
         """What ``dataset.json`` says; raises ``DatasetError`` if the folder is not a dataset's."""
         plan: dict[str, Any] = {}
         is_whole = False
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        with contextlib.suppress(
+            FileNotFoundError, ValueError, KeyError, TypeError, RecursionError
+        ):
             plan = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
             is_whole = all(isinstance(number, int) and number > 0 for number in numbers)

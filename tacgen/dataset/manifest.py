@@ -22,7 +22,7 @@ from tacgen.core.files import read_small_text, write_text
 
 MAX_LINE_BYTES = 1 << 20  # a line has some kilobytes
 FIX_MERGED = "remake the manifest with `tacgen merge`"
-FIX_PART = "`tacgen collect` remakes that shard"
+FIX_PART = "`tacgen collect --repair` remakes that shard"
 
 
 def shard_file(shard: int) -> str:
@@ -227,6 +227,7 @@ def read_part(path: Path) -> ShardLine:
         raise DatasetError(msg) from error
     line = parse_line(text, str(path), FIX_PART)
     if line.shard != part_number(path):
-        msg = f"{path}: holds the line of shard {line.shard}; {FIX_PART}"
+        fix = "it was copied: remove it and its .h5; `tacgen collect` makes what is missing then"
+        msg = f"{path}: holds the line of shard {line.shard}; {fix}"
         raise DatasetError(msg)
     return line
