@@ -38,6 +38,9 @@ flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
 SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
+MOST_AT_STEEPEST = 0.01
+"""Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
+were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
 AT_STEEPEST = 0.97  # of the steepest slope: a step of the search grid below it
 REFINEMENTS = 3  # of each slope between the grid's nodes
 CONTACT_PASSES = 3
@@ -69,6 +72,11 @@ class Shape:
     mm_per_px: float
     slope_stderr: float = math.nan
     steepest_share: float = 0.0
+
+    @property
+    def is_lower_bound(self) -> bool:
+        """Whether depth and volume are at least so large, behind walls too steep for the table."""
+        return self.steepest_share > MOST_AT_STEEPEST
 
     def indentation_mm(self, least_mm: float) -> FloatArray:
         """What the object indents (h, w), 0 where the deepest point is below ``least_mm``.
