@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
-from scipy.ndimage import gaussian_filter, label
+from scipy.ndimage import binary_dilation, gaussian_filter, label
 from scipy.spatial import cKDTree
 
 from tacgen.core.arrays import BoolArray, FloatArray
@@ -52,6 +52,11 @@ UNBENDING_PASSES = 4
 """Passes that leave 0.1 % too much of an exact surface's volume; more of them amplify noise."""
 
 
+LEAST_FIRM_PX, MOST_MISFIT, STEEPEST_SINE = 100, 0.06, 0.9
+"""A ball's flank is continued beyond the table where so many pixels below it, less deep by at most
+half, have normals that are off by no more from a ball's, and up to the sine of this angle, 64°:
+steeper, a pixel's height exceeds its width twice over."""
+
 FIRM_LAYERS = (0.25, 0.55)
 """Shares of the deepest point's depth between which the gel keeps to the object: less deep it
 bends freely, deeper only a few noisy pixels remain."""
@@ -64,19 +69,21 @@ class Shape:
     ``depth_mm`` (h, w) is that of the gel's surface below the gel at rest; ``slope_stderr`` is the
     standard error of the slopes in the contact, from what the table does not explain of the
     picture; NaN where nothing is deeper than the gel at rest. ``steepest_share`` is the share of
-    the contact's pixels at the steepest slope that the table holds: walls may be steeper, and the
-    depth inside them is then too small.
+    the contact's pixels at the steepest slope that the table holds, ``unknown_share`` that of those
+    whose slope does not follow from the rest of the contact either: walls may be steeper there, and
+    the depth inside them is then too small.
     """
 
     depth_mm: FloatArray
     mm_per_px: float
     slope_stderr: float = math.nan
     steepest_share: float = 0.0
+    unknown_share: float = 0.0
 
     @property
     def is_lower_bound(self) -> bool:
         """Whether depth and volume are at least so large, behind walls too steep for the table."""
-        return self.steepest_share > MOST_AT_STEEPEST
+        return self.unknown_share > MOST_AT_STEEPEST
 
     def indentation_mm(self, least_mm: float) -> FloatArray:
         """What the object indents (h, w), 0 where the deepest point is below ``least_mm``.
@@ -156,16 +163,52 @@ class Reconstructor:
         change = seen
         for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
             found = self._slopes_of(change)
-            slopes = _filled(found - self._rest, known)
-            surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
-            # The gel that was not touched: the median over the upper half of the surface.
-            depth = np.median(surface[surface >= np.median(surface)]) - surface
+            depth = self._depth_of(found, known)
             change = seen - self._contact_light(found, depth)
         contact = (depth > 0.1 * depth.max()) & (known > 0)
         stderr = self._slope_stderr(found, change, contact)
-        steep = np.hypot(found[..., 0], found[..., 1]) >= AT_STEEPEST * self.steepest
-        share = float((steep & contact).sum() / max(contact.sum(), 1))
-        return Shape(depth, self.mm_per_px, stderr, share)
+        steep = contact & (np.hypot(*np.moveaxis(found, -1, 0)) >= AT_STEEPEST * self.steepest)
+        share = unknown_share = float(steep.sum() / max(contact.sum(), 1))
+        if share > MOST_AT_STEEPEST:
+            found, unknown = self._continued(found, depth, steep)
+            depth = self._depth_of(found, known)
+            unknown_share = float(unknown.sum() / contact.sum())
+        return Shape(depth, self.mm_per_px, stderr, share, unknown_share)
+
+    def _depth_of(self, slopes: FloatArray, known: FloatArray) -> FloatArray:
+        """Depth (h, w), mm, of the surface of these slopes (h, w, 2)."""
+        bent = _filled(slopes - self._rest, known)
+        surface = integrate(bent[..., 0], bent[..., 1], self.mm_per_px)
+        # The gel that was not touched: the median over the upper half of the surface.
+        return np.asarray(np.median(surface[surface >= np.median(surface)]) - surface)
+
+    def _continued(
+        self, slopes: FloatArray, depth: FloatArray, steep: BoolArray
+    ) -> tuple[FloatArray, BoolArray]:
+        """Slopes, steeper than the table where the contact's bottom is a ball's, and where unknown.
+
+        The tangential parts of a ball's unit normals are linear in place: fitted to the bottom,
+        they tell the slope of the flanks, whose direction the table still sees.
+        """
+        firm = (depth > 0.5 * depth.max()) & ~binary_dilation(steep, iterations=2)
+        if firm.sum() < LEAST_FIRM_PX:
+            return slopes, steep
+        normals = slopes / np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
+        rows, columns = np.indices(steep.shape)
+        places = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(float)
+        fit, *_ = np.linalg.lstsq(places[firm], normals[firm], rcond=None)
+        off = places[firm] @ fit - normals[firm]
+        if (off**2).sum(axis=-1).mean() > MOST_MISFIT**2:
+            return slopes, steep
+        sine = np.hypot(*(places[steep] @ fit).T)
+        least = math.sin(math.atan(AT_STEEPEST * self.steepest))
+        unknown = steep.copy()
+        unknown[steep] = (sine < least) | (sine > STEEPEST_SINE)
+        steeper = np.tan(np.arcsin(np.clip(sine, least, STEEPEST_SINE)))
+        slopes = slopes.copy()
+        now = np.hypot(*slopes[steep].T)
+        slopes[steep] *= np.where(unknown[steep], 1.0, np.maximum(steeper / now, 1.0))[:, None]
+        return slopes, unknown
 
     def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Grey levels (h, w, 3) that a contact of these slopes and depths adds."""
