@@ -117,11 +117,11 @@ def refuse_foreign(folder: Path, mark: str, names: Iterable[str]) -> None:
         raise TacgenError(msg)
 
 
-def require_readable(path: Path) -> None:
-    """Raise a ``TacgenError`` where the file ``path`` may not be read: that is not damage."""
+def require_readable(path: Path, error: type[TacgenError]) -> None:
+    """Raise ``error`` where the file ``path`` may not be read: that is not damage."""
     if not os.access(path, os.R_OK):
         msg = f"{path}: permission denied; ask its owner for the right to read it"
-        raise TacgenError(msg)
+        raise error(msg)
 
 
 def refuse_existing(force: bool, *paths: Path) -> None:

@@ -22,7 +22,7 @@ from tacgen.core.files import read_small_text, write_text
 
 MAX_LINE_BYTES = 1 << 20  # a line has some kilobytes
 FIX_MERGED = "remake the manifest with `tacgen merge`"
-FIX_PART = "`tacgen collect --repair` remakes that shard"
+FIX_PART = "`tacgen collect` remakes that shard"
 
 
 def shard_file(shard: int) -> str:

@@ -139,14 +139,12 @@ def _plan_problems(
     problems = []
     size, n_grasps, name = plan["shard_size"], plan["n_grasps"], folder.plan_path.name
     parts = plan.get("parts", [n_grasps])
-    if plan["n_shards"] != sum(-(-part // size) for part in parts) or sum(parts) != n_grasps:
+    n_shards = sum(-(-part // size) for part in parts)
+    if plan["n_shards"] != n_shards or sum(parts) != n_grasps:
         reason = f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard"
         problems.append(Problem(name, reason))
     odd: list[tuple[manifest.ShardLine, str]] = []
     for line in lines:
-        if line.shard >= plan["n_shards"]:
-            problems.append(Problem(line.file, _FOREIGN))
-            continue
         due = shard_range(parts, size, line.shard)[1]
         recorded = {
             "recipe_sha256": line.recipe_sha256,
@@ -159,8 +157,14 @@ def _plan_problems(
         differing += [key for key, there in recorded.items() if plan.get(key) != there]
         differing += changed_roles(line.inputs, plan.get("inputs", {}))
         odd += [(line, ", ".join(differing))] if differing else []
-    reason = f"was made with another %s than {name} says"
-    problems += [Problem(line.file, reason % what, line.shard) for line, what in odd]
+    for line, what in odd:
+        if len(odd) == len(lines):  # the one file is wrong, or all shards are to be made anew
+            problems.append(Problem(name, f"differs from {line.file} in {what}", line.shard))
+        elif line.shard >= n_shards:
+            problems.append(Problem(line.file, _FOREIGN))
+        else:
+            reason = f"was made with another {what} than {name} says"
+            problems.append(Problem(line.file, reason, line.shard))
     try:
         resolved = plan.get("resolved_sha256", plan.get("recipe_sha256"))
         if sha256_of_content(folder.recipe()) == resolved:

@@ -75,7 +75,7 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
             "and run `tacgen train` with the same recipe again"
         )
         raise LearningError(msg)
-    require_readable(path)
+    require_readable(path, LearningError)
     try:
         with safe_open(path, framework="pt") as file:
             text = (file.metadata() or {}).get(_CARD_KEY, "")
@@ -107,7 +107,7 @@ def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
 
     Raises ``LearningError`` if it cannot be read, or is not such a state.
     """
-    require_readable(path)
+    require_readable(path, LearningError)
     state = read_tensors(path, "a checkpoint", FROM_THE_START)
     if not isinstance(state, dict) or set(state) != set(keys):
         msg = f"{path}: not a checkpoint of this version of tacgen; {FROM_THE_START}"

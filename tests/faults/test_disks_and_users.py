@@ -22,6 +22,7 @@ from tacgen.core.files import atomic_folder, atomic_path, refuse_existing
 from tacgen.core.lock import holder_of, locked
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.export import export_dataset
+from tacgen.dataset.shard import open_shard
 from tacgen.dataset.verify import verify
 from tacgen.learning.checkpoint import load_model, save_state
 from tacgen.learning.run_folder import RunFolder
@@ -207,13 +208,14 @@ def test_what_may_not_be_read_is_not_called_broken(public):
     folder = collect_toy(public / "data", make_spec())
     folder.plan_path.chmod(0o600)
     assert "ermission denied" in as_nobody(folder.plan)
+    shard = folder.shard_path(0)
+    shard.chmod(0o600)
+    denied = "permission denied; ask its owner for the right to read it"
+    assert as_nobody(lambda: open_shard(shard)) == f"DatasetError: {shard}: {denied}"
     model = public / "model.safetensors"
     model.write_bytes(b"0")
     model.chmod(0o600)
-    said = as_nobody(lambda: load_model(model))
-    assert (
-        said == f"TacgenError: {model}: permission denied; ask its owner for the right to read it"
-    )
+    assert as_nobody(lambda: load_model(model)) == f"LearningError: {model}: {denied}"
 
 
 def test_a_link_to_nothing_is_named_and_never_replaced(tmp_path):
@@ -288,3 +290,30 @@ def test_what_repair_cannot_mend_is_told_apart_from_what_it_can(tmp_path):
     folder.shard_path(7).unlink()
     assert verify(folder.root).foreign == ()
     np.testing.assert_equal(folder.shard_path(0).read_bytes(), shard)
+
+
+@pytest.mark.slow
+def test_verify_and_repair_agree(tmp_path):
+    """After ``collect --repair`` ends with 0, ``verify`` does so too; both end with 1 otherwise."""
+    recipe = write_world(tmp_path, grid="{force_n: [3, 25], y_mm: [0], z_mm: [60]}")
+
+    def tacgen(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "tacgen", *arguments, *(() if arguments[0] == "verify" else
+             (str(recipe), "--out", "out", "--workers", "1"))],
+            cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+
+    assert tacgen("collect").returncode == 0
+    folder = DatasetFolder(tmp_path / "out")
+    whole = folder.shard_path(0).read_bytes()
+    other_version(folder)
+    assert tacgen("verify", "out").returncode == 1
+    assert tacgen("collect", "--repair").returncode == 0
+    assert tacgen("verify", "out").returncode == 0
+    assert folder.shard_path(0).read_bytes() == whole
+    folder.shard_path(5).write_bytes(whole)
+    for arguments in (("collect", "--repair"), ("verify", "out")):
+        run = tacgen(*arguments)
+        assert run.returncode == 1
+        assert "shards/shard-00005.h5: is not in the manifest: no shard of this data" in run.stderr
